@@ -297,6 +297,10 @@ HEADERS = {  # what a header tells: part, name, unit
     "Heater 1 (%)": ("input", "Heater_1", "%"),
     "u2": ("input", "u2", ""),
     "force_kN": ("input", "force", "kN"),
+    "v_m_s": ("state", "v", "m/s"),
+    "a_m_s2": ("state", "a", "m/s2"),
+    "leak_l_min": ("state", "leak", "l/min"),
+    "rest_s": ("left out", "", "s"),
     "Set Point 1 (degC)": ("left out", "", "degC"),
     "StepTime": ("state", "StepTime", ""),
 }
@@ -313,6 +317,25 @@ def test_names_units_and_parts_are_read_from_headers(time: str, tmp_path: Path) 
     seen = {one.column: (one.part, one.name, one.unit) for one in survey(path).columns}
     assert seen.pop(time) == ("time", "", "" if time == "t" else "s")
     assert seen == HEADERS
+
+
+def test_a_speed_in_m_s_is_a_state_and_no_time(tmp_path: Path) -> None:
+    """Its last sign alone would be a unit of time; two runs coast to rest."""
+    lines = ["run,t_s,v_m_s"]
+    for run, speed in (("A", 8.0), ("B", 5.0)):
+        lines += [f"{run},{t},{speed * 0.9**t:.3f}" for t in range(12)]
+    table = tmp_path / "coast.csv"
+    table.write_text("\n".join(lines) + "\n")
+    study = tmp_path / "study.toml"
+    content = json.loads(said("init", table, "-o", study, "--json").out)
+    seen = {one["column"]: one for one in content["columns"]}
+    assert {name: one["part"] for name, one in seen.items()} == {
+        "run": "run",
+        "t_s": "time",
+        "v_m_s": "state",
+    }
+    assert (seen["v_m_s"]["name"], seen["v_m_s"]["unit"]) == ("v", "m/s")
+    assert 'v = { column = "v_m_s", unit = "m/s" }' in study.read_text()
 
 
 TABLES = {

@@ -18,7 +18,7 @@ from scipy.io import savemat
 import phsi_opt as ph
 from phsi_opt import reading
 from phsi_opt.command_line.file_commands import first_study
-from phsi_opt.data import excel_tables, matlab_process
+from phsi_opt.data import excel_tables, matlab_tables
 from phsi_opt.errors import DataError
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.toml_text import toml_tables
@@ -300,8 +300,8 @@ def test_a_matlab_file_whose_reading_crashes_or_never_ends_is_refused(
 ) -> None:
     script = tmp_path / "worker.py"
     script.write_text(worker)
-    monkeypatch.setattr(matlab_process, "WORKER", script)
-    monkeypatch.setattr(matlab_process, "TIME_LIMIT", time_limit)
+    monkeypatch.setattr(matlab_tables, "WORKER", script)
+    monkeypatch.setattr(matlab_tables, "TIME_LIMIT", time_limit)
     with pytest.raises(DataError, match=f"open file cannot be read: .*{why}.* as CSV"):
         from_mat(io.BytesIO(mat_file()), **COLUMNS)
 

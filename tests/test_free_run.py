@@ -127,7 +127,8 @@ def test_half_the_steps_are_tried_until_nothing_changes_beyond_the_tolerance() -
     t, x0, u = regular(0.1), np.array([1.0, 0.0]), np.zeros((300, 1))
     runs = Runs(rates(duffing()))
     exact, rough = (
-        runs.run(t, x0, u, "linear", tolerance) for tolerance in (1e-9, 1e-3)
+        runs.run(t, x0, u, np.array(["linear"]), tolerance)
+        for tolerance in (1e-9, 1e-3)
     )
     assert exact is not None and rough is not None
     error = np.max(np.abs(rough - exact) / np.std(exact, axis=0))
@@ -138,7 +139,7 @@ def test_what_explicit_steps_cannot_do_is_left_to_scipy() -> None:
     model = FirstOrder(states=["a"], inputs=["u"], F={"a": formula("1e6*(u - a)")})
     t = np.linspace(0.0, 2.0, 41)
     u = np.sin(t)[:, None]
-    assert Runs(rates(model)).run(t, np.zeros(1), u, "linear") is None
+    assert Runs(rates(model)).run(t, np.zeros(1), u, np.array(["linear"])) is None
     np.testing.assert_array_equal(
         free_run(model, t, [0.0], u), simulate(model, t, [0.0], u)
     )

@@ -7,13 +7,14 @@ from phsi_opt.data import noise
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import (
     LEAST_NOISE_SHARE,
+    _of_runs,
     difference_noise,
     initial_noise,
     least_noise,
     robust_deviation,
+    scatter_by_run,
     scatter_residuals,
 )
-from phsi_opt.data.noise_by_run import _of_runs, scatter_by_run
 from phsi_opt.errors import DataError
 
 

@@ -253,7 +253,7 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
             "2021-11-22 09:00 CET",
             "2021-11-22 09:15 CET",
             {},
-            "line 2: '2021-11-22 09:00 CET' has the name of a time zone, which is not",
+            "line 2: '2021-11-22 09:00 CET' is neither .*name of a time zone is not read",
         ),
         ("2021-11-22 09:00", "", {}, "line 3: the time is missing"),
         ("22.11.2021", "23.11.2021", {}, "line 2: '22.11.2021' is neither .*date_form"),

@@ -19,6 +19,7 @@ from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.starting_values import starting_values
 from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
 from phsi_opt.baselines.torch_steps import RightHandSide, Steps
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.pruning import Pruning
@@ -99,7 +100,7 @@ class DescentRun:
         self.model = model
         self.settings = settings
         record = aligned_once(model, data)
-        self.hold = record.hold
+        self.hold = checked_hold(record.hold, record.inputs)
         self.grid = complete_intervals(model, grid_of(record))
         self.dtype: torch.dtype = getattr(torch, settings.dtype)
         self.dynamics = DictionaryDynamics(model, self.dtype)

@@ -16,6 +16,7 @@ from phsi_opt.comparison.energy_balance import energy_balance
 from phsi_opt.comparison.flat_run import flat_sentence, is_flat
 from phsi_opt.comparison.prediction_bands import prediction_bands
 from phsi_opt.criteria import DIVERGED_RUN, HORIZON_RESIDUAL
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
@@ -376,7 +377,7 @@ def compare_record(record: Record) -> Comparison:
     return Comparison(record, parameters, tuple(simulated), visible, residuals)
 
 
-def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:
+def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: Hold) -> np.ndarray:
     """The simulation from x0, (n_samples, n_states).
 
     Where it breaks off, values far beyond every measurement.

@@ -11,8 +11,7 @@ import keyword
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,8 +20,10 @@ from phsi_opt.errors import DataError, did_you_mean
 # what inputs do between samples: a straight line to the next, the sample's value until
 # the next, or a cubic spline through all of them
 HOLDS = ("linear", "zero", "cubic")
-# the time in formulas; the first column of `Measurements.to_dataframe`
+EXPECTED_HOLD = "'linear', 'zero' or 'cubic'"
+Hold = str | Mapping[str, str]  # one of them for all inputs, or by the input's name
 LARGEST_EXACT = 2**53  # up to which every whole number is a float
+# the time in formulas; the first column of `Measurements.to_dataframe`
 RESERVED_NAMES = ("t", "trajectory")
 # Formulas write dH_dp for the effort dH/dp, and dF_du for the slope dF/du.
 RESERVED_PREFIXES = ("dH_d", "dF_d")
@@ -36,17 +37,17 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
     Args:
         values: Real numbers, (n_samples,) or (n_samples, n_channels). Masked entries
             become NaN, which says that they were not measured.
-        n_axes: The number of axes that the array must have, 1 or 2.
+        n_axes: The number of axes that the copy has, 1 or 2; (n_samples,) may stand
+            for (n_samples, 1).
         title: What messages call the array.
-
-    Returns:
-        The copy, in the same shape.
 
     Raises:
         DataError: The values are no regular array, not real, or in another shape.
     """
     try:
-        array = _as_array(values)
+        # As it is where it is an array: masked ones cost more, and few are.
+        is_plain = type(values) is np.ndarray
+        array: np.ndarray = values if is_plain else np.ma.asanyarray(values)
     except ValueError as error:
         raise DataError(
             f"{title} is not a regular array ({error}); "
@@ -57,6 +58,8 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
             f"{title} has the type {array.dtype}; "
             "expected real numbers, NaN where nothing was measured."
         )
+    if n_axes == 2 and array.ndim == 1:  # a single channel
+        array = array[:, np.newaxis]
     if array.ndim != n_axes:
         expected = "(n_samples,)" if n_axes == 1 else "(n_samples, n_channels)"
         raise DataError(
@@ -68,13 +71,6 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
         floats = floats.filled(np.nan)
     floats.flags.writeable = False
     return floats
-
-
-def _as_array(values: Any) -> np.ndarray:
-    """As it is where it is an array; masked ones cost more, and few are."""
-    is_plain = type(values) is np.ndarray
-    array: np.ndarray = values if is_plain else np.ma.asanyarray(values)
-    return array
 
 
 def from_first(values: Any, first: Any = None) -> Any:
@@ -96,65 +92,39 @@ def from_first(values: Any, first: Any = None) -> Any:
     return (whole.astype(object) - begin).astype(np.int64)
 
 
-def with_channel_axis(values: Any) -> Any:
-    """(n_samples,) as (n_samples, 1); everything else as it is.
-
-    What is no array passes: `read_only_floats` refuses it, where its name is known.
-    """
-    try:
-        array = _as_array(values)
-    except ValueError:
-        return values
-    return array[:, np.newaxis] if array.ndim == 1 else array
-
-
-def is_bad(values: np.ndarray, may_be_missing: bool) -> np.ndarray:
-    """Which values are infinite or huge, or NaN where none may be missing.
-
-    Args:
-        values: (n_samples,) or (n_samples, n_channels).
-        may_be_missing: Whether NaN is allowed.
-
-    Returns:
-        In the shape of the values.
-    """
-    bad = np.abs(values) > LARGEST_VALUE
-    return bad if may_be_missing else bad | np.isnan(values)
-
-
 def check_values(
-    values: np.ndarray, place_of: Callable[[int], str], may_be_missing: bool
+    values: np.ndarray, place_of: Callable[..., str], may_be_missing: bool
 ) -> None:
     """Refuse infinite and huge values, and NaN where no sample may be missing.
 
     Args:
-        values: One channel, (n_samples,).
-        place_of: The words for the place of the i-th value.
+        values: (n_samples,) or (n_samples, n_channels).
+        place_of: The words for the place of the value with these indices.
         may_be_missing: Whether NaN is allowed.
 
     Raises:
         DataError: A value cannot be used; the first one is named.
     """
-    bad = is_bad(values, may_be_missing)
+    bad = np.abs(values) > LARGEST_VALUE
+    if not may_be_missing:
+        bad |= np.isnan(values)
     if not bad.any():
         return
-    i = int(np.argmax(bad))
-    raise DataError(f"{place_of(i)} {_what_is_wrong(values[i])}")
-
-
-def _what_is_wrong(value: float) -> str:
+    place = np.unravel_index(np.argmax(bad), bad.shape)
+    value = values[place]
+    said = f"{place_of(*place)} is {value};"
     if np.isnan(value):
-        return (
-            "is nan; times and inputs must be known at every sample. "
+        raise DataError(
+            f"{said} times and inputs must be known at every sample. "
             "Drop the sample or fill the gap."
         )
     if np.isinf(value):
-        return (
-            f"is {value}; expected a finite value. "
+        raise DataError(
+            f"{said} expected a finite value. "
             "Correct it; a state that was not measured is NaN."
         )
-    return (
-        f"is {value}; expected at most {LARGEST_VALUE:g} in size. "
+    raise DataError(
+        f"{said} expected at most {LARGEST_VALUE:g} in size. "
         "Correct it or choose a larger unit."
     )
 
@@ -187,7 +157,7 @@ def check_unique(names: Sequence[str], what: str) -> None:
         what: What messages call one of them, such as "trajectory name".
 
     Raises:
-        DataError: A name is used twice or more; the first one is named.
+        DataError: A name is used twice or more.
     """
     for name, n_uses in Counter(names).items():
         if n_uses > 1:
@@ -204,9 +174,6 @@ def checked_names(names: Any, what: str) -> tuple[str, ...]:
         names: A list or tuple of names.
         what: "states" or "inputs"; there must be at least one state.
 
-    Returns:
-        The names as a tuple.
-
     Raises:
         DataError: This is no list of names, or a name is no identifier or is reserved.
     """
@@ -217,85 +184,110 @@ def checked_names(names: Any, what: str) -> tuple[str, ...]:
     if what == "states" and not names:
         raise DataError("states=[] names no state; expected at least one.")
     for name in names:
-        _check_name(name, what)
+        is_identifier = isinstance(name, str) and name.isidentifier()
+        if not is_identifier or keyword.iskeyword(name):
+            raise DataError(
+                f"{what}: {name!r} cannot be used in a formula; "
+                "expected letters, digits, _ as in 'q_1'."
+            )
+        if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
+            raise DataError(
+                f"{what}: the name {name!r} is reserved (the time 't', "
+                "the column 'trajectory', the derivatives "
+                f"'{RESERVED_PREFIXES[0]}...' and '{RESERVED_PREFIXES[1]}...'); "
+                "choose another name and map it to the column."
+            )
     return tuple(names)
 
 
-def _check_name(name: Any, what: str) -> None:
-    is_identifier = isinstance(name, str) and name.isidentifier()
-    if not is_identifier or keyword.iskeyword(name):
-        raise DataError(
-            f"{what}: {name!r} cannot be used in a formula; "
-            "expected letters, digits, _ as in 'q_1'."
-        )
-    if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
-        raise DataError(
-            f"{what}: the name {name!r} is reserved (the time 't', "
-            "the column 'trajectory', the derivatives "
-            f"'{RESERVED_PREFIXES[0]}...' and '{RESERVED_PREFIXES[1]}...'); "
-            "choose another name and map it to the column."
-        )
+class _Entry(NamedTuple):
+    """What is told of a channel by its name: what it is, and what it may be."""
+
+    noun: str
+    kept_as: type
+    fits: Callable[[Any], bool]
+    expected: str
 
 
-def checked_units(units: Any, names: tuple[str, ...]) -> Mapping[str, str]:
-    """The unit of every name, "" where none is given, as a read-only mapping.
+BY_NAME = {
+    "units": _Entry(
+        "unit",
+        str,
+        lambda unit: isinstance(unit, str) and unit.isprintable(),
+        "text such as 'm' in one line, or '' when unknown",
+    ),
+    "noise": _Entry(
+        "standard deviation",
+        float,
+        lambda sigma: isinstance(sigma, Real) and 0 < float(sigma) < np.inf,
+        "a positive number in the state's unit; leave it out when it is unknown",
+    ),
+    "hold": _Entry("hold", str, lambda word: word in HOLDS, EXPECTED_HOLD),
+}
+
+
+def checked_by_name(told: Any, names: Sequence[str], what: str) -> dict[str, Any]:
+    """What is told of channels by their names, in the order in which it is told.
+
+    Args:
+        told: A mapping from names.
+        names: Those that there are.
+        what: A name in `BY_NAME`.
 
     Raises:
-        DataError: ``units`` is no mapping from these names to texts of one line.
+        DataError: This is no mapping, or an entry cannot be used.
     """
-    _check_keys(units, names, "units")
-    for name, unit in units.items():
-        if not isinstance(unit, str) or not unit.isprintable():
-            raise DataError(
-                f"units: {name!r} has the unit {unit!r}; "
-                "expected text such as 'm' in one line, or '' when unknown."
-            )
-    return MappingProxyType({name: units.get(name, "") for name in names})
-
-
-def checked_noise(noise: Any, states: tuple[str, ...]) -> Mapping[str, float] | None:
-    """Standard deviations of the noise by state, as a read-only mapping; None stays.
-
-    Raises:
-        DataError: ``noise`` is no mapping from these states to positive numbers.
-    """
-    if noise is None:
-        return None
-    _check_keys(noise, states, "noise")
-    for name, sigma in noise.items():
-        if not isinstance(sigma, Real) or not 0 < float(sigma) < np.inf:
-            raise DataError(
-                f"noise: {name!r} has the standard deviation {sigma!r}; "
-                "expected a positive number in the state's unit. "
-                "Leave it out when it is unknown."
-            )
-    return MappingProxyType({name: float(sigma) for name, sigma in noise.items()})
-
-
-def _check_keys(mapping: Any, names: tuple[str, ...], what: str) -> None:
-    if not isinstance(mapping, Mapping):
+    if not isinstance(told, Mapping):
+        example = names[-1] if names else "u"
         raise DataError(
-            f"{what}={mapping!r} is not a mapping; "
-            f"expected e.g. {{{names[-1]!r}: ...}}."
+            f"{what}={told!r} is not a mapping; expected e.g. {{{example!r}: ...}}."
         )
-    for name in mapping:
+    entry = BY_NAME[what]
+    for name, value in told.items():
         if name not in names:
             hint = did_you_mean(name, names)
             raise DataError(
                 f"{what} names the unknown {name!r}; "
                 f"expected names of {list(names)}.{hint}"
             )
+        if not entry.fits(value):
+            hint = did_you_mean(value, HOLDS) if what == "hold" else ""
+            raise DataError(
+                f"{what}: {name!r} has the {entry.noun} {value!r}; "
+                f"expected {entry.expected}.{hint}"
+            )
+    return {name: entry.kept_as(value) for name, value in told.items()}
 
 
-def checked_hold(hold: Any) -> str:
-    """What inputs do between samples, one of `HOLDS`.
+def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
+    """What each input does between samples: words of `HOLDS`, (n_inputs,).
+
+    An input that a mapping leaves out is "linear".
+
+    Args:
+        hold: One of `HOLDS` for all inputs, or a mapping from their names.
+        inputs: The names of the inputs.
 
     Raises:
-        DataError: It is none of them.
+        DataError: It is none of them, or an input is unknown.
     """
+    if isinstance(hold, Mapping):
+        told = dict.fromkeys(inputs, "linear") | checked_by_name(hold, inputs, "hold")
+        return np.array(list(told.values()), dtype=str)
     if hold not in HOLDS:
         hint = did_you_mean(hold, HOLDS)
-        raise DataError(
-            f"hold={hold!r} is unknown; expected 'linear', 'zero' or 'cubic'.{hint}"
-        )
-    return str(hold)
+        raise DataError(f"hold={hold!r} is unknown; expected {EXPECTED_HOLD}.{hint}")
+    return np.array([hold] * len(inputs), dtype=str)
+
+
+def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
+    """What inputs do between samples: one of `HOLDS`, or one by input if they differ.
+
+    Raises:
+        DataError: It is none of them, or an input is unknown.
+    """
+    by_input = dict(zip(inputs, hold_of_each(hold, inputs).tolist(), strict=True))
+    if isinstance(hold, str):
+        return hold
+    words = list(dict.fromkeys(by_input.values())) or ["linear"]
+    return by_input if len(words) > 1 else words[0]

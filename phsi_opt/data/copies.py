@@ -5,7 +5,7 @@ standard errors smaller, and held out they would judge what was fitted to them. 
 not matter here, and neither does the time at which a run begins.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -19,9 +19,8 @@ from phsi_opt.errors import DataError
 # a coarse sensor, independent runs are equal by chance.
 TELLING_VALUES = 5
 SAME_TIME = 1e-9  # share of a run's length
-CLOCK_ROUNDING = (
-    4 * np.finfo(float).eps
-)  # share of the times, which lose it when shifted
+# share of the times, which lose it when shifted
+CLOCK_ROUNDING = 4 * np.finfo(float).eps
 NAMED_COPIES = 3
 
 AnyMeasurements = TypeVar("AnyMeasurements", bound=Measurements)
@@ -29,18 +28,7 @@ AnyMeasurements = TypeVar("AnyMeasurements", bound=Measurements)
 
 def copies_in(data: Measurements) -> dict[str, str]:
     """The run of which each copy is one, by the copy's name; the first is no copy."""
-    if data.n_trajectories == 1:
-        return {}
-    seen = _Seen()
-    copies = {}
-    for run in data.trajectories:
-        alike = seen.alike(run)
-        original = next((other for other in alike if _is_copy(run, other)), None)
-        if original is None:
-            alike.append(run)
-        else:
-            copies[run.name] = original.name
-    return copies
+    return _copies(data.trajectories, ())
 
 
 def counted_once(data: AnyMeasurements, copies: Mapping[str, str]) -> AnyMeasurements:
@@ -64,21 +52,10 @@ def sentence_about(copies: Mapping[str, str]) -> str:
 def check_can_judge(train: Measurements, held_out: Measurements) -> None:
     """Refuse runs held out that are fitted too.
 
-    Args:
-        train: measurements that are fitted.
-        held_out: those that judge, with the same channels.
-
     Raises:
         DataError: there are such runs.
     """
-    seen = _Seen()
-    for run in train.trajectories:
-        seen.alike(run).append(run)
-    copies = {}
-    for run in held_out.trajectories:
-        for fitted in seen.alike(run):
-            if _is_copy(run, fitted):
-                copies[run.name] = fitted.name
+    copies = _copies(held_out.trajectories, train.trajectories)
     if copies:
         raise DataError(
             f"held out: {_told(copies)} of the training data, and cannot judge what is "
@@ -87,62 +64,55 @@ def check_can_judge(train: Measurements, held_out: Measurements) -> None:
         )
 
 
-class _Seen:
-    """Runs by what tells most of them apart: their shapes and first states."""
+def _copies(
+    runs: Sequence[Trajectory], originals: Sequence[Trajectory]
+) -> dict[str, str]:
+    """Copies of originals, or of runs before them where there are no originals."""
+    seen: dict[tuple[object, ...], list[Trajectory]] = {}
+    for run in originals:
+        seen.setdefault(_key(run), []).append(run)
+    copies = {}
+    for run in runs:
+        alike = seen.setdefault(_key(run), [])
+        found = [other for other in alike if _is_equal(run, other)]
+        measured = run.x[np.isfinite(run.x)]
+        if found and len(np.unique(measured)) >= TELLING_VALUES:
+            copies[run.name] = found[0].name
+        elif not originals:
+            alike.append(run)
+    return copies
 
-    def __init__(self) -> None:
-        self._runs: dict[tuple[object, ...], list[Trajectory]] = {}
 
-    def alike(self, run: Trajectory) -> list[Trajectory]:
-        """The list of those that may be equal to a run, to add it to."""
-        first = repr((run.x[0] + 0.0).tolist())  # one kind of NaN and of zero
-        key = (run.x.shape, run.u.shape, first)
-        return self._runs.setdefault(key, [])
-
-
-def _is_copy(run: Trajectory, other: Trajectory) -> bool:
-    return _is_equal(run, other) and _is_telling(run)
+def _key(run: Trajectory) -> tuple[object, ...]:
+    """What tells most runs apart: their shapes and first states."""
+    first = repr((run.x[0] + 0.0).tolist())  # one kind of NaN and of zero
+    return run.x.shape, run.u.shape, first
 
 
 def _is_equal(run: Trajectory, other: Trajectory) -> bool:
     """Whether states and inputs are the same, and the times since both began."""
-    has_same_states = np.array_equal(run.x, other.x, equal_nan=True)
-    has_same_inputs = np.array_equal(run.u, other.u, equal_nan=True)
-    return has_same_states and has_same_inputs and _has_same_times(run, other)
-
-
-def _has_same_times(run: Trajectory, other: Trajectory) -> bool:
-    """Whether two runs have their samples at the same times since they began."""
     since_begin = run.t - run.t[0]
     apart = np.abs(since_begin - (other.t - other.t[0]))
     largest = max(np.abs(run.t).max(), np.abs(other.t).max())
     allowed = SAME_TIME * since_begin[-1] + CLOCK_ROUNDING * largest
-    return bool(np.all(apart <= allowed))
-
-
-def _is_telling(run: Trajectory) -> bool:
-    """Whether chance cannot have made another run equal to this one."""
-    measured = run.x[np.isfinite(run.x)]
-    return len(np.unique(measured)) >= TELLING_VALUES
+    has_same_states = np.array_equal(run.x, other.x, equal_nan=True)
+    has_same_inputs = np.array_equal(run.u, other.u)
+    return has_same_states and has_same_inputs and bool(np.all(apart <= allowed))
 
 
 def _told(copies: Mapping[str, str]) -> str:
     """Which runs are copies of which, with the first few names."""
     names: dict[str, list[str]] = {}
     for name, original in copies.items():
-        names.setdefault(original, []).append(name)
+        names.setdefault(original, []).append(repr(name))
     told = []
     for original, group in names.items():
         verb = "is an exact copy" if len(group) == 1 else "are exact copies"
-        told.append(f"{_listed(group)} {verb} of {original!r}")
+        shown = group[:NAMED_COPIES]
+        if len(group) > NAMED_COPIES:
+            shown.append(f"{len(group) - NAMED_COPIES} more")
+        listed = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+        told.append(f"{listed} {verb} of {original!r}")
     if len(told) > NAMED_COPIES:
         told[NAMED_COPIES:] = [f"{len(told) - NAMED_COPIES} more runs have copies too"]
     return ", ".join(told)
-
-
-def _listed(names: list[str]) -> str:
-    """Names with "and" before the last; of many the first few, and how many more."""
-    shown = [repr(name) for name in names[:NAMED_COPIES]]
-    if len(names) > NAMED_COPIES:
-        shown.append(f"{len(names) - NAMED_COPIES} more")
-    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))

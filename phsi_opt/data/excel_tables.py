@@ -1,18 +1,34 @@
-"""Tables in Excel workbooks: a sheet with a header row or without, cell by cell."""
+"""Tables in Excel workbooks: a sheet with a header row or without, cell by cell.
 
-import datetime as dt
+An .xlsx file is a zip archive of XML. A small archive can grow to fill the memory; so
+can XML that defines entities, which workbooks never do. openpyxl passes in silence over
+rows and cells that do not stand in order; they are looked for before it reads.
+"""
+
 import io
+import re
+import zipfile
+import zlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from phsi_opt import reading
 from phsi_opt.data.file_opening import BinaryFile
-from phsi_opt.data.tables import Table, labels_of, names_by_position
-from phsi_opt.data.text_cells import TextFormat, decimal_of, is_header
-from phsi_opt.data.workbook_checks import EXCEL_ROWS, check_workbook
+from phsi_opt.data.tables import Rows, Table, table_of_rows
+from phsi_opt.data.text_cells import TextFormat, n_filled
 from phsi_opt.errors import DataError, did_you_mean
 
 MOST_CELLS = 50_000_000  # of a sheet, with the empty ones between; 20 GB of memory
-Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its number
+EXCEL_ROWS = 1_048_576  # of a sheet, as Excel has
+COLUMN_LETTERS = 3  # of a column: the last is XFD
+USUAL_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+SHEET_PART = re.compile(r"xl/worksheets/[^/]+\.xml")
+DEFINITIONS = re.compile(rb"<!(?:DOCTYPE|ENTITY)")
+# Rows and cells with their places: <row r="3">, <c r="B3">.
+PLACE = re.compile(
+    rb"<(?:\w+:)?(row|c)\b(?:[^>]*?\sr=[\"'](?P<column>[A-Z]*)(?P<row>\d+)[\"'])?"
+)
+REPAIR = "Open it in a spreadsheet program and save it again as .xlsx or as CSV"
 
 
 def table_of_excel(
@@ -33,40 +49,14 @@ def table_of_excel(
     Raises:
         DataError: This is no workbook, there is no such sheet, or it is empty.
     """
-    import pandas as pd
-
     sheets = _sheets(file)
     name = _chosen(sheets, sheet, file.title)
     title = f"{file.title}, sheet {name!r}"
-    rows = sheets[name]
-    width = max(len(cells) for cells in rows.values())
-    padded = {}
-    for number, cells in rows.items():
-        padded[number] = cells + [None] * (width - len(cells))
-    first_number = min(padded)
-    if text_format.columns is None and is_header(_texts(padded[first_number])):
-        header = _header(padded.pop(first_number))
-    else:
-        header = names_by_position(text_format.columns, width, title)
-    labels = labels_of(header, wanted, title)
-    frame = pd.DataFrame(
-        list(padded.values()),
-        index=list(padded),
-        columns=pd.Index(labels, dtype=object),
-        dtype=object,
-    )
-    decimal = text_format.decimal
-    if decimal is None:
-        texts = (cell for cells in padded.values() for cell in cells)
-        decimal = decimal_of(filter(_is_text, texts), separator=",")
-    return Table(title, "row", frame, file.run, decimal)
+    return table_of_rows(file, title, "row", sheets[name], wanted, text_format, ",")
 
 
 def filled_sheets(file: BinaryFile) -> list[str]:
     """The names of the sheets with content, in the order of the workbook.
-
-    Args:
-        file: The workbook.
 
     Raises:
         DataError: This is no workbook.
@@ -78,7 +68,7 @@ def _sheets(file: BinaryFile) -> dict[str, Rows]:
     """The filled rows of all sheets, by the sheets' names."""
     import openpyxl
 
-    check_workbook(file)
+    _check_workbook(file)
     try:
         book = openpyxl.load_workbook(
             io.BytesIO(file.content), read_only=True, data_only=True
@@ -87,58 +77,53 @@ def _sheets(file: BinaryFile) -> dict[str, Rows]:
         for sheet in book.worksheets:
             sheet.reset_dimensions()  # what a file states of them may be wrong
             rows = sheet.iter_rows(values_only=True)
-            sheets[sheet.title] = _filled_rows(
-                rows, f"{file.title}, sheet {sheet.title!r}"
-            )
+            title = f"{file.title}, sheet {sheet.title!r}"
+            sheets[sheet.title] = _filled_rows(rows, title)
         book.close()
     except DataError:
         raise
     except Exception as error:  # openpyxl promises no classes of its errors
         raise DataError(
             f"{file.title} is no Excel workbook that can be read "
-            f"({type(error).__name__}: {error}). Open it in a spreadsheet program and "
-            "save it again as .xlsx, without a password, or as CSV."
+            f"({type(error).__name__}: {error}). {REPAIR}, without a password."
         ) from error
     return sheets
 
 
 def _filled_rows(rows: Iterable[Sequence[Any]], title: str) -> Rows:
-    filled = {}
-    widest = 0
-    for number, cells in enumerate(rows, start=1):
-        width = len(cells)
-        while width and _is_empty(cells[width - 1]):
-            width -= 1
-        if width:
-            filled[number] = list(cells[:width])
-            widest = max(widest, width)
-        if number > EXCEL_ROWS or widest * len(filled) > MOST_CELLS:
+    """The rows that are not empty, all as wide as the widest."""
+    filled: Rows = {}
+    width = 0
+    for number, row in enumerate(rows, start=1):
+        cells = [_cell(value) for value in row]
+        del cells[n_filled(cells) :]
+        if cells:
+            filled[number] = cells
+            width = max(width, len(cells))
+        if number > EXCEL_ROWS or width * len(filled) > MOST_CELLS:
             raise DataError(
                 f"{title} has more than {EXCEL_ROWS} rows, which Excel does not have, "
                 f"or more than {MOST_CELLS} cells. Save its table as CSV."
             )
+    for cells in filled.values():
+        cells += [""] * (width - len(cells))
     return filled
 
 
-def _is_empty(cell: Any) -> bool:
-    return cell is None or (isinstance(cell, str) and not cell.strip())
-
-
-def _is_text(cell: Any) -> bool:
-    return isinstance(cell, str)
+def _cell(value: Any) -> Any:
+    if value is None:
+        return ""
+    return value.strip() if isinstance(value, str) else value
 
 
 def _chosen(sheets: dict[str, Rows], sheet: str | None, title: str) -> str:
-    if sheet is not None:
-        if sheet not in sheets:
-            hint = did_you_mean(sheet, list(sheets))
-            raise DataError(
-                f"{title} has no sheet {sheet!r}; "
-                f"expected one of its sheets {list(sheets)}.{hint}"
-            )
-        filled = [sheet] if sheets[sheet] else []
-    else:
-        filled = [name for name, rows in sheets.items() if rows]
+    if sheet is not None and sheet not in sheets:
+        hint = did_you_mean(sheet, list(sheets))
+        raise DataError(
+            f"{title} has no sheet {sheet!r}; "
+            f"expected one of its sheets {list(sheets)}.{hint}"
+        )
+    filled = [name for name, rows in sheets.items() if rows and sheet in (None, name)]
     if not filled:
         what = "is empty" if sheet is None else f"has nothing on its sheet {sheet!r}"
         raise DataError(
@@ -152,14 +137,69 @@ def _chosen(sheets: dict[str, Rows], sheet: str | None, title: str) -> str:
     return filled[0]
 
 
-def _header(cells: list[Any]) -> list[str]:
-    return ["" if _is_empty(cell) else str(cell).strip() for cell in cells]
+def _check_workbook(file: BinaryFile) -> None:
+    """Refuse a workbook that cannot be read safely and wholly."""
+    title = file.title
+    try:
+        with zipfile.ZipFile(io.BytesIO(file.content)) as archive:
+            size = sum(part.file_size for part in archive.infolist())
+            if size > reading.LARGEST_FILE:
+                raise DataError(
+                    f"{title} has {size / 1e6:.1f} MB when decompressed; at most "
+                    f"{reading.LARGEST_FILE / 1e6:g} MB are read. Save its table as "
+                    "CSV."
+                )
+            for part in archive.infolist():
+                if part.compress_type not in USUAL_COMPRESSION:  # read without a bound
+                    raise DataError(
+                        f"{title} is no Excel workbook of the kind .xlsx: its part "
+                        f"{part.filename!r} is compressed in another way. {REPAIR}."
+                    )
+                _check_part(part.filename, archive.read(part), title)
+    except DataError:
+        raise
+    # What `zipfile` raises for a damaged archive, or one with a password.
+    except (
+        *(zipfile.BadZipFile, zlib.error, EOFError, OSError),
+        *(LookupError, ValueError, RuntimeError),
+    ) as error:
+        raise DataError(
+            f"{title} is no Excel workbook of the kind .xlsx, or is damaged "
+            f"({error}). {REPAIR}, without a password."
+        ) from error
 
 
-def _texts(cells: list[Any]) -> list[str]:
-    """The cells as a text table would hold them."""
-    texts = []
-    for cell in cells:
-        is_moment = isinstance(cell, dt.datetime | dt.time | dt.timedelta)
-        texts.append("0" if is_moment else "" if _is_empty(cell) else str(cell).strip())
-    return texts
+def _check_part(name: str, content: bytes, title: str) -> None:
+    is_xml = name.endswith((".xml", ".rels"))
+    begin = content[:100].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if is_xml and content and not begin.startswith(b"<"):
+        raise DataError(f"{title} is damaged: its part {name!r} is no XML in UTF-8.")
+    if DEFINITIONS.search(content):
+        raise DataError(
+            f"{title} is no usual Excel workbook: its part {name!r} defines XML "
+            f"entities, which can grow without end. {REPAIR}."
+        )
+    if SHEET_PART.fullmatch(name):
+        _check_order(content, f"{title}, {name!r}")
+
+
+def _check_order(sheet: bytes, title: str) -> None:
+    """Refuse rows and cells that do not stand in order."""
+    row = 0
+    last = (0, b"")
+    for tag, letters, number in PLACE.findall(sheet):
+        if tag == b"row":
+            following = int(number) if number else row + 1
+            is_next = following > row
+            row = following
+            last = (0, b"")
+        else:
+            column = (len(letters), letters)  # orders A, Z, AA, XFD
+            is_next = not letters or column > last
+            last = max(last, column)
+        if not is_next or len(letters) > COLUMN_LETTERS:
+            place = (letters + number).decode()
+            raise DataError(
+                f"{title} has the row or cell {place} in the wrong place, and rows "
+                f"could be lost. {REPAIR}."
+            )

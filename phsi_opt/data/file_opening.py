@@ -10,20 +10,23 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, TextIO
+from typing import IO, Any, Generic, TextIO, TypeVar
 
 from phsi_opt import reading
 from phsi_opt.errors import DataError
 
 Source = str | os.PathLike[str] | TextIO
 BinarySource = str | os.PathLike[str] | IO[bytes]
-OTHER_READERS = {  # the files that are no text, by their suffix
-    ".xlsx": "from_excel",
-    ".xlsm": "from_excel",
-    ".mat": "from_mat",
+NO_TEXT_TABLES = {  # what to do with files that are no text, by their suffix
+    ".xlsx": "read it with Measurements.from_excel",
+    ".xlsm": "read it with Measurements.from_excel",
+    ".mat": "read it with Measurements.from_mat",
+    ".xls": "save it as .xlsx or CSV",
+    ".ods": "save it as .xlsx or CSV",
 }
 KINDS_READ = "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat)"
 GUESSED = "its text is not UTF-8 and was read as Windows-1252"
+Content = TypeVar("Content", str, bytes)
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # signs that no text table has
 
 
@@ -59,35 +62,25 @@ DataFile = Path | NamedFile
 
 
 @dataclass(frozen=True)
-class TextFile:
-    """The text of one file.
+class OpenedFile(Generic[Content]):
+    """What one file holds, and what it is called.
 
     Attributes:
         title: What messages call it: "file 'bench.csv'" or "open file".
         run: The name of its trajectory where no column tells it.
-        text: The text, without a byte order mark.
-        remark: What was guessed of its encoding; "" where it is UTF-8 or UTF-16.
+        content: All of its bytes; or its text without a byte order mark, the lines
+            ended by "\\n".
+        remark: What was guessed of its encoding; "" where nothing was.
     """
 
     title: str
     run: str
-    text: str
+    content: Content
     remark: str = ""
 
 
-@dataclass(frozen=True)
-class BinaryFile:
-    """The bytes of one file.
-
-    Attributes:
-        title: What messages call it: "file 'bench.xlsx'" or "open file".
-        run: The name of its trajectory where no column tells it.
-        content: All of its bytes.
-    """
-
-    title: str
-    run: str
-    content: bytes
+TextFile = OpenedFile[str]
+BinaryFile = OpenedFile[bytes]
 
 
 def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
@@ -100,11 +93,17 @@ def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
         DataError: This is no source, or a file cannot be read as text.
     """
     for one, title, run in _titled(source, "an open text file"):
-        _check_is_text(one, title)
+        instead = NO_TEXT_TABLES.get(Path(_path(one) or "").suffix.lower())
+        if instead:
+            raise DataError(f"{title} is no text table; {instead}.")
+        remark = ""
         if hasattr(one, "read"):
-            yield TextFile(title, run, _text(one, title))
+            text = _content(one, title, str)
+            text = text.removeprefix("\ufeff")  # spreadsheets write a byte order mark
         else:
-            yield _decoded(_bytes(one, title), title, run)
+            text, remark = _decoded(_content(one, title, bytes), title)
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+        yield TextFile(title, run, text, remark)
 
 
 def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[BinaryFile]:
@@ -117,25 +116,13 @@ def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[Bina
         DataError: This is no source, or a file cannot be read.
     """
     for one, title, run in _titled(source, "an open binary file"):
-        yield BinaryFile(title, run, _bytes(one, title))
+        yield BinaryFile(title, run, _content(one, title, bytes))
 
 
-def _titled(source: Any, open_file: str) -> list[tuple[Any, str, str]]:
+def _titled(source: Any, open_file: str) -> Iterator[tuple[Any, str, str]]:
     """Each source, its title and the name of its run."""
-    sources = _listed(source, open_file)
-    paths = [_path(one) for one in sources]
-    _check_files_once(sources)
-    runs = _run_names(paths)
-    titled = []
-    for one, path, run in zip(sources, paths, runs, strict=True):
-        title = "open file" if path is None else f"file {path!r}"
-        titled.append((one, title, run))
-    return titled
-
-
-def _listed(source: Any, open_file: str) -> list[Any]:
-    if isinstance(source, str | os.PathLike) or hasattr(source, "read"):
-        return [source]
+    if _is_path(source) or hasattr(source, "read"):
+        source = [source]
     if not isinstance(source, list | tuple | Iterator):
         raise DataError(
             f"source is a {type(source).__name__}; "
@@ -144,30 +131,38 @@ def _listed(source: Any, open_file: str) -> list[Any]:
     sources = list(source)
     if not sources:
         raise DataError("source is an empty list; expected at least one path.")
-    return sources
+    _check_files_once(sources)
+    paths = [_path(one) for one in sources]
+    for one, path, run in zip(sources, paths, _run_names(paths), strict=True):
+        if not _is_path(one) and not hasattr(one, "read"):
+            raise DataError(
+                f"source holds a {type(one).__name__}; expected paths or open files."
+            )
+        yield one, "open file" if path is None else f"file {path!r}", run
+
+
+def _is_path(source: Any) -> bool:
+    return isinstance(source, str | os.PathLike)
 
 
 def _check_files_once(sources: list[Any]) -> None:
-    paths = [one for one in sources if isinstance(one, str | os.PathLike)]
-    places = [_place(path) for path in paths]
-    for number, place in enumerate(places):
-        if place in places[:number]:
+    # A NUL, which no path has, is told when the file is opened.
+    paths = [
+        str(one) if "\0" in str(one) else os.path.realpath(one)
+        for one in sources
+        if _is_path(one)
+    ]
+    for place, n_times in Counter(paths).items():
+        if n_times > 1:
             raise DataError(
-                f"the file {place!r} is listed {places.count(place)} times; its runs "
+                f"the file {place!r} is listed {n_times} times; its runs "
                 "are one measurement. List it once."
             )
 
 
-def _place(path: str | os.PathLike[str]) -> str:
-    try:
-        return os.path.realpath(path)
-    except ValueError:  # no path; told when the file is opened
-        return str(path)
-
-
 def _path(source: Any) -> str | None:
     """The path as the user wrote it; None for an open file without one."""
-    if isinstance(source, str | os.PathLike):
+    if _is_path(source):
         return str(source)
     name = getattr(source, "name", None)
     return name if isinstance(name, str) and name else None
@@ -178,46 +173,14 @@ def _run_names(paths: list[str | None]) -> list[str]:
     stems = []
     for number, path in enumerate(paths, start=1):
         stems.append(f"run {number}" if path is None else Path(path).stem)
-    names = []
     n_files = Counter(stems)
+    names = []
     for path, stem in zip(paths, stems, strict=True):
-        is_shared = n_files[stem] > 1
-        names.append(path if path is not None and is_shared else stem)
+        names.append(path if path is not None and n_files[stem] > 1 else stem)
     return names
 
 
-def _check_is_text(source: Any, title: str) -> None:
-    suffix = Path(_path(source) or "").suffix.lower()
-    if suffix in OTHER_READERS:
-        raise DataError(
-            f"{title} is no text table; read it with "
-            f"Measurements.{OTHER_READERS[suffix]}."
-        )
-    if suffix in (".xls", ".ods"):
-        raise DataError(f"{title} is no text table; save it as .xlsx or CSV.")
-
-
-def _text(source: Any, title: str) -> str:
-    """The text of an open file."""
-    try:
-        text = reading.read_at_most(source, reading.LARGEST_FILE)
-    except UnicodeDecodeError as error:
-        byte = error.object[error.start]
-        raise DataError(
-            f"{title} is not UTF-8 text: it has the byte {byte:#04x}. Give its "
-            "path, or open it with its encoding: open(path, encoding='latin-1')."
-        ) from error
-    except (OSError, ValueError) as error:  # ValueError: it is closed
-        raise _unreadable(title, error) from error
-    if not isinstance(text, str):
-        raise DataError(
-            f"{title} gives {type(text).__name__}; expected text. "
-            "Open it in text mode: open(path)."
-        )
-    return text.removeprefix("\ufeff")  # the byte order mark which spreadsheets write
-
-
-def _decoded(content: bytes, title: str, run: str) -> TextFile:
+def _decoded(content: bytes, title: str) -> tuple[str, str]:
     """A file's text: UTF-8, UTF-16 where it begins so, or else Windows-1252.
 
     Numbers are the same in all of them; in a text of another encoding the names of
@@ -231,35 +194,37 @@ def _decoded(content: bytes, title: str, run: str) -> TextFile:
         except UnicodeDecodeError:
             continue
         if NO_TEXT.search(text) is None:
-            text = text.replace("\r\n", "\n").replace("\r", "\n")
-            return TextFile(title, run, text, remark)
+            return text, remark
     raise DataError(
         f"{title} is no table: it holds binary data and no text. Tables are read from "
         f"{KINDS_READ}. Save it as one of these."
     )
 
 
-def _bytes(source: Any, title: str) -> bytes:
-    is_open = hasattr(source, "read")
-    if not is_open and not isinstance(source, str | os.PathLike):
-        raise DataError(
-            f"source holds a {type(source).__name__}; expected paths or open files."
-        )
+def _content(source: Any, title: str, kind: type[Content]) -> Content:
+    """All of a file: bytes of a path, bytes or text of an open file."""
     try:
-        if is_open:
+        if hasattr(source, "read"):
             content = reading.read_at_most(source, reading.LARGEST_FILE)
         else:
             content = reading.file_bytes(source)
-    except (OSError, ValueError) as error:  # ValueError: it is closed
-        raise _unreadable(title, error) from error
-    if not isinstance(content, bytes):
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
         raise DataError(
-            f"{title} gives {type(content).__name__}; expected bytes. "
-            "Open it in binary mode: open(path, 'rb')."
+            f"{title} is not UTF-8 text: it has the byte {byte:#04x}. Give its "
+            "path, or open it with its encoding: open(path, encoding='latin-1')."
+        ) from error
+    except OSError as error:
+        why = reading.why_not_read(error)
+        raise DataError(f"{title} cannot be read: {why}.") from error
+    except ValueError as error:  # it is closed
+        raise DataError(f"{title} cannot be read: {error}.") from error
+    if not isinstance(content, kind):
+        expected = {
+            str: "text. Open it in text mode: open(path)",
+            bytes: "bytes. Open it in binary mode: open(path, 'rb')",
+        }
+        raise DataError(
+            f"{title} gives {type(content).__name__}; expected {expected[kind]}."
         )
     return content
-
-
-def _unreadable(title: str, error: OSError | ValueError) -> DataError:
-    why = reading.why_not_read(error) if isinstance(error, OSError) else str(error)
-    return DataError(f"{title} cannot be read: {why}.")

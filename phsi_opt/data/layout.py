@@ -4,7 +4,7 @@ Files and data frames meet here: both are tables by now, read by `tables`.
 """
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.data.tables import Table, numbers_in
-from phsi_opt.data.times import Times, are_dates, origin_in, times_in
+from phsi_opt.data.times import Moment, Times, clock_of
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, did_you_mean
 
@@ -37,6 +37,7 @@ class Layout:
     inputs: Mapping[str, Any]
     trajectory: str | None
 
+    @property
     def columns(self) -> list[Any]:
         """The columns that are asked for, in the order of the parts."""
         columns = [
@@ -53,9 +54,9 @@ def table_layout(
     states: Any,
     inputs: Any,
     trajectory: str | None,
-    step: float | None = None,
-    start: Any = None,
-    date_format: str | None = None,
+    step: float | None,
+    start: Any,
+    date_format: str | None,
 ) -> Layout:
     """The layout in a user's words: maps from names to columns, or lists of columns.
 
@@ -64,69 +65,68 @@ def table_layout(
             none and no step, or both.
     """
     times = Times(time, step, start, date_format)
-    return Layout(times, _state_columns(states), _input_columns(inputs), trajectory)
-
-
-def _state_columns(states: Any) -> Mapping[str, Any]:
-    if isinstance(states, Mapping):
-        return dict(states)
-    return _columns_of_their_names(states, "states")
-
-
-def _input_columns(inputs: Any) -> Mapping[str, Any]:
-    if inputs is None:
-        return {}
-    if not isinstance(inputs, Mapping):
-        return _columns_of_their_names(inputs, "inputs")
-    if None in inputs.values():
+    of_inputs = _columns_by_name({} if inputs is None else inputs, "inputs")
+    if None in of_inputs.values():
         raise DataError(
-            f"inputs={dict(inputs)!r} has an input without a column; "
+            f"inputs={of_inputs!r} has an input without a column; "
             "inputs must be measured."
         )
-    return dict(inputs)
+    return Layout(times, _columns_by_name(states, "states"), of_inputs, trajectory)
 
 
-def _columns_of_their_names(names: Any, what: str) -> Mapping[str, Any]:
-    checked = checked_names(names, what)
-    check_unique(checked, "name")
-    return dict(zip(checked, checked, strict=True))
+def _columns_by_name(columns: Any, what: str) -> dict[str, Any]:
+    if isinstance(columns, Mapping):
+        return dict(columns)
+    names = checked_names(columns, what)
+    check_unique(names, "name")
+    return dict(zip(names, names, strict=True))
 
 
-def trajectories_in(tables: Sequence[Table], layout: Layout) -> tuple[Trajectory, ...]:
-    """The trajectories of all tables, in the order in which they begin.
+def trajectories_in(
+    tables: Sequence[Table], layout: Layout, units: Mapping[str, str] | None
+) -> tuple[tuple[Trajectory, ...], Mapping[str, str]]:
+    """The trajectories of all tables, in the order in which they begin, and the units.
 
     Where several tables have a column that names the trajectory, the table's own name
-    comes first: "bench/run 3".
+    comes first: "bench/run 3". Times that are dates have the unit s.
 
     Raises:
-        DataError: A column or a value is missing, or cannot be used.
+        DataError: A column or a value is missing, or cannot be used; or times that are
+            dates have another unit.
     """
     trajectories = []
+    origins: list[Moment] = []
     for table in tables:
         _check_columns(table, layout)
         rows_by_name = _rows_by_name(table, layout)
-        samples = _samples(table, layout, rows_by_name)
+        clock = clock_of(table, layout.times, list(rows_by_name.values()))
+        x = _values(table, layout.states.values(), may_be_missing=True)
+        u = _values(table, layout.inputs.values(), may_be_missing=False)
         is_named = layout.trajectory is not None
         prefix = f"{table.run}/" if is_named and len(tables) > 1 else ""
-        for name, rows in rows_by_name.items():
-            origin = origin_in(table, layout.times, rows)
-            trajectories.append(samples.trajectory(prefix + name, rows, origin))
-    return tuple(trajectories)
+        for number, (name, rows) in enumerate(rows_by_name.items()):
+            origin = clock.origins[number] if clock.origins else None
+            moment = origin if isinstance(origin, dt.datetime) else None
+            run = Trajectory(prefix + name, clock.t[rows], x[rows], u[rows], moment)
+            trajectories.append(run)
+        origins += clock.origins
+    return tuple(trajectories), _with_seconds(units, bool(origins))
 
 
-def with_unit_of_dates(
-    units: Mapping[str, str] | None, tables: Sequence[Table], layout: Layout
-) -> Mapping[str, str]:
-    """The units, with seconds as that of the time where times are dates.
+def _values(table: Table, columns: Collection[Any], may_be_missing: bool) -> np.ndarray:
+    """The values of columns, (n_rows, n_columns); NaN where there is no column."""
+    values = np.full((len(table.frame), len(columns)), np.nan)
+    for i, column in enumerate(columns):
+        if column is not None:
+            values[:, i] = numbers_in(table, column, may_be_missing)
+    return values
 
-    Raises:
-        DataError: The user gave another unit.
-    """
-    given: Any = {} if units is None else units
-    if not isinstance(given, Mapping):
-        return given  # refused by `checked_units`
-    if not any(are_dates(table, layout.times) for table in tables):
-        return given
+
+def _with_seconds(units: Any, are_dates: bool) -> Mapping[str, str]:
+    """The units, with seconds as that of the time where times are dates."""
+    given = {} if units is None else units
+    if not are_dates or not isinstance(given, Mapping):
+        return given  # what is no mapping is refused by `checked_by_name`
     unit = given.get("t", "s")
     if unit != "s":
         raise DataError(
@@ -136,38 +136,9 @@ def with_unit_of_dates(
     return {**given, "t": "s"}
 
 
-@dataclass(frozen=True, eq=False)
-class _Samples:
-    """The numbers of a whole table, one sample per row, trajectories not yet apart."""
-
-    t: np.ndarray  # (n_rows,)
-    x: np.ndarray  # (n_rows, n_states)
-    u: np.ndarray  # (n_rows, n_inputs)
-
-    def trajectory(
-        self, name: str, rows: np.ndarray, origin: dt.datetime | None
-    ) -> Trajectory:
-        return Trajectory(name, self.t[rows], self.x[rows], self.u[rows], origin)
-
-
-def _samples(
-    table: Table, layout: Layout, rows_by_name: Mapping[str, np.ndarray]
-) -> _Samples:
-    n_rows = len(table.frame)
-    t = times_in(table, layout.times, rows_by_name.values())
-    x = np.full((n_rows, len(layout.states)), np.nan)
-    for i, column in enumerate(layout.states.values()):
-        if column is not None:
-            x[:, i] = numbers_in(table, column, may_be_missing=True)
-    u = np.empty((n_rows, len(layout.inputs)))
-    for i, column in enumerate(layout.inputs.values()):
-        u[:, i] = numbers_in(table, column, may_be_missing=False)
-    return _Samples(t, x, u)
-
-
 def _check_columns(table: Table, layout: Layout) -> None:
     found = table.frame.columns.tolist()
-    wanted = layout.columns()
+    wanted = layout.columns
     for column in wanted:
         if column not in found:
             hint = did_you_mean(column, found)
@@ -195,8 +166,6 @@ def _check_columns(table: Table, layout: Layout) -> None:
 
 def _rows_by_name(table: Table, layout: Layout) -> dict[str, np.ndarray]:
     """Row numbers of each trajectory, in the order in which the trajectories begin."""
-    import pandas as pd
-
     column = layout.trajectory
     if column is None:
         return {table.run: np.arange(len(table.frame))}
@@ -209,8 +178,6 @@ def _rows_by_name(table: Table, layout: Layout) -> dict[str, np.ndarray]:
             f"{place} the trajectory's name is missing; "
             "every sample must name its trajectory."
         )
-    numbers, labels = pd.factorize(names)
-    order = np.argsort(numbers, kind="stable")
-    ends = np.cumsum(np.bincount(numbers))
-    rows = np.split(order, ends[:-1])
-    return dict(zip(map(str, labels), rows, strict=True))
+    names = names.reset_index(drop=True)
+    rows = names.groupby(names, sort=False).indices
+    return {name: np.asarray(rows[name]) for name in names.unique()}

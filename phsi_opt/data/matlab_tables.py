@@ -4,22 +4,32 @@ A column is called as in MATLAB: ``y``, ``X(:,2)``, ``X(2,:)``, ``log.y``,
 ``log.X(:,2)``; a field may go without its struct where one struct alone has it. Cells,
 texts, tables and structs in structs are not read, but are named where something is not
 found.
+
+SciPy's compiled reader trusts the sizes that a file states: a damaged file can crash
+the process that reads it, or fill its memory. It reads in a process of its own,
+`matlab_worker`.
 """
 
+import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
 
+from phsi_opt import reading
 from phsi_opt.data.file_opening import BinaryFile
-from phsi_opt.data.matlab_process import mat_variables
 from phsi_opt.data.tables import Table, Variable
 from phsi_opt.errors import DataError, did_you_mean
 
 INDEXED = re.compile(r"(?P<name>[\w.]+)\((?P<row>:|\d+),\s*(?P<column>:|\d+)\)")
 MOST_VECTORS = 20  # columns that a matrix has, at most, where it is taken for a table
+WORKER = Path(__file__).with_name("matlab_worker.py")
+TIME_LIMIT = 120.0  # seconds; a file of 500 MB takes about 5
 
 
 def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
@@ -33,22 +43,15 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
         DataError: This is no such file, a column is not there or could be several, or
             the columns differ in length.
     """
-    import pandas as pd
-
-    content = _Content.of(file)
-    columns = {}
-    for name in wanted:
-        columns[name] = content.column(name)
+    content = _Content(file)
+    columns = {name: content.column(name) for name in wanted}
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise DataError(
             f"{file.title}: the columns differ in length: {lengths}; "
-            "expected one value per sample in each. "
-            f"The file holds: {content.listing()}."
+            f"expected one value per sample in each. {content.listing}"
         )
-    frame = pd.DataFrame(columns)
-    frame.index = pd.RangeIndex(1, len(frame) + 1)  # as MATLAB counts
-    return Table(file.title, "row", frame, file.run)
+    return _table(file, columns)
 
 
 def table_of_vectors(file: BinaryFile) -> Table:
@@ -56,33 +59,43 @@ def table_of_vectors(file: BinaryFile) -> Table:
 
     Of a matrix these are its columns, or its rows where it is wider than high.
 
-    Args:
-        file: A MATLAB file of version 4 to 7.
-
     Raises:
         DataError: This is no such file, or no vector in it has two numbers; with the
             names and sizes of what it holds.
     """
-    import pandas as pd
-
-    content = _Content.of(file)
-    vectors = content.vectors()
-    n_rows = _commonest_length(vectors)
+    content = _Content(file)
+    vectors: dict[str, np.ndarray] = {}
+    for name, matrix in content.matrices.items():
+        vectors |= _vectors_of(name, matrix)
+    lengths = [len(vector) for vector in vectors.values()]
+    n_rows = max(lengths, key=lambda n: (lengths.count(n), n), default=0)
     if n_rows < 2:
         raise DataError(
             f"{file.title} holds no column of numbers: no vector, and no matrix of few "
-            f"columns, has 2 numbers or more. It holds: {content.listing()}."
+            f"columns, has 2 numbers or more. {content.listing}"
         )
-    frame = pd.DataFrame({name: v for name, v in vectors.items() if len(v) == n_rows})
-    frame.index = pd.RangeIndex(1, n_rows + 1)
-    further = tuple(_further(content, n_rows))
+    columns = {
+        name: vector for name, vector in vectors.items() if len(vector) == n_rows
+    }
+    return _table(file, columns, tuple(_further(content, n_rows)))
+
+
+def _table(
+    file: BinaryFile,
+    columns: dict[Any, np.ndarray],
+    further: tuple[Variable, ...] = (),
+) -> Table:
+    import pandas as pd
+
+    frame = pd.DataFrame(columns)
+    frame.index = pd.RangeIndex(1, len(frame) + 1)  # as MATLAB counts
     return Table(file.title, "row", frame, file.run, further=further)
 
 
 def _further(content: "_Content", n_rows: int) -> Iterator[Variable]:
     """What is no column of so many rows."""
     for name, matrix in content.matrices.items():
-        if n_rows not in [len(vector) for vector in _vectors_of(name, matrix).values()]:
+        if n_rows not in map(len, _vectors_of(name, matrix).values()):
             is_number = matrix.size == 1 and not np.iscomplexobj(matrix)
             value = float(matrix.item()) if is_number else None
             said = _size(matrix) if value is None else f"the number {value:g}"
@@ -103,13 +116,6 @@ def _vectors_of(name: str, matrix: np.ndarray) -> dict[str, np.ndarray]:
     return {f"{name}({i + 1},:)": matrix[i] for i in range(n_rows)}
 
 
-def _commonest_length(vectors: Mapping[str, np.ndarray]) -> int:
-    """Of lengths that are equally common, the largest; 0 where there is none."""
-    lengths = [len(vector) for vector in vectors.values()]
-    return max(lengths, key=lambda length: (lengths.count(length), length), default=0)
-
-
-@dataclass(frozen=True, eq=False)
 class _Content:
     """What a file holds.
 
@@ -117,34 +123,38 @@ class _Content:
         title: What messages call the file.
         matrices: The numbers (n_rows, n_columns), by name; fields as "struct.field".
         others: What cannot be read, in words.
+        listing: All of it, as a sentence.
     """
 
-    title: str
-    matrices: Mapping[str, np.ndarray]
-    others: Mapping[str, str]
-
-    @classmethod
-    def of(cls, file: BinaryFile) -> "_Content":
-        matrices = {}
-        others = {}
-        for name, value in mat_variables(file).items():
-            said = _why_not_read(value)
-            if said:
-                others[name] = said
+    def __init__(self, file: BinaryFile) -> None:
+        self.title = file.title
+        self.matrices: dict[str, np.ndarray] = {}
+        self.others: dict[str, str] = {}
+        listed = []
+        for name, value in _variables(file).items():
+            if value.dtype.kind == "U":
+                self.others[name] = str(value)
+            elif value.ndim != 2:
+                self.others[name] = (
+                    f"an array with {value.ndim} axes, which is not read"
+                )
+            elif not value.size:
+                self.others[name] = "empty"
             else:
-                matrices[name] = value
-        return cls(file.title, matrices, others)
+                self.matrices[name] = value
+            listed.append(f"{name!r} ({self.others.get(name) or _size(value)})")
+        self.listing = f"The file holds: {', '.join(listed) or 'nothing'}."
 
     def column(self, name: Any) -> np.ndarray:
         if not isinstance(name, str):
             raise DataError(
                 f"{self.title}: the column {name!r} is no name; expected text, as in "
-                f"MATLAB. The file holds: {self.listing()}."
+                f"MATLAB. {self.listing}"
             )
         indexed = INDEXED.fullmatch(name)
         if indexed is not None:
             return self._indexed(name, indexed)
-        matrix = self.matrices[self._full_name(name)]
+        matrix = self._matrix(name)
         if 1 not in matrix.shape:
             raise DataError(
                 f"{self.title}: {name!r} is a matrix of {_size(matrix)}; "
@@ -153,15 +163,8 @@ class _Content:
             )
         return matrix.ravel()
 
-    def vectors(self) -> dict[str, np.ndarray]:
-        """All columns that a table could have, (n_rows,) each."""
-        found = {}
-        for name, matrix in self.matrices.items():
-            found.update(_vectors_of(name, matrix))
-        return found
-
     def _indexed(self, name: str, indexed: re.Match[str]) -> np.ndarray:
-        matrix = self.matrices[self._full_name(indexed["name"])]
+        matrix = self._matrix(indexed["name"])
         row = indexed["row"]
         column = indexed["column"]
         is_one_colon = (row == ":") != (column == ":")
@@ -175,13 +178,11 @@ class _Content:
         chosen: np.ndarray = vectors[number - 1]
         return chosen
 
-    def _full_name(self, name: str) -> str:
-        """The name with its struct."""
-        if name in self.matrices:
-            return name
+    def _matrix(self, name: str) -> np.ndarray:
+        """The matrix of this name, which may go without its struct."""
         fields = [known for known in self.matrices if known.endswith(f".{name}")]
-        if len(fields) == 1:
-            return fields[0]
+        if name in self.matrices or len(fields) == 1:
+            return self.matrices[name if name in self.matrices else fields[0]]
         if fields:
             raise DataError(
                 f"{self.title}: {name!r} is a field of several structs; "
@@ -191,25 +192,7 @@ class _Content:
         if name in self.others:
             said = f"{self.title}: {name!r} is {self.others[name]}"
         hint = did_you_mean(name, list(self.matrices))
-        raise DataError(f"{said}. The file holds: {self.listing()}.{hint}")
-
-    def listing(self) -> str:
-        """All that is in the file, in words."""
-        listed = []
-        for name, matrix in self.matrices.items():
-            listed.append(f"{name!r} ({_size(matrix)})")
-        for name, said in self.others.items():
-            listed.append(f"{name!r} ({said})")
-        return ", ".join(listed) or "nothing"
-
-
-def _why_not_read(value: np.ndarray) -> str:
-    """What a value is, where it is no matrix of numbers; "" for such."""
-    if value.dtype.kind == "U":
-        return str(value)
-    if value.ndim != 2:
-        return f"an array with {value.ndim} axes, which is not read"
-    return "" if value.size else "empty"
+        raise DataError(f"{said}. {self.listing}{hint}")
 
 
 def _size(matrix: np.ndarray) -> str:
@@ -218,3 +201,51 @@ def _size(matrix: np.ndarray) -> str:
     if 1 in matrix.shape:
         return f"{matrix.size} numbers"
     return f"{matrix.shape[0]} x {matrix.shape[1]} numbers"
+
+
+def _variables(file: BinaryFile) -> dict[str, np.ndarray]:
+    """The variables of a file, in its order; fields of structs as "struct.field".
+
+    Of what is no array of numbers, an array of one text says what it is.
+    """
+    try:
+        with TemporaryFile() as content, TemporaryFile() as arrays:
+            content.write(file.content)
+            content.seek(0)
+            why = _read_apart(content.fileno(), arrays.fileno())
+            if not why:
+                arrays.seek(0)
+                with np.load(arrays, allow_pickle=False) as found:
+                    names, *values = (found[key] for key in found.files)
+                return dict(zip(names.tolist(), values, strict=True))
+    except OSError as error:
+        why = reading.why_not_read(error)
+    raise DataError(
+        f"{file.title} cannot be read: {why}. Save it again in MATLAB by "
+        "save(name, '-v7'), or write the table as CSV by writetable or writematrix."
+    )
+
+
+def _read_apart(content: int, arrays: int) -> str:
+    """Let the worker read from one open file into another; why it could not, or ""."""
+    if getattr(sys, "frozen", False) or not sys.executable:
+        return "that needs a Python interpreter, and this program is without one"
+    command = [sys.executable, "-P", "-X", "utf8", str(WORKER)]
+    try:
+        run = subprocess.run(
+            [*command, str(reading.LARGEST_FILE)],
+            stdin=content,
+            stdout=arrays,
+            stderr=subprocess.PIPE,
+            timeout=TIME_LIMIT,
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # they would take memory
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except subprocess.TimeoutExpired:
+        return f"it is damaged or too large: it was not read in {TIME_LIMIT:g} s"
+    if run.returncode == 0:
+        return ""
+    said = run.stderr.decode(errors="replace").splitlines()
+    if run.returncode == 1 and said:
+        return said[-1]
+    return f"it is damaged: its reading ended with exit code {run.returncode}"

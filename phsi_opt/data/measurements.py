@@ -4,54 +4,80 @@ Every later step relies on what is checked here: times increase, inputs are know
 every sample, states are finite or NaN (not measured), names can be used in formulas.
 Values are reported when they are wrong, never repaired, interpolated, scaled or
 filtered. How tables are read is told in `table_readers`, which column is what in
-`layout`, how integration steps join in `step_pairs`.
+`layout`, how integration steps join in `arrays`.
 """
 
 import hashlib
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from functools import cached_property, wraps
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
 
 import numpy as np
 
-from phsi_opt.data.arrays import trajectories_in_arrays
-from phsi_opt.data.channel_table import channel_table
+from phsi_opt.data.arrays import Ends, joined_pairs, trajectories_in_arrays
 from phsi_opt.data.checks import (
+    Hold,
     check_unique,
+    checked_by_name,
     checked_hold,
     checked_names,
-    checked_noise,
-    checked_units,
+    hold_of_each,
 )
 from phsi_opt.data.selection import (
-    checked_fraction,
+    check_fraction,
+    check_interval,
+    check_slice,
     number_of_trajectory,
-    size_of_first_part,
-    slice_of_trajectories,
-)
-from phsi_opt.data.step_pairs import check_pairs, input_ends, pair_ends, runs_of_pairs
-from phsi_opt.data.table_readers import TableReaders
-from phsi_opt.data.thinning import (
-    checked_group_size,
-    checked_interval,
-    every_nth,
-    mean_of_groups,
     part_between,
+    size_of_first_part,
 )
+from phsi_opt.data.table_readers import TableReaders
+from phsi_opt.data.thinning import checked_group_size, thinned_run
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
     checked_trajectories,
     part_of,
 )
-from phsi_opt.data.wording import extent_of, in_brackets, number_of, numbered_names
+from phsi_opt.data.wording import number_of, numbered_names
 from phsi_opt.errors import DataError
 from phsi_opt.presentation.summary import Part, Summarised, Summary
+from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
     import pandas as pd
+
+COLUMNS_OF_CHANNELS = (
+    "channel",
+    "part",
+    "unit",
+    "measured",
+    "lowest",
+    "highest",
+    "noise",
+)
+
+
+Arguments = ParamSpec("Arguments")
+Derived = Callable[Concatenate["Measurements", Arguments], np.ndarray]
+
+
+def worked_out_once(make: Derived[Arguments]) -> Derived[Arguments]:
+    """A function of measurements whose values, (n,) or more, are kept with them."""
+
+    @wraps(make)
+    def kept(
+        data: "Measurements", *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> np.ndarray:
+        key = (make.__name__, args)
+        if key not in data._derived:
+            data._derived[key] = make(data, *args, **kwargs)
+        return data._derived[key].copy()
+
+    return kept
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +94,8 @@ class Measurements(TableReaders, Summarised):
         units: The unit of every state and input and of the time "t", "" when unknown.
         hold: What inputs do between samples: "linear" interpolation, "zero" (the
             sample's value is kept until the next sample), or "cubic" (a smooth input:
-            the spline through the samples).
+            the spline through the samples); where they differ a mapping such as
+            {"u": "zero"}, whose others are "linear".
         noise: Standard deviations of the measurement noise by state, in the state's
             unit; None, or a state left out: unknown.
 
@@ -80,7 +107,7 @@ class Measurements(TableReaders, Summarised):
     states: tuple[str, ...]
     inputs: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
-    hold: str = "linear"
+    hold: Hold = "linear"
     noise: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
@@ -88,16 +115,22 @@ class Measurements(TableReaders, Summarised):
         states = checked_names(self.states, "states")
         inputs = checked_names(self.inputs, "inputs")
         check_unique(states + inputs, "name")
+        names = ("t", *states, *inputs)
+        units = checked_by_name(self.units, names, "units")
+        noise = self.noise
+        if noise is not None:
+            noise = checked_by_name(noise, states, "noise")
         checked = {
             "trajectories": trajectories,
             "states": states,
             "inputs": inputs,
-            "hold": checked_hold(self.hold),
-            "units": checked_units(self.units, ("t", *states, *inputs)),
-            "noise": checked_noise(self.noise, states),
+            "hold": checked_hold(self.hold, inputs),
+            "units": dict.fromkeys(names, "") | units,
+            "noise": noise,
         }
         for name, value in checked.items():
-            object.__setattr__(self, name, value)
+            frozen = MappingProxyType(value) if isinstance(value, dict) else value
+            object.__setattr__(self, name, frozen)
         for run in trajectories:
             check_channels(run, states, inputs)
 
@@ -111,7 +144,7 @@ class Measurements(TableReaders, Summarised):
         states: Sequence[str],
         inputs: Sequence[str] | None = None,
         names: Sequence[str] | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
@@ -155,7 +188,7 @@ class Measurements(TableReaders, Summarised):
         u_start: Any = None,
         u_end: Any = None,
         inputs: Sequence[str] | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
@@ -181,18 +214,18 @@ class Measurements(TableReaders, Summarised):
         Raises:
             DataError: Something cannot be used.
         """
-        x = pair_ends(x_start, x_end, "x", n_axes=2)
-        t = pair_ends(t_start, t_end, "t", n_axes=1)
-        u = input_ends(u_start, u_end, len(t.start), hold)
-        check_pairs(t, x, u)
-        runs = runs_of_pairs(t, x, u, hold)
-        if states is None:
-            states = numbered_names("x", x.start.shape[1])
+        t, x, u = joined_pairs(
+            Ends(t_start, t_end),
+            Ends(x_start, x_end),
+            Ends(u_start, u_end),
+            inputs,
+            hold,
+        )
         return cls.from_arrays(
-            t.joined(runs),
-            x.joined(runs),
-            u.joined(runs),
-            states=states,
+            t,
+            x,
+            u,
+            states=numbered_names("x", x[0].shape[1]) if states is None else states,
             inputs=inputs,
             hold=hold,
             units=units,
@@ -227,20 +260,18 @@ class Measurements(TableReaders, Summarised):
             is_measured |= np.isfinite(run.x).any(axis=0)
         return tuple(itertools.compress(self.states, is_measured))
 
-    @cached_property
-    def _derived(self) -> dict[str, np.ndarray]:
-        return {}
-
-    def derived(self, name: str, make: Callable[[Self], np.ndarray]) -> np.ndarray:
-        """What follows from the values, worked out once.
+    def stacked(self, what: str) -> np.ndarray:
+        """One array of all trajectories, one after the other, (n_samples, ...).
 
         Args:
-            name: under which it is kept.
-            make: works it out, an array such as (n_states,).
+            what: "t" for the times, "x" for the states, "u" for the inputs.
         """
-        if name not in self._derived:
-            self._derived[name] = make(self)
-        return self._derived[name].copy()
+        return np.concatenate([getattr(run, what) for run in self.trajectories])
+
+    @cached_property
+    def _derived(self) -> dict[Hashable, np.ndarray]:
+        """What `worked_out_once` keeps."""
+        return {}
 
     @cached_property
     def digest(self) -> str:
@@ -269,23 +300,16 @@ class Measurements(TableReaders, Summarised):
         Raises:
             DataError: There is no such trajectory, or samples seem to be meant.
         """
-        names = [run.name for run in self.trajectories]
         if isinstance(key, slice):
-            rows = slice_of_trajectories(names, key)
-            return replace(self, trajectories=self.trajectories[rows])
-        number = number_of_trajectory(names, key)
-        return replace(self, trajectories=(self.trajectories[number],))
+            check_slice([run.name for run in self.trajectories], key)
+            return replace(self, trajectories=self.trajectories[key])
+        run = self.trajectories[self.trajectory_number(key)]
+        return replace(self, trajectories=(run,))
 
     def trajectory_number(self, trajectory: str | int) -> int:
         """The number of a trajectory, counted from 0, by its name or its number.
 
         Negative numbers count from the end, as in a list.
-
-        Args:
-            trajectory: The trajectory's name, or its number.
-
-        Returns:
-            A number from 0 to ``n_trajectories - 1``.
 
         Raises:
             DataError: There is no such trajectory.
@@ -304,27 +328,21 @@ class Measurements(TableReaders, Summarised):
         Args:
             fraction: The share of the training data, between 0 and 1.
 
-        Returns:
-            The training data and the test data.
-
         Raises:
             DataError: The fraction is not between 0 and 1, or a single trajectory has
                 fewer than 4 samples.
         """
-        share = checked_fraction(fraction)
-        if self.n_trajectories == 1:
-            return self._split_in_time(share)
-        n_train = size_of_first_part(self.n_trajectories, share, at_least=1)
-        return self[:n_train], self[n_train:]
-
-    def _split_in_time(self, share: float) -> tuple[Self, Self]:
+        check_fraction(fraction)
+        if self.n_trajectories > 1:
+            n_train = size_of_first_part(self.n_trajectories, fraction, at_least=1)
+            return self[:n_train], self[n_train:]
         (run,) = self.trajectories
         if run.n_samples < 4:
             raise DataError(
                 f"trajectory {run.name!r} has {run.n_samples} samples; "
                 "a split in time needs at least 4."
             )
-        n_train = size_of_first_part(run.n_samples, share, at_least=2)
+        n_train = size_of_first_part(run.n_samples, fraction, at_least=2)
         train = part_of(run, slice(n_train))
         test = part_of(run, slice(n_train, None))
         return replace(self, trajectories=(train,)), replace(self, trajectories=(test,))
@@ -338,15 +356,12 @@ class Measurements(TableReaders, Summarised):
             begin: The first time, in the unit of the times; None: from the start.
             end: The last time; None: to the end.
 
-        Returns:
-            The same trajectories with fewer samples.
-
         Raises:
             DataError: The times are not in order, or a trajectory has fewer than 2
                 samples between them.
         """
-        interval = checked_interval(begin, end)
-        parts = [part_between(run, interval) for run in self.trajectories]
+        check_interval(begin, end)
+        parts = [part_between(run, begin, end) for run in self.trajectories]
         return replace(self, trajectories=tuple(parts))
 
     def thinned(self, n: int, by: str = "mean") -> Self:
@@ -374,8 +389,8 @@ class Measurements(TableReaders, Summarised):
                 samples.
         """
         size = checked_group_size(n, by)
-        thin = mean_of_groups if by == "mean" else every_nth
-        runs = [thin(run, size, self.hold) for run in self.trajectories]
+        hold = hold_of_each(self.hold, self.inputs)
+        runs = [thinned_run(run, size, by, hold) for run in self.trajectories]
         noise = self.noise
         if noise is not None and by == "mean":
             noise = {name: sigma / np.sqrt(size) for name, sigma in noise.items()}
@@ -401,44 +416,50 @@ class Measurements(TableReaders, Summarised):
         """
         import pandas as pd
 
-        names: list[str] = []
-        rows = []
-        for run in self.trajectories:
-            names.extend([run.name] * run.n_samples)
-            rows.append(np.column_stack([run.t, run.x, run.u]))
-        columns = ["t", *self.states, *self.inputs]
-        frame = pd.DataFrame(np.concatenate(rows), columns=columns)
-        frame.insert(0, "trajectory", names)
+        values = np.column_stack([self.stacked(what) for what in ("t", "x", "u")])
+        frame = pd.DataFrame(values, columns=["t", *self.states, *self.inputs])
+        names = [run.name for run in self.trajectories]
+        n_samples = [run.n_samples for run in self.trajectories]
+        frame.insert(0, "trajectory", np.repeat(np.array(names, object), n_samples))
         return frame
 
+    def _channels(self) -> Iterator[tuple[Any, ...]]:
+        """A row per channel, in `COLUMNS_OF_CHANNELS`; NaN for what is not known."""
+        values_of = [*self.stacked("x").T, *self.stacked("u").T]
+        parts = ["state"] * self.n_states + ["input"] * self.n_inputs
+        channels = (*self.states, *self.inputs)
+        noise = self.noise or {}
+        for part, name, values in zip(parts, channels, values_of, strict=True):
+            known = values[np.isfinite(values)]
+            lowest = known.min() if known.size else np.nan
+            highest = known.max() if known.size else np.nan
+            measured = f"{known.size} of {values.size}"
+            sigma = noise.get(name, np.nan)
+            yield name, part, self.units[name], measured, lowest, highest, sigma
+
     def _summary(self) -> Summary:
-        return Summary(self._title(), (Part(table=channel_table(self)),))
+        table = printed_table(self._channels(), columns=list(COLUMNS_OF_CHANNELS))
+        return Summary(self._title(), (Part(table=table),))
 
     def _title(self) -> str:
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
         begin = min(run.t[0] for run in self.trajectories)
         end = max(run.t[-1] for run in self.trajectories)
-        unit = in_brackets(self.units["t"])
+        unit = f" [{self.units['t']}]" if self.units["t"] else ""
         span = f"t = {begin:g} to {end:g}{unit}"
         return f"Measurements: {runs}, {self.n_samples} samples, {span}"
 
     def __repr__(self) -> str:
         """Number of trajectories and samples, span of time, and a line per channel."""
-        samples = self.to_dataframe()
         lines = [self._title()]
-        for name in self.states:
-            lines.append(f"  state {self._channel_line(name, samples)}")
-        for name in self.inputs:
-            lines.append(f"  input {self._channel_line(name, samples)}")
+        for name, part, unit, measured, lowest, highest, sigma in self._channels():
+            channel = f"  {part} {name} [{unit}]" if unit else f"  {part} {name}"
+            said = f"{measured} samples measured, {lowest:g} to {highest:g}"
+            noise = "" if np.isnan(sigma) else f", noise {sigma:g}"
+            lines.append(
+                f"{channel}: {'not measured' if np.isnan(lowest) else said}{noise}"
+            )
         return "\n".join(lines)
-
-    def _channel_line(self, name: str, samples: "pd.DataFrame") -> str:
-        unit = in_brackets(self.units[name])
-        extent = extent_of(samples[name].to_numpy())
-        line = f"{name}{unit}: {extent}"
-        if self.noise and name in self.noise:
-            line += f", noise {self.noise[name]:g}"
-        return line
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""
@@ -447,7 +468,7 @@ class Measurements(TableReaders, Summarised):
             self.states,
             self.inputs,
             dict(self.units),
-            self.hold,
+            checked_hold(self.hold, self.inputs),
             None if self.noise is None else dict(self.noise),
         )
         return type(self), arguments

@@ -4,16 +4,19 @@ Each sample is predicted by the cubic through its four neighbours; what is left 
 (and curvature that the sampling does not resolve, which is why this is only a first
 guess: `missing_force` estimates the noise with a model). What quantisation alone makes
 (`resolution`) counts as noise at least, unless the noise is declared.
-"""
 
-from collections.abc import Mapping
-from functools import partial
+What neighbouring samples scatter is known to about 2 over the root of the number of
+samples, as a share of itself. Trajectories whose scatter differs by more than that have
+noises of their own.
+"""
 
 import numpy as np
 
-from phsi_opt.data.measurements import Measurements
+from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
+from phsi_opt.data.measurements import Measurements, worked_out_once
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
+from phsi_opt.statistics import chi_square_tail
 
 NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the middle
 N_STENCIL = 5  # samples of a channel and a trajectory below which it tells no noise
@@ -29,8 +32,15 @@ UNKNOWN_NOISE_SHARE = 0.1
 ROUNDING_SHARE = 1e-12
 LEAST_SIZE = 1e-12  # taken for the size of a channel that is zero throughout, its unit
 UNMEASURED_NOISE = 1.0  # stands for the noise of a state that nobody measured
+# Standard deviation of the logarithm of a scatter, times the root of the number of
+# samples: that of a median of absolute values of normal residuals is 1.17, and these
+# residuals, whose stencils overlap, are worth about a third as many independent ones.
+MEDIAN_SPREAD = 2.0
+# Samples of a trajectory from which its scatter is asked for.
+FEWEST_SAMPLES = 30
 
 
+@worked_out_once
 def difference_noise(data: Measurements) -> np.ndarray:
     """Standard deviation of the noise per state, from differences of neighbours.
 
@@ -47,10 +57,6 @@ def difference_noise(data: Measurements) -> np.ndarray:
         (n_states,) in the states' units; NaN where every trajectory has fewer than 5
         samples of a state.
     """
-    return data.derived("difference noise", _difference_noise)
-
-
-def _difference_noise(data: Measurements) -> np.ndarray:
     noise = np.full(data.n_states, np.nan)
     for k in range(data.n_states):
         _, residuals = scatter_residuals(data, k)
@@ -59,6 +65,7 @@ def _difference_noise(data: Measurements) -> np.ndarray:
     return np.maximum(noise, quantisation_noise(data))
 
 
+@worked_out_once
 def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
     """Residuals of samples against the cubic through their neighbours, as `r_i` above.
 
@@ -68,18 +75,12 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
         (2, n_residuals): the number of the trajectory of each, and the residuals;
         n_measured - 4 per trajectory, none where it has too few.
     """
-    make = partial(_scatter_residuals, state=state)
-    return data.derived(f"scatter of state {state}", make)
-
-
-def _scatter_residuals(data: Measurements, state: int) -> np.ndarray:
-    runs = data.trajectories
-    values = np.concatenate([of_run.x[:, state] for of_run in runs])
+    values = data.stacked("x")[:, state]
     is_measured = np.isfinite(values)
-    lengths = [of_run.n_samples for of_run in runs]
-    t = np.concatenate([of_run.t for of_run in runs])[is_measured]
+    t = data.stacked("t")[is_measured]
     y = values[is_measured]
-    run = np.repeat(np.arange(len(runs)), lengths)[is_measured]
+    lengths = [run.n_samples for run in data.trajectories]
+    run = np.repeat(np.arange(len(lengths)), lengths)[is_measured]
     reach = N_STENCIL // 2
     middle = np.arange(reach, len(t) - reach)
     middle = middle[run[middle - reach] == run[middle + reach]]
@@ -106,24 +107,13 @@ def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.nda
     predicted = np.zeros(len(middle))
     variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
     for offset in NEIGHBOURS:
-        weight = _lagrange_weight(at, offset)
+        weight = np.ones(len(middle))  # in the cubic's value in the middle
+        for other in NEIGHBOURS:
+            if other != offset:
+                weight *= (at[0] - at[other]) / (at[offset] - at[other])
         predicted += weight * y[middle + offset]
         variance += weight**2
     return (y[middle] - predicted) / np.sqrt(1 + variance)
-
-
-def _lagrange_weight(at: Mapping[int, np.ndarray], offset: int) -> np.ndarray:
-    """Weight of one neighbour in the cubic's value at each sample in the middle.
-
-    Args:
-        at: (n_middle,) times of the samples in the middle, 0, and of their neighbours.
-        offset: of the neighbour.
-    """
-    weight = np.ones(len(at[0]))
-    for other in NEIGHBOURS:
-        if other != offset:
-            weight *= (at[0] - at[other]) / (at[offset] - at[other])
-    return weight
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
@@ -140,30 +130,24 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     Raises:
         DataError: No measured value ever changes.
     """
-    y = np.concatenate([run.x for run in data.trajectories])
-    _check_that_something_moves(data, y)
+    y = data.stacked("x")
     is_measured = np.isfinite(y).any(axis=0)
-    spread = channel_spread(data)
-    size = _size(y)
-    noise = difference_noise(data) if given is None else given
-    unknown = UNKNOWN_NOISE_SHARE * np.where(spread > 0, spread, size)
-    noise = np.where(np.isfinite(noise), noise, unknown)
-    noise = np.maximum(noise, _least_noise(spread, size))
-    is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
-    noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
-    return np.where(is_measured, noise, UNMEASURED_NOISE)
-
-
-def _check_that_something_moves(data: Measurements, y: np.ndarray) -> None:
-    measured = y[:, np.isfinite(y).any(axis=0)]
-    highest = np.fmax.reduce(measured, axis=0)  # NaN is not measured
-    lowest = np.fmin.reduce(measured, axis=0)
+    highest = np.fmax.reduce(y[:, is_measured], axis=0)  # NaN is not measured
+    lowest = np.fmin.reduce(y[:, is_measured], axis=0)
     if not (highest > lowest).any():
         raise DataError(
             f"every measured value of {', '.join(data.measured)} is the same "
             f"({highest.max():g}): nothing moves, so nothing can be identified. "
             "Check the columns, or measure while the system moves."
         )
+    spread = channel_spread(data)
+    noise = difference_noise(data) if given is None else given
+    unknown = UNKNOWN_NOISE_SHARE * np.where(spread > 0, spread, _size(y))
+    noise = np.where(np.isfinite(noise), noise, unknown)
+    noise = np.maximum(noise, least_noise(y))
+    is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
+    noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
+    return np.where(is_measured, noise, UNMEASURED_NOISE)
 
 
 def least_noise(y: np.ndarray) -> np.ndarray:
@@ -176,28 +160,22 @@ def least_noise(y: np.ndarray) -> np.ndarray:
         (n_states,): `LEAST_NOISE_SHARE` of the spread, or of the size where a channel
         does not move.
     """
-    return _least_noise(_spread(y), _size(y))
-
-
-def _least_noise(spread: np.ndarray, size: np.ndarray) -> np.ndarray:
+    spread = _spread(y)
+    size = _size(y)
     moves = spread > ROUNDING_SHARE * size
     return LEAST_NOISE_SHARE * np.where(moves, spread, size)
 
 
+@worked_out_once
 def channel_spread(data: Measurements) -> np.ndarray:
     """Standard deviation of the measured values per state, (n_states,).
 
     1 where nothing was measured.
     """
-
-    def make(data: Measurements) -> np.ndarray:
-        return _spread(np.concatenate([run.x for run in data.trajectories]))
-
-    return data.derived("spread", make)
+    return _spread(data.stacked("x"))
 
 
 def _spread(y: np.ndarray) -> np.ndarray:
-    """Standard deviation per channel, (n_states,); 1 where nothing was measured."""
     spread = np.ones(y.shape[1])
     is_measured = np.isfinite(y)
     for k in np.flatnonzero(is_measured.any(axis=0)):
@@ -208,3 +186,47 @@ def _spread(y: np.ndarray) -> np.ndarray:
 def _size(y: np.ndarray) -> np.ndarray:
     """Largest absolute value per channel, (n_states,), not zero."""
     return np.fmax(np.fmax.reduce(np.abs(y), axis=0), LEAST_SIZE)
+
+
+def scatter_by_run(data: Measurements) -> np.ndarray:
+    """Noise that neighbouring samples show, (n_trajectories, n_states).
+
+    One for all trajectories of a state unless they differ by more than chance.
+
+    Raises:
+        DataError: no measured value ever changes.
+    """
+    together = initial_noise(data)
+    scatter = np.tile(together, (data.n_trajectories, 1))
+    if data.n_trajectories == 1:
+        return scatter
+    n_samples = np.array([run.n_samples for run in data.trajectories])
+    if n_samples.min() < FEWEST_SAMPLES:
+        return scatter
+    quantised = quantisation_noise(data)
+    for state in range(data.n_states):
+        of_state = _of_runs(data, state)
+        of_state = np.maximum(of_state, quantised[state])
+        is_known = np.all(np.isfinite(of_state)) and np.all(of_state > 0)
+        if is_known and _differ(np.log(of_state), MEDIAN_SPREAD**2 / n_samples):
+            scatter[:, state] = np.maximum(of_state, together[state] / 100)
+    return scatter
+
+
+def _of_runs(data: Measurements, state: int) -> np.ndarray:
+    """What neighbouring samples of each trajectory scatter, (n_trajectories,)."""
+    run, residuals = scatter_residuals(data, state)
+    scatter = np.full(data.n_trajectories, np.nan)
+    ends = np.searchsorted(run, np.arange(1, data.n_trajectories))
+    for k, own in enumerate(np.split(residuals, ends)):
+        if len(own):
+            scatter[k] = robust_deviation(own)
+    return scatter
+
+
+def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
+    """Whether values (n,) of known variances scatter more than they should."""
+    weights = 1 / variances
+    mean = np.sum(weights * values) / np.sum(weights)
+    statistic = np.sum(weights * (values - mean) ** 2)
+    return chi_square_tail(statistic, len(values) - 1) < DIFFERENT_RUNS_LEVEL

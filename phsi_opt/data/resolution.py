@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from phsi_opt.criteria import RESOLVED_STEPS
-from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.measurements import Measurements, worked_out_once
 
 # Values of a channel below which its resolution is not asked for: among a few, repeats
 # are chance.
@@ -50,19 +50,15 @@ DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one ste
 MOST_CANDIDATES = 60  # steps of Euclid's algorithm
 
 
+@worked_out_once
 def quantisation_noise(data: Measurements) -> np.ndarray:
     """Standard deviation that quantisation alone gives the values of each state.
 
     Returns:
         (n_states,) in the states' units; zero where nothing is quantised.
     """
-    return data.derived("quantisation noise", _quantisation_noise)
-
-
-def _quantisation_noise(data: Measurements) -> np.ndarray:
-    steps = []
-    for k in range(data.n_states):
-        steps.append(resolution([run.x[:, k] for run in data.trajectories]))
+    runs = [run.x for run in data.trajectories]
+    steps = [resolution([x[:, k] for x in runs]) for k in range(data.n_states)]
     return DEVIATION_PER_STEP * np.array(steps)
 
 
@@ -73,10 +69,9 @@ def unresolved_channels(data: Measurements) -> tuple[str, ...]:
     """
     names = []
     steps = quantisation_noise(data) / DEVIATION_PER_STEP
-    for k in np.flatnonzero(steps > 0).tolist():
-        values = np.concatenate([run.x[:, k] for run in data.trajectories])
-        if np.nanstd(values) < RESOLVED_STEPS * steps[k]:
-            names.append(data.states[k])
+    for name, step, values in zip(data.states, steps, data.stacked("x").T, strict=True):
+        if step > 0 and np.nanstd(values) < RESOLVED_STEPS * step:
+            names.append(name)
     return tuple(names)
 
 
@@ -105,13 +100,9 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
 
 def _n_repeated(runs: Sequence[np.ndarray]) -> int:
     """Number of values that stand in their trajectory before."""
-    values = np.concatenate(runs)
-    if np.all(np.diff(np.sort(values))):
+    if np.all(np.diff(np.sort(np.concatenate(runs)))):
         return 0  # as measurements are that are not quantised: no two are equal
-    run = np.repeat(np.arange(len(runs)), [len(of_run) for of_run in runs])
-    order = np.lexsort((values, run))
-    is_same = np.diff(values[order]) == 0
-    return int(np.sum(is_same & (np.diff(run[order]) == 0)))
+    return sum(len(values) - len(np.unique(values)) for values in runs)
 
 
 def _even_step(values: np.ndarray) -> float:
@@ -131,14 +122,10 @@ def _step_of_each(runs: Sequence[np.ndarray]) -> float:
 
     A trajectory that does not move is left out.
     """
-    steps = []
-    for run in runs:
-        values = np.unique(run)
-        if len(values) > 1:
-            steps.append(_even_step(values))
-    if len(steps) < 2 or min(steps) == 0:
-        return 0.0
-    return float(np.median(steps))
+    different = [np.unique(run) for run in runs]
+    steps = [_even_step(values) for values in different if len(values) > 1]
+    is_even = len(steps) >= 2 and min(steps) > 0
+    return float(np.median(steps)) if is_even else 0.0
 
 
 def lattice_step(values: np.ndarray, error: float) -> float:
@@ -157,8 +144,8 @@ def lattice_step(values: np.ndarray, error: float) -> float:
     for _ in range(MOST_CANDIDATES):
         if step <= FINEST_STEP * error:
             break
-        fitted = _fitted_step(values, step, error)
-        if _distance(values, fitted) <= FARTHEST * error:
+        fitted, distance = _fitted_lattice(values, step, error)
+        if distance <= FARTHEST * error:
             return fitted if _is_no_chance(len(values), error / fitted) else 0.0
         remainders = np.abs(gaps - np.round(gaps / step) * step)
         is_left = remainders > SAME_VALUE * error
@@ -168,29 +155,31 @@ def lattice_step(values: np.ndarray, error: float) -> float:
     return 0.0
 
 
-def _fitted_step(values: np.ndarray, step: float, error: float) -> float:
-    """The step by least squares, from one that is good enough to count with.
+def _fitted_lattice(
+    values: np.ndarray, step: float, error: float
+) -> tuple[float, float]:
+    """The step by least squares, and the largest distance of a value from its lattice.
 
     Gaps of one step are averaged first, so that long gaps are counted right.
+
+    Args:
+        values: (n_values,) sorted.
+        step: Good enough to count with.
+        error: Of a value, at most.
     """
+
+    def counted(step: float) -> np.ndarray:  # steps from the first value to each
+        return np.concatenate([[0.0], np.cumsum(np.round(gaps / step))])
+
     gaps = np.diff(values)
     single = gaps[gaps <= step + SAME_VALUE * error]
     if len(single):
         step = float(np.mean(single))
-    k = _counted(values, step)
+    k = counted(step)
     k = k - k.mean()
-    return float(k @ (values - values.mean()) / (k @ k))
-
-
-def _counted(values: np.ndarray, step: float) -> np.ndarray:
-    """Number of steps from the first value to each, (n_values,)."""
-    return np.concatenate([[0.0], np.cumsum(np.round(np.diff(values) / step))])
-
-
-def _distance(values: np.ndarray, step: float) -> float:
-    """The largest distance of a value from the lattice fitted to all of them."""
-    away = values - step * _counted(values, step)
-    return float(np.max(np.abs(away - away.mean())))
+    fitted = float(k @ (values - values.mean()) / (k @ k))
+    away = values - fitted * counted(fitted)
+    return fitted, float(np.max(np.abs(away - away.mean())))
 
 
 def _is_no_chance(n_values: int, error: float) -> bool:
@@ -219,14 +208,8 @@ def _behind_digits(values: np.ndarray, step: float) -> float:
 
 def _stays_and_comes_back(runs: Sequence[np.ndarray]) -> bool:
     """Whether the channel stays at values, and comes back to them after others."""
-    n_stretches = 0
-    n_equal = 0
-    n_different = 0
-    for values in runs:
-        is_equal = np.diff(values) == 0
-        n_equal += int(is_equal.sum())
-        n_stretches += len(values) - int(is_equal.sum())
-        n_different += len(np.unique(values))
-    n_neighbours = n_stretches + n_equal
-    comes_back = n_stretches >= STRETCHES_PER_VALUE * n_different
-    return comes_back and n_equal >= EQUAL_NEIGHBOURS * n_neighbours
+    n_samples = sum(map(len, runs))
+    n_equal = sum(int(np.sum(np.diff(values) == 0)) for values in runs)
+    n_different = sum(len(np.unique(values)) for values in runs)
+    comes_back = n_samples - n_equal >= STRETCHES_PER_VALUE * n_different
+    return comes_back and n_equal >= EQUAL_NEIGHBOURS * n_samples

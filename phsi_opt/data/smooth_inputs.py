@@ -18,20 +18,19 @@ class SmoothInputs:
 
     Args:
         t: (n_samples,) strictly increasing times, at least 2.
-        u: (n_samples, n_inputs) inputs at t.
+        u: (n_samples, n_inputs) inputs at t, at least one.
     """
 
     def __init__(self, t: np.ndarray, u: np.ndarray) -> None:
+        from scipy.interpolate import CubicSpline  # slow to import, and seldom needed
+
         self.limits = (float(t[0]), float(t[-1]))
-        self.n_inputs = u.shape[1]
-        self._spline = _spline(t, u) if self.n_inputs else None
+        self._spline: Any = CubicSpline(t, u)
 
     def __call__(self, times: np.ndarray | float) -> np.ndarray:
         """The inputs at times, (..., n_inputs); before and after the samples the value
         at the end.
         """
-        if self._spline is None:
-            return np.zeros((*np.shape(times), 0))
         return np.asarray(self._spline(np.clip(times, *self.limits)))
 
     def lines(
@@ -51,8 +50,6 @@ class SmoothInputs:
             Its values at both ends of every stretch, (n, n_inputs) each.
         """
         first, middle, last = self(begin), self((begin + end) / 2), self(end)
-        if self._spline is None:
-            return first, last
         # In s from -1 to 1 the spline is a0 + a1 s + a2 s^2 + a3 s^3. The closest line,
         # which has its mean and moment, is a0 + a2/3 + (a1 + 3 a3/5) s.
         half = (end - begin)[:, None] / 2
@@ -61,9 +58,3 @@ class SmoothInputs:
         a3 = (last - first) / 2 - a1
         mean, rise = middle + a2 / 3, a1 + 3 * a3 / 5
         return mean - rise, mean + rise
-
-
-def _spline(t: np.ndarray, u: np.ndarray) -> Any:
-    from scipy.interpolate import CubicSpline  # slow to import, and seldom needed
-
-    return CubicSpline(t, u)

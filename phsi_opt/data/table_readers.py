@@ -8,6 +8,7 @@ file is its header, or an integer, its position counted from 0.
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import (
     BinarySource,
@@ -20,7 +21,6 @@ from phsi_opt.data.layout import (
     Layout,
     table_layout,
     trajectories_in,
-    with_unit_of_dates,
 )
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
@@ -41,7 +41,7 @@ class TableReaders:
         time: str | int | None = None,
         states: ColumnMap,
         inputs: ColumnMap | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -91,10 +91,9 @@ class TableReaders:
             time, states, inputs, trajectory, step, start, date_format
         )
         text_format = TextFormat(columns, separator, decimal)
-        wanted = layout.columns()
         tables = []
         for file in text_files(source):
-            tables.append(table_of_csv(file, wanted, text_format))
+            tables.append(table_of_csv(file, layout.columns, text_format))
         return cls._from_tables(tables, layout, units, hold, noise)
 
     @classmethod
@@ -106,7 +105,7 @@ class TableReaders:
         states: ColumnMap,
         inputs: ColumnMap | None = None,
         sheet: str | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -135,10 +134,9 @@ class TableReaders:
             time, states, inputs, trajectory, step, start, date_format
         )
         text_format = TextFormat(columns, None, decimal)
-        wanted = layout.columns()
         tables = []
         for file in binary_files(source):
-            tables.append(table_of_excel(file, wanted, sheet, text_format))
+            tables.append(table_of_excel(file, layout.columns, sheet, text_format))
         return cls._from_tables(tables, layout, units, hold, noise)
 
     @classmethod
@@ -149,7 +147,7 @@ class TableReaders:
         time: str | None = None,
         states: ColumnMap,
         inputs: ColumnMap | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -182,8 +180,7 @@ class TableReaders:
         layout = table_layout(
             time, states, inputs, trajectory, step, start, date_format
         )
-        wanted = layout.columns()
-        tables = [table_of_mat(file, wanted) for file in binary_files(source)]
+        tables = [table_of_mat(file, layout.columns) for file in binary_files(source)]
         return cls._from_tables(tables, layout, units, hold, noise)
 
     @classmethod
@@ -194,7 +191,7 @@ class TableReaders:
         time: Any = None,
         states: ColumnMap,
         inputs: ColumnMap | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -225,16 +222,16 @@ class TableReaders:
         tables: Sequence[Table],
         layout: Layout,
         units: Mapping[str, str] | None,
-        hold: str,
+        hold: Hold,
         noise: Mapping[str, float] | None,
     ) -> Self:
         make: Any = cls  # a `Measurements`, which names its fields
-        trajectories = trajectories_in(tables, layout)
+        trajectories, all_units = trajectories_in(tables, layout, units)
         made: Self = make(
             trajectories,
             states=tuple(layout.states),
             inputs=tuple(layout.inputs),
-            units=with_unit_of_dates(units, tables, layout),
+            units=all_units,
             hold=hold,
             noise=noise,
         )

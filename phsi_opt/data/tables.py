@@ -1,9 +1,8 @@
-"""Reading tables: text in columns, cell by cell, into numbers.
+"""Tables: cells in columns, as they were found, into numbers.
 
 What a table may look like is decided here and in `text_cells`: with a header or
-without, comma, semicolon, tab or blanks between the cells, decimal points or commas,
-which cells count as missing, and the line or row that a message names. Which column
-plays which part is not known here: see `layout`.
+without, decimal points or commas, which cells count as missing, and the line or row
+that a message names. Which column plays which part is not known here: see `layout`.
 """
 
 import itertools
@@ -14,25 +13,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phsi_opt.data.checks import check_values
-from phsi_opt.data.file_opening import TextFile
+from phsi_opt.data.file_opening import OpenedFile, TextFile
 from phsi_opt.data.text_cells import (
     DECIMAL_COMMA,
     DECIMAL_POINT,
     MISSING_CELLS,
-    Line,
     TextFormat,
     decimal_of,
     filled_lines,
     is_header,
     looks_like_a_value,
+    n_filled,
     separator_of,
-    without_trailing_empties,
 )
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+POINTS_FOR_COMMAS = str.maketrans(",.", ".,")  # and commas, which are no numbers
+Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its number
 
 
 @dataclass(frozen=True)
@@ -113,85 +114,88 @@ def table_of_csv(
     Raises:
         DataError: The table is empty, or a line has too few or too many cells.
     """
-    import pandas as pd
-
     told = text_format or TextFormat()
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}
     separator = told.separator or separator_of(file, names)
-    lines = list(filled_lines(file, separator))
-    if not lines:
+    rows = dict(filled_lines(file, separator))
+    if not rows:
         raise DataError(
             f"{file.title} is empty; "
             "expected a header line and at least 2 lines of numbers."
         )
-    if told.columns is None and is_header(lines[0].cells):
-        header = without_trailing_empties(lines[0].cells)
-        rows = _of_header_width(lines[1:], len(header), file.title)
+    return table_of_rows(file, file.title, "line", rows, columns, told, separator)
+
+
+def table_of_rows(
+    file: OpenedFile[Any],
+    title: str,
+    row_word: str,
+    rows: Rows,
+    wanted: Iterable[Any],
+    told: TextFormat,
+    separator: str,
+) -> Table:
+    """A table of cells whose first row may be a header.
+
+    Args:
+        file: From which they are.
+        title: What messages call the table.
+        row_word: What they call a row: a "line", none of which has filled cells beside
+            the header, or a "row" of a sheet, where columns without a name may be.
+        rows: The cells; empty ones are "".
+        wanted: The columns that are looked for, by name or by number from 0.
+        told: What the user said of the table.
+        separator: The sign between the cells.
+
+    Raises:
+        DataError: A row has too few or too many cells, the columns are not those that
+            the user named, or there is none of a number that is wanted.
+    """
+    import pandas as pd
+
+    number, first = next(iter(rows.items()))
+    widths = {i: n_filled(cells) for i, cells in rows.items()}
+    widest = max(widths, key=widths.__getitem__)
+    width = widths[widest]
+    reference = f"in {row_word} {widest}"
+    if told.columns is None and is_header(first):
+        if row_word == "line":
+            width = widths[number]
+            reference = "in the header"
+        header = [str(cell) for cell in first]
+        rows = {i: cells for i, cells in rows.items() if i != number}
     else:
-        rows = _of_one_width(lines, file.title)
-        header = names_by_position(told.columns, len(rows[0].cells), file.title)
-        _check_no_header(told, rows[0], file.title)
-    decimal = told.decimal
-    if decimal is None:
-        cells = itertools.chain.from_iterable(row.cells for row in rows)
-        decimal = decimal_of(cells, separator)
-    labels = labels_of(header, columns, file.title)
-    frame = pd.DataFrame(
-        [row.cells for row in rows],
-        index=[row.number for row in rows],
-        columns=pd.Index(labels, dtype=object),
-        dtype=object,
-    )
-    return Table(file.title, "line", frame, file.run, decimal, file.remark)
-
-
-def _of_header_width(lines: list[Line], width: int, title: str) -> list[Line]:
-    """The lines below a header; only empty cells may be too many."""
-    rows = []
-    for line in lines:
-        if len(line.cells) < width or any(line.cells[width:]):
-            n_cells = number_of(len(line.cells), "cell")
+        header = _names_by_position(told.columns, width, title)
+        if told.columns and not any(map(looks_like_a_value, first)):
             raise DataError(
-                f"{title}, line {line.number} has {n_cells}; "
-                f"expected {width}, as in the header. Complete or remove the line, or "
+                f"{title}, {row_word} {number} holds names, {first}, and columns "
+                "names them too. Leave columns=... out, or remove the line."
+            )
+    for i, cells in rows.items():
+        if len(cells) < width or widths[i] > width:
+            raise DataError(
+                f"{title}, {row_word} {i} has {number_of(len(cells), 'cell')}; "
+                f"expected {width}, as {reference}. Complete or remove the line, or "
                 "lines of text above the table. If its numbers have decimal commas, "
                 "write decimal points, or another separator."
             )
-        rows.append(Line(line.number, line.cells[:width]))
-    return rows
+    decimal = told.decimal
+    if decimal is None:
+        decimal = decimal_of(itertools.chain.from_iterable(rows.values()), separator)
+    frame = pd.DataFrame(
+        [cells[:width] for cells in rows.values()],
+        index=list(rows),
+        columns=pd.Index(_labels(header[:width], wanted, title), dtype=object),
+        dtype=object,
+    )
+    return Table(title, row_word, frame, file.run, decimal, file.remark)
 
 
-def _of_one_width(lines: list[Line], title: str) -> list[Line]:
-    """The lines of a table without a header, as wide as the widest of them."""
-    filled = [len(without_trailing_empties(line.cells)) for line in lines]
-    width = max(filled)
-    widest = lines[filled.index(width)].number
-    rows = []
-    for line in lines:
-        if len(line.cells) < width:
-            n_cells = number_of(len(line.cells), "cell")
-            raise DataError(
-                f"{title}, line {line.number} has {n_cells}; "
-                f"expected {width}, as in line {widest}. Complete or remove the line."
-            )
-        rows.append(Line(line.number, line.cells[:width]))
-    return rows
-
-
-def names_by_position(
+def _names_by_position(
     columns: Sequence[str] | None, width: int, title: str
 ) -> list[str]:
-    """The names of the columns of a table without a header: given, or "0", "1", ...
-
-    Args:
-        columns: Those that the user gave.
-        width: The number of columns.
-        title: What messages call the table.
-
-    Raises:
-        DataError: There are more or fewer names than columns.
-    """
+    """The names of the columns of a table without a header: given, or "0", "1", ..."""
     if columns is None:
         return [str(i) for i in range(width)]
     if len(columns) != width:
@@ -202,27 +206,8 @@ def names_by_position(
     return list(columns)
 
 
-def _check_no_header(told: TextFormat, first: Line, title: str) -> None:
-    if told.columns is not None and is_header(first.cells):
-        if any(map(looks_like_a_value, first.cells)):
-            return  # a text among numbers is the name of a run, or a wrong cell
-        raise DataError(
-            f"{title}, line {first.number} holds names, {first.cells}, and columns "
-            "names them too. Leave columns=... out, or remove the line."
-        )
-
-
-def labels_of(header: Sequence[str], wanted: Iterable[Any], title: str) -> list[Any]:
-    """What the columns of a file are called: names, or numbers where these are asked.
-
-    Args:
-        header: Their names.
-        wanted: The columns that are looked for; an integer is a position from 0.
-        title: What messages call the table.
-
-    Raises:
-        DataError: There is no column of that number.
-    """
+def _labels(header: Sequence[str], wanted: Iterable[Any], title: str) -> list[Any]:
+    """What columns are called: names, or their numbers from 0 where these are asked."""
     labels: list[Any] = list(header)
     for column in wanted:
         if isinstance(column, bool) or not isinstance(column, int | np.integer):
@@ -247,7 +232,15 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
     if holds_real_numbers(cells):
         values: np.ndarray = cells.to_numpy(dtype=np.float64, na_value=np.nan)
     else:
-        values = _parsed(table, column)
+        values = np.empty(len(cells))
+        for i, cell in enumerate(cells):
+            try:
+                values[i] = _number(cell, table.decimal)
+            except (TypeError, ValueError):
+                raise DataError(
+                    f"{table.place(column, i)} {cell!r} is not a real number. "
+                    f"{_repair(cell, table)}"
+                ) from None
 
     def place_of(i: int) -> str:
         return f"{table.place(column, i)} the value"
@@ -264,42 +257,21 @@ def holds_real_numbers(cells: "pd.Series") -> bool:
     return pd.api.types.is_numeric_dtype(cells) and not is_complex
 
 
-def _parsed(table: Table, column: Any) -> np.ndarray:
-    """The values (n_rows,) of a column of texts or other objects."""
-    cells = table.frame[column]
-    is_missing = cells.isna().to_numpy()
-    values = np.full(len(cells), np.nan)
-    for i, cell in enumerate(cells):
-        if not is_missing[i]:
-            values[i] = _number(cell, table, column, i)
-    return values
-
-
-def _number(cell: Any, table: Table, column: Any, i: int) -> float:
-    number = cell
+def is_missing(cell: Any) -> bool:
+    """Whether a cell says that nothing was measured."""
     if isinstance(cell, str):
-        number = cell.strip()
-        if number.lower() in MISSING_CELLS:
-            return float("nan")
-        if table.decimal == ",":
-            number = _with_point(number)
-    try:
-        return float(number)
-    except (TypeError, ValueError):
-        raise DataError(
-            f"{table.place(column, i)} {cell!r} is not a real number. "
-            f"{_repair(cell, table)}"
-        ) from None
+        return cell.strip().lower() in MISSING_CELLS
+    import pandas as pd
+
+    return cell is None or bool(pd.isna(cell))
 
 
-def _with_point(number: str) -> str:
-    """A number with a decimal comma as Python writes it.
-
-    A point could stand before thousands here: such a cell is no number.
-    """
-    if DECIMAL_POINT.fullmatch(number):
-        return ""
-    return number.replace(",", ".") if DECIMAL_COMMA.fullmatch(number) else number
+def _number(cell: Any, decimal: str | None) -> float:
+    if is_missing(cell):
+        return float("nan")
+    if decimal == "," and isinstance(cell, str):
+        cell = cell.translate(POINTS_FOR_COMMAS)
+    return float(cell)
 
 
 def _repair(cell: Any, table: Table) -> str:
@@ -310,6 +282,6 @@ def _repair(cell: Any, table: Table) -> str:
             "A comma could stand before decimals or thousands here: say "
             'decimal = "," or write decimal points.'
         )
-    if table.decimal == "," and DECIMAL_POINT.fullmatch(cell.strip()):
+    if table.decimal == "," and DECIMAL_POINT.fullmatch(cell):
         return "The table has decimal commas: write all decimals in one way."
     return "Correct the cell, or leave it empty where a state was not measured."

@@ -1,4 +1,4 @@
-"""Cells of a text table: which sign separates them, which the decimals, and a header.
+"""Cells of a table of texts: what separates them, the sign of decimals, a header.
 
 What the user did not say is found by trying: the separator under which the cells look
 most like numbers and moments. Nothing is converted here; `tables` does that.
@@ -8,25 +8,26 @@ import csv
 import io
 import itertools
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from phsi_opt.data.file_opening import TextFile
 from phsi_opt.errors import DataError
 
 BLANKS = " "  # one blank or several, tabs among them
 SEPARATORS = (",", ";", "\t", BLANKS)
-DECIMALS = (".", ",")
 MISSING_CELLS = frozenset({"", "nan", "na", "n/a"})  # in lower case
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
-DECIMAL_POINT = re.compile(r"[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?")
+DECIMAL_POINT = re.compile(r"\s*[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?\s*")
 NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 MOMENT = re.compile(
     r"\d{1,4}[-./:]\d{1,2}[-./:]\d[\d:.,]*([T ][\d:.,]+)?(Z|[+-][\d:]+)?"
 )
-QUOTED_OR_FILLED = re.compile(r'"([^"]*)"|(\S+)')  # a cell between blanks
 LINES_TRIED = 50  # lines that tell the separator: more would tell nothing else
+
+Line = tuple[int, list[str]]  # its number in the file, from 1, and its cells
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,16 @@ class TextFormat:
     decimal: str | None = None
 
     def __post_init__(self) -> None:
-        _check_columns(self.columns)
+        columns: Any = self.columns
+        is_list = isinstance(columns, Sequence) and not isinstance(columns, str)
+        if columns is not None and (not is_list or not columns):
+            raise DataError(
+                f"columns={columns!r} is not a list of names; expected the name of "
+                'each column, such as columns = ["t", "q"].'
+            )
+        for name in columns or ():
+            if not isinstance(name, str) or not name:
+                raise DataError(f"columns holds {name!r}; expected names as text.")
         separator = self.separator
         is_sign = isinstance(separator, str) and len(separator) == 1
         if separator is not None and (not is_sign or separator in '"\r\n'):
@@ -55,7 +65,7 @@ class TextFormat:
                 f"the separator {separator!r} is not a single sign; expected ',', ';', "
                 "'\\t', or ' ' for blanks."
             )
-        if self.decimal is not None and self.decimal not in DECIMALS:
+        if self.decimal not in (None, ".", ","):
             raise DataError(
                 f"the sign of decimals {self.decimal!r} is unknown; "
                 "expected '.' or ','."
@@ -67,65 +77,26 @@ class TextFormat:
             )
 
 
-def _check_columns(columns: Any) -> None:
-    if columns is None:
-        return
-    is_list = isinstance(columns, Sequence) and not isinstance(columns, str)
-    if not is_list or not columns:
-        raise DataError(
-            f"columns={columns!r} is not a list of names; expected the name of each "
-            'column, such as columns = ["t", "q"].'
-        )
-    for name in columns:
-        if not isinstance(name, str) or not name:
-            raise DataError(f"columns holds {name!r}; expected names as text.")
-
-
-class Line(NamedTuple):
-    """A line with at least one filled cell.
-
-    Attributes:
-        number: Of the line in its file, counted from 1.
-        cells: Its cells without blanks around them.
-    """
-
-    number: int
-    cells: list[str]
-
-
 def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
-    """The lines with at least one cell that is not empty.
-
-    Args:
-        file: Its text.
-        separator: The sign between cells.
+    """The lines with at least one cell that is not empty, without blanks around cells.
 
     Raises:
         DataError: A cell is too long to be one.
     """
+    lines: Iterable[str] = io.StringIO(file.content)
     if separator == BLANKS:
-        yield from _lines_of_blanks(file.text)
-        return
-    lines = io.StringIO(file.text)
+        lines = (line.strip().replace("\t", BLANKS) for line in lines)
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
     try:
         for cells in reader:
             stripped = [cell.strip() for cell in cells]
             if any(stripped):
-                yield Line(reader.line_num, stripped)
+                yield reader.line_num, stripped
     except csv.Error as error:
         raise DataError(
             f"{file.title}, line {reader.line_num}: {error}. "
             "Save the table again as CSV."
         ) from error
-
-
-def _lines_of_blanks(text: str) -> Iterator[Line]:
-    for number, line in enumerate(io.StringIO(text), start=1):
-        found = QUOTED_OR_FILLED.findall(line)
-        cells = [(quoted or filled).strip() for quoted, filled in found]
-        if any(cells):
-            yield Line(number, cells)
 
 
 def separator_of(file: TextFile, wanted_names: set[str]) -> str:
@@ -141,70 +112,64 @@ def separator_of(file: TextFile, wanted_names: set[str]) -> str:
     """
 
     def score(separator: str) -> tuple[int, float, int]:
-        lines = _first_lines(file, separator)
+        lines = []
+        with suppress(DataError):  # told when the table is read with what is chosen
+            for _, cells in itertools.islice(
+                filled_lines(file, separator), LINES_TRIED
+            ):
+                lines.append(cells)
         if not lines:
             return 0, 0.0, 0
-        first = without_trailing_empties(lines[0].cells)
+        first = lines[0][: n_filled(lines[0])]
         n_wanted = len(set(first) & wanted_names)
         if len(first) == 1:  # a sign that separates nothing
             return n_wanted, 0.0, 0
-        return n_wanted, _readable_share(lines, len(first)), len(first)
+        return n_wanted, _readable_share(lines[1:], len(first)), len(first)
 
     return max(SEPARATORS, key=score)
 
 
-def _first_lines(file: TextFile, separator: str) -> list[Line]:
-    """Some lines from the first; fewer where one cannot be read."""
-    lines = []
-    try:
-        for line in itertools.islice(filled_lines(file, separator), LINES_TRIED):
-            lines.append(line)
-    except DataError:
-        pass  # told when the table is read with the separator that is chosen
-    return lines
-
-
-def _readable_share(lines: list[Line], width: int) -> float:
-    """The share of the cells below the first line that could be numbers or moments."""
+def _readable_share(lines: list[list[str]], width: int) -> float:
+    """The share of the cells that could be numbers or moments."""
     n_cells = 0
     n_readable = 0
-    for line in lines[1:]:
-        cells = without_trailing_empties(line.cells)
-        n_cells += len(cells)
-        if len(line.cells) >= width >= len(cells):
-            n_readable += sum(map(looks_like_a_value, cells))
+    for cells in lines:
+        filled = cells[: n_filled(cells)]
+        n_cells += len(filled)
+        if len(cells) >= width >= len(filled):
+            n_readable += sum(map(looks_like_a_value, filled))
     return n_readable / n_cells if n_cells else 0.0
 
 
-def looks_like_a_value(cell: str) -> bool:
+def looks_like_a_value(cell: Any) -> bool:
     """Whether a cell could be a number, a moment or a missing value."""
-    is_missing = cell.lower() in MISSING_CELLS
-    is_number = NUMBER.fullmatch(cell) is not None
-    return is_missing or is_number or MOMENT.fullmatch(cell) is not None
+    if not isinstance(cell, str):
+        return True
+    is_value = NUMBER.fullmatch(cell) or MOMENT.fullmatch(cell)
+    return cell.lower() in MISSING_CELLS or is_value is not None
 
 
-def without_trailing_empties(cells: list[str]) -> list[str]:
-    """The cells up to the last filled one; there is one."""
+def n_filled(cells: Sequence[Any]) -> int:
+    """The number of cells up to the last that is not empty."""
     n_cells = len(cells)
-    while not cells[n_cells - 1]:
+    while n_cells and cells[n_cells - 1] == "":
         n_cells -= 1
-    return cells[:n_cells]
+    return n_cells
 
 
-def is_header(cells: Sequence[str]) -> bool:
+def is_header(cells: Sequence[Any]) -> bool:
     """Whether the cells of a first line are names rather than values.
 
-    They are values where each filled one could be a number or a moment; but the line
+    They are values where each could be a number, a moment or missing; but the line
     ",0,1,2" is what pandas writes above columns without names.
     """
-    filled = [cell for cell in cells if cell]
-    if not all(map(looks_like_a_value, filled)):
+    if not all(map(looks_like_a_value, cells)):
         return True
-    numbered = [str(i) for i in range(len(filled))]
-    return not cells[0] and filled == numbered
+    filled = [str(cell) for cell in cells if cell != ""]
+    return cells[0] == "" and filled == [str(i) for i in range(len(filled))]
 
 
-def decimal_of(cells: Iterator[str], separator: str) -> str | None:
+def decimal_of(cells: Iterable[Any], separator: str) -> str | None:
     """The sign before the decimals; None where the cells show both.
 
     Args:
@@ -214,11 +179,10 @@ def decimal_of(cells: Iterator[str], separator: str) -> str | None:
     """
     has_comma = False
     has_point = False
-    is_comma: Callable[[str], Any] = DECIMAL_COMMA.fullmatch
-    is_point: Callable[[str], Any] = DECIMAL_POINT.fullmatch
     for cell in cells:
-        has_comma = has_comma or is_comma(cell) is not None
-        has_point = has_point or is_point(cell) is not None
+        if isinstance(cell, str):
+            has_comma = has_comma or DECIMAL_COMMA.fullmatch(cell) is not None
+            has_point = has_point or DECIMAL_POINT.fullmatch(cell) is not None
     if not has_comma:
         return "."
     return None if has_point or separator == "," else ","

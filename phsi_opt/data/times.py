@@ -4,26 +4,43 @@ Dates become seconds, exact to the microsecond. A moment with an offset ("Z" or
 "+01:00") is taken as such; names of time zones are not read, and nothing is guessed: a
 column that is partly without offset, a day and month in an unknown order and a clock
 that was set back are refused with their row.
+
+A date may be written as one number, such as 20210131. As numbers the differences of
+these are no times: from the 31st to the next day it is 70. Numbers of 8, 10, 12 or 14
+digits are told to be dates where each of them has a year, month, day, hour, minute and
+second that there can be. Seconds since 1970, and parts of seconds, have other lengths
+or begin with no such year.
 """
 
 import datetime as dt
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.checks import LARGEST_EXACT, from_first
-from phsi_opt.data.dates_as_numbers import format_of_dates, moment_in
-from phsi_opt.data.tables import Table, holds_real_numbers, numbers_in
-from phsi_opt.data.text_cells import DECIMAL_COMMA, MISSING_CELLS, NUMBER
+from phsi_opt.data.tables import Table, holds_real_numbers, is_missing, numbers_in
+from phsi_opt.data.text_cells import DECIMAL_COMMA, NUMBER
 from phsi_opt.errors import DataError
 
 SECOND = dt.timedelta(seconds=1)
 TIME_OF_DAY = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
-NAMED_ZONE = re.compile(r".*\d ?[A-Z][A-Za-z/_]{2,}")
-EXAMPLE = "'2021-11-22 09:15:00'"
+NUMBERS = (NUMBER, DECIMAL_COMMA, re.compile(r"[+-]?inf(inity)?", re.IGNORECASE))
+# The signs of strptime after the year, with the numbers that each may stand for.
+DATE_PARTS = (
+    ("%m", 1, 12),
+    ("%d", 1, 31),
+    ("%H", 0, 23),
+    ("%M", 0, 59),
+    ("%S", 0, 59),
+)
+FEWEST_DATE_PARTS = 2  # after the year: month and day
+FIRST_YEAR = 1900
+LAST_YEAR = 2100
+WHOLE_NUMBER = re.compile(r"(\d+)(\.0*)?")
 
 Moment = dt.datetime | dt.timedelta  # of a calendar, or since midnight
 
@@ -50,30 +67,42 @@ class Times:
     date_format: str | None = None
 
     def __post_init__(self) -> None:
-        if (self.column is None) == (self.step is None):
+        step = self.step
+        if (self.column is None) == (step is None):
             raise DataError(
-                f"time={self.column!r} and step={self.step!r}; expected one of them: "
+                f"time={self.column!r} and step={step!r}; expected one of them: "
                 "the column of the times, or the time between neighbouring rows."
             )
-        if self.step is not None:
-            _check_step(self.step)
-            if self.start is not None or self.date_format is not None:
-                raise DataError(
-                    "start and date_format are for dates in a column; "
-                    "with step=... leave them out."
-                )
+        if step is None:
+            return
+        is_number = isinstance(step, int | float | np.number)
+        if isinstance(step, bool) or not is_number or not 0 < step < np.inf:
+            raise DataError(
+                f"step={step!r} is no time between rows; expected a positive number."
+            )
+        if self.start is not None or self.date_format is not None:
+            raise DataError(
+                "start and date_format are for dates in a column; "
+                "with step=... leave them out."
+            )
 
 
-def _check_step(step: Any) -> None:
-    is_number = isinstance(step, int | float | np.number)
-    if isinstance(step, bool) or not is_number or not 0 < step < np.inf:
-        raise DataError(
-            f"step={step!r} is no time between rows; expected a positive number."
-        )
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """The times of a table.
+
+    Attributes:
+        t: Of all rows, (n_rows,), in seconds where they were moments.
+        origins: The moments at which t is 0 in each trajectory; none where the times
+            are numbers.
+    """
+
+    t: np.ndarray
+    origins: Sequence[Moment] = ()
 
 
-def times_in(table: Table, times: Times, runs: Iterable[np.ndarray]) -> np.ndarray:
-    """The times of all rows, (n_rows,).
+def clock_of(table: Table, times: Times, runs: Sequence[np.ndarray]) -> Clock:
+    """The times of all rows.
 
     Args:
         table: As it was read.
@@ -84,155 +113,112 @@ def times_in(table: Table, times: Times, runs: Iterable[np.ndarray]) -> np.ndarr
         DataError: A cell is no time, or not after the one before it in its trajectory.
     """
     if times.step is not None:
-        counted = np.empty(len(table.frame))
+        t = np.empty(len(table.frame))
         for rows in runs:
-            counted[rows] = times.step * np.arange(len(rows))
-        return counted
-    if are_dates(table, times):
-        return _seconds(table, times, runs)
+            t[rows] = times.step * np.arange(len(rows))
+        return Clock(t)
+    if _are_moments(table, times):
+        return _clock_of_moments(table, times, runs)
     if times.start is not None:
         raise DataError(
             f"start={times.start!r} is for dates, and the column {times.column!r} of "
             f"{table.title} holds numbers; leave start out."
         )
-    t = _from_first(table, times.column)
-    if times.date_format is None:
-        _check_no_dates(table, times.column, t)
+    t = numbers_in(table, times.column, may_be_missing=False)
+    form = format_of_dates(t)
+    if form and times.date_format is None:
+        first = table.frame[times.column].iloc[0]
+        moment = _date_in(first, form) or "a date"  # of a 31st of February
+        raise DataError(
+            f"{table.place(times.column, 0)} {first} looks like {moment} written as "
+            "one number, and so do all others; expected times as numbers of one unit, "
+            f'or dates. Say date_format = "{form}" where they are dates, and '
+            'date_format = "" where they are numbers.'
+        )
+    if np.max(np.abs(t), initial=0.0) > LARGEST_EXACT:
+        with suppress(ValueError, OverflowError):  # not whole, or beyond all bounds
+            whole = [int(str(cell)) for cell in table.frame[times.column]]
+            t = np.asarray(from_first(whole), float)
     for rows in runs:
         _check_increasing(table, times.column, t, rows)
-    return t
+    return Clock(t)
 
 
-def origin_in(table: Table, times: Times, rows: np.ndarray) -> dt.datetime | None:
-    """The moment at which t is 0 in a trajectory; None where times are no dates.
+def format_of_dates(values: np.ndarray) -> str:
+    """How numbers are dates, in the signs of strptime; "" where they are none.
 
     Args:
-        table: As it was read, its times checked by `times_in`.
-        times: Where its times come from.
-        rows: The row numbers of the trajectory, (n_samples,).
-
-    Raises:
-        DataError: The first time is no date, or ``start`` is of another kind.
+        values: (n_samples,), NaN where a cell is missing.
     """
-    if times.step is not None or not are_dates(table, times):
-        return None
-    place = int(rows[0])
-    first = _moment_at(table, times, table.frame[times.column].iloc[place], place)
-    origin = _start(times, first) or first
-    return origin if isinstance(origin, dt.datetime) else None
+    known = values[np.isfinite(values)]
+    whole = np.floor(known)
+    has_decimals = bool(np.any(known != whole))
+    fewest = len(DATE_PARTS) if has_decimals else FEWEST_DATE_PARTS  # only seconds have
+    for n_parts in range(fewest, len(DATE_PARTS) + 1):
+        if known.size and _are_dates(whole, n_parts):
+            signs = "".join(sign for sign, _, _ in DATE_PARTS[:n_parts])
+            return f"%Y{signs}.%f" if has_decimals else f"%Y{signs}"
+    return ""
 
 
-def _check_no_dates(table: Table, column: Any, t: np.ndarray) -> None:
-    """Refuse numbers such as 20210131: their differences are no times."""
-    form = format_of_dates(t)
-    if not form:
-        return
-    first = table.frame[column].iloc[0]
-    moment = moment_in(first, form) or "a date"  # of a 31st of February
-    raise DataError(
-        f"{table.place(column, 0)} {first} looks like {moment} "
-        "written as one number, and so do all others; expected times as numbers of one "
-        f'unit, or dates. Say date_format = "{form}" where they are dates, and '
-        'date_format = "" where they are numbers.'
-    )
+def _are_dates(values: np.ndarray, n_parts: int) -> bool:
+    """Whether all values are a year and so many parts of two digits each."""
+    rest = values
+    for _, low, high in reversed(DATE_PARTS[:n_parts]):
+        rest, part = np.divmod(rest, 100)
+        if np.any((part < low) | (part > high)):
+            return False
+    return bool(np.all((rest >= FIRST_YEAR) & (rest <= LAST_YEAR)))
 
 
-def _from_first(table: Table, column: Any) -> np.ndarray:
-    """Times that are numbers, (n_rows,); see `checks.from_first`."""
-    t = numbers_in(table, column, may_be_missing=False)
-    if np.max(np.abs(t), initial=0.0) <= LARGEST_EXACT:
-        return t
-    try:
-        whole = np.array([int(str(cell)) for cell in table.frame[column]])
-    except (ValueError, OverflowError):  # not whole, or beyond all bounds
-        return t
-    return np.asarray(from_first(whole), dtype=float)
-
-
-def are_dates(table: Table, times: Times) -> bool:
-    """Whether the times are dates or times of day, as the first filled cell tells.
-
-    Raises:
-        DataError: It is neither a number nor a moment.
-    """
-    if times.column is None:
-        return False
+def _are_moments(table: Table, times: Times) -> bool:
+    """Whether the times are dates or times of day, as the first filled cell tells."""
     if times.date_format is not None:
         return times.date_format != ""
     cells = table.frame[times.column]
     if holds_real_numbers(cells):
         return False
-    for i, cell in enumerate(cells):
-        if _is_missing(cell):
-            continue
-        if not isinstance(cell, str):
-            return isinstance(cell, dt.datetime | dt.time | dt.timedelta)
-        if _is_number(cell):
-            return False
-        _moment_at(table, times, cell, i)
-        return True
-    return False
+    first = next((cell for cell in cells if not is_missing(cell)), None)
+    if not isinstance(first, str):
+        return isinstance(first, dt.datetime | dt.time | dt.timedelta)
+    is_number = any(form.fullmatch(first.strip()) for form in NUMBERS)
+    return not is_number
 
 
-def _is_number(cell: str) -> bool:
-    stripped = cell.strip()
-    is_number = NUMBER.fullmatch(stripped) or DECIMAL_COMMA.fullmatch(stripped)
-    return is_number is not None or stripped.lstrip("+-").lower() in ("inf", "infinity")
-
-
-def _is_missing(cell: Any) -> bool:
-    import pandas as pd
-
-    if isinstance(cell, str):
-        return cell.strip().lower() in MISSING_CELLS
-    return cell is None or bool(pd.isna(cell))
-
-
-def _seconds(table: Table, times: Times, runs: Iterable[np.ndarray]) -> np.ndarray:
-    """The times (n_rows,) in seconds, from moments."""
+def _clock_of_moments(table: Table, times: Times, runs: Sequence[np.ndarray]) -> Clock:
     moments: list[Moment] = []
     for i, cell in enumerate(table.frame[times.column]):
-        moment = _moment_at(table, times, cell, i)
-        if moments and _kind(moment) != _kind(moments[0]):
+        moment = _moment(cell, times.date_format)
+        if moment is None:
+            raise DataError(f"{table.place(times.column, i)} {_refused(cell, times)}")
+        moments.append(moment)
+        if _kind(moment) != _kind(moments[0]):
             raise DataError(
                 f"{table.place(times.column, i)} {cell!r} is {_kind(moment)}, and the "
                 f"first of the column is {_kind(moments[0])}; expected one kind. "
                 "Write all in one way."
             )
-        moments.append(moment)
     start = _start(times, moments[0])
     t = np.empty(len(moments))
+    origins = []
     for rows in runs:
         origin: Any = moments[rows[0]] if start is None else start
         t[rows] = [(moments[i] - origin) / SECOND for i in rows]
-        _check_increasing(table, times.column, t, rows, _as_moments(moments))
-    return t
-
-
-def _as_moments(moments: list[Moment]) -> Callable[[int], str]:
-    return lambda i: str(moments[i])
-
-
-def _moment_at(table: Table, times: Times, cell: Any, i: int) -> Moment:
-    if _is_missing(cell):
-        raise DataError(
-            f"{table.place(times.column, i)} the time is missing; "
-            "times must be known at every sample. Drop the sample."
-        )
-    moment = _moment(cell, times.date_format)
-    if moment is None:
-        raise DataError(f"{table.place(times.column, i)} {_refused(cell, times)}")
-    return moment
+        _check_increasing(table, times.column, t, rows, moments)
+        origins.append(origin)
+    return Clock(t, origins)
 
 
 def _moment(cell: Any, date_format: str | None) -> Moment | None:
     """What a cell says; None where it is no moment."""
+    if is_missing(cell):  # NaT is a datetime
+        return None
     if isinstance(cell, dt.datetime | dt.timedelta):
         return cell
     if isinstance(cell, dt.time) and cell.tzinfo is None:
         return dt.datetime.combine(dt.date.min, cell) - dt.datetime.min
     if date_format is not None:
-        return moment_in(cell, date_format)
+        return _date_in(cell, date_format)
     if not isinstance(cell, str):
         return None
     text = cell.strip()
@@ -247,20 +233,35 @@ def _moment(cell: Any, date_format: str | None) -> Moment | None:
         return None
 
 
+def _date_in(cell: Any, form: str) -> dt.datetime | None:
+    """The date that a text or a number is; None where it is none of this form.
+
+    Spreadsheets write 20210131 as 20210131.0.
+    """
+    text = str(cell).strip()
+    whole = WHOLE_NUMBER.fullmatch(text)
+    if whole is not None:
+        text = f"{whole[1]}.0" if form.endswith("%f") else whole[1]
+    try:
+        return dt.datetime.strptime(text, form)
+    except ValueError:
+        return None
+
+
 def _refused(cell: Any, times: Times) -> str:
+    if is_missing(cell):
+        return (
+            "the time is missing; times must be known at every sample. Drop the sample."
+        )
     if times.date_format is not None:
         return (
             f"{cell!r} is no moment as date_format={times.date_format!r} says. "
             "Correct the cell or the format."
         )
-    if isinstance(cell, str) and NAMED_ZONE.fullmatch(cell.strip()):
-        return (
-            f"{cell!r} has the name of a time zone, which is not read; expected an "
-            f"offset from UTC, such as {EXAMPLE[:-1]}+01:00', or none in all rows."
-        )
     return (
-        f"{cell!r} is neither a number nor a date; expected such as {EXAMPLE}. "
-        'Dates in another order: say date_format = "%d.%m.%Y %H:%M:%S".'
+        f"{cell!r} is neither a number nor a date; expected such as '2021-11-22 "
+        "09:15:00' or '2021-11-22 09:15:00+01:00' (the name of a time zone is not "
+        'read). Dates in another order: say date_format = "%d.%m.%Y %H:%M:%S".'
     )
 
 
@@ -275,9 +276,7 @@ def _kind(moment: Moment) -> str:
 def _start(times: Times, first: Moment) -> Moment | None:
     if times.start is None:
         return None
-    start = _moment(times.start, times.date_format)
-    if start is None and times.date_format is not None:
-        start = _moment(times.start, None)
+    start = _moment(times.start, times.date_format) or _moment(times.start, None)
     if start is None or _kind(start) != _kind(first):
         raise DataError(
             f"start={times.start!r} is not {_kind(first)}, as the times are; "
@@ -291,19 +290,18 @@ def _check_increasing(
     column: Any,
     t: np.ndarray,
     rows: np.ndarray,
-    written: Callable[[int], str] | None = None,
+    moments: Sequence[Moment] | None = None,
 ) -> None:
     """Refuse a time of a trajectory's rows that is not after the one before it."""
     is_late = np.diff(t[rows]) <= 0
     if not is_late.any():
         return
     number = int(np.argmax(is_late))
-    before = int(rows[number])
-    after = int(rows[number + 1])
-    said = written or (lambda i: str(float(t[i])))
-    clock = " (a clock set back in autumn repeats an hour)" if written else ""
+    before, after = rows[number : number + 2].tolist()
+    said: Any = t.tolist() if moments is None else moments
+    clock = " (a clock set back in autumn repeats an hour)" if moments else ""
     raise DataError(
-        f"{table.place(column, after)} {said(after)} is not after {said(before)} of "
+        f"{table.place(column, after)} {said[after]} is not after {said[before]} of "
         f"{table.row(before)}; times must increase strictly{clock}. "
         "Sort the samples or drop the duplicate; where runs follow each other, name "
         "the column that tells them apart (trajectory)."

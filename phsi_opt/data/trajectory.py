@@ -11,12 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.checks import (
-    check_unique,
-    check_values,
-    is_bad,
-    read_only_floats,
-)
+from phsi_opt.data.checks import check_unique, check_values, read_only_floats
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
 
@@ -32,7 +27,7 @@ class Trajectory:
         name: A text of one line that is not empty, unique within the measurements.
         t: Times, (n_samples,), at least 2.
         x: States, (n_samples, n_states), NaN where not measured.
-        u: Inputs, (n_samples, n_inputs).
+        u: Inputs, (n_samples, n_inputs); of a single channel (n_samples,) will do.
         origin: The moment at which t is 0, where the times were dates; else None.
 
     Raises:
@@ -57,8 +52,7 @@ class Trajectory:
             title = f"trajectory {self.name!r}: {label}"
             array = read_only_floats(getattr(self, label), n_axes, title)
             object.__setattr__(self, label, array)
-        _check_lengths(self)
-        _check_times(self)
+        _check_samples(self)
 
     @property
     def n_samples(self) -> int:
@@ -136,42 +130,28 @@ def _check_columns(
             f"expected {len(names)}, one for each of {list(names)}. "
             "Name every column of the array."
         )
-    may_be_missing = kind == "state"
-    if not is_bad(values, may_be_missing).any():
-        return
-    for name, column in zip(names, values.T, strict=True):
-        _check_channel(run, f"{kind} {name!r}", column, may_be_missing)
+
+    def place_of(i: int, k: int) -> str:
+        where = f"at sample {i} (t={run.t[i]})"
+        return f"trajectory {run.name!r}: {kind} {names[k]!r} {where}"
+
+    check_values(values, place_of, may_be_missing=kind == "state")
 
 
-def _check_channel(
-    run: Trajectory, channel: str, values: np.ndarray, may_be_missing: bool
-) -> None:
-    def place_of(i: int) -> str:
-        return f"trajectory {run.name!r}: {channel} at sample {i} (t={run.t[i]})"
-
-    check_values(values, place_of, may_be_missing)
-
-
-def _check_lengths(run: Trajectory) -> None:
-    n_times = len(run.t)
+def _check_samples(run: Trajectory) -> None:
     for label, array in (("x", run.x), ("u", run.u)):
-        if len(array) != n_times:
+        if len(array) != run.n_samples:
             raise DataError(
                 f"trajectory {run.name!r}: {label} has {len(array)} rows "
-                f"and t has {n_times}; expected one row per time. "
+                f"and t has {run.n_samples}; expected one row per time. "
                 "Check that the arrays belong together and are not transposed."
             )
-    if n_times < 2:
+    if run.n_samples < 2:
         raise DataError(
-            f"trajectory {run.name!r} has {number_of(n_times, 'sample')}; "
+            f"trajectory {run.name!r} has {number_of(run.n_samples, 'sample')}; "
             "expected at least 2. Leave the trajectory out."
         )
-
-
-def _check_times(run: Trajectory) -> None:
-    def place_of(i: int) -> str:
-        return f"trajectory {run.name!r}: t[{i}]"
-
+    place_of = f"trajectory {run.name!r}: t[{{}}]".format
     check_values(run.t, place_of, may_be_missing=False)
     is_late = np.diff(run.t) <= 0
     if is_late.any():

@@ -1,6 +1,4 @@
-"""Words for numbers, names and channels, as messages and summaries print them."""
-
-import numpy as np
+"""Words for numbers and names, as messages and summaries print them."""
 
 
 def number_of(n: int, noun: str, plural: str | None = None) -> str:
@@ -19,19 +17,3 @@ def number_of(n: int, noun: str, plural: str | None = None) -> str:
 def numbered_names(prefix: str, n: int) -> list[str]:
     """The names of n things that nobody named: "u1", "u2", ..."""
     return [f"{prefix}{i}" for i in range(1, n + 1)]
-
-
-def in_brackets(unit: str) -> str:
-    """The end of a channel's name: " [m]" for the unit "m", nothing for none."""
-    return f" [{unit}]" if unit else ""
-
-
-def extent_of(values: np.ndarray) -> str:
-    """How many of a channel's values (n_samples,) were measured, and their range."""
-    measured = values[np.isfinite(values)]
-    if not measured.size:
-        return "not measured"
-    lowest = measured.min()
-    highest = measured.max()
-    n_measured = f"{measured.size} of {values.size} samples measured"
-    return f"{n_measured}, {lowest:g} to {highest:g}"

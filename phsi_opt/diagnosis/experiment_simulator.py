@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.comparison.compare import compare
+from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.experiments import Experiment
 from phsi_opt.estimation.fit import Fit
@@ -70,13 +71,13 @@ class ExperimentSimulator:
 
     def __init__(self, fit: Fit, data: Measurements, number: int) -> None:
         self.model = fit.model_of(data.trajectories[number].name)
-        self.hold = data.hold
         knows_states = len(fit.states) == data.n_trajectories
         runs = fit.states if knows_states else compare(fit, data).simulated
         self.x0 = runs[number][0]
         self.theta = self.model.theta
         self.bounds = _bounds(self.model)
         self._inputs = [data.inputs.index(name) for name in self.model.inputs]
+        self.hold = hold_of_each(data.hold, data.inputs)[self._inputs]
 
     @property
     def z(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.problem import Loss, Task
@@ -145,7 +146,7 @@ class Estimate(ABC):
             noise={},
             outcome=self.solution.outcome,
             n_values=self.n_values,
-            hold=self.task.data.hold,
+            hold=checked_hold(self.task.data.hold, self.model.inputs),
             units=dict(self.task.data.units),
             removed=self.removed,
             provenance=self._provenance(),

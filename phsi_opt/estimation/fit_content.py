@@ -119,7 +119,7 @@ def fit_parts(content: Content) -> dict[str, Any]:
         "outcome": _outcome_from(content["outcome"]),
         "n_values": int(content["n_values"]),
         "bic": float(content["bic"]),
-        "hold": checked_hold(content["hold"]),
+        "hold": checked_hold(content["hold"], model.inputs),
         "huber": _huber_from(content.get("huber")),
         "steps": _steps_from(content.get("steps", []), content.get("n_gaps", [])),
         "seconds": float(content.get("seconds", np.nan)),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from phsi_opt.data.checks import Hold
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
 from phsi_opt.presentation.table_making import printed_table
@@ -41,14 +42,14 @@ class Identified:
 
     Attributes:
         model: The model; the found values are the values of its parameters.
-        hold: How inputs are held between samples, "linear", "zero" or "cubic", as the
-            measurements declared it.
+        hold: How inputs are held between samples, "linear", "zero" or "cubic", or by
+            input, as the measurements declared it.
         seconds: Wall time of the whole identification, starting values included.
         removed: Names of the terms that were pruned, in order.
     """
 
     model: Model
-    hold: str = "linear"
+    hold: Hold = "linear"
     seconds: float = np.nan
     removed: tuple[str, ...] = ()
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phsi_opt.data.noise_by_run import scatter_by_run
+from phsi_opt.data.noise import scatter_by_run
 from phsi_opt.estimation.identifiability import SilentDirections
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.transcription import Transcription

@@ -24,6 +24,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_forced
@@ -115,7 +116,7 @@ def hybrid(
     assert fit is not None
     return Hybrid(
         model=model,
-        hold=record.hold,
+        hold=checked_hold(record.hold, record.inputs),
         seconds=time.perf_counter() - began,
         removed=fit.removed,
         fit=fit,

@@ -36,6 +36,7 @@ class ColumnDraft:
         name: in formulas, of a state or an input.
         unit: such as "m"; "" where it is unknown.
         noise: standard deviation of a state's noise; "" where it is unknown.
+        hold: what an input does between samples; "": as the others.
         examples: its first cells.
         is_numeric: whether it holds numbers; else it can only name runs.
         fits_no_state: a state to the user, which the base model that was chosen last
@@ -50,6 +51,7 @@ class ColumnDraft:
     examples: tuple[str, ...] = ()
     is_numeric: bool = True
     fits_no_state: bool = False
+    hold: str = ""
 
 
 @dataclass

@@ -180,6 +180,7 @@ def _take_data(content: Mapping[str, Any], data: DataDraft) -> None:
             column.name = name
             column.unit = channel.get("unit", "")
             column.noise = _written(channel.get("noise"))
+            column.hold = channel.get("hold", "")
 
 
 def told_columns(content: Mapping[str, Any]) -> list[str | int]:
@@ -197,7 +198,9 @@ def _channels(draft: DataDraft, role: str) -> Content:
 
 def _channel(column: ColumnDraft) -> Content:
     noise = _number(column.noise) if column.role == STATE else ""
-    return {"column": column.column, **_filled(unit=column.unit, noise=noise)}
+    hold = column.hold if column.role == INPUT else ""
+    filled = _filled(unit=column.unit, noise=noise, hold=hold)
+    return {"column": column.column, **filled}
 
 
 def _held_out(draft: HeldOutDraft) -> Content:

@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phsi_opt.data.checks import HOLDS
+from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.evaluated import Evaluated
@@ -54,7 +54,7 @@ ROUNDING = 1e-6  # of a length over the usual one, when parts are counted
 
 
 def free_run(
-    model: Model, t: Any, x0: Any, u: Any = None, hold: str = "linear"
+    model: Model, t: Any, x0: Any, u: Any = None, hold: Hold = "linear"
 ) -> np.ndarray:
     """Solve dx/dt = model(x, u, t) from x0 at t[0], accurate to about `TOLERANCE`.
 
@@ -63,7 +63,7 @@ def free_run(
         t: (n_samples,) strictly increasing times.
         x0: (n_states,) starting state.
         u: (n_samples, n_inputs) inputs at t; None if the model has no inputs.
-        hold: between the samples of u, one of `HOLDS`.
+        hold: between the samples of u, as in `simulate`.
 
     Returns:
         (n_samples, n_states).
@@ -76,10 +76,11 @@ def free_run(
     start = np.asarray(x0, dtype=float)
     inputs = np.zeros((times.size, 0)) if u is None else np.asarray(u, dtype=float)
     found = None
-    if _is_usable(model, times, start, inputs, hold):
+    of_each = hold_of_each(hold, model.inputs)
+    if _is_usable(model, times, start, inputs):
         theta = tuple(model.theta.tolist())
         runs = _runs_of(model.rhs(), theta, get_ident())
-        found = runs.run(times, start, inputs, hold)
+        found = runs.run(times, start, inputs, of_each)
     if found is not None:
         return found
     # Arguments that cannot be used go to SciPy too: `simulate` says what is wrong with
@@ -107,10 +108,8 @@ def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
     return Runs(_rates(rhs, np.array(theta)))
 
 
-def _is_usable(
-    model: Model, t: np.ndarray, x0: np.ndarray, u: np.ndarray, hold: str
-) -> bool:
-    if t.ndim != 1 or t.size < 2 or hold not in HOLDS:
+def _is_usable(model: Model, t: np.ndarray, x0: np.ndarray, u: np.ndarray) -> bool:
+    if t.ndim != 1 or t.size < 2:
         return False
     if x0.shape != (model.n_states,) or u.shape != (t.size, model.n_inputs):
         return False
@@ -137,7 +136,7 @@ class Runs:
         t: np.ndarray,
         x0: np.ndarray,
         u: np.ndarray,
-        hold: str,
+        hold: np.ndarray,
         tolerance: float = TOLERANCE,
     ) -> np.ndarray | None:
         """The states from x0; None where explicit steps cannot make them accurate.
@@ -146,7 +145,7 @@ class Runs:
             t: (n_samples,) strictly increasing times.
             x0: (n_states,) starting state.
             u: (n_samples, n_inputs).
-            hold: between the samples of u, one of `HOLDS`.
+            hold: (n_inputs,) what each input does between its samples.
             tolerance: as `TOLERANCE`.
 
         Returns:
@@ -213,21 +212,23 @@ class _Steps:
 @dataclass(frozen=True, eq=False)
 class _Record:
     """Times and inputs at the samples; the slope of the inputs in every interval, or
-    what they are between samples where they are smooth.
+    what those are between samples that are smooth.
     """
 
     t: np.ndarray
     u: np.ndarray
     slope: np.ndarray
-    smooth: SmoothInputs | None = None
+    is_smooth: np.ndarray
+    smooth: SmoothInputs | None
 
     @classmethod
-    def of(cls, t: np.ndarray, u: np.ndarray, hold: str) -> "_Record":
+    def of(cls, t: np.ndarray, u: np.ndarray, hold: np.ndarray) -> "_Record":
         """The record with its slopes, which are zero where inputs are held."""
-        if hold == "zero":
-            return cls(t, u, np.zeros_like(u[1:]))
-        smooth = SmoothInputs(t, u) if hold == "cubic" else None
-        return cls(t, u, np.diff(u, axis=0) / np.diff(t)[:, None], smooth)
+        slope = np.diff(u, axis=0) / np.diff(t)[:, None]
+        slope[:, hold == "zero"] = 0.0
+        is_smooth = hold == "cubic"
+        smooth = SmoothInputs(t, u) if is_smooth.any() else None
+        return cls(t, u, slope, is_smooth, smooth)
 
     def columns(self, steps: _Steps) -> np.ndarray:
         """Time, length, inputs and their slopes of every step, a column each; steps of
@@ -238,12 +239,12 @@ class _Record:
         n_filled = -(-n_steps // CHUNK) * CHUNK
         columns = np.zeros((2 + 2 * n_inputs, n_filled))
         begin = self.t[steps.interval] + steps.since
-        if self.smooth is None:
-            slope = self.slope[steps.interval]
-            inputs = self.u[steps.interval] + slope * steps.since[:, None]
-        else:
-            inputs, at_ends = self.smooth.lines(begin, begin + steps.h)
-            slope = (at_ends - inputs) / steps.h[:, None]
+        slope = self.slope[steps.interval]
+        inputs = self.u[steps.interval] + slope * steps.since[:, None]
+        if self.smooth is not None:
+            first, last = self.smooth.lines(begin, begin + steps.h)
+            inputs = np.where(self.is_smooth, first, inputs)
+            slope = np.where(self.is_smooth, (last - first) / steps.h[:, None], slope)
         columns[0, :n_steps] = begin
         columns[1, :n_steps] = steps.h
         columns[2 : 2 + n_inputs, :n_steps] = inputs.T

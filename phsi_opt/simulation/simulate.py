@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from phsi_opt.data.checks import checked_hold
+from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.interrupts import interruptible
@@ -45,7 +45,7 @@ def simulate(
     x0: Any,
     u: Any = None,
     *,
-    hold: str = "linear",
+    hold: Hold = "linear",
     method: str = "LSODA",
     force: Callable[[float, np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
@@ -58,7 +58,8 @@ def simulate(
         u: (n_samples, n_inputs) inputs at t, or a function of the time; None if the
             model has no inputs.
         hold: between the samples of u, "linear", "zero" (zero-order hold) or "cubic"
-            (a smooth input: the spline through the samples).
+            (a smooth input: the spline through the samples), or a mapping from the
+            names of inputs to these; those it leaves out are "linear".
         method: of `scipy.integrate.solve_ivp`.
         force: function (t, x) -> (n_states,) that is added to dx/dt, for a force that
             is not part of the model.
@@ -81,7 +82,7 @@ def simulate_forced(
     u: Any,
     force: Force | None,
     *,
-    hold: str = "linear",
+    hold: Hold = "linear",
     method: str = "LSODA",
 ) -> np.ndarray:
     """`simulate` with a force that may depend on the inputs.
@@ -101,7 +102,7 @@ def simulate_forced(
     """
     t = _checked_times(t)
     x0 = _checked_start(model, x0)
-    pieces = _pieces(t, _inputs(model, t, u), hold)
+    pieces = _pieces(t, _inputs(model, t, u), hold_of_each(hold, model.inputs))
     f = _right_hand_side(model)
     if force is not None:
         f = partial(_with_force, f, force)
@@ -255,27 +256,48 @@ def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
     return values
 
 
-def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[_Piece]:
-    """The stretches over which the input is smooth."""
-    checked_hold(hold)
+def _pieces(t: np.ndarray, u: Any, hold: np.ndarray) -> Iterator[_Piece]:
+    """The stretches over which the inputs are smooth.
+
+    Args:
+        t: (n_samples,) times.
+        u: (n_samples, n_inputs), or a function of the time.
+        hold: (n_inputs,) what each input does between its samples.
+    """
     end = len(t) - 1
     sample = float(np.max(np.diff(t)))
     if callable(u):
         yield _Piece(0, end, partial(_called, u), sample)
     elif not u.shape[1]:
         yield _Piece(0, end, partial(_constant, u[0]), np.inf)
-    elif hold == "zero":
-        changes = np.flatnonzero(np.any(np.diff(u[:-1], axis=0) != 0, axis=1)) + 1
-        limits = [0, *changes.tolist(), end]
-        for first, last in pairwise(limits):
-            yield _Piece(first, last, partial(_constant, u[first]), np.inf)
-    elif hold == "linear":
-        slope = np.diff(u, axis=0) / np.diff(t)[:, None]
-        value = partial(_interpolated, t.tolist(), u, slope)
-        # No step may be longer than a sample, or a short pulse is stepped over.
-        yield _Piece(0, end, value, sample)
     else:
-        yield _Piece(0, end, SmoothInputs(t, u), sample)
+        is_held = hold == "zero"
+        held = u[:, is_held]
+        changes = np.flatnonzero(np.any(np.diff(held[:-1], axis=0) != 0, axis=1)) + 1
+        moving = _moving(t, u, hold == "cubic")
+        for first, last in pairwise([0, *changes.tolist(), end]):
+            constant = partial(_constant, u[first])
+            value = _by_input(is_held, constant, moving)
+            # No step may be longer than a sample, or a short pulse is stepped over.
+            yield _Piece(first, last, value, np.inf if is_held.all() else sample)
+
+
+def _moving(t: np.ndarray, u: np.ndarray, is_smooth: np.ndarray) -> Input:
+    """Inputs that go from sample to sample, on straight lines or smoothly."""
+    slope = np.diff(u, axis=0) / np.diff(t)[:, None]
+    lines = partial(_interpolated, t.tolist(), u, slope)
+    return _by_input(is_smooth, SmoothInputs(t, u), lines) if is_smooth.any() else lines
+
+
+def _by_input(chosen: np.ndarray, one: Input, other: Input) -> Input:
+    """Of each input one function of the time where it is chosen, else the other."""
+    if chosen.all():
+        return one
+    return partial(_chosen, chosen, one, other) if chosen.any() else other
+
+
+def _chosen(chosen: np.ndarray, one: Input, other: Input, at: float) -> np.ndarray:
+    return np.where(chosen, one(at), other(at))
 
 
 def _called(u: Callable[[float], Any], at: float) -> np.ndarray:

@@ -206,7 +206,7 @@ def _settings(study: StudyRecord) -> tuple[Fact, ...]:
     facts.append(Fact("Starting states", starts))
     facts.append(Fact("Units", _units(study.train)))
     if study.train.inputs:
-        facts.append(Fact("Inputs between samples", HOLD_WORDS[study.train.hold]))
+        facts.append(Fact("Inputs between samples", _hold(study.train)))
     facts.append(Fact("Loss", str(study.loss)))
     facts.append(Fact("Standard errors", str(study.last.fit.std_error_source)))
     facts.append(Fact("Intervals", f"{100 * LEVEL:.0f} %, Student's distribution"))
@@ -217,6 +217,13 @@ def _settings(study: StudyRecord) -> tuple[Fact, ...]:
     versions.append(f"Python {platform.python_version()}")
     facts.append(Fact("Versions", ", ".join(versions)))
     return tuple(facts)
+
+
+def _hold(data: Measurements) -> str:
+    if isinstance(data.hold, str):
+        return HOLD_WORDS[data.hold]
+    words = [f"{name}: {HOLD_WORDS[word]}" for name, word in data.hold.items()]
+    return "; ".join(words)
 
 
 def _data(data: Measurements) -> str:

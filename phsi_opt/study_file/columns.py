@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.data.dates_as_numbers import format_of_dates
 from phsi_opt.data.tables import Table
 from phsi_opt.data.text_cells import MISSING_CELLS
+from phsi_opt.data.times import format_of_dates
 from phsi_opt.data.wording import number_of
 from phsi_opt.study_file.data_files import rows_of_runs
 from phsi_opt.study_file.headers import TIMES, Header

@@ -16,7 +16,7 @@ from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.tables import Table, numbers_in, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
-from phsi_opt.data.times import Times, times_in
+from phsi_opt.data.times import Times, clock_of
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.study_file.complaints import Complaints, Part
 from phsi_opt.study_file.sections import Channel, DataSection, HeldOut, reader_of
@@ -142,7 +142,7 @@ def _check_column(
         return  # told where the table is read as a whole
     if key == TIME_KEY:
         times = Times(column, None, section.start, section.date_format)
-        times_in(table, times, _rows(table, section.trajectory))
+        clock_of(table, times, _rows(table, section.trajectory))
     else:
         is_state = key.startswith("data.states.")
         numbers_in(table, column, may_be_missing=is_state)

@@ -1,8 +1,8 @@
 """What a column's header tells: a name, a unit, and words such as "time" or "force".
 
 Units stand in brackets ("q [m]", "T (degC)", "Time(s)"), after a stroke ("x / mm"), or
-after the last underscore where it is one ("position_m", "Tempo_s"). A column of a
-MATLAB matrix, "X(:,2)", has none.
+after the last underscore where it is one ("position_m", "Tempo_s"); "v_m_s" is in m/s,
+"a_m_s2" in m/s2. A column of a MATLAB matrix, "X(:,2)", has none.
 """
 
 import re
@@ -74,6 +74,10 @@ class Header:
             if found and found[1]:
                 return cls(text, found[1], SPELLED.get(found[2], found[2]))
         label, _, last = text.rpartition("_")
+        name, _, numerator = label.rpartition("_")
+        is_time = not TIME_WORDS.isdisjoint(words_of(text)[:1])
+        if name and not is_time and _is_rate(numerator, last):
+            return cls(text, name, f"{numerator}/{last}")
         is_unit = last in TIMES | VOLTS or kind_of_unit(last) != ""
         if label and last not in INDICES and is_unit:
             return cls(text, label, SPELLED.get(last, last))
@@ -125,3 +129,9 @@ class Header:
         """A name that formulas can use, from the label."""
         name = re.sub(r"\W+", "_", self.label).strip("_")
         return f"x{name}" if name[:1].isdigit() else name
+
+
+def _is_rate(numerator: str, denominator: str) -> bool:
+    """Whether the quotient of two units is that of a rate: m/s, l/min, rad/s2."""
+    time = denominator.removesuffix("2")
+    return time in TIMES and kind_of_unit(f"{numerator}/{time}") != ""

@@ -46,6 +46,7 @@ data.states.*.noise | positive number | standard deviation, in its unit; default
 data.inputs.* | table | an input, by its name in the formulas
 data.inputs.*.column | text or position | its header, or its position from 0
 data.inputs.*.unit | text | its unit, such as "m"; default: unknown
+data.inputs.*.hold | "linear", "zero" or "cubic" | of this one; default: data.hold
 held_out.runs | list of texts | names of the runs held out
 held_out.share | number from 0 to 1 | or: the last share of the runs, or of a single run
 held_out.after | number | or: of every run, what is measured from this time on

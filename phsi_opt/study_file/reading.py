@@ -181,7 +181,8 @@ def _time(data: Part) -> dict[str, Any]:
 def _channel(part: Part) -> Channel:
     column = part.get("column", "")
     unmeasured = column == "" or not part.get("measured", True)
-    return Channel(None if unmeasured else column, part.get("unit", ""))
+    column = None if unmeasured else column
+    return Channel(column, part.get("unit", ""), hold=part.get("hold", None))
 
 
 def _channels(data: Part, what: str) -> dict[str, Channel]:

@@ -45,11 +45,13 @@ class Channel:
             measured.
         unit: such as "m"; "" where it is unknown.
         noise: standard deviation of a state's noise, in its unit; None: estimated.
+        hold: what an input does between samples; None: as the others.
     """
 
     column: str | int | None
     unit: str = ""
     noise: float | None = None
+    hold: str | None = None
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,13 @@ class DataSection:
         if self.time.column is not None:
             arguments["time"] = self.time.column
         if self.inputs:
-            arguments |= {"inputs": _columns(self.inputs), "hold": self.hold}
+            arguments["inputs"] = _columns(self.inputs)
+            arguments["hold"] = self.hold
+            by_input = {
+                name: one.hold or self.hold for name, one in self.inputs.items()
+            }
+            if len(set(by_input.values())) > 1:
+                arguments["hold"] = by_input
         for name in TOLD_TO_READERS:
             if getattr(self, name) is not None:
                 arguments[name] = getattr(self, name)

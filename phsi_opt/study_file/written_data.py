@@ -23,13 +23,17 @@ def section_of(data: Measurements, file: str) -> DataSection:
     for name in data.states:
         column = name if name in data.measured else None
         states[name] = Channel(column, data.units[name], noise.get(name))
+    inputs = {}
+    for name in data.inputs:
+        hold = None if isinstance(data.hold, str) else data.hold[name]
+        inputs[name] = Channel(name, data.units[name], hold=hold)
     return DataSection(
         files=(file,),
         time=Channel(TIME_COLUMN, data.units["t"]),
         states=states,
-        inputs={name: Channel(name, data.units[name]) for name in data.inputs},
+        inputs=inputs,
         trajectory=RUN_COLUMN,
-        hold=data.hold,
+        hold=data.hold if isinstance(data.hold, str) else "linear",
     )
 
 

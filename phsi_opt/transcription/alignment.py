@@ -117,12 +117,16 @@ def aligned(model: Model, data: Measurements) -> Measurements:
     )
     kept = {"t", *model.states, *model.inputs}
     units = {name: unit for name, unit in data.units.items() if name in kept}
+    hold = data.hold
+    if not isinstance(hold, str):
+        hold = {name: hold[name] for name in model.inputs}
     return replace(
         data,
         trajectories=trajectories,
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         units=units,
+        hold=hold,
     )
 
 

@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.data.trajectory import Trajectory
@@ -169,22 +170,25 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     has_gap[last_sample] = False
     n_nodes[has_gap] = steps if isinstance(steps, int) else np.concatenate(steps)
     places = _NodePlaces.of(n_nodes, last_sample)
-    t = places.interpolated(np.concatenate([run.t for run in runs]))
+    t = places.interpolated(data.stacked("t"))
     is_sample = places.fraction == 0
-    x = np.concatenate([run.x for run in runs])
+    x = data.stacked("x")
     y = np.full((len(t), x.shape[1]), np.nan)
     y[is_sample] = x
     trajectory = np.repeat(np.arange(len(runs)), lengths)[places.left]
     begin = np.flatnonzero(np.diff(trajectory) == 0)
-    u = np.concatenate([run.u for run in runs])
-    if data.hold == "zero":
-        u = u[places.left]
-        u0 = u1 = u[begin]
-    elif data.hold == "linear":
-        u = places.interpolated(u)
-        u0, u1 = u[begin], u[begin + 1]
-    else:
-        u, u0, u1 = _smooth(runs, t, trajectory, begin)
+    hold = hold_of_each(data.hold, data.inputs)
+    is_held = hold == "zero"
+    u = data.stacked("u")
+    u = np.where(is_held, u[places.left], places.interpolated(u))
+    u0 = u[begin]
+    u1 = np.where(is_held, u0, u[begin + 1])
+    is_smooth = hold == "cubic"
+    if is_smooth.any():
+        smooth = _smooth(runs, t, trajectory, begin)
+        u = np.where(is_smooth, smooth[0], u)
+        u0 = np.where(is_smooth, smooth[1], u0)
+        u1 = np.where(is_smooth, smooth[2], u1)
     return Grid(
         t=t,
         y=y,
@@ -201,7 +205,7 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
 def _smooth(
     runs: Sequence[Trajectory], t: np.ndarray, trajectory: np.ndarray, begin: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Smooth inputs at the nodes, and their lines at both ends of every interval.
+    """Inputs that are smooth, at the nodes, and their lines at the ends of intervals.
 
     Args:
         runs: all trajectories.

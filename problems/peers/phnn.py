@@ -22,6 +22,7 @@ from phsi_opt.baselines.descent_settings import (
     require_size,
 )
 from phsi_opt.baselines.torch_steps import Steps
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
@@ -147,7 +148,7 @@ def phnn(
         inputs=data.inputs,
         S=np.array(model.S),
         neural=neural,
-        hold=data.hold,
+        hold=checked_hold(data.hold, data.inputs),
         damping=dict(zip(damping, networks.damping.tolist(), strict=True)),
         energy_layers=arrays_of(networks.energy),
         force_layers=arrays_of(networks.force),

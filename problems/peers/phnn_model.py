@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from phsi_opt.data.checks import Hold
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.presentation.table_making import printed_table
@@ -51,7 +52,7 @@ class PHNN:
     energy_layers: Layers
     force_layers: Layers = ()
     neural: JointForce | None = None
-    hold: str = "linear"
+    hold: Hold = "linear"
     seconds: float = float("nan")
     loss_value: float = float("nan")
     history: pd.DataFrame = field(default_factory=pd.DataFrame)

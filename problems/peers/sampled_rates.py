@@ -10,6 +10,7 @@ import numpy as np
 import pysindy as ps
 
 from phsi_opt.baselines.descent_settings import require_choice
+from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.data.trajectory import Trajectory
@@ -54,7 +55,8 @@ def sampled_rates(data: Measurements, derivative: str) -> SampledRates:
     """
     require_choice("derivative", derivative, tuple(DERIVATIVES))
     rates_of = DERIVATIVES[derivative]
-    return _joined([rates_of(run, data.hold) for run in data.trajectories])
+    hold = hold_of_each(data.hold, data.inputs)
+    return _joined([rates_of(run, hold) for run in data.trajectories])
 
 
 def _joined(parts: Sequence[SampledRates]) -> SampledRates:
@@ -66,7 +68,7 @@ def _joined(parts: Sequence[SampledRates]) -> SampledRates:
     )
 
 
-def _midpoint(run: Trajectory, hold: str) -> SampledRates:
+def _midpoint(run: Trajectory, hold: np.ndarray) -> SampledRates:
     """(x1 - x0)/h at (x0 + x1)/2, a row per interval."""
     h = np.diff(run.t)
     u = _mean_inputs(run, hold)
@@ -74,15 +76,13 @@ def _midpoint(run: Trajectory, hold: str) -> SampledRates:
     return SampledRates(_middles(run.x), u, _middles(run.t), dx)
 
 
-def _mean_inputs(run: Trajectory, hold: str) -> np.ndarray:
+def _mean_inputs(run: Trajectory, hold: np.ndarray) -> np.ndarray:
     """The mean of the inputs in every interval, (n_samples - 1, n_inputs)."""
-    if hold == "zero":
-        return run.u[:-1]
-    if hold == "linear":
-        return _middles(run.u)
+    mean = np.where(hold == "zero", run.u[:-1], _middles(run.u))
+    if "cubic" not in hold:
+        return mean
     first, last = SmoothInputs(run.t, run.u).lines(run.t[:-1], run.t[1:])
-    mean: np.ndarray = (first + last) / 2
-    return mean
+    return np.where(hold == "cubic", (first + last) / 2, mean)
 
 
 def _middles(values: np.ndarray) -> np.ndarray:
@@ -90,14 +90,14 @@ def _middles(values: np.ndarray) -> np.ndarray:
     return result
 
 
-def _finite_difference(run: Trajectory, hold: str) -> SampledRates:
+def _finite_difference(run: Trajectory, hold: np.ndarray) -> SampledRates:
     """Differences of second order at each sample."""
     _check_length(run, 3, "finite difference")
     dx = np.asarray(ps.FiniteDifference(order=2)(run.x, run.t))
     return SampledRates(run.x, run.u, run.t, dx)
 
 
-def _smoothed(run: Trajectory, hold: str) -> SampledRates:
+def _smoothed(run: Trajectory, hold: np.ndarray) -> SampledRates:
     """The same after a Savitzky-Golay filter, at the smoothed states."""
     _check_length(run, WINDOW, "smoothed")
     steps = np.diff(run.t)
@@ -113,7 +113,7 @@ def _smoothed(run: Trajectory, hold: str) -> SampledRates:
     return SampledRates(np.asarray(method.smoothed_x_), run.u, run.t, dx)
 
 
-DERIVATIVES: dict[str, Callable[[Trajectory, str], SampledRates]] = {
+DERIVATIVES: dict[str, Callable[[Trajectory, np.ndarray], SampledRates]] = {
     "midpoint": _midpoint,
     "finite difference": _finite_difference,
     "smoothed": _smoothed,

@@ -27,6 +27,7 @@ from phsi_opt.baselines.descent_settings import (
     require_size,
 )
 from phsi_opt.baselines.result import Baseline
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.interrupts import interruptible
@@ -222,7 +223,7 @@ def _regressed(
         )
     return Baseline(
         model=held.with_values(values).without(set(removed)),
-        hold=data.hold,
+        hold=checked_hold(data.hold, data.inputs),
         seconds=time.perf_counter() - began,
         removed=tuple(removed),
         method=method.name,

@@ -32,6 +32,7 @@ from phsi_opt.baselines.torch_polynomials import (
     gradient_cells,
     monomial,
 )
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
 from phsi_opt.interrupts import interruptible
@@ -182,7 +183,7 @@ def ssinn(
         loss_value = float(flow.loss(theta, tables).detach())
     return Baseline(
         model=model.with_values(values),
-        hold=data.hold,
+        hold=checked_hold(data.hold, data.inputs),
         seconds=time.perf_counter() - began,
         method="SSINN",
         loss_value=loss_value,
