@@ -21,7 +21,7 @@ from phsi_opt.presentation.tables import (
     text_of_table,
 )
 from phsi_opt.screening.effect_size import Size
-from phsi_opt.study.history import HISTORY_COLUMNS
+from phsi_opt.study.record import HISTORY_COLUMNS
 
 LONG = "position-dependent damping on p2, without coupling stiffness on p1, re-fitted"
 EVIL = "<script>alert(1)</script>[bold red]&amp;"

@@ -18,8 +18,8 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.presentation.content import unestablished_words
 from phsi_opt.study import Study
-from phsi_opt.study.summary import unestablished_words
 from phsi_opt.study_file.study_file import StudyFile
 
 Tell = Callable[[Message], None]
@@ -175,12 +175,13 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         study.auto(job.max_steps or file.steps.max_steps, reach=job.reach)
         code = ExitCode(_code(study.diagnose(), job))
         advice = str(study.diagnose().next_step)
+    names = tuple(one.name for one in study.record.unestablished)
     content = {
         "next": advice,
         "stopped": study.stopped,
         "history": table_content(study.history),
         "added": [str(effect) for effect in study.added],
-        "unestablished": [one.name for one in study.record.unestablished],
+        "unestablished": list(names),
         "verdict": str(study.diagnose().verdict) if job.is_auto else None,
         "equations": study.fit.equations(),
         "unit": study.unit,
@@ -196,7 +197,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     ]
     if study.stopped:
         text += ["", study.stopped]
-    open_ = unestablished_words(study.record)
+    open_ = unestablished_words(names)
     if open_:
         text.append(open_)
     if advice:

@@ -17,11 +17,16 @@ from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
-from phsi_opt.page.file_names import name_refusal, suffix_of, without_path
+from phsi_opt.page.files import (
+    MOST_FILES,
+    MOST_UPLOADED,
+    in_megabytes,
+    name_refusal,
+    suffix_of,
+    without_path,
+)
 from phsi_opt.page.gallery import GALLERY, BaseModel
-from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
 from phsi_opt.page.matching import left_over, match_states
-from phsi_opt.page.snapshot import Snapshot
 from phsi_opt.page.study_draft import Drafted, StudyDraft, told_columns
 from phsi_opt.page.table_look import look_at
 from phsi_opt.page.worker import (
@@ -39,6 +44,7 @@ from phsi_opt.page.worker import (
     Wrote,
 )
 from phsi_opt.page.worker_handle import WorkerHandle
+from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.study_file import StudyFile
@@ -48,6 +54,7 @@ WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 REPORT_FILE = "report.html"
+MOST_LINES = 200  # of progress that are kept
 LOOKING = "looking for what is missing"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
@@ -57,14 +64,27 @@ class Look:
     """What the charts show, so that a page that is loaded again shows it too.
 
     Attributes:
-        run: its number in the snapshot.
-        channel: the state that is drawn; "" for the first.
+        run: its number among those of the study; ``channel``: that of its channel.
         t: the time that is marked; None: none is.
     """
 
     run: int = 0
-    channel: str = ""
+    channel: int = 0
     t: float | None = None
+
+    @classmethod
+    def at(cls, content: StudyContent) -> "Look":
+        """Where the verdict says that it shows best, else where the error is worst."""
+        glance = content.glance
+        if glance is None:
+            return cls(content.shown)
+        return cls(glance.run, glance.channel, glance.t)
+
+    def is_of(self, content: StudyContent | None) -> bool:
+        """Whether it is where the present model is said to fail."""
+        if content is None or content.glance is None or content.present is None:
+            return False
+        return bool(content.present.forces) and self == Look.at(content)
 
 
 @dataclass
@@ -126,7 +146,7 @@ class Session:
         message: what was handed out last, or how the last job ended where it did not
             end well; "" else.
         failure: why the last job could not be done; "" where it could.
-        snapshot: the study as it stands; None before the first fit.
+        content: the study as it stands; None before the first fit.
         look: what its charts show.
         fitted: the draft as it was fitted last; None before.
         report_path: the report that was written last.
@@ -151,7 +171,7 @@ class Session:
         self.job: Job | None = None
         self.message = ""
         self.failure = ""
-        self.snapshot: Snapshot | None = None
+        self.content: StudyContent | None = None
         self.look = Look()
         self.fitted: Drafted | None = None
         self.report_path: Path | None = None
@@ -317,10 +337,10 @@ class Session:
     def left_over(self) -> str:
         """Which columns fit no state of the base model, in a sentence; "" for none."""
         data = self.draft.data
-        for base in GALLERY:
-            if data is not None and base.title == self.draft.model.title:
-                return left_over(data, base.title, base.units)
-        return ""
+        base = GALLERY.get(self.draft.model.title)
+        if data is None or base is None:
+            return ""
+        return left_over(data, base.title, base.units)
 
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""
@@ -360,7 +380,7 @@ class Session:
     @property
     def is_empty(self) -> bool:
         """Whether nobody filled in or began anything, so that nothing would be lost."""
-        if self.job is not None or self.snapshot is not None:
+        if self.job is not None or self.content is not None:
             return False
         return self.draft.as_it_is() == self._begun
 
@@ -475,7 +495,7 @@ class Session:
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
                 self.job.show()
-            self._show(message.snapshot)
+            self._show(message.content)
             self._keep_fitted()
         elif isinstance(message, Wrote):
             self.report_path = Path(message.path)
@@ -491,17 +511,15 @@ class Session:
             self._lose_worker()
         self.version += 1
 
-    def _show(self, snapshot: Snapshot) -> None:
+    def _show(self, content: StudyContent) -> None:
         """Take a new state of the study.
 
         Charts of a base model open at what is said of it. After a further step they
         stay where they were: the reader compares before and after.
         """
-        self.snapshot = snapshot
-        if self.job is not None and self.job.compares:
-            return
-        channel = self.look.channel
-        self.look = Look(snapshot.first_run, channel, snapshot.first_time)
+        self.content = content
+        if self.job is None or not self.job.compares:
+            self.look = Look.at(content)
 
     def _keep_fitted(self) -> None:
         """Remember the draft that the first result of a fit belongs to."""
@@ -535,10 +553,10 @@ class Session:
             DataError: nothing was fitted yet.
             StudyFileError: a data file has changed since.
         """
-        if self.snapshot is None or self.fitted is None:
+        if self.content is None or self.fitted is None:
             raise DataError("nothing has been fitted yet; press Fit first.")
         file = StudyFile.read(self._state / FITTED_FILE, self.fitted.places)
-        further = [one for one in self.snapshot.added if one not in file.steps.added]
+        further = [one for one in self.content.added if one not in file.steps.added]
         return file.with_added(*further)
 
     def study_text(self) -> str:

@@ -82,9 +82,7 @@ class StudyDraft:
         kept = {name: content[name] for name in KEPT if name in content}
         if study:
             kept["study"] = study
-        model = _model_draft(content["model"])
-        for name, parameter in content.get("parameters", {}).items():
-            model.parameters.append(_parameter_draft(name, parameter))
+        model = model_draft(content["model"], content.get("parameters", {}))
         return cls(data, model, added, kept)
 
     def as_it_is(self) -> Drafted:
@@ -237,7 +235,10 @@ def _model(draft: ModelDraft) -> Content:
     return content
 
 
-def _model_draft(content: Mapping[str, Any]) -> ModelDraft:
+def model_draft(
+    content: Mapping[str, Any], parameters: Mapping[str, Any]
+) -> ModelDraft:
+    """The draft of the sections [model] and [parameters]."""
     further = dict(content)
     return ModelDraft(
         type=further.pop("type", ModelDraft.type),
@@ -247,6 +248,7 @@ def _model_draft(content: Mapping[str, Any]) -> ModelDraft:
         H=_terms_text(further.pop("H", "")),
         R={name: _terms_text(one) for name, one in further.pop("R", {}).items()},
         F={name: _terms_text(one) for name, one in further.pop("F", {}).items()},
+        parameters=[_parameter_draft(name, one) for name, one in parameters.items()],
         further=further,
     )
 

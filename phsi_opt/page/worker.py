@@ -18,11 +18,9 @@ from queue import SimpleQueue
 from types import MappingProxyType
 from typing import Any
 
-from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
 from phsi_opt.model.effect import Effect
-from phsi_opt.page.snapshot import Snapshot
-from phsi_opt.page.snapshot_making import snapshot_of
+from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study import Study
 from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
@@ -62,11 +60,11 @@ class Shown:
     """The study as it stands now.
 
     Attributes:
-        snapshot: what the page shows of it.
+        content: what the page shows of it.
         study: the study itself as bytes, for the next worker alone.
     """
 
-    snapshot: Snapshot
+    content: StudyContent
     study: bytes
 
 
@@ -154,7 +152,7 @@ class Bench:
         self.study = study
 
     def carry_out(self, order: Order, connection: Connection) -> Any:
-        """Do it, sending snapshots on the way; return the last message.
+        """Do it, sending what there is on the way; return the last message.
 
         Raises:
             DataError: the data cannot be used, or nothing was fitted yet.
@@ -174,8 +172,9 @@ class Bench:
             study.undo()
         elif order.verb == AUTO:
             self._add_all(study, connection)
-        connection.send(_shown(study, None))
-        return _shown(study, study.diagnose())
+        connection.send(_shown(study))
+        study.diagnose()
+        return _shown(study)
 
     def _add_all(self, study: Study, connection: Connection) -> None:
         """What ``Study.auto`` does, shown after each step."""
@@ -184,12 +183,13 @@ class Bench:
             study.auto(max_steps=1)
             if len(study.steps) == n_steps:
                 return
-            connection.send(_shown(study, None))
+            connection.send(_shown(study))
 
 
-def _shown(study: Study, diagnosis: Diagnosis | None) -> Shown:
+def _shown(study: Study) -> Shown:
     """What is shown of a study, with the study itself."""
-    return Shown(snapshot_of(study, diagnosis), bytes(ForkingPickler.dumps(study)))
+    content = study.content(forces=True)
+    return Shown(content, bytes(ForkingPickler.dumps(study)))
 
 
 def _effect_named(study: Study, name: str) -> Effect:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any
 
-from phsi_opt.page.limits import CANCEL_GRACE
 from phsi_opt.page.worker import Order, work
 
+CANCEL_GRACE = 1.0  # s that a cancelled worker has before it is killed
 Receiver = Callable[["WorkerHandle", Any], None]
 
 

@@ -8,8 +8,6 @@ Pictures of where a missing force acts stand in `force_analysis`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from textwrap import fill
-from typing import Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,16 +17,12 @@ from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
-from phsi_opt.presentation.numbers import number, proper_names
+from phsi_opt.presentation.charts import draw_panel, errors_chart
+from phsi_opt.presentation.content import ErrorStep
 from phsi_opt.presentation.units import rate_unit
 
-LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
 RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
 STATE_HEIGHT = 1.8  # inches of a panel
-DECADE = 10  # ratio of errors from which on their axis is logarithmic
-FAR_ABOVE_FLOOR = 2.0  # times: there is room above the floor's number
-HALF_STEP = 0.45  # of a step, that the axis goes on to either side
-ASIDE = 0.05  # of a step, by which training and held-out error stand aside
 N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
 
@@ -255,117 +249,16 @@ def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") 
         unit: Unit of the errors.
     """
     ax = axes_of(ax, (7.0, 3.8))
-    draw_errors(
-        ax,
-        [str(effect) for effect in history["effect"]],
-        train=history["train_rmse"].to_numpy(dtype=float),
-        held_out=history["held_out_rmse"].to_numpy(dtype=float),
-        floor=history["noise_floor"].to_numpy(dtype=float),
-        unit=unit,
-    )
+    errors = history[["effect", "train_rmse", "held_out_rmse", "noise_floor"]]
+    chart = errors_chart([_error_step(row) for row in errors.to_numpy()], unit)
+    draw_panel(ax, chart.panels[0], chart)
+    ax.set_title("Free-run error after each added effect")
     return ax
 
 
-def draw_errors(
-    ax: Axes,
-    labels: Sequence[str],
-    *,
-    train: np.ndarray,
-    held_out: np.ndarray,
-    floor: np.ndarray,
-    unit: str,
-) -> None:
-    """The staircase of errors on axes.
-
-    Args:
-        ax: Axes to draw on.
-        labels: What each step did.
-        train: (n_steps,) errors on the training data.
-        held_out: (n_steps,) on data held out, NaN where there are none.
-        floor: (n_steps,) what noise alone leaves.
-        unit: Of the errors.
-    """
-    steps = np.arange(len(labels))
-    is_held_out = bool(np.isfinite(held_out).any())
-    # Side by side, so that equal errors do not hide each other.
-    aside = ASIDE if is_held_out else 0.0
-    ax.plot(steps - aside, train, "s--", color=MEASURED, label="training", ms=7)
-    _write_errors(ax, steps - aside, train, MEASURED, "right" if aside else "left")
-    if is_held_out:
-        ax.plot(steps + aside, held_out, "o-", color=MODEL, label="held out")
-        _write_errors(ax, steps + aside, held_out, MODEL, "left")
-    ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=30)
-    called = [proper_names(one) for one in labels]
-    ax.set_xticks(steps, _step_labels(ax, called))
-    ax.set_ylabel(label("free-run rmse", unit))
-    ax.set_title("Free-run error after each added effect")
-    _scale_errors(ax, np.concatenate([train, held_out, floor]), len(labels))
-    if len(floor) and np.isfinite(floor[-1]):
-        judged = held_out if is_held_out else train
-        is_low = judged[-1] > FAR_ABOVE_FLOOR * floor[-1]
-        ax.annotate(
-            f"noise floor {number(floor[-1], 3)}",
-            (steps[-1], floor[-1]),
-            xytext=(10, 4) if is_low else (10, -14),
-            textcoords="offset points",
-            color=FLOOR,
-        )
-    ax.set_xlim(-HALF_STEP, len(labels) - 1 + HALF_STEP)
-    ax.legend(frameon=False, loc="upper right")
-
-
-def _write_errors(
-    ax: Axes,
-    x: np.ndarray,
-    errors: np.ndarray,
-    color: str,
-    side: Literal["left", "right"],
-) -> None:
-    """The numbers beside the points (n,), as far as they are known.
-
-    A number on the left stands below where the line falls, for the line comes from
-    there.
-    """
-    for k, (place, error) in enumerate(zip(x, errors, strict=True)):
-        if np.isfinite(error):
-            has_line_above = side == "right" and k > 0 and errors[k - 1] > error
-            ax.annotate(
-                number(error, 3),
-                (place, error),
-                xytext=(-6 if side == "right" else 6, -14 if has_line_above else 5),
-                textcoords="offset points",
-                ha=side,
-                color=color,
-            )
-
-
-def _scale_errors(ax: Axes, errors: np.ndarray, n_steps: int) -> None:
-    """A logarithmic axis where errors of steps span a decade, else one from zero."""
-    known = errors[np.isfinite(errors) & (errors > 0)]
-    if not len(known):
-        return
-    least = float(known.min())
-    most = float(known.max())
-    if most >= DECADE * least and n_steps > 1:
-        ax.set_yscale("log")
-        ax.set_ylim(least / 2, 3 * most)
-    else:
-        ax.set_ylim(0, 1.35 * most)
-
-
-def _step_labels(ax: Axes, effects: Sequence[str]) -> list[str]:
-    """What each step changed, in lines so short that neighbours do not touch."""
-    inches = ax.get_window_extent().width / ax.figure.dpi
-    n_letters = max(int(LETTERS_PER_INCH * inches / len(effects)), 8)
-    labels = []
-    for step, effect in enumerate(effects):
-        labels.append(fill(_change(step, str(effect)), n_letters))
-    return labels
-
-
-def _change(step: int, effect: str) -> str:
-    is_addition = step > 0 and not effect.startswith("without ")
-    return f"+ {effect}" if is_addition else effect
+def _error_step(row: np.ndarray) -> ErrorStep:
+    train, held_out, floor = (one if np.isfinite(one) else None for one in row[1:])
+    return ErrorStep(str(row[0]), train, held_out, floor)
 
 
 def plot_states(

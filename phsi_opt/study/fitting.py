@@ -16,7 +16,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.study.effect_law import EffectLaw, effect_law
-from phsi_opt.study.step import Step
+from phsi_opt.study.record import Step
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 

@@ -8,6 +8,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, rms, window_of
 from phsi_opt.force_analysis.units import spaced
+from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.durations import (
     date_words,
     dates_words,
@@ -15,9 +16,8 @@ from phsi_opt.presentation.durations import (
     times_words,
 )
 from phsi_opt.presentation.numbers import lowered
-from phsi_opt.presentation.report_content import Answer
 from phsi_opt.statistics import TINY
-from phsi_opt.study.off_words import only_follows
+from phsi_opt.study.certainty import only_follows
 
 # Share of the strongest run's force from which on another has it as well.
 STRONG_RUN = 0.5

@@ -20,14 +20,11 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.presentation.report import Section, write_report
+from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
+from phsi_opt.study.content import study_content
 from phsi_opt.study.fitting import StudyFitting
-from phsi_opt.study.history import history_table
-from phsi_opt.study.record import StudyRecord
-from phsi_opt.study.report_text import report_sections
-from phsi_opt.study.step import Step
-from phsi_opt.study.summary import study_summary
+from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole, written_path
@@ -36,8 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-HELD_OUT = "held out"
-TRAINING = "training"
+REPORT_SUFFIXES = (".html", ".md", ".txt")
 # How clear an effect has to be that `Study.auto` adds.
 DECISIVE = "decisive"
 STRONG = "strong"
@@ -101,7 +97,7 @@ class Study(Summarised):
             self._say(self.steps[0].train.warning)
 
     def _summary(self) -> Summary:
-        return study_summary(self.record)
+        return self.record.summary
 
     def __repr__(self) -> str:
         return text_of_summary(self._summary())
@@ -340,7 +336,7 @@ class Study(Summarised):
         Columns: step, effect, train_rmse, held_out_rmse (NaN without data held out),
         noise_floor, bic.
         """
-        return history_table(self.steps)
+        return self.record.history
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""
@@ -398,19 +394,27 @@ class Study(Summarised):
         Raises:
             DataError: the file is of another kind, or cannot be written.
         """
+        from phsi_opt.presentation.html_report import html_report, markdown_report
+
         place = written_path(path)
-        if place.suffix == ".html":
-            from phsi_opt.presentation.html_report import html_report
-            from phsi_opt.study.report_content import report_content
+        if place.suffix not in REPORT_SUFFIXES:
+            raise DataError(
+                f"a report is written as {' or '.join(REPORT_SUFFIXES)}; "
+                f"{place.name!r} is none of these."
+            )
+        if place.suffix != ".html":
+            return write_whole(place, markdown_report(self.content()))
+        laws = self._fitting.laws(self.fit, self.added)
+        return write_whole(place, html_report(study_content(self.record, laws)))
 
-            laws = self._fitting.laws(self.fit, self.added)
-            text = html_report(report_content(self.record, laws))
-            return write_whole(place, text)
-        return write_report(self.report_sections(), place)
+    def content(self, *, forces: bool = False) -> StudyContent:
+        """All that is told of the study, as numbers, arrays and words.
 
-    def report_sections(self) -> list[Section]:
-        """History, present model, comparison, verdict, and every diagnosis."""
-        return report_sections(self.record)
+        Args:
+            forces: whether the missing force of the present model is told along all
+                runs, those held out included, which takes an estimate of it.
+        """
+        return study_content(self.record, forces=forces)
 
     def _known_candidate(self, effect: Effect) -> Candidate | None:
         """What the diagnosis of the present model found of an effect."""
