@@ -19,7 +19,16 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from phsi_opt.presentation.axes import BASELINE, label
+from phsi_opt.presentation.axes import (
+    ATTENTION,
+    BASELINE,
+    FLOOR,
+    FORCE,
+    MARK,
+    MEASURED,
+    MODEL,
+    label,
+)
 from phsi_opt.presentation.content import (
     ErrorStep,
     Follows,
@@ -32,19 +41,12 @@ from phsi_opt.presentation.durations import date_words
 from phsi_opt.presentation.numbers import number, proper_names
 from phsi_opt.presentation.thinning import rounded
 
-# Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
-MEASURED_COLOR = "#7a828c"
-MODEL_COLOR = "#2f7fd6"
-BASE_COLOR = "#c8611a"
-BETWEEN_COLOR = "#9a5fd0"
-FLOOR_COLOR = "#3b8f5a"
-MARK_COLOR = "#b5459e"
-FORCE_COLORS = (BETWEEN_COLOR, BASE_COLOR, FLOOR_COLOR, MODEL_COLOR)
+FORCE_COLORS = (FORCE, ATTENTION, FLOOR, MODEL)
 # Of one model; of base and present model; of base, first step and present model.
 MODEL_LOOKS = (
-    ((MODEL_COLOR, "solid"),),
-    ((BASE_COLOR, "dash"), (MODEL_COLOR, "solid")),
-    ((BASE_COLOR, "dash"), (BETWEEN_COLOR, "dot"), (MODEL_COLOR, "solid")),
+    ((MODEL, "solid"),),
+    ((ATTENTION, "dash"), (MODEL, "solid")),
+    ((ATTENTION, "dash"), (FORCE, "dot"), (MODEL, "solid")),
 )
 MATPLOTLIB_LINES = {"solid": "-", "dash": "--", "dot": ":"}
 POINTS = "dots"
@@ -153,16 +155,16 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     curves = []
     if has_held_out:
         sides = _free_sides(train)
-        curves.append(_steps("training", x - aside, train, MEASURED_COLOR, sides))
+        curves.append(_steps("training", x - aside, train, MEASURED, sides))
     right = ("top right",) * len(x)
     name = "held out" if has_held_out else "training"
-    curves.append(_steps(name, x + aside, judged, MODEL_COLOR, right))
+    curves.append(_steps(name, x + aside, judged, MODEL, right))
     is_low = judged[-1] > FAR_ABOVE * floor[-1]
     lowest = f"floor {number(floor[-1], 3)}" if np.isfinite(floor[-1]) else ""
     texts = ("",) * (len(x) - 1) + (lowest,)
     sides = ("top right" if is_low else "bottom right",) * len(x)
     curves.append(
-        Curve("noise floor", x, floor, FLOOR_COLOR, "dot", texts=texts, sides=sides)
+        Curve("noise floor", x, floor, FLOOR, "dot", texts=texts, sides=sides)
     )
     limits, is_log = _error_axis(np.concatenate([train, held_out, floor]), len(x))
     panel = Panel(label("error", unit), curves, limits=limits, is_log=is_log)
@@ -231,7 +233,7 @@ def _twice(noise: float | None) -> float | None:
 
 def _measured_panel(content: StudyContent, run: Run, channel: int) -> Panel:
     one = run.channels[channel]
-    curves = [Curve("measured", one.t, one.measured, MEASURED_COLOR, POINTS)]
+    curves = [Curve("measured", one.t, one.measured, MEASURED, POINTS)]
     looks = MODEL_LOOKS[len(content.names) - 1]
     for k, (color, look) in enumerate(looks):
         shown = k in (0, len(looks) - 1)
@@ -279,12 +281,12 @@ def _force_panel(forces: Sequence[ForceRun], y_label: str, height: float) -> Pan
 
 def follows_chart(content: Follows) -> Chart:
     """A missing force against what it follows."""
-    dots = Curve("force", content.x, content.force, MEASURED_COLOR, POINTS)
+    dots = Curve("force", content.x, content.force, MEASURED, POINTS)
     mean = Curve(
         "mean in bins",
         content.centre,
         content.mean,
-        MODEL_COLOR,
+        MODEL,
         STEPS,
         content.std,
         "spread",
@@ -340,7 +342,7 @@ def plotly(chart: Chart) -> dict[str, Any]:
             "font": {"size": 12},
             "traceorder": "normal",
         },
-        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": MEASURED_COLOR},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": MEASURED},
         "xaxis": {**_plotly_axis(chart.x_label), "anchor": f"y{len(chart.panels)}"},
         "shapes": [],
         "annotations": [],
@@ -377,10 +379,10 @@ def plotly(chart: Chart) -> dict[str, Any]:
         sides = [-0.5, max(len(broken) - 1 + BEHIND, 1.5)]
         layout["xaxis"] |= {"tickvals": places, "ticktext": broken, "range": sides}
     if chart.window is not None:
-        layout["shapes"].append(_stripe(*chart.window, fillcolor=_faint(BASE_COLOR)))
+        layout["shapes"].append(_stripe(*chart.window, fillcolor=_faint(ATTENTION)))
     if chart.mark is not None:
         t, text = chart.mark
-        line = {"color": MARK_COLOR, "width": 2, "dash": "dash"}
+        line = {"color": MARK, "width": 2, "dash": "dash"}
         layout["shapes"].append(_stripe(t, t, line=line))
         layout["annotations"].append(_note(text, xref="x", x=t, yref="paper", y=1))
     return {"data": data, "layout": layout}
@@ -469,7 +471,7 @@ def _largest(force: np.ndarray) -> float:
 def _box(axis: str, half: float) -> dict[str, Any]:
     """The band of the noise around zero."""
     place = {"xref": "paper", "x0": 0, "x1": 1, "yref": axis, "y0": -half, "y1": half}
-    look = {"line": {"width": 0}, "fillcolor": _faint(FLOOR_COLOR), "layer": "below"}
+    look = {"line": {"width": 0}, "fillcolor": _faint(FLOOR), "layer": "below"}
     return {"type": "rect", **place, **look}
 
 
@@ -525,14 +527,14 @@ def _svg(draw: Callable[[Figure], None], height: float) -> str:
     return text.getvalue()
 
 
-def draw_panel(ax: Axes, panel: Panel, chart: Chart) -> None:
-    """The curves of a panel on axes."""
+def draw_panel(ax: Axes, panel: Panel, chart: Chart | None = None) -> None:
+    """The curves of a panel on axes, as a part of a chart where one is given."""
     for curve in panel.curves:
         _draw_curve(ax, curve)
     if panel.noise is not None:
         half = panel.noise
         text = "noise, two standard deviations"
-        ax.axhspan(-half, half, color=FLOOR_COLOR, alpha=0.2, lw=0, label=text)
+        ax.axhspan(-half, half, color=FLOOR, alpha=0.2, lw=0, label=text)
     ax.set_ylabel(_short(panel.label))
     ax.margins(y=0.25)
     if panel.limits is not None:
@@ -540,9 +542,9 @@ def draw_panel(ax: Axes, panel: Panel, chart: Chart) -> None:
         ax.set_ylim(panel.limits)
     else:
         ax.axhline(0, color=BASELINE, lw=0.6)
-    if chart.window is not None:
-        ax.axvspan(*chart.window, color=BASE_COLOR, alpha=0.15, lw=0)
-    if chart.ticks:
+    if chart is not None and chart.window is not None:
+        ax.axvspan(*chart.window, color=ATTENTION, alpha=0.15, lw=0)
+    if chart is not None and chart.ticks:
         ax.set_xlim(-0.5, len(chart.ticks) - 1 + BEHIND)
         ax.set_xticks(range(len(chart.ticks)), _broken_ticks(ax, chart.ticks))
     if ax.get_legend_handles_labels()[0]:

@@ -16,12 +16,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
-from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
-from phsi_opt.presentation.charts import draw_panel, errors_chart
+from phsi_opt.presentation.axes import FLOOR, MEASURED, MODEL, axes_of, label
+from phsi_opt.presentation.charts import (
+    FORCE_COLORS,
+    POINTS,
+    Curve,
+    Panel,
+    draw_panel,
+    errors_chart,
+)
 from phsi_opt.presentation.content import ErrorStep
 from phsi_opt.presentation.units import rate_unit
 
 RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
+BAND = "run, two standard deviations"
 STATE_HEIGHT = 1.8  # inches of a panel
 N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
@@ -60,43 +68,30 @@ def plot_free_run(
     stand in a panel below, with the band that noise alone leaves.
     """
     ax = axes_of(ax, (8.0, 4.8))
-    for n, channel in enumerate(channels):
-        _draw_channel(ax, t, channel, n)
+    curves: list[Curve] = []
+    residuals: list[Curve] = []
+    is_alone = len(channels) == 1
+    for n, one in enumerate(channels):
+        color, dots = (MODEL, MEASURED) if n == 0 else (f"C{n}", f"C{n + 3}")
+        std = None if one.std is None else 2 * one.std
+        run = Curve(f"{one.name} free run", t, one.simulated, color, std=std, band=BAND)
+        curves += [Curve(f"{one.name} measured", t, one.measured, dots, POINTS), run]
+        # One channel in its unit, several in standard deviations of their noise.
+        scale = 1.0 if is_alone else one.noise or 1.0
+        residuals.append(Curve("", t, (one.measured - one.simulated) / scale, color))
     names = ", ".join(channel.name for channel in channels)
     unit = _common_unit([channel.unit for channel in channels])
+    draw_panel(ax, Panel(label(names, unit), curves))
     ax.set(xlabel=label("t", t_unit), title=title)
-    ax.set_ylabel(label(names, unit))
-    _finish(ax)
     if all(channel.noise for channel in channels):
-        _draw_residuals(ax, t, channels, unit)
+        below = _panel_below(ax)
+        noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
+        told = label("residual", unit if is_alone else "noise std.")
+        draw_panel(below, Panel(told, residuals, noise=noise))
+        below.set_xlabel(ax.get_xlabel())
+        ax.tick_params(axis="x", labelbottom=False)
+        ax.xaxis.label.set_visible(False)  # it stands below the residuals
     return ax
-
-
-def _draw_residuals(
-    ax: Axes, t: np.ndarray, channels: Sequence[Channel], unit: str
-) -> None:
-    """A panel in the lower part of the axes' place.
-
-    One channel is drawn in its unit, several in standard deviations of their noise.
-    """
-    panel = _panel_below(ax)
-    is_alone = len(channels) == 1
-    scale = 1.0
-    for n, channel in enumerate(channels):
-        noise = channel.noise or 1.0
-        scale = noise if is_alone else 1.0
-        residual = (channel.measured - channel.simulated) / noise * scale
-        color = MODEL if n == 0 else f"C{n}"
-        panel.plot(t, residual, ".-", ms=2.5, lw=0.6, color=color)
-    text = "noise, two std. deviations"
-    panel.axhspan(-2 * scale, 2 * scale, color=FLOOR, alpha=0.2, lw=0, label=text)
-    panel.axhline(0, color=BASELINE, lw=0.8)
-    panel.set_ylabel(label("residual", unit if is_alone else "noise std."))
-    panel.set_xlabel(ax.get_xlabel())
-    panel.margins(y=0.35)
-    panel.legend(loc="upper right", frameon=False, fontsize="small")
-    ax.tick_params(axis="x", labelbottom=False)
-    ax.xaxis.label.set_visible(False)  # it stands below the residuals
 
 
 def _panel_below(ax: Axes) -> Axes:
@@ -111,20 +106,6 @@ def _panel_below(ax: Axes) -> Axes:
     ax.set_position((box.x0, box.y0 + lower, box.width, box.height - lower))
     size = (box.x0, box.y0, box.width, 0.85 * lower)  # a gap between them
     return ax.figure.add_axes(size, sharex=ax)
-
-
-def _draw_channel(ax: Axes, t: np.ndarray, channel: Channel, n: int) -> None:
-    """Channel number n: the first in the usual colours, others in their own."""
-    is_first = n == 0
-    dots = MEASURED if is_first else f"C{n + 3}"
-    color = MODEL if is_first else f"C{n}"
-    measured = f"{channel.name} measured"
-    run = f"{channel.name} free run"
-    ax.plot(t, channel.measured, ".", ms=3, color=dots, label=measured)
-    ax.plot(t, channel.simulated, "-", lw=1.4, color=color, label=run)
-    if channel.std is not None:
-        band = "run, two std. deviations" if is_first else None
-        _band(ax, t, channel.simulated, channel.std, color=color, alpha=0.25, text=band)
 
 
 def plot_missing_force(
@@ -145,51 +126,26 @@ def plot_missing_force(
         ax: Axes to draw on; None: a new figure.
     """
     ax = axes_of(ax, (8.0, 3.6))
+    curves = []
+    t = table["t"].to_numpy()
     for n, state in enumerate(equations):
-        color = f"C{n}"
         force = table[state].to_numpy()
-        std = table[f"std_{state}"].to_numpy()
-        ax.plot(table["t"], force, color=color, lw=1.4, label=f"missing in d{state}/dt")
-        text = "two standard deviations"
-        _band(ax, table["t"], force, std, color=color, alpha=0.2, text=text)
-    ax.axhline(0, color=BASELINE, lw=0.8)
+        std = 2 * table[f"std_{state}"].to_numpy()
+        color = FORCE_COLORS[n % len(FORCE_COLORS)]
+        curves.append(Curve(f"missing in d{state}/dt", t, force, color, std=std))
     t_unit = units.get("t", "")
     state_unit = _common_unit([units.get(state, "") for state in equations])
-    ax.set(
-        xlabel=label("t", t_unit),
-        ylabel=label("missing force", rate_unit(state_unit, t_unit)),
-        title="Where the band leaves zero, a force is surely missing",
-    )
-    _finish(ax)
+    unit = rate_unit(state_unit, t_unit)
+    draw_panel(ax, Panel(label("missing force", unit), curves))
+    title = "Where the band leaves zero, a force is surely missing"
+    ax.set(xlabel=label("t", t_unit), title=title)
     return ax
-
-
-def _band(
-    ax: Axes,
-    t: np.ndarray | pd.Series,
-    middle: np.ndarray,
-    std: np.ndarray,
-    *,
-    color: str,
-    alpha: float,
-    text: str | None,
-) -> None:
-    """Two standard deviations to either side."""
-    lower = middle - 2 * std
-    upper = middle + 2 * std
-    ax.fill_between(t, lower, upper, color=color, alpha=alpha, lw=0, label=text)
 
 
 def _common_unit(units: Sequence[str]) -> str:
     """The unit that all have, or "" where they differ."""
     different = set(units)
     return different.pop() if len(different) == 1 else ""
-
-
-def _finish(ax: Axes) -> None:
-    """A legend above curves that leave room for it."""
-    ax.margins(y=0.2)
-    ax.legend(loc="upper right", frameon=False, ncols=2)
 
 
 def plot_profile(
@@ -286,11 +242,9 @@ def plot_states(
 
 def draw_state(ax: Axes, t: np.ndarray, channel: Channel) -> None:
     """Measurements and estimate of one state over (n_samples,) times on axes."""
-    if np.isfinite(channel.measured).any():
-        ax.plot(t, channel.measured, ".", ms=3, color=MEASURED, label="measured")
-        ax.plot(t, channel.simulated, "-", lw=1.4, color=MODEL, label="estimated")
-    else:
-        text = "estimated (not measured)"
-        ax.plot(t, channel.simulated, "-", lw=1.4, color=MODEL, label=text)
-    ax.set_ylabel(label(channel.name, channel.unit))
-    _finish(ax)
+    curves = [Curve("measured", t, channel.measured, MEASURED, POINTS)]
+    name = "estimated"
+    if not np.isfinite(channel.measured).any():
+        curves, name = [], "estimated (not measured)"
+    curves.append(Curve(name, t, channel.simulated, MODEL))
+    draw_panel(ax, Panel(label(channel.name, channel.unit), curves))
