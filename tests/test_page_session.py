@@ -31,8 +31,7 @@ from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.sessions import MOST_SESSIONS, Sessions
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import force_near, preview_words
-from phsi_opt.page.worker import Order, Refused, Shown
-from phsi_opt.page.worker_handle import WorkerHandle
+from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
 from phsi_opt.presentation.charts import force_chart, plotly, run_chart
 from phsi_opt.presentation.content import (
     Channel,

@@ -175,34 +175,29 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         study.auto(job.max_steps or file.steps.max_steps, reach=job.reach)
         code = ExitCode(_code(study.diagnose(), job))
         advice = str(study.diagnose().next_step)
-    names = tuple(one.name for one in study.record.unestablished)
-    content = {
+    content = study.content()
+    told = {one.question: str(one) for one in content.headline.answers}
+    listed = {
         "next": advice,
         "stopped": study.stopped,
         "history": table_content(study.history),
-        "added": [str(effect) for effect in study.added],
-        "unestablished": list(names),
-        "verdict": str(study.diagnose().verdict) if job.is_auto else None,
+        "added": content.added,
+        "unestablished": content.unestablished,
+        "verdict": content.headline.status if job.is_auto else None,
+        "sentence": content.headline.sentence,
+        "answers": told,
         "equations": study.fit.equations(),
         "unit": study.unit,
     }
     unit = f" ({study.unit})" if study.unit else ""
-    text = [
-        f"Errors of the free run{unit}, step by step:",
-        str(study.history),
-        "",
-        str(study.fit),
-        "",
-        *study.fit.equations(),
-    ]
-    if study.stopped:
-        text += ["", study.stopped]
-    open_ = unestablished_words(names)
-    if open_:
-        text.append(open_)
+    text = [f"Errors of the free run{unit}, step by step:", str(study.history), ""]
+    text += [str(study.fit), "", *study.fit.equations(), "", content.headline.sentence]
+    if content.present is not None:
+        text += [f"{question}: {answer}" for question, answer in told.items()]
+    text += filter(None, (study.stopped, unestablished_words(content.unestablished)))
     if advice:
         text.append(f"next: {advice}")
-    return Answer("\n".join(text), plain(content), code)
+    return Answer("\n".join(text), plain(listed), code)
 
 
 # ---- tables and numbers --------------------------------------------------------------

@@ -39,11 +39,9 @@ from phsi_opt.page.worker import (
     Done,
     Order,
     Refused,
-    Said,
     Shown,
-    Wrote,
+    WorkerHandle,
 )
-from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.study_file.reading import tables_of
@@ -258,22 +256,21 @@ class Session:
         known = self.draft.data
         data = look_at({name: place})
         self.message = ""
-        if known is not None:
-            headers = [column.column for column in data.columns]
-            is_alike = headers == [column.column for column in known.columns]
-            if is_alike and self._are_uploaded(known):
-                kept = {one: at for one, at in known.places.items() if one != name}
-                data = look_at({**kept, name: place})
-                data.columns = known.columns
-                data.held_out = known.held_out
-                data.unmeasured = known.unmeasured
-            else:
-                why = "is a table of its own" if is_alike else "has other columns"
-                self.message = (
-                    f"{name} {why}: it takes the place of {', '.join(known.files)}."
-                )
-        self.draft.data = data
+        headers = [column.column for column in data.columns]
+        if known is None:
+            self.draft.data = data
+        elif headers != [column.column for column in known.columns]:
+            self._replace(known, data, f"{name} has other columns")
+        elif not self._are_uploaded(known):
+            self._replace(known, data, f"{name} is a table of its own")
+        else:
+            others = {one: at for one, at in known.places.items() if one != name}
+            _look_again(known, {**others, name: place})
         self.check()
+
+    def _replace(self, known: DataDraft, data: DataDraft, why: str) -> None:
+        self.draft.data = data
+        self.message = f"{why}: it takes the place of {', '.join(known.files)}."
 
     def _are_uploaded(self, data: DataDraft) -> bool:
         """Whether no table is a study file's own."""
@@ -301,25 +298,15 @@ class Session:
         left = {one: place for one, place in data.places.items() if one != name}
         self.upload_error = ""
         self.message = ""
-        if not left:
-            self.draft.data = None
+        if left:
+            try:
+                _look_again(data, left)
+            except DataError as error:  # a file has changed, or is gone
+                self.upload_error = str(error)
         else:
-            self._keep_files(data, left)
+            self.draft.data = None
         self.check()
         self.shape += 1
-
-    def _keep_files(self, data: DataDraft, places: dict[str, Path]) -> None:
-        """Fewer files; their columns stay as they are."""
-        try:
-            found = look_at(places)
-        except DataError as error:  # it has changed, or is gone
-            self.upload_error = str(error)
-            return
-        data.places = places
-        data.runs = found.runs
-        data.n_samples = found.n_samples
-        held_out = [run for run in data.held_out.runs if run in found.runs]
-        data.held_out.runs = held_out
 
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
@@ -398,7 +385,7 @@ class Session:
             return
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
-        order = Order(FIT, (str(path),), self._fitting.places)
+        order = Order(FIT, str(path), self._fitting.places)
         self._order("Fitting the base model", order, "Fitted")
 
     def average(self, n: int) -> None:
@@ -416,7 +403,7 @@ class Session:
 
     def add(self, effect: str) -> None:
         """Add an effect of the ranking, re-fit, and ask again."""
-        self._order(f"Adding {effect}", Order(ADD, (effect,)), f"Added {effect}")
+        self._order(f"Adding {effect}", Order(ADD, effect), f"Added {effect}")
 
     def undo(self) -> None:
         """Take back the last step."""
@@ -430,7 +417,7 @@ class Session:
         """Write the report; ``report_path`` is set when it is there."""
         self.report_path = None
         path = self._state / REPORT_FILE
-        self._order("Writing the report", Order(REPORT, (str(path),)), n_diagnoses=0)
+        self._order("Writing the report", Order(REPORT, str(path)), n_diagnoses=0)
 
     def cancel(self) -> None:
         """End the work that goes on, within two seconds; what was found stays."""
@@ -488,8 +475,8 @@ class Session:
         """Take a message of the worker; called from its thread."""
         if worker is not self._worker:
             return
-        if isinstance(message, Said):
-            self._note(message.line)
+        if isinstance(message, str) and self.job is not None:
+            self.job.say(message)
         elif isinstance(message, Shown):
             self._study = message.study
             # Whoever sees the model and cancels is told that it is there.
@@ -497,8 +484,8 @@ class Session:
                 self.job.show()
             self._show(message.content)
             self._keep_fitted()
-        elif isinstance(message, Wrote):
-            self.report_path = Path(message.path)
+        elif isinstance(message, Path):
+            self.report_path = message
         elif isinstance(message, Refused):
             self.message = message.message
             self.failure = message.message
@@ -527,10 +514,6 @@ class Session:
             self.fitted = self._fitting
             self._fitting = None
             os.replace(self._state / FITTING_FILE, self._state / FITTED_FILE)
-
-    def _note(self, line: str) -> None:
-        if self.job is not None:
-            self.job.say(line)
 
     def _lose_worker(self) -> None:
         """The process ended by itself, for want of memory perhaps."""
@@ -580,6 +563,15 @@ class Session:
         self.is_closed = True
         self._end_worker()
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _look_again(data: DataDraft, places: dict[str, Path]) -> None:
+    """Take other files with the same columns, which stay as they are."""
+    found = look_at(places)
+    data.places = places
+    data.runs = found.runs
+    data.n_samples = found.n_samples
+    data.held_out.runs = [run for run in data.held_out.runs if run in found.runs]
 
 
 def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:

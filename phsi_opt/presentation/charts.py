@@ -7,8 +7,11 @@ read as formulas or markup. Colours stand out 3:1 from white and from a dark gro
 
 import datetime as dt
 import io
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from itertools import pairwise
 from textwrap import wrap
 from typing import Any
@@ -49,10 +52,9 @@ MODEL_LOOKS = (
     ((ATTENTION, "dash"), (FORCE, "dot"), (MODEL, "solid")),
 )
 MATPLOTLIB_LINES = {"solid": "-", "dash": "--", "dot": ":"}
-POINTS = "dots"
+POINTS = "points"
 STEPS = "steps"
 TWO_DEVIATIONS = "two standard deviations"
-FONT = "Roboto, system-ui, sans-serif"  # by name: widths of legends are taken from it
 BAND_OPACITY = 0.22
 DIGITS_OF_TIME = 6  # over the range of a record: a zoomed curve has no steps
 ASIDE = 0.05  # of a step, by which training and held-out error stand aside
@@ -325,67 +327,56 @@ def plotly(chart: Chart) -> dict[str, Any]:
 
     Texts and grid have no colours: those of the page around them are taken.
     """
-    layout: dict[str, Any] = {
-        "margin": {"l": 64, "r": 12, "t": 44, "b": 44},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "rgba(0,0,0,0)",
-        "font": {"family": FONT, "size": 13},
-        "hovermode": "x unified",
-        "hoverlabel": {"bgcolor": "#16191d", "font": {"color": "#f4f6f8"}},
-        "legend": {
-            "orientation": "h",
-            "x": 0,
-            "xref": "container",
-            "y": 1,
-            "yref": "container",
-            "yanchor": "top",
-            "font": {"size": 12},
-            "traceorder": "normal",
-        },
-        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": MEASURED},
-        "xaxis": {**_plotly_axis(chart.x_label), "anchor": f"y{len(chart.panels)}"},
-        "shapes": [],
-        "annotations": [],
-    }
-    if chart.map is not None:
-        layout["xaxis"]["anchor"] = "y"
-        layout["yaxis"] = _plotly_axis(chart.map.y_label)
-        layout["hovermode"] = "closest"
-        return {"data": [_plotly_map(chart.map, chart.map_label)], "layout": layout}
+    look = _looks()
     data: list[dict[str, Any]] = []
-    tops = _domains([panel.height for panel in chart.panels])
-    for k, (panel, domain) in enumerate(zip(chart.panels, tops, strict=True)):
-        axis = f"y{k + 1}"
-        layout[f"yaxis{k + 1}"] = {**_plotly_axis(panel.label), "domain": domain}
+    shapes: list[dict[str, Any]] = []
+    notes: list[dict[str, Any]] = []
+    bottom = f"y{len(chart.panels) or 1}"
+    axes = {"xaxis": {**_plotly_axis(chart.x_label), "anchor": bottom}}
+    if chart.map is not None:
+        axes["yaxis1"] = _plotly_axis(chart.map.y_label)
+        data.append(_plotly_map(chart.map, chart.map_label))
+    domains = _domains([panel.height for panel in chart.panels])
+    for k, (panel, domain) in enumerate(zip(chart.panels, domains, strict=True)):
+        axis = {**_plotly_axis(panel.label), "domain": domain}
         if panel.limits is not None:
             ends = np.log10(panel.limits) if panel.is_log else np.array(panel.limits)
-            scale = {
-                "type": "log" if panel.is_log else "linear",
-                "range": ends.tolist(),
-            }
-            layout[f"yaxis{k + 1}"] |= scale
+            axis["type"] = "log" if panel.is_log else "linear"
+            axis["range"] = ends.tolist()
+        axes[f"yaxis{k + 1}"] = axis
         for curve in panel.curves:
-            data += _plotly_curve(curve, axis)
+            data += _plotly_curve(curve, f"y{k + 1}")
         if panel.noise is not None:
-            layout["shapes"].append(_box(axis, panel.noise))
-            note = "shaded: noise, two standard deviations"
-            place = {"xref": "paper", "x": 1, "xanchor": "right", "yref": "paper"}
-            layout["annotations"].append(_note(note, y=domain[1], **place))
+            band = {"yref": f"y{k + 1}", "y0": -panel.noise, "y1": panel.noise}
+            color = {"fillcolor": _faint(FLOOR)}
+            shapes.append({**look["band"], **look["across"], **band, **color})
+            notes.append({**look["note"], **look["noise"], "y": domain[1]})
     if chart.ticks:
-        broken = [
-            "<br>".join(map(_escaped, wrap(t, TICK_LETTERS))) for t in chart.ticks
-        ]
-        places = list(range(len(broken)))
-        sides = [-0.5, max(len(broken) - 1 + BEHIND, 1.5)]
-        layout["xaxis"] |= {"tickvals": places, "ticktext": broken, "range": sides}
+        broken = [map(_escaped, wrap(one, TICK_LETTERS)) for one in chart.ticks]
+        axes["xaxis"]["ticktext"] = ["<br>".join(lines) for lines in broken]
+        axes["xaxis"]["tickvals"] = list(range(len(broken)))
+        axes["xaxis"]["range"] = [-0.5, max(len(broken) - 1 + BEHIND, 1.5)]
+    along = {**look["band"], **look["along"]}
     if chart.window is not None:
-        layout["shapes"].append(_stripe(*chart.window, fillcolor=_faint(ATTENTION)))
+        begin, end = chart.window
+        shapes.append({**along, "x0": begin, "x1": end, "fillcolor": _faint(ATTENTION)})
     if chart.mark is not None:
         t, text = chart.mark
         line = {"color": MARK, "width": 2, "dash": "dash"}
-        layout["shapes"].append(_stripe(t, t, line=line))
-        layout["annotations"].append(_note(text, xref="x", x=t, yref="paper", y=1))
+        shapes.append({**along, "type": "line", "x0": t, "x1": t, "line": line})
+        notes.append(
+            {**look["note"], "text": _escaped(text), "xref": "x", "x": t, "y": 1}
+        )
+    layout = {**look["layout"], **axes, "shapes": shapes, "annotations": notes}
     return {"data": data, "layout": layout}
+
+
+@cache
+def _looks() -> dict[str, Any]:
+    """What all charts of plotly's library have in common."""
+    path = files("phsi_opt.presentation") / "templates" / "chart.json"
+    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return found
 
 
 def _domains(heights: Sequence[float]) -> list[list[float]]:
@@ -402,88 +393,58 @@ def _domains(heights: Sequence[float]) -> list[list[float]]:
 
 def _plotly_axis(title: str) -> dict[str, Any]:
     text = {"text": _escaped(title), "font": {"size": 13}}
-    return {
-        "title": text,
-        "zeroline": False,
-        "automargin": True,
-        "exponentformat": "power",
-    }
+    return {**_looks()["axis"], "title": text}
 
 
 def _plotly_curve(curve: Curve, axis: str) -> list[dict[str, Any]]:
     """The curve; before it the edges of its band, where it has one."""
-    digits = {"x": rounded(curve.x, DIGITS_OF_TIME), "y": rounded(curve.y)}
+    look = _looks()
+    x = rounded(curve.x, DIGITS_OF_TIME)
     dash = curve.look if curve.look in MATPLOTLIB_LINES else "solid"
     trace: dict[str, Any] = {
         "type": "scatter",
-        **digits,
+        "x": x,
+        "y": rounded(curve.y),
         "name": _escaped(_short(curve.name)),
         "yaxis": axis,
-        "mode": "lines",
         "line": {"color": curve.color, "width": 2, "dash": dash},
-        "marker": {"color": curve.color, "size": 5},
         "hovertemplate": "%{y:.4g}",
         "showlegend": bool(curve.name),
         "visible": True if curve.is_shown else "legendonly",
+        "mode": "lines",
+        **look.get(curve.look, {}),
     }
-    if curve.look == POINTS:
-        trace["mode"] = "markers"
-        trace["marker"] |= {"size": 4, "opacity": 0.7}
-    if curve.look == STEPS:
-        trace["mode"] = "lines+markers"
-        trace["marker"]["size"] = 8
+    trace["marker"] = {**trace.get("marker", {}), "color": curve.color}
     if curve.texts:
-        trace["mode"] = "lines+markers+text"
-        trace |= {"text": curve.texts, "textposition": curve.sides}
-        trace["cliponaxis"] = False
+        texts = {"text": curve.texts, "textposition": curve.sides}
+        trace |= {"mode": "lines+markers+text", "cliponaxis": False, **texts}
     if curve.std is None:
         return [trace]
-    edge = {"mode": "lines", "line": {"width": 0}, "hoverinfo": "skip"}
-    upper = {**trace, **edge, "y": rounded(curve.y + curve.std), "showlegend": False}
-    filled = {"fill": "tonexty", "fillcolor": _faint(curve.color), "name": curve.band}
-    lower = {**trace, **edge, "y": rounded(curve.y - curve.std), **filled}
-    for one in (upper, lower):
-        del one["hovertemplate"]
-    return [upper, lower, trace]
+    edges = []
+    for sign in (1, -1):
+        y = rounded(curve.y + sign * curve.std)
+        edge = {"type": "scatter", "x": x, "y": y, "yaxis": axis, **look["edge"]}
+        edges.append({**edge, "showlegend": sign < 0, "name": curve.band})
+    edges[1] |= {"fill": "tonexty", "fillcolor": _faint(curve.color)}
+    return [*edges, trace]
 
 
 def _plotly_map(content: ForceMap, name: str) -> dict[str, Any]:
     limit = _largest(content.force)
     return {
-        "type": "heatmap",
+        **_looks()["map"],
         "x": rounded(content.x),
         "y": rounded(content.y),
         "z": [rounded(row) for row in content.force],
         "zmin": -limit,
         "zmax": limit,
-        "colorscale": "RdBu",
-        "hoverongaps": False,
         "colorbar": {"title": {"text": _escaped(name), "side": "right"}},
-        "hovertemplate": "%{z:.3g}<extra></extra>",
     }
 
 
 def _largest(force: np.ndarray) -> float:
     known = force[np.isfinite(force)]
     return float(np.abs(known).max()) if len(known) else 1.0
-
-
-def _box(axis: str, half: float) -> dict[str, Any]:
-    """The band of the noise around zero."""
-    place = {"xref": "paper", "x0": 0, "x1": 1, "yref": axis, "y0": -half, "y1": half}
-    look = {"line": {"width": 0}, "fillcolor": _faint(FLOOR), "layer": "below"}
-    return {"type": "rect", **place, **look}
-
-
-def _stripe(begin: float, end: float, **look: Any) -> dict[str, Any]:
-    """A part of the first axis over the whole height."""
-    place = {"xref": "x", "x0": begin, "x1": end, "yref": "paper", "y0": 0, "y1": 1}
-    return {"type": "rect", **place, "line": {"width": 0}, "layer": "below", **look}
-
-
-def _note(text: str, **place: Any) -> dict[str, Any]:
-    look = {"yanchor": "bottom", "showarrow": False, "font": {"size": 12}}
-    return {"text": _escaped(text), **place, **look}
 
 
 def _faint(color: str) -> str:

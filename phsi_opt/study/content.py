@@ -39,7 +39,7 @@ from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
 from phsi_opt.study.answers import nearest_candidate, samples_to_average
 from phsi_opt.study.certainty import NEAR_FLOOR, only_follows
 from phsi_opt.study.checks import checks_of
-from phsi_opt.study.effect_law import EffectLaw
+from phsi_opt.study.fitting import EffectLaw
 from phsi_opt.study.force_content import (
     FEWEST_PER_CURVE,
     MOST_PER_CURVE,

@@ -37,7 +37,7 @@ from phsi_opt.presentation.numbers import number, proper_names
 from phsi_opt.presentation.thinning import thinned
 from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study.certainty import evidence_words
-from phsi_opt.study.effect_law import EffectLaw
+from phsi_opt.study.fitting import EffectLaw
 
 MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen

@@ -225,7 +225,11 @@ class Study(Summarised):
             step = self.steps[-1]
             found = candidate_of(step.train, effect, self._fitting.loss)
         fit = self._fitting.larger(self.fit, effect, found)
-        self.steps.append(self._fitting.step(str(effect), (*self.added, effect), fit))
+        return self._take(str(effect), (*self.added, effect), fit)
+
+    def _take(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Fit:
+        """Go on from a fit; ``label`` says what was done."""
+        self.steps.append(self._fitting.step(label, added, fit))
         return fit
 
     @interruptible
@@ -244,8 +248,7 @@ class Study(Summarised):
         self._say(f"removing {known}")
         kept = self._without(known)
         fit = self._fitting.with_effects(self.fit, kept)
-        self.steps.append(self._fitting.step(f"without {known}", kept, fit))
-        return fit
+        return self._take(f"without {known}", kept, fit)
 
     def undo(self) -> Fit:
         """Take back the last step, with all that it added; return the fit before it.
@@ -418,23 +421,21 @@ class Study(Summarised):
 
     def _known_candidate(self, effect: Effect) -> Candidate | None:
         """What the diagnosis of the present model found of an effect."""
-        known = self._diagnoses.get(len(self.steps))
-        if known is not None:
-            for candidate in known.ranking:
-                if candidate.effect == effect:
-                    return candidate
-        return None
+        present = self.record.present
+        ranking = () if present is None else present.ranking
+        return next((one for one in ranking if one.effect == effect), None)
 
     def _added_effect(self, effect: str | Effect, equation: str | None) -> Effect:
         """The one effect that was added and is meant."""
         name = effect if isinstance(effect, str) else effect.name
         place = equation if isinstance(effect, str) else effect.equation
-        found = []
-        for known in self.added:
-            if known.name == name and place in (None, known.equation):
-                found.append(known)
+        found = [
+            known
+            for known in self.added
+            if known.name == name and place in (None, known.equation)
+        ]
         if len(found) != 1:
-            listed = ", ".join(str(known) for known in self.added) or "none"
+            listed = ", ".join(map(str, self.added)) or "none"
             raise ModelError(
                 f"{len(found)} effects named {name!r} on {place or 'any equation'} "
                 f"were added; added are {listed}."
@@ -452,7 +453,7 @@ class Study(Summarised):
         label = " and ".join(map(str, effects))
         self._say(f"adding {label}")
         fit = self._fitting.refined(brief)
-        self.steps.append(self._fitting.step(label, (*self.added, *effects), fit))
+        self._take(label, (*self.added, *effects), fit)
 
     def _check_earlier(self) -> None:
         """Take out effects of earlier steps without which the evidence is higher."""
@@ -464,7 +465,7 @@ class Study(Summarised):
                 continue
             if fit.log_evidence > self.fit.log_evidence:
                 self._say(f"{effect} has become superfluous")
-                self.steps.append(self._fitting.step(f"without {effect}", kept, fit))
+                self._take(f"without {effect}", kept, fit)
 
 
 def _silent(line: str) -> None:
