@@ -924,7 +924,8 @@ def test_a_study_that_breaks_off_says_so_in_its_report(
     with pytest.raises(RuntimeError):
         run_job(job, told.append)
     kept = [one for one in told if isinstance(one, Finished)][-1]
-    report = kept.files[demo.with_name("report.html")].read_text(encoding="utf-8")
+    assert kept.files == (demo.with_name("report.html"),)
+    report = kept.files[0].read_text(encoding="utf-8")
     assert "the study broke off: a mistake on the way. So far: held-out error" in report
     assert "base model" in kept.text
 

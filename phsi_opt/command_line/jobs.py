@@ -1,7 +1,6 @@
 """The work itself: fit, compare, diagnose, study; in the working process alone."""
 
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,7 +80,7 @@ def _of_saved_fit(job: Job, file: StudyFile, tell: Tell) -> Answer:
 
 @dataclass
 class _Keeper:
-    """Writes fit and report aside after each step, and tells what there is."""
+    """Writes fit and report after each step, and tells what there is."""
 
     job: Job
     tell: Tell
@@ -97,27 +96,20 @@ class _Keeper:
     def step_finished(self, study: Study, is_last: bool = False) -> None:
         self.study = study
         self.n_kept = len(study.steps)
-        files: dict[Path, Path] = {}
+        files: list[Path] = []
         if self.job.save is not None:
-            files[self.job.save] = self._aside(self.job.save, study.fit.save)
+            study.fit.save(self.job.save)
+            files.append(self.job.save)
         if self.job.report is not None:
             try:
-                files[self.job.report] = self._aside(self.job.report, study.report)
+                files.append(study.report(self.job.report))
             except SolveError as error:
                 if is_last:  # on the way it does not end the study
                     raise
                 self.tell(f"no report of this step: {error}")
         found = tuple(map(str, study.added[self.n_known :]))
         content = {"history": table_content(study.history), "found": list(found)}
-        self.tell(Finished(str(study.history), content, files, found))
-
-    def _aside(self, path: Path, write: Callable[[Path], object]) -> Path:
-        """A file beside its place; that of the step before stays until it is whole."""
-        half = self.job.half_written(path)
-        kept = self.job.kept_aside(path)
-        write(half)
-        os.replace(half, kept)
-        return kept
+        self.tell(Finished(str(study.history), content, tuple(files), found))
 
 
 # ---- answers -------------------------------------------------------------------------
