@@ -332,7 +332,8 @@ def plotly(chart: Chart) -> dict[str, Any]:
     shapes: list[dict[str, Any]] = []
     notes: list[dict[str, Any]] = []
     bottom = f"y{len(chart.panels) or 1}"
-    axes = {"xaxis": {**_plotly_axis(chart.x_label), "anchor": bottom}}
+    place = {"anchor": bottom, "zeroline": False}
+    axes = {"xaxis": {**_plotly_axis(chart.x_label), **place}}
     if chart.map is not None:
         axes["yaxis1"] = _plotly_axis(chart.map.y_label)
         data.append(_plotly_map(chart.map, chart.map_label))
