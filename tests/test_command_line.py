@@ -901,7 +901,8 @@ def test_the_reach_of_the_command_is_that_of_the_study(
         found = ph.diagnose(study.fit, study.train, study.held_out, effects=effects)
         open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
         silent = replace(open_, verdict=ph.Verdict.NOTHING_MISSING, ranking=())
-        study._diagnoses |= {1: open_, 2: silent}
+        choice = study._choice
+        study._diagnoses |= {0: (choice, open_), 1: (choice, silent)}
         study.add(open_.ranking[0].effect)
         return ""
 

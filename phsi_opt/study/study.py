@@ -86,8 +86,8 @@ class Study(Summarised):
         self._fitting = StudyFitting.of(model, train, held_out, loss)
         self.stopped = ""
         self._say = progress or _silent
-        self._diagnoses: dict[int, Diagnosis] = {}
-        self._considered: dict[int, EffectChoice] = {}
+        # By the number of the step, with the effects that were considered.
+        self._diagnoses: dict[int, tuple[EffectChoice, Diagnosis]] = {}
         for note in self._fitting.notes:
             self._say(note)
         self._say("fitting the base model")
@@ -131,7 +131,7 @@ class Study(Summarised):
     @property
     def record(self) -> StudyRecord:
         """The study as it stands, for those who tell of it."""
-        diagnoses = {number - 1: found for number, found in self._diagnoses.items()}
+        diagnoses = {step: found for step, (_, found) in self._diagnoses.items()}
         return StudyRecord(
             tuple(self.steps),
             diagnoses,
@@ -180,21 +180,22 @@ class Study(Summarised):
 
     def _diagnosed(self, choice: EffectChoice, executor: Executor | None) -> Diagnosis:
         """What the present model lacks, of the effects that are considered."""
-        key = len(self.steps)
-        considered = self._considered.get(key, self._choice)
-        if key not in self._diagnoses or considered != choice:
-            step = self.steps[-1]
-            self._diagnoses[key] = diagnose_comparison(
-                step.train,
-                step.held_out,
-                effects=choice.candidates(self.model, self.train.units),
-                loss=self._fitting.loss,
-                progress=self._say,
-                executor=executor,
-            )
-            self._considered[key] = choice
-            self._keep_better(self._diagnoses[key].fit)
-        return self._diagnoses[key]
+        number = len(self.steps) - 1
+        known, found = self._diagnoses.get(number, (None, None))
+        if found is not None and known == choice:
+            return found
+        step = self.steps[-1]
+        found = diagnose_comparison(
+            step.train,
+            step.held_out,
+            effects=choice.candidates(self.model, self.train.units),
+            loss=self._fitting.loss,
+            progress=self._say,
+            executor=executor,
+        )
+        self._diagnoses[number] = (choice, found)
+        self._keep_better(found.fit)
+        return found
 
     def _keep_better(self, fit: Fit) -> None:
         """The present model from the better optimum that its diagnosis found."""
@@ -260,9 +261,8 @@ class Study(Summarised):
             raise ModelError(
                 "there is nothing to undo: the study is at its base model."
             )
-        self._diagnoses.pop(len(self.steps), None)
-        self._considered.pop(len(self.steps), None)
         self.steps.pop()
+        self._diagnoses.pop(len(self.steps), None)
         self.stopped = ""
         return self.fit
 
