@@ -924,7 +924,8 @@ def test_the_reach_of_the_command_is_that_of_the_study(
         found = ph.diagnose(study.fit, study.train, study.held_out, effects=effects)
         open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
         silent = replace(open_, verdict=ph.Verdict.NOTHING_MISSING, ranking=())
-        study._diagnoses |= {1: open_, 2: silent}
+        choice = study._choice
+        study._diagnoses |= {0: (choice, open_), 1: (choice, silent)}
         study.add(open_.ranking[0].effect)
         return ""
 
@@ -947,7 +948,8 @@ def test_a_study_that_breaks_off_says_so_in_its_report(
     with pytest.raises(RuntimeError):
         run_job(job, told.append)
     kept = [one for one in told if isinstance(one, Finished)][-1]
-    report = kept.files[demo.with_name("report.html")].read_text(encoding="utf-8")
+    assert kept.files == (demo.with_name("report.html"),)
+    report = kept.files[0].read_text(encoding="utf-8")
     assert "the study broke off: a mistake on the way. So far: held-out error" in report
     assert "base model" in kept.text
 

@@ -19,31 +19,33 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.errors import Complaint
 from phsi_opt.force_analysis.localization import THROUGHOUT, window_of
-from phsi_opt.page import charts, style
 from phsi_opt.page.complaint_words import complaint_words
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
-from phsi_opt.page.gallery import GALLERY, SPRING, BaseModel
-from phsi_opt.page.limits import MOST_SESSIONS, MOST_UPLOADED
+from phsi_opt.page.files import MOST_UPLOADED
+from phsi_opt.page.gallery import GALLERY, BaseModel
+from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.matching import match_states
+from phsi_opt.page.model_view import unknown_names
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
-from phsi_opt.page.sessions import Sessions
-from phsi_opt.page.snapshot import (
-    ChannelCurves,
+from phsi_opt.page.sessions import MOST_SESSIONS, Sessions
+from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
+from phsi_opt.page.study_view import force_near, preview_words
+from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
+from phsi_opt.presentation.charts import force_chart, plotly, run_chart
+from phsi_opt.presentation.content import (
+    Channel,
     ErrorStep,
-    ForceCurve,
-    RunCurves,
-    Snapshot,
-    force_near,
-    worst_within,
+    ForceRun,
+    Glance,
+    Run,
+    StudyContent,
 )
-from phsi_opt.page.unknown_names import unknown_names
-from phsi_opt.page.upload_limit import UploadLimit
-from phsi_opt.page.verdict_words import facts_of, preview_words
-from phsi_opt.page.worker import Order, Refused, Shown
-from phsi_opt.page.worker_handle import WorkerHandle
+from phsi_opt.presentation.durations import TimeScale
+from phsi_opt.study.force_content import worst_channel, worst_moment
 from tests.page_tools import bad_table, spring_table, wait_for
 
+CSS = Path(ph.__file__).parent / "page" / "page.css"
 ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
 
 
@@ -60,7 +62,7 @@ def filled(folder: Path) -> Session:
     """A session with the spring of the demonstration."""
     session = Session(folder)
     assert session.upload("spring.csv", spring_table()), session.upload_error
-    session.choose(SPRING)
+    session.choose(GALLERY["Spring"])
     mass = next(one for one in session.draft.model.parameters if one.name == "m")
     mass.value = "2.5"
     assert session.check() == ()
@@ -80,9 +82,9 @@ def studied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     made = filled(tmp_path_factory.mktemp("studied"))
     made.fit()
     wait_for(lambda: made.job is None)
-    assert made.snapshot is not None, made.message
-    assert made.snapshot.diagnosed is not None, made.message
-    made.add(made.snapshot.diagnosed.proposed)
+    assert made.content is not None, made.message
+    assert made.content.present is not None, made.message
+    made.add(made.content.present.proposed[0])
     wait_for(lambda: made.job is None)
     yield made
     made.close()
@@ -178,7 +180,7 @@ def test_nothing_can_be_fitted_before_there_are_data(tmp_path: Path) -> None:
 # ---- the model -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("base", GALLERY, ids=lambda base: base.title)
+@pytest.mark.parametrize("base", GALLERY.values(), ids=lambda base: base.title)
 @pytest.mark.parametrize("inputs", [[], ["u"]], ids=["free", "driven"])
 def test_every_base_model_of_the_gallery_is_a_model(
     base: BaseModel, inputs: list[str], tmp_path: Path
@@ -227,19 +229,19 @@ def test_a_column_that_one_base_model_has_no_state_for_comes_back_with_another()
 
 
 def test_a_column_that_fits_no_state_is_told_with_its_unit(session: Session) -> None:
-    (pendulum,) = [one for one in GALLERY if one.title == "Pendulum"]
+    pendulum = GALLERY["Pendulum"]
     session.choose(pendulum)
     assert session.left_over.startswith(
         "position_m in m fits no state of Pendulum (q in rad,"
     )
-    session.choose(SPRING)
+    session.choose(GALLERY["Spring"])
     assert session.left_over == ""
 
 
 def test_a_mass_of_the_gallery_is_an_assumption_until_it_is_given(
     session: Session,
 ) -> None:
-    session.choose(SPRING)
+    session.choose(GALLERY["Spring"])
     (mass,) = [one for one in session.draft.model.parameters if one.name == "m"]
     assert mass.is_assumed
     assert not any(
@@ -403,25 +405,19 @@ added = "constant force on level"
 
 
 def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> None:
-    assert studied.snapshot is not None
-    base, larger = studied.snapshot.steps
+    content = studied.content
+    assert content is not None and content.present is not None
+    base, larger = content.steps
     assert larger.label == "coulomb friction on p"
+    assert larger.judged is not None and base.judged is not None
     assert larger.judged < 0.8 * base.judged
-    assert studied.snapshot.diagnosed is not None
-    assert not studied.snapshot.diagnosed.is_missing
-    facts = facts_of(studied.snapshot)
-    assert facts is not None
-    assert facts.sentence == "Nothing is missing."
-    assert str(facts.what).startswith(
-        f"Nothing that these data show. The error fell from {base.judged:.3g} m to "
-        f"{larger.judged:.3g} m; the noise floor is "
-    )
-    open_ = "added, but not established: coulomb friction on p"
-    told = facts_of(replace(studied.snapshot, unestablished=open_))
-    assert told is not None
-    assert told.sentence == f"No force is evident; {open_}."
-    ranked = {row.effect: row for row in studied.snapshot.diagnosed.candidates}
-    assert ranked["quadratic drag on p"].size.endswith(" N s^2/m^2")
+    told = content.headline
+    assert told.status == content.present.verdict == "nothing missing"
+    assert told.sentence.startswith("The base model lacked coulomb friction on p.")
+    assert f"fell from {base.judged:.3g} to {larger.judged:.3g} m" in told.sentence
+    assert content.forces and not content.present.forces
+    ranked = {row.effect: row for row in content.present.ranking}
+    assert ranked["quadratic drag on p"].unit == "N s^2/m^2"
 
 
 @pytest.mark.parametrize(
@@ -435,96 +431,96 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
         (0.06, 0.05, "Held-out error 0.06 m → 0.05 m (17 % less)"),
         (0.043, 0.042, "Held-out error 0.043 m → 0.042 m (2 % less)"),
         (0.06, 0.07, "Held-out error 0.06 m → 0.07 m (17 % more)"),
-        (0.06, np.nan, "Training error 0.05 m → 0.0501 m (unchanged)"),
-        (None, np.nan, "Training error 0.05 m → 0.0501 m (unchanged)"),
+        (0.06, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
+        (None, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
     ],
 )
 def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all(
-    held_out: float | None, after: float, expected: str
+    held_out: float | None, after: float | None, expected: str
 ) -> None:
-    step = ErrorStep(0, "base model", 0.05, held_out, 0.042)
-    part = "training" if held_out is None else "held out"
-    snapshot = SimpleNamespace(steps=(step,), unit="m", judged_part=part)
+    step = ErrorStep("base model", 0.05, held_out, 0.042)
+    content = SimpleNamespace(steps=(step,), unit="m")
     row = SimpleNamespace(held_out=after, train=0.0501)
-    assert preview_words(snapshot, row) == expected  # type: ignore[arg-type]
+    assert preview_words(content, row) == expected  # type: ignore[arg-type]
 
 
-def test_a_snapshot_holds_every_run_with_its_missing_force(studied: Session) -> None:
-    assert studied.snapshot is not None
-    parts = [(run.name, run.part) for run in studied.snapshot.runs]
-    assert parts == [
-        ("run 1", "training"),
-        ("run 2", "training"),
-        ("run 3", "held out"),
+def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None:
+    content = studied.content
+    assert content is not None
+    assert [run.title for run in content.runs] == [
+        "run 3 (held out)",
+        "run 1 (training)",
+        "run 2 (training)",
     ]
-    for run in studied.snapshot.runs:
-        (force,) = studied.snapshot.forces_along(run)
+    for run in content.runs:
+        (force,) = content.forces_along(run)
         assert force.equation == "p"
         assert force.unit == "N"
-        assert run.t[0] <= force.t[0] <= force.t[-1] <= run.t[-1]
-        assert "dp/dt lacks" in force_near(force, 1.0)
+        assert run.holds(force.t[0]) and run.holds(force.t[-1])
+        assert "dp/dt lacks" in force_near(content, force, 1.0)
 
 
-def test_the_charts_open_where_the_diagnosis_says(studied: Session) -> None:
-    assert studied.snapshot is not None
-    assert studied.snapshot.diagnosed is not None
-    known = studied.snapshot
-    force = known.forces_along(known.runs[1])[0]
-    strong = replace(force, force=np.where(force.t > 3.0, 50.0, force.force))
-    diagnosed = replace(studied.snapshot.diagnosed, equation="p", run="run 2")
-    others = [one for one in known.forces if one is not force]
-    snapshot = replace(known, diagnosed=diagnosed, forces=(*others, strong))
-    studied._show(snapshot)
-    assert snapshot.runs[studied.look.run].title == "run 2, training"
-    assert studied.look.t is not None
-    assert studied.look.t > 3.0
-    nowhere = replace(snapshot, diagnosed=replace(diagnosed, equation="", run=""))
+def test_the_charts_open_where_the_verdict_says(studied: Session) -> None:
+    known = studied.content
+    assert known is not None and known.glance is not None
+    studied._show(replace(known, glance=Glance(2, 0, "", t=3.5)))
+    assert studied.look == Look(2, 0, 3.5)
+    assert not studied.look.is_of(known)
+    nowhere = replace(known, glance=None)
     studied._show(nowhere)
-    assert studied.look.run == nowhere.worst_run
-    assert studied.look.t is None
+    assert studied.look == Look(known.shown, 0, None)
+    # Of a model that lacks nothing, no moment is the worst one.
     studied._show(known)
+    assert not studied.look.is_of(known)
+    lacks = replace(known, diagnoses=known.diagnoses[:1])
+    assert studied.look.is_of(lacks)
 
 
 def test_the_charts_open_on_the_channel_that_is_farthest_off() -> None:
     t = np.linspace(0.0, 10.0, 101)
-    q = ChannelCurves("q", "rad", np.sin(t), np.sin(t) + 0.1, 0.01)
-    v = ChannelCurves("v", "rad/s", 5 * np.cos(t), 3 * np.cos(t), 0.1)
-    run = RunCurves("run 1", "training", t, (q, v))
-    snapshot = SimpleNamespace(runs=(run,))
-    assert Snapshot.worst_channel(snapshot, 0) == "v"  # type: ignore[arg-type]
+    q = Channel("q", "rad", 0.01, t, t, (t,), (0.1,), movement=0.7)
+    v = replace(q, name="v", errors=(1.4,), movement=3.5)
+    assert worst_channel(Run("run 1", "training", (q, v)), 0) is v
 
 
 def test_the_worst_moment_is_where_the_model_is_off_while_the_force_is_sure() -> None:
     t = np.arange(11.0)
     off = np.array([0.0, 0, 0, 0, 1, 0, 0, 5, 0, 9, 0])
     strong = np.array([0.0, 0, 0, 0, 8, 0, 4, 4, 0, 0, 0])
-    curve = ForceCurve("run 1", "training", "p", "N", t, strong, 0 * t + 1.0)
-    assert worst_within(curve, t, off, (0.0, 10.0)) == 7.0
-    assert worst_within(curve, t, off, (0.0, 5.0)) == 4.0
-    unsure = replace(curve, force=strong / 10)
-    assert worst_within(unsure, t, off, (0.0, 10.0)) == 4.0
+    force = ForceRun("run 1", "training", "p", "N", t, strong, 0 * t + 1.0)
+    channel = Channel("q", "m", 0.1, t, off, (0 * t,), (1.0,))
+    assert worst_moment(force, channel, 0, (0.0, 10.0)) == 7.0
+    assert worst_moment(force, channel, 0, None) == 7.0
+    assert worst_moment(force, channel, 0, (0.0, 5.0)) == 4.0
+    unsure = replace(force, force=strong / 10)
+    assert worst_moment(unsure, channel, 0, (0.0, 10.0)) == 4.0
 
 
-def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days() -> (
-    None
-):
-    t = np.linspace(0.0, 20 * 86400.0, 101)
-    channel = ChannelCurves("Ti", "degC", np.sin(t), np.cos(t), 0.01)
-    run = RunCurves("house", "training", t, (channel,))
-    figure = charts.free_run(run, channel, "s", mark=5 * 86400.0, is_worst=True)
+def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
+    studied: Session,
+) -> None:
+    assert studied.content is not None
+    t = np.linspace(0.0, 20.0, 101)
+    channel = Channel("Ti", "degC", 0.01, t, np.sin(t), (np.cos(t),), (1.0,), 0.7)
+    run = Run("house", "training", (channel,))
+    house = replace(
+        studied.content, time=TimeScale("days", 86400.0), names=("base model",)
+    )
+    figure = plotly(run_chart(house, run, 0, (5.0, "worst moment")))
     notes = {note["text"]: note for note in figure["layout"]["annotations"]}
     assert notes["worst moment"]["x"] == 5.0
     assert figure["data"][0]["x"][-1] == 20.0
-    assert figure["layout"]["xaxis"]["title"]["text"] == "time (days)"
-    looked_at = charts.free_run(run, channel, "s", mark=5 * 86400.0)
-    assert "the time looked at" in str(looked_at["layout"]["annotations"])
-    force = ForceCurve("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
-    assert "At t = 0.25 days of house" in force_near(force, 6 * 3600.0, "s")
+    assert figure["layout"]["xaxis"]["title"]["text"] == "t (days)"
+    force = ForceRun("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
+    assert "At t = 0.25 days of house" in force_near(house, force, 0.25)
+    *_, line = plotly(force_chart(house, [force]))["data"]
+    assert line["name"] == "missing in dTi/dt"
+    assert line["y"][0] == 1.0
 
 
 def test_after_a_step_the_charts_stay_where_the_user_looked(studied: Session) -> None:
-    assert studied.snapshot is not None
-    known = studied.snapshot
+    assert studied.content is not None
+    known = studied.content
     before = studied.look
     looked = Look(run=1, t=2.0)
     studied.look = looked
@@ -533,7 +529,7 @@ def test_after_a_step_the_charts_stay_where_the_user_looked(studied: Session) ->
     assert studied.look is looked
     studied.job = None
     studied._show(known)
-    assert studied.look == Look(known.first_run, "", known.first_time)
+    assert studied.look == Look.at(known)
     studied.look = before
 
 
@@ -567,8 +563,8 @@ def test_a_fit_that_failed_is_told_until_the_draft_changes(session: Session) -> 
 
 
 def test_a_time_beyond_a_record_is_not_of_the_record(studied: Session) -> None:
-    assert studied.snapshot is not None
-    run = studied.snapshot.runs[0]
+    assert studied.content is not None
+    run = studied.content.runs[0]
     assert run.holds(1.0)
     assert not run.holds(99.0)
 
@@ -606,7 +602,7 @@ a = { start = 1.0 }
 def test_the_exported_script_reproduces_every_step(
     studied: Session, tmp_path: Path
 ) -> None:
-    assert studied.snapshot is not None
+    assert studied.content is not None
     (tmp_path / "spring.csv").write_bytes(spring_table())
     script = tmp_path / "study.py"
     shown = "print(*(step.judged.rmse for step in study.steps))"
@@ -621,7 +617,7 @@ def test_the_exported_script_reproduces_every_step(
         check=True,
     )
     errors = [float(word) for word in ran.stdout.splitlines()[-1].split()]
-    expected = [step.judged for step in studied.snapshot.steps]
+    expected = [step.judged for step in studied.content.steps]
     # On the page the re-fit begins where the diagnosis ended: the same optimum, found
     # from elsewhere.
     assert errors == pytest.approx(expected, rel=1e-3)
@@ -636,10 +632,10 @@ def test_samples_are_averaged_and_fitted_again(session: Session) -> None:
     assert session.job is not None
     wait_for(lambda: session.job is None)
     assert session.draft.content()["data"]["thinned"] == 2
-    assert session.snapshot is not None, session.message
+    assert session.content is not None, session.message
     n_whole = session.draft.data.n_samples if session.draft.data is not None else 0
-    n_left = sum(len(run.t) for run in session.snapshot.runs)
-    assert abs(n_left - n_whole / 2) <= len(session.snapshot.runs)
+    n_left = sum(len(run.channels[0].t) for run in session.content.runs)
+    assert abs(n_left - n_whole / 2) <= len(session.content.runs)
     session.draft.model.H = "broken +"
     session.average(3)
     assert session.job is None, "what cannot be fitted is told, not begun"
@@ -649,14 +645,14 @@ def test_samples_are_averaged_and_fitted_again(session: Session) -> None:
 
 
 def test_undo_takes_back_the_step(studied: Session) -> None:
-    before = studied.snapshot
+    before = studied.content
     assert before is not None
     studied.undo()
     wait_for(lambda: studied.job is None)
-    assert studied.snapshot is not None
-    assert studied.snapshot.steps == before.steps[:1]
-    assert studied.snapshot.diagnosed is not None
-    assert studied.snapshot.diagnosed.proposed == "coulomb friction on p"
+    assert studied.content is not None
+    assert studied.content.steps == before.steps[:1]
+    assert studied.content.present is not None
+    assert studied.content.present.proposed == ("coulomb friction on p",)
     assert studied.message == ""
 
 
@@ -675,7 +671,7 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
 ) -> None:
     told: list[Order] = []
     monkeypatch.setattr(WorkerHandle, "tell", lambda _, order: told.append(order))
-    assert studied.snapshot is not None
+    assert studied.content is not None
     for is_shown, said in (
         (False, "Cancelled: Adding coulomb friction on p."),
         (True, "Added coulomb friction on p; the search for what is missing was"),
@@ -684,7 +680,7 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
         worker = session._worker
         assert worker is not None
         if is_shown:
-            session._receive(worker, Shown(studied.snapshot, b""))
+            session._receive(worker, Shown(studied.content, b""))
         session.cancel()
         assert session.message.startswith(said)
         assert session.job is None
@@ -693,7 +689,7 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
 
 def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> None:
     session.fit()
-    wait_for(lambda: session.snapshot is not None)  # fitted; the diagnosis goes on
+    wait_for(lambda: session.content is not None)  # fitted; the diagnosis goes on
     assert session.job is not None
     assert session._worker is not None
     pid = session._worker.pid
@@ -703,11 +699,11 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> No
     assert not is_running(pid)
     assert session.job is None
     assert session.message.startswith("Fitted; the search for what is missing was")
-    assert session.snapshot.diagnosed is None
+    assert session.content.present is None
     session.diagnose()
     wait_for(lambda: session.job is None)
     assert session.message == ""
-    assert session.snapshot.diagnosed is not None, "it went on from what was kept"
+    assert session.content.present is not None, "it went on from what was kept"
 
 
 def test_a_model_counts_as_made_before_it_is_seen(
@@ -716,14 +712,14 @@ def test_a_model_counts_as_made_before_it_is_seen(
     seen = []
     show = Session._show
 
-    def noted(self: Session, snapshot: Snapshot) -> None:
+    def noted(self: Session, content: StudyContent) -> None:
         assert self.job is not None
         seen.append(self.job.is_shown)
-        show(self, snapshot)
+        show(self, content)
 
     monkeypatch.setattr(Session, "_show", noted)
     session.fit()
-    wait_for(lambda: session.snapshot is not None)
+    wait_for(lambda: session.content is not None)
     session.cancel()
     assert seen[0]
 
@@ -876,14 +872,14 @@ def colors(block: str) -> dict[str, str]:
 
 
 def test_every_text_has_enough_contrast_to_its_ground_in_light_and_dark() -> None:
-    light, dark = re.findall(r"(?:root|body\.body--dark) \{(.*?)\}", style.CSS, re.S)[
-        :2
-    ]
+    light, dark = re.findall(
+        r"(?:root|body\.body--dark) \{(.*?)\}", CSS.read_text(), re.S
+    )[:2]
     for named in (colors(light), colors(dark)):
         for ink in ("ink", "faint", "good", "bad", "strong"):
             for ground in ("ground", "card"):
                 assert contrast(named[ink], named[ground]) >= 4.5, (ink, ground)
         assert contrast(named["good"], named["good-ground"]) >= 4.5
         assert contrast(named["bad"], named["bad-ground"]) >= 4.5
-    assert contrast(style.PRIMARY, style.ON_PRIMARY) >= 4.5
+    assert contrast(PRIMARY, ON_PRIMARY) >= 4.5
     assert contrast("#8fc1f7", "#0d1b2a") >= 4.5  # of filled buttons in the dark

@@ -32,10 +32,27 @@ from phsi_opt.force_analysis.units import (
     frequency_words,
     scale_of_rate,
 )
+from phsi_opt.presentation.charts import glance_chart, svg
+from phsi_opt.presentation.content import (
+    GOOD,
+    LOOK,
+    Channel,
+    ForceRun,
+    ParameterRow,
+    Ranked,
+    Run,
+    StudyContent,
+)
 from phsi_opt.presentation.durations import date_words, dates_words, times_words
-from phsi_opt.presentation.html_report import html_report, script_json
+from phsi_opt.presentation.html_report import (
+    html_report,
+    interval_words,
+    markdown_report,
+    packed,
+)
 from phsi_opt.presentation.numbers import (
     estimate_text,
+    listed,
     number,
     p_value_words,
     proper_names,
@@ -44,18 +61,6 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
-from phsi_opt.presentation.report import Section
-from phsi_opt.presentation.report_content import (
-    GOOD,
-    LOOK,
-    ChannelRun,
-    ForceRun,
-    Ranked,
-    Report,
-    Run,
-)
-from phsi_opt.presentation.report_content import Channel as ReportChannel
-from phsi_opt.presentation.report_pictures import glance_picture
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit, scale_of_errors
 from phsi_opt.study.answers import (
@@ -69,17 +74,14 @@ from phsi_opt.study.certainty import (
     disturbance_word,
     undetermined_words,
 )
-from phsi_opt.study.force_content import shortened
-from phsi_opt.study.glance import glance_of
-from phsi_opt.study.report_content import (
+from phsi_opt.study.content import (
     _at_floor,
-    interval_within,
+    ends_within,
     is_just_below,
-    report_content,
+    study_content,
 )
-from phsi_opt.study.report_text import report_sections
+from phsi_opt.study.force_content import glance_of
 from phsi_opt.study.since_when import _comes_and_goes, _gap_words, since_when
-from phsi_opt.study.summary import study_summary
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 
@@ -87,7 +89,7 @@ MOST_BYTES = 6_000_000
 ORDER = ["verdict", "errors", "equations", "runs", "where", "ranked", "checks"]
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$\\x$ {{7*7}}"
 # Colours of texts on the page and on cards, by name in the style sheet.
-TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad", "before", "after"]
+TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad"]
 
 
 def measurements(runs: int, friction: float = 2.0) -> ph.Measurements:
@@ -112,8 +114,8 @@ def study() -> ph.Study:
 
 
 @pytest.fixture(scope="module")
-def content(study: ph.Study) -> Report:
-    return report_content(study.record)
+def content(study: ph.Study) -> StudyContent:
+    return study_content(study.record)
 
 
 @pytest.fixture(scope="module")
@@ -159,9 +161,9 @@ def test_the_parts_stand_in_the_order_in_which_one_asks(page: str) -> None:
 
 
 def test_the_first_screen_says_what_where_since_when_and_what_to_add(
-    content: Report, study: ph.Study
+    content: StudyContent, study: ph.Study
 ) -> None:
-    answers = {fact.question: fact.answer for fact in content.headline.facts}
+    answers = {fact.question: fact.lead for fact in content.headline.answers}
     assert list(answers) == [
         "What was wrong",
         "Where it was",
@@ -174,7 +176,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
         r"(From the start|(From the start, a|A)gain and again), in both training runs\.",
         answers["Since when"],
     )
-    details = {fact.question: fact.detail for fact in content.headline.facts}
+    details = {fact.question: fact.detail for fact in content.headline.answers}
     assert re.match(
         r"(Strongest|Seen most clearly) at t = .* of run \d\.", details["Since when"]
     )
@@ -194,14 +196,14 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     nearest = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
     still = replace(nearest, proposed=(), reason="nothing else explains it")
     record = replace(study.record, diagnoses={0: nearest, 1: still}, stopped="")
-    headline = report_content(record).headline
+    headline = study_content(record).headline
     assert re.match(
         r"Added, but not established: coulomb friction on p \(decisive, log evidence "
         r"[\d.]+\)\. With it, the held-out error fell from",
         headline.sentence,
     )
     assert "no effect of the catalogue explains" in headline.sentence
-    answers = {fact.question: fact.detail for fact in headline.facts}
+    answers = {fact.question: fact.detail for fact in headline.answers}
     assert "dp/dt is off by" in answers["What is wrong"]
     assert "What to do next" in answers
 
@@ -215,16 +217,16 @@ def test_nothing_is_said_to_be_right_beside_what_is_not_established(
     assert silent.verdict == ph.Verdict.NOTHING_MISSING
     record = replace(study.record, diagnoses={0: open_, 1: silent})
     assert [one.name for one in record.unestablished] == ["coulomb friction on p"]
-    headline = report_content(record).headline
+    headline = study_content(record).headline
     assert headline.sentence.endswith("No force is evident beside the present model.")
     assert headline.severity == LOOK
     assert headline.beside == "with an effect that is not established"
-    answers = {fact.question: fact.answer for fact in headline.facts}
+    answers = {fact.question: fact.lead for fact in headline.answers}
     assert answers["What was added"] == "Coulomb friction on p, not established."
     said = "added, but not established: coulomb friction on p"
-    assert said in str(study_summary(record).parts[-1].text)
-    assert any(said in section.text for section in report_sections(record))
-    assert report_content(study.record).headline.severity == GOOD
+    assert said in str(record.summary.parts[-1].text)
+    assert said in markdown_report(study_content(record))
+    assert study_content(study.record).headline.severity == GOOD
     assert not study.record.unestablished
 
 
@@ -238,11 +240,11 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     record = replace(
         study.record, steps=study.record.steps[:1], diagnoses={0: unknown}, stopped=""
     )
-    content = report_content(record)
+    content = study_content(record)
     headline = content.headline
     tried = r"(none of the \d+ effects tried explains|the one effect tried does not)"
     assert re.match(f"Something is missing; {tried}", headline.sentence)
-    answers = {one.question: f"{one.answer} {one.detail}" for one in headline.facts}
+    answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
     wrong = answers["What is wrong"]
     # One scale for error and noise, in numbers that can be compared.
     assert re.search(
@@ -259,9 +261,9 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     assert "No effect of the catalogue fits." in do
     # The pair predicts a tenth better than p alone, give or take.
     assert re.search(r"a term of your own in dp/dt that depends on (q and )?p\.", do)
-    (failure,) = content.failures
+    (diagnosed,) = content.diagnoses
     for answer in answers.values():
-        assert answer.strip() in failure.told
+        assert answer.strip() in diagnosed.told
 
 
 def test_one_line_says_how_sure_it_is(
@@ -295,7 +297,7 @@ def test_one_line_says_how_sure_it_is(
     assert "Which of the class it is" not in said
     open_class = replace(named, findings=(either,))
     assert "Which of the class it is" in certainty_words(open_class)
-    assert report_content(study.record).headline.certainty.startswith("Nothing is seen")
+    assert study_content(study.record).headline.certainty.startswith("Nothing is seen")
     assert disturbance_word(unknown) == ""
 
 
@@ -317,10 +319,10 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     record = replace(
         study.record, steps=study.record.steps[:1], diagnoses={0: partly}, stopped=""
     )
-    headline = report_content(record).headline
+    headline = study_content(record).headline
     told = "Coulomb friction on p is missing. With it, the held-out error falls"
     assert headline.sentence.startswith(told)
-    facts = {one.question: f"{one.answer} {one.detail}" for one in headline.facts}
+    facts = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
     assert "The held-out error falls from" in facts["What to add"]
     assert facts["What to add"].endswith("what is left is more than noise.")
     above = with_errors(partly, after=0.4)
@@ -450,37 +452,35 @@ def test_what_the_parameters_make_up_for_shows_in_the_data_held_out(
 
 
 def test_beside_the_verdict_stands_the_run_where_it_shows(
-    content: Report, study: ph.Study
+    content: StudyContent, study: ph.Study
 ) -> None:
     glance = content.glance
     assert glance is not None
-    run = content.runs.runs[glance.run]
+    run = content.runs[glance.run]
     lacks = glance.force
     assert lacks is not None
     where = study.record.diagnoses[0].where.iloc[0]
-    assert run.name == lacks.name == where["trajectory"]
+    assert run.name == lacks.run == where["trajectory"]
     assert run.part == "training"
-    assert glance.window is not None
-    assert where["time_window"] == f"{glance.window[0]:g} to {glance.window[1]:g}"
-    squares = np.array([(w or 0.0) ** 2 for w in lacks.force])
-    inside = [glance.window[0] <= (t or 0.0) <= glance.window[1] for t in lacks.t]
-    assert squares[inside].mean() > 2 * squares.mean()
+    assert glance.window is not None and glance.t is not None
+    begin, end = glance.window
+    assert where["time_window"] == f"{begin:g} to {end:g}"
+    assert begin <= glance.t <= end
+    inside = (begin <= lacks.t) & (lacks.t <= end)
+    assert (lacks.force[inside] ** 2).mean() > 2 * (lacks.force**2).mean()
     # Where the model is far worse on the data held out, these show it better.
     runs = []
-    for one in content.runs.runs:
+    for one in content.runs:
         (channel,) = one.channels
-        errors: list[float | None] = [2.0, 2.0]
-        errors = channel.errors if one.part == "training" else errors
-        runs.append(replace(one, channels=[replace(channel, errors=errors)]))
-    worse = replace(content.runs, runs=runs)
+        errors = channel.errors if one.part == "training" else (2.0, 2.0)
+        runs.append(replace(one, channels=(replace(channel, errors=errors),)))
+    worse = replace(content, runs=tuple(runs))
     first = study.record.diagnoses[0]
-    judged = glance_of(first, content.failures[0], worse)
+    judged = glance_of(first, worse.runs, content.time, 0)
     assert judged is not None and judged.force is None
     assert runs[judged.run].part == "held out"
     assert "(data held out), measured and simulated from" in judged.sentence
-    assert "<svg" in glance_picture(judged, worse)
-    nothing = replace(study.record, diagnoses={}, stopped="")
-    assert report_content(nothing).glance is None
+    assert "<svg" in svg(glance_chart(replace(worse, glance=judged)))
 
 
 def test_what_comes_and_goes_is_said_to() -> None:
@@ -594,8 +594,8 @@ def test_units_have_their_powers_raised_and_formulas_stay() -> None:
 def test_digits_stop_where_they_say_nothing() -> None:
     assert p_value_words(6.8e-292) == "below 1e-06"
     assert p_value_words(0.034) == "0.034"
-    assert shortened("a, b, c, d") == "a, b, c, d"
-    assert shortened("a, b, c, d, e") == "a, b, c and 2 more"
+    assert listed("abcd") == "a, b, c, d" and listed("", "nothing") == "nothing"
+    assert listed("abcde") == "a, b, c and 2 more"
     assert estimate_text(39.9871, 0.104) == "39.99 +- 0.1"
     assert estimate_text(1.87766, 0.0612) == "1.878 +- 0.061"
     assert estimate_text(0.00402, 0.006) == "0.004 +- 0.006"
@@ -619,9 +619,12 @@ def test_coulomb_has_a_capital_where_people_read() -> None:
 def test_bounds_cut_an_interval() -> None:
     damping = ph.Parameter(0.04, lower=0)
     assert damping.nearest_bound(9.6e-19) == 0
-    assert interval_within(damping, -0.12, 0.2) == "0 to 0.2"
-    assert interval_within(damping, 0.01, 0.2) == "0.01 to 0.2"
-    assert interval_within(damping, np.nan, 0.2) == ""
+    assert ends_within(damping, -0.12, 0.2) == (0, 0.2)
+    assert ends_within(damping, 0.01, 0.2) == (0.01, 0.2)
+    assert ends_within(damping, np.nan, 0.2) == (None, None)
+    row = ParameterRow("c", 0.1, 0.05, 0.0, 0.2, "cut at its bound", "")
+    assert interval_words(row) == "0 to 0.2, cut at its bound"
+    assert interval_words(replace(row, lower=None, remark="fixed")) == "fixed"
 
 
 @pytest.mark.parametrize(
@@ -678,9 +681,9 @@ def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
         "2021-11-22 06:30" in diagnosis.sentences[0]
         or "about as strong" in (diagnosis.sentences[0])
     )
-    content = report_content(study.record)
-    assert {run.since for run in content.runs.runs} == {"2021-11-22 06:30"}
-    since = {fact.question: fact.detail for fact in content.headline.facts}
+    content = study_content(study.record)
+    assert {run.origin for run in content.runs} == {begin}
+    since = {fact.question: fact.detail for fact in content.headline.answers}
     assert "(2021-11-22 06:30" in since["Since when"]
 
 
@@ -705,7 +708,7 @@ def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:
     record = replace(
         study.record, steps=study.record.steps[:1], diagnoses={0: found}, stopped=""
     )
-    sentence = report_content(record).headline.sentence
+    sentence = study_content(record).headline.sentence
     assert sentence == (
         "Coulomb friction on p is missing. With it, the held-out error falls to the "
         "noise."
@@ -713,7 +716,7 @@ def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:
 
 
 def test_verdict_table_and_picture_use_the_same_words(
-    page: str, content: Report, study: ph.Study
+    page: str, content: StudyContent, study: ph.Study
 ) -> None:
     text = Reader(page).text
     verdict = str(study.diagnose().verdict)
@@ -724,7 +727,7 @@ def test_verdict_table_and_picture_use_the_same_words(
     assert "coulomb friction" not in text.split("To reproduce it")[1].split("Seeds")[0]
     last = study.history.iloc[-1]
     assert f"{last['held_out_rmse']:.4g}" in text and number(last["bic"], 6) in text
-    held_out = [step.held_out for step in content.staircase.steps]
+    held_out = [step.held_out for step in content.steps]
     assert held_out == list(study.history["held_out_rmse"])
 
 
@@ -748,9 +751,8 @@ def test_the_file_is_small_and_loads_nothing(page: str) -> None:
 def test_the_chart_library_is_in_the_file_once(page: str) -> None:
     from plotly.offline import get_plotlyjs
 
-    packed = re.findall(r'id="library">([^<]*)</script>', page)
-    assert len(packed) == 1
-    assert gzip.decompress(base64.b64decode(packed[0])).decode() == get_plotlyjs()
+    (library,) = re.findall(r'id="library">([^<]*)</script>', page)
+    assert gzip.decompress(base64.b64decode(library)).decode() == get_plotlyjs()
 
 
 def test_every_chart_has_a_picture_with_words_for_paper(page: str) -> None:
@@ -778,7 +780,7 @@ def test_the_page_has_title_landmarks_language_and_headings(page: str) -> None:
         assert (link["href"] or "")[1:] in ids
 
 
-def test_a_severity_is_said_in_a_word(page: str, content: Report) -> None:
+def test_a_severity_is_said_in_a_word(page: str, content: StudyContent) -> None:
     assert content.checks
     items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)
     words = {"good": "In order", "look": "Worth a look", "bad": "Not in order"}
@@ -788,50 +790,60 @@ def test_a_severity_is_said_in_a_word(page: str, content: Report) -> None:
 
 def test_the_same_study_gives_the_same_file(page: str, study: ph.Study) -> None:
     again = html_report(
-        report_content(study.record, study._fitting.laws(study.fit, study.added))
+        study_content(study.record, study._fitting.laws(study.fit, study.added))
     )
     assert again == page
 
 
-def test_names_of_the_data_cannot_inject_anything(content: Report) -> None:
+def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None:
     runs = []
-    for number_of_run, run in enumerate(content.runs.runs):
-        runs.append(replace(run, name=f"{HOSTILE} {number_of_run}"))
-    channels = tuple(replace(one, name=HOSTILE) for one in content.runs.channels)
-    models = tuple(HOSTILE for _ in content.runs.models)
-    failure = content.failures[0]
+    for place, run in enumerate(content.runs):
+        channels = tuple(replace(one, name=HOSTILE) for one in run.channels)
+        runs.append(replace(run, name=f"{HOSTILE} {place}", channels=channels))
+    diagnosed = content.diagnoses[0]
     forces = []
-    for force in failure.forces:
-        parts = [replace(run, name=HOSTILE) for run in force.runs]
+    for force in diagnosed.forces:
+        parts = tuple(replace(run, run=HOSTILE) for run in force.runs)
         forces.append(replace(force, equation=HOSTILE, label=HOSTILE, runs=parts))
     text = HOSTILE
-    ranked = Ranked(text, text, text, text, 0.5, text, text, text)
+    ranked = Ranked(text, 1.0, 0.1, text, text, 0.5, 1.0, None, (text,), text)
+    told = replace(diagnosed, forces=tuple(forces), ranking=(ranked,))
     hostile = replace(
         content,
         title=HOSTILE,
         headline=replace(content.headline, sentence=HOSTILE, status=HOSTILE),
-        runs=replace(content.runs, runs=runs, channels=channels, models=models),
-        failures=(replace(failure, forces=tuple(forces), ranking=(ranked,)),),
+        names=tuple(HOSTILE for _ in content.names),
+        runs=tuple(runs),
+        diagnoses=(told,),
         code=HOSTILE,
     )
     reader = Reader(html_report(hostile))
     assert len(reader.scripts) == 3  # data, chart library, our own
-    data = json.loads(reader.scripts[0])
-    assert data["runs"]["channels"][0]["name"] == HOSTILE
+    data = unpacked(reader.scripts[0])
+    title = data["measured"][0][0]["layout"]["yaxis1"]["title"]["text"]
+    assert title.startswith("&lt;/script&gt;&lt;script&gt;")
     assert "<" not in reader.scripts[0]
     assert HOSTILE in reader.text and "49" not in reader.text.split(HOSTILE)[0][-10:]
     assert not any("onerror" in attributes for _, attributes in reader.elements)
     for picture in reader.all("img"):
         assert (picture["src"] or "").startswith("data:image/svg+xml;base64,")
-        svg = base64.b64decode((picture["src"] or "").split(",")[1]).decode()
-        assert "<script" not in svg and "<img" not in svg
+        drawn = base64.b64decode((picture["src"] or "").split(",")[1]).decode()
+        assert "<script" not in drawn and "<img" not in drawn
+    *_, last = markdown_report(hostile).rpartition("## To reproduce it")
+    lines = markdown_report(replace(hostile, code="")).splitlines()
+    assert not any("<" in line for line in lines if not line.startswith("    "))
+    assert f"    {HOSTILE}" in last.splitlines()
+
+
+def unpacked(text: str) -> Any:
+    """What the browser unpacks of a script element."""
+    return json.loads(gzip.decompress(base64.b64decode(text)))
 
 
 def test_a_text_cannot_end_its_script() -> None:
-    text = "</script> <!-- & \u2028"
-    packed = script_json({"name": text})
-    assert "<" not in packed and "&" not in packed and "\u2028" not in packed
-    assert json.loads(packed) == {"name": text}
+    told = packed(json.dumps("</script> <!-- & \u2028"))
+    assert re.fullmatch(r"[\w+/=]*", told)
+    assert unpacked(told) == "</script> <!-- & \u2028"
 
 
 def test_a_study_that_was_not_diagnosed_says_so_and_what_to_do(tmp_path: Path) -> None:
@@ -847,67 +859,56 @@ def test_a_study_that_was_not_diagnosed_says_so_and_what_to_do(tmp_path: Path) -
 
 @pytest.mark.parametrize(("n_runs", "n_channels"), [(1, 1), (50, 1), (3, 8), (50, 8)])
 def test_one_or_fifty_trajectories_and_eight_channels_with_gaps_come_out_well(
-    content: Report, n_runs: int, n_channels: int
+    content: StudyContent, n_runs: int, n_channels: int
 ) -> None:
     rng = np.random.default_rng(11)
-    channels = tuple(ReportChannel(f"x{k}", "m", 0.1) for k in range(n_channels))
     runs = []
     for k in range(n_runs):
-        parts = [_channel_run(rng, 300) for _ in channels]
-        runs.append(Run(f"run {k}", "training", parts))
+        channels = tuple(_channel(rng, f"x{c}", 300) for c in range(n_channels))
+        runs.append(Run(f"run {k}", "training", channels))
     many = replace(
-        content,
-        glance=None,
-        runs=replace(
-            content.runs, runs=runs, channels=channels, models=("base model",), shown=0
-        ),
+        content, glance=None, runs=tuple(runs), names=("base model",), shown=0
     )
     text = html_report(many)
     assert len(text.encode()) < MOST_BYTES
     reader = Reader(text)
-    data = json.loads(reader.scripts[0])
-    assert len(data["runs"]["runs"]) == n_runs
-    assert None in data["runs"]["runs"][0]["channels"][0]["measured"]
+    drawn = unpacked(reader.scripts[0])["measured"]
+    assert len(drawn) == n_runs and len(drawn[0]) == n_channels
+    assert None in drawn[0][0]["data"][0]["y"]
     named = [f"run {k} (training)" for k in range(n_runs)]
     assert all(name in reader.text for name in named)
 
 
-def _channel_run(rng: np.random.Generator, n_samples: int) -> ChannelRun:
+def _channel(rng: np.random.Generator, name: str, n_samples: int) -> Channel:
     measured = rng.standard_normal(n_samples)
     measured[20:40] = np.nan
-    shown = np.zeros(n_samples)
-    t = rounded(np.arange(n_samples) / 10, 6)
-    values = rounded(measured)
-    return ChannelRun(t, values, [rounded(shown)], [values], [1.0])
+    t = np.arange(n_samples) / 10
+    return Channel(name, "m", 0.1, t, measured, (np.zeros(n_samples),), (1.0,), 1.0)
 
 
 def test_where_every_value_is_unknown_the_pictures_are_drawn_still(
-    content: Report,
+    content: StudyContent,
 ) -> None:
-    nothing: list[float | None] = [None, None]
-    channel = ChannelRun([0.0, 1.0], nothing, [nothing], [nothing], [None])
-    channels = tuple(replace(one, noise=None) for one in content.runs.channels)
+    t = np.array([0.0, 1.0])
+    nothing = np.full(2, np.nan)
+    channel = Channel("q", "m", None, t, nothing, (nothing,), (None,))
     steps = tuple(
         replace(step, train=None, held_out=None, floor=None, bic=None)
-        for step in content.staircase.steps
+        for step in content.steps
     )
     force = replace(
-        content.failures[0].forces[0],
-        runs=[ForceRun("a", [0.0, 1.0], nothing, nothing)],
+        content.diagnoses[0].forces[0],
+        runs=(ForceRun("a", "training", "p", "N", t, nothing, nothing),),
         shown=0,
     )
     empty = replace(
         content,
-        staircase=replace(content.staircase, steps=steps),
+        steps=steps,
         glance=None,
-        runs=replace(
-            content.runs,
-            runs=[Run("a", "training", [channel])],
-            models=("base model",),
-            channels=channels,
-            shown=0,
-        ),
-        failures=(replace(content.failures[0], forces=(force,)),),
+        runs=(Run("a", "training", (channel,)),),
+        names=("base model",),
+        shown=0,
+        diagnoses=(replace(content.diagnoses[0], forces=(force,)),),
     )
     assert "not known" in Reader(html_report(empty)).text
 
@@ -1006,13 +1007,3 @@ def _luminance(colour: str) -> float:
         is_dark = part <= 0.04045
         linear.append(part / 12.92 if is_dark else ((part + 0.055) / 1.055) ** 2.4)
     return float(np.dot([0.2126, 0.7152, 0.0722], linear))
-
-
-def test_no_output_leaves_its_block_in_markdown() -> None:
-    output = "a name with ```` in it\n````\n# no heading <img src=x>"
-    heading, block = Section("Model <b>", 2, outputs=(output,)).paragraphs
-    assert heading == "## Model &lt;b>"
-    fence, *inside, end = block.splitlines()
-    assert "\n".join(inside) == output
-    assert fence == f"{end}text" and end not in output
-    assert Section("Model", 2, outputs=("x",)).paragraphs[1] == "```text\nx\n```"

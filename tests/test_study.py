@@ -331,7 +331,7 @@ def test_the_history_is_drawn_with_its_values_and_a_log_axis_over_decades(
     texts = [text.get_text() for text in axes.texts]
     for error in (*hidden.history["train_rmse"], *hidden.history["held_out_rmse"]):
         assert f"{error:.3g}" in texts
-    assert f"noise floor {hidden.history['noise_floor'].iloc[-1]:.3g}" in texts
+    assert f"floor {hidden.history['noise_floor'].iloc[-1]:.3g}" in texts
     training, held_out = axes.lines[:2]
     # Equal errors stand side by side: none hides the other.
     sides = (

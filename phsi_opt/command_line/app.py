@@ -219,7 +219,7 @@ def demo(
 ) -> None:
     """A damped spring with a hidden friction: the whole loop, in a minute."""
     with told_errors(as_json):
-        from phsi_opt.command_line.demonstration import written_demonstration
+        from phsi_opt.command_line.file_commands import written_demonstration
 
         study = written_demonstration(folder)
     typer.echo(f"the study file: {study}", err=True)

@@ -1,5 +1,6 @@
-"""The commands about the study file itself: init, check and add."""
+"""The commands about the study file itself: init, check and add, and its demo."""
 
+from importlib.resources import files
 from pathlib import Path
 
 from phsi_opt.command_line.job import Answer
@@ -7,6 +8,7 @@ from phsi_opt.command_line.worker import answer_to
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
 from phsi_opt.model.catalogue import catalogue
+from phsi_opt.reading import file_bytes
 from phsi_opt.study_file.adding import add_effects
 from phsi_opt.study_file.effects import ON
 from phsi_opt.study_file.first_text import first_text
@@ -16,8 +18,10 @@ from phsi_opt.study_file.unfilled import unfilled
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.writing import write_whole
 
+DEMO_FILES = ("friction_spring.csv", "study.toml")
 
-def first_study(files: list[Path], study: Path, force: bool) -> Answer:
+
+def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
     """Write a study file; nothing that is there is overwritten unless forced.
 
     Raises:
@@ -28,16 +32,16 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
             f"{study} is there already; nothing was written. Give another name with "
             "--study, or overwrite it with --force."
         )
-    table = survey(files[0])
-    for further in files[1:]:
+    table = survey(tables[0])
+    for further in tables[1:]:
         _check_alike(table, survey(further))
-    write_whole(study, first_text(table, files, study.parent))
+    write_whole(study, first_text(table, tables, study.parent))
     needs: tuple[Complaint, ...] = ()
     try:
         StudyFile.read(study)
     except StudyFileError as error:
         needs = error.complaints
-    lines = [f"{study} is written, for {table.n_lines} lines of {files[0]}:"]
+    lines = [f"{study} is written, for {table.n_lines} lines of {tables[0]}:"]
     lines += [f"  {line}" for line in _seen(table, study)]
     lines += ["", "It needs:", *[f"  {need}" for need in needs]]
     lines += ["", f"Then: phsi-opt check {study}"]
@@ -173,3 +177,26 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
         "backup": str(backup),
     }
     return Answer(text, content)
+
+
+def written_demonstration(folder: Path) -> Path:
+    """Write table and study file into a folder; the path of the study file.
+
+    Raises:
+        DataError: another file is there, or the folder cannot be written.
+    """
+    shipped = files("phsi_opt.command_line") / "demo_data"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in DEMO_FILES:
+            text = (shipped / name).read_bytes()
+            place = folder / name
+            if place.exists() and file_bytes(place) != text:
+                raise DataError(
+                    f"{place} is there already and was changed; it stays as it is. "
+                    "Give another folder: phsi-opt demo FOLDER."
+                )
+            place.write_bytes(text)
+    except OSError as error:
+        raise DataError(f"{folder} cannot be written ({error}).") from None
+    return folder / "study.toml"

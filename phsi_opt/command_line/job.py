@@ -4,9 +4,8 @@ Records of texts and numbers alone: the process that waits needs none of the lib
 of the one that works.
 """
 
-import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Any
@@ -58,7 +57,6 @@ class Job:
         exit_code: whether something missing shows in the exit code.
         write: whether effects that were found are written into the study file.
         reach: how clear an effect has to be that is added.
-        tag: tells its files from those of another command in the same folder.
     """
 
     kind: str
@@ -71,36 +69,27 @@ class Job:
     exit_code: bool = False
     write: bool = False
     reach: Reach = Reach.DECISIVE
-    tag: str = field(default_factory=lambda: str(os.getpid()))
 
     @property
     def places(self) -> list[Path]:
         """The files that it writes."""
         return [path for path in (self.save, self.report) if path is not None]
 
-    def half_written(self, path: Path) -> Path:
-        """Where a file is while it is written."""
-        return path.with_name(f".{path.stem}.{self.tag}.half{path.suffix}")
-
-    def kept_aside(self, path: Path) -> Path:
-        """Where a file of a finished step lies until the work ends."""
-        return path.with_name(f".{path.stem}.{self.tag}.kept{path.suffix}")
-
 
 @dataclass(frozen=True)
 class Finished:
-    """A step was finished: what would be kept if the work stopped now.
+    """A step was finished: what is kept if the work stops now.
 
     Attributes:
         text: the steps as a table.
         content: the same for ``--json``.
-        files: what was written aside, by the place where it belongs.
+        files: that were written.
         found: names of the effects added beyond those of the study file.
     """
 
     text: str
     content: Mapping[str, Any]
-    files: Mapping[Path, Path] = field(default_factory=dict)
+    files: tuple[Path, ...] = ()
     found: tuple[str, ...] = ()
 
 

@@ -1,7 +1,6 @@
 """The work itself: fit, compare, diagnose, study; in the working process alone."""
 
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +17,8 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.presentation.content import unestablished_words
 from phsi_opt.study import Study
-from phsi_opt.study.summary import unestablished_words
 from phsi_opt.study_file.study_file import StudyFile
 
 Tell = Callable[[Message], None]
@@ -81,7 +80,7 @@ def _of_saved_fit(job: Job, file: StudyFile, tell: Tell) -> Answer:
 
 @dataclass
 class _Keeper:
-    """Writes fit and report aside after each step, and tells what there is."""
+    """Writes fit and report after each step, and tells what there is."""
 
     job: Job
     tell: Tell
@@ -97,27 +96,20 @@ class _Keeper:
     def step_finished(self, study: Study, is_last: bool = False) -> None:
         self.study = study
         self.n_kept = len(study.steps)
-        files: dict[Path, Path] = {}
+        files: list[Path] = []
         if self.job.save is not None:
-            files[self.job.save] = self._aside(self.job.save, study.fit.save)
+            study.fit.save(self.job.save)
+            files.append(self.job.save)
         if self.job.report is not None:
             try:
-                files[self.job.report] = self._aside(self.job.report, study.report)
+                files.append(study.report(self.job.report))
             except SolveError as error:
                 if is_last:  # on the way it does not end the study
                     raise
                 self.tell(f"no report of this step: {error}")
         found = tuple(map(str, study.added[self.n_known :]))
         content = {"history": table_content(study.history), "found": list(found)}
-        self.tell(Finished(str(study.history), content, files, found))
-
-    def _aside(self, path: Path, write: Callable[[Path], object]) -> Path:
-        """A file beside its place; that of the step before stays until it is whole."""
-        half = self.job.half_written(path)
-        kept = self.job.kept_aside(path)
-        write(half)
-        os.replace(half, kept)
-        return kept
+        self.tell(Finished(str(study.history), content, tuple(files), found))
 
 
 # ---- answers -------------------------------------------------------------------------
@@ -175,33 +167,29 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         study.auto(job.max_steps or file.steps.max_steps, reach=job.reach)
         code = ExitCode(_code(study.diagnose(), job))
         advice = str(study.diagnose().next_step)
-    content = {
+    content = study.content()
+    told = {one.question: str(one) for one in content.headline.answers}
+    listed = {
         "next": advice,
         "stopped": study.stopped,
         "history": table_content(study.history),
-        "added": [str(effect) for effect in study.added],
-        "unestablished": [one.name for one in study.record.unestablished],
-        "verdict": str(study.diagnose().verdict) if job.is_auto else None,
+        "added": content.added,
+        "unestablished": content.unestablished,
+        "verdict": content.headline.status if job.is_auto else None,
+        "sentence": content.headline.sentence,
+        "answers": told,
         "equations": study.fit.equations(),
         "unit": study.unit,
     }
     unit = f" ({study.unit})" if study.unit else ""
-    text = [
-        f"Errors of the free run{unit}, step by step:",
-        str(study.history),
-        "",
-        str(study.fit),
-        "",
-        *study.fit.equations(),
-    ]
-    if study.stopped:
-        text += ["", study.stopped]
-    open_ = unestablished_words(study.record)
-    if open_:
-        text.append(open_)
+    text = [f"Errors of the free run{unit}, step by step:", str(study.history), ""]
+    text += [str(study.fit), "", *study.fit.equations(), "", content.headline.sentence]
+    if content.present is not None:
+        text += [f"{question}: {answer}" for question, answer in told.items()]
+    text += filter(None, (study.stopped, unestablished_words(content.unestablished)))
     if advice:
         text.append(f"next: {advice}")
-    return Answer("\n".join(text), plain(content), code)
+    return Answer("\n".join(text), plain(listed), code)
 
 
 # ---- tables and numbers --------------------------------------------------------------

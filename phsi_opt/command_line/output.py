@@ -67,7 +67,7 @@ def do(job: Job, as_json: bool) -> NoReturn:
     ended = supervise(job)
     kept = ended.kept
     found = [] if kept is None else list(kept.found)
-    files = [str(path) for path in ended.files]
+    files = [] if kept is None else list(map(str, kept.files))
     notes = [f"written: {file}" for file in files]
     if found:
         notes += _found_effects(job, found)

@@ -1,21 +1,19 @@
 """The waiting process: it starts the work, shows its progress, and ends it on Ctrl-C.
 
 A solver in C++ does not always hear Ctrl-C. So the work is done by a process of its
-own, which is ended at once; what it finished lies aside already and is put into its
-place here.
+own, which is ended at once; what it finished is written already.
 """
 
 import contextlib
+import glob
 import multiprocessing
-import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from pathlib import Path
 
 from phsi_opt.command_line.job import DIAGNOSE, Answer, ExitCode, Finished, Job
 from phsi_opt.command_line.worker import work
@@ -33,13 +31,11 @@ class Supervised:
     Attributes:
         answer: what it answered; None: it was interrupted.
         kept: the last step that was finished; None: none was.
-        files: those that were put into their place.
         seconds: how long it took.
     """
 
     answer: Answer | None = None
     kept: Finished | None = None
-    files: list[Path] = field(default_factory=list)
     seconds: float = 0.0
 
 
@@ -60,7 +56,7 @@ def supervise(job: Job) -> Supervised:
         process.kill()
         process.join(END_WAIT)
         here.close()
-        ended.files = _put_into_place(job, ended.kept)
+        _remove_parts(job)
     ended.seconds = forecast.elapsed
     return ended
 
@@ -124,17 +120,11 @@ def _died(process: BaseProcess) -> Answer:
     return Answer(text, {"error": text}, ExitCode.FAILED)
 
 
-def _put_into_place(job: Job, kept: Finished | None) -> list[Path]:
-    """Fit and report of the last finished step; what is half written is removed."""
-    placed = []
+def _remove_parts(job: Job) -> None:
+    """Remove what `write_whole` had not finished when the process was ended."""
     for path in job.places:
-        written = None if kept is None else kept.files.get(path)
-        if written is not None and written.exists():
-            os.replace(written, path)
-            placed.append(path)
-        job.kept_aside(path).unlink(missing_ok=True)
-        job.half_written(path).unlink(missing_ok=True)
-    return placed
+        for part in path.parent.glob(f".{glob.escape(path.name[:40])}.*.part"):
+            part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

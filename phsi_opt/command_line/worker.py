@@ -1,8 +1,7 @@
 """The working process: it works, tells by a pipe, and answers.
 
 It is spawned, ignores Ctrl-C (which the waiting process hears), ends with that process
-and may be ended at any moment: files are written aside, and put into their place by the
-waiting process.
+and may be ended at any moment: files are written whole or not at all.
 """
 
 import os

@@ -10,7 +10,7 @@ from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.next_step import step_without_name
-from phsi_opt.presentation.report_content import Answer
+from phsi_opt.presentation.content import Answer
 
 HOW_TO_ADD = (
     "In Python, study.add or study.auto adds it; phsi-opt study --auto on the command "

@@ -18,7 +18,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.report_content import Answer
+from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,

@@ -16,7 +16,7 @@ from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
 from phsi_opt.model.structure import exchange_partners, kind_of, with_kinds_of_units
-from phsi_opt.presentation.report_content import Answer
+from phsi_opt.presentation.content import Answer
 
 
 class FieldWords(NamedTuple):

@@ -24,7 +24,7 @@ from phsi_opt.force_analysis.state_plots import map_variables
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import exchange_partners, position_rows
-from phsi_opt.presentation.report_content import Answer
+from phsi_opt.presentation.content import Answer
 
 # What the rate of a momentum or a velocity is called, by its unit.
 RATES = {

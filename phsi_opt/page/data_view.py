@@ -20,7 +20,7 @@ from phsi_opt.page.drafts import (
     ColumnDraft,
     DataDraft,
 )
-from phsi_opt.page.limits import MOST_FILES, MOST_UPLOADED, TABLE_KINDS, in_megabytes
+from phsi_opt.page.files import MOST_FILES, MOST_UPLOADED, TABLE_KINDS, in_megabytes
 from phsi_opt.page.parts import (
     alert,
     button,
@@ -179,11 +179,7 @@ class DataView:
             self._field(column, "noise", f"noise of {label}", "14em", hint)
 
     def _field(self, owner: Any, name: str, label: str, width: str, hint: str) -> None:
-        async def changed(value: str) -> None:
-            setattr(owner, name, value.strip())
-            await self._checked()
-
-        text_field(label, getattr(owner, name), changed, width=width, hint=hint)
+        text_field(owner, name, label, self._checked, width=width, hint=hint)
 
     async def _set_role(self, column: ColumnDraft, role: str) -> None:
         data = self._session.draft.data

@@ -5,6 +5,9 @@ from functools import partial
 
 from nicegui import ui
 
+from phsi_opt.errors import ModelError
+from phsi_opt.model.expressions import names_of
+from phsi_opt.model.variables import Variables
 from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,
@@ -16,16 +19,17 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.parts import (
+    Then,
     alert,
     button,
     card,
     choice,
     complaints,
     heading,
+    strong,
     text_field,
 )
 from phsi_opt.page.session import Session
-from phsi_opt.page.unknown_names import unknown_names
 
 NOT_MEASURED = "not measured"
 # The tiles are drawn anew a moment after one was chosen.
@@ -70,7 +74,7 @@ class ModelView:
             heading("Base model")
             ui.label("What is known of the machine. Pick one, then change it below.")
             with ui.element("div").classes("tiles"):
-                for base in GALLERY:
+                for base in GALLERY.values():
                     self._tile(base)
             if self._session.left_over:
                 ui.label(self._session.left_over).classes("bad").props('role="status"')
@@ -84,7 +88,7 @@ class ModelView:
             tile.classes("chosen")
         with tile:
             chosen = " (chosen)" if is_chosen else ""
-            ui.label(f"{base.title}{chosen}").style("font-weight: 600")
+            strong(f"{base.title}{chosen}")
             ui.label(base.about).classes("faint")
         tile.on("click", lambda: self._choose(base))
 
@@ -135,22 +139,10 @@ class ModelView:
             heading("Parameters")
             self.parameters()
 
-    def _field(
-        self,
-        name: str,
-        label: str,
-        hint: str,
-        then: Callable[[], Awaitable[None]],
-        width: str = "14em",
-    ) -> None:
+    def _field(self, name: str, label: str, hint: str, then: Then, **look: str) -> None:
+        width = look.get("width", "14em")
         draft = self._draft
-
-        async def changed(value: str) -> None:
-            setattr(draft, name, value)
-            await then()
-
-        value = getattr(draft, name)
-        text_field(label, value, changed, width=width, hint=hint).classes("formula")
+        text_field(draft, name, label, then, width=width, hint=hint, is_formula=True)
 
     async def _set_type(self, value: str) -> None:
         self._draft.type = value
@@ -169,24 +161,18 @@ class ModelView:
         for name in draft.state_names:
             with ui.element("div").classes("fields candidate"):
                 ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
+                slots = [(draft.F, f"force F on {name}", "u")]
                 if draft.type == ENERGY:
-                    self._formula(draft.R, name, f"loss R of {name}", "c")
-                self._formula(draft.F, name, f"force F on {name}", "u")
+                    slots.insert(0, (draft.R, f"loss R of {name}", "c"))
+                for formulas, label, hint in slots:
+                    look = {"width": "15em", "hint": hint}
+                    then = self._checked
+                    text_field(formulas, name, label, then, is_formula=True, **look)
                 self._column(STATE, name)
         for name in draft.input_names:
             with ui.element("div").classes("fields candidate"):
                 ui.label(name).classes("formula").style("width: 5em")
                 self._column(INPUT, name)
-
-    def _formula(
-        self, formulas: dict[str, str], name: str, label: str, hint: str
-    ) -> None:
-        async def changed(value: str) -> None:
-            formulas[name] = value
-            await self._checked()
-
-        field = text_field(label, formulas.get(name, ""), changed, width="15em")
-        field.classes("formula").props["placeholder"] = hint
 
     def _column(self, role: str, name: str) -> None:
         """Which column of the table shows a state or an input."""
@@ -218,12 +204,16 @@ class ModelView:
     def _parameter(self, one: ParameterDraft) -> None:
         name = one.name or "new parameter"
         with ui.element("div").classes("fields candidate"):
-            self._number(one, "name", "name", "8em", "k")
             start = "known value" if one.is_known else "start"
-            self._number(one, "value", f"{start} of {name}", "10em", "found in data")
-            self._number(one, "lower", f"least {name}", "8em", "none")
-            self._number(one, "upper", f"largest {name}", "8em", "none")
-            self._number(one, "unit", f"unit of {name}", "8em", "N/m")
+            for key, label, width, hint in (
+                ("name", "name", "8em", "k"),
+                ("value", f"{start} of {name}", "10em", "found in data"),
+                ("lower", f"least {name}", "8em", "none"),
+                ("upper", f"largest {name}", "8em", "none"),
+                ("unit", f"unit of {name}", "8em", "N/m"),
+            ):
+                then = partial(self._given, one) if key == "value" else self._checked
+                text_field(one, key, label, then, width=width, hint=hint)
             known = ui.checkbox("known", value=one.is_known)
             known.on_value_change(lambda e: self._set_known(one, bool(e.value)))
             remove = ui.button("Remove", on_click=lambda: self._remove(one))
@@ -234,15 +224,9 @@ class ModelView:
                 note = ui.label(said).classes("bad w-full").style(STAYING_PLACE)
                 note.bind_text_from(one, "is_assumed", lambda it: said if it else "")
 
-    def _number(
-        self, one: ParameterDraft, field: str, label: str, width: str, hint: str
-    ) -> None:
-        async def changed(value: str) -> None:
-            setattr(one, field, value.strip())
-            one.is_assumed = one.is_assumed and field != "value"
-            await self._checked()
-
-        text_field(label, getattr(one, field), changed, width=width, hint=hint)
+    async def _given(self, one: ParameterDraft) -> None:
+        one.is_assumed = False
+        await self._checked()
 
     async def _set_known(self, one: ParameterDraft, is_known: bool) -> None:
         one.is_known = is_known
@@ -261,4 +245,30 @@ class ModelView:
 
 
 def _tile_id(base: BaseModel) -> str:
-    return f"base-{GALLERY.index(base)}"
+    return f"base-{list(GALLERY).index(base.title)}"
+
+
+def unknown_names(draft: ModelDraft) -> list[str]:
+    """The names that are neither variables nor parameters, each once."""
+    variables = Variables(tuple(draft.state_names), tuple(draft.input_names))
+    known = {one.name for one in draft.parameters}
+    found: dict[str, None] = {}
+    for slot, formula in _formulas(draft):
+        try:
+            names = names_of(formula)
+        except ModelError:
+            continue  # the check says what is wrong with it
+        for name in sorted(names - variables.of_slot(slot) - known):
+            found[name] = None
+    return list(found)
+
+
+def _formulas(draft: ModelDraft) -> list[tuple[str, str]]:
+    """The formulas that are written as such, with their slots."""
+    listed = []
+    if draft.type != FIRST_ORDER:
+        listed.append(("H", draft.H))
+    for name in draft.state_names:
+        listed.append(("R", draft.R.get(name, "")))
+        listed.append(("F", draft.F.get(name, "")))
+    return [one for one in listed if one[1].strip() and one[1].strip()[0] not in "{["]

@@ -1,21 +1,26 @@
 """Small parts that all views are made of."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from nicegui import ui
+from nicegui import events, ui
 from nicegui.elements.mixins.text_element import TextElement
 
 from phsi_opt.errors import Complaint
 from phsi_opt.page.complaint_words import complaint_words
 
 DEBOUNCE = "debounce=400"  # ms without a key before a text is checked
-Changed = Callable[[str], Any]
+Then = Callable[[], Awaitable[None]]
 
 
 def heading(text: str, level: int = 2) -> TextElement:
     """A heading that screen readers know."""
     return TextElement(tag=f"h{level}", text=text)
+
+
+def strong(text: str) -> ui.label:
+    """What is to be understood at once."""
+    return ui.label(text).style("font-weight: 600; line-height: 1.35")
 
 
 def card() -> ui.element:
@@ -24,27 +29,52 @@ def card() -> ui.element:
 
 
 def text_field(
-    label: str, value: str, changed: Changed, *, width: str = "12em", hint: str = ""
+    owner: Any,
+    name: str,
+    label: str,
+    then: Then,
+    *,
+    width: str = "12em",
+    hint: str = "",
+    is_formula: bool = False,
 ) -> ui.input:
-    """A text, told while it is typed."""
-    field = ui.input(label, value=value, on_change=lambda e: changed(e.value or ""))
-    field.props("dense outlined").props(DEBOUNCE)
-    field.style(f"width: {width}; max-width: 100%")
-    if hint:
-        field.props["placeholder"] = hint
-    return field
+    """A text of a draft, told while it is typed.
+
+    Args:
+        owner: a record or a dictionary; ``name``: of the text in it.
+        label: of the field.
+        then: called after every change.
+        width: of the field; ``hint``: what an empty one shows.
+        is_formula: whether it is written in letters of one width.
+    """
+    is_table = isinstance(owner, dict)
+    value = owner.get(name, "") if is_table else getattr(owner, name)
+
+    async def changed(e: events.ValueChangeEventArguments) -> None:
+        text = (e.value or "").strip()
+        if is_table:
+            owner[name] = text
+        else:
+            setattr(owner, name, text)
+        await then()
+
+    field = ui.input(label, value=value, on_change=changed)
+    field.props("dense outlined").props(DEBOUNCE).props["placeholder"] = hint
+    return field.style(f"width: {width}; max-width: 100%").classes(
+        "formula" if is_formula else ""
+    )
 
 
 def choice(
     label: str,
-    options: Sequence[str] | dict[Any, str],
+    options: Sequence[str] | Mapping[Any, str],
     value: Any,
     changed: Callable[[Any], Any],
     *,
     width: str = "12em",
 ) -> ui.select:
     """One of several."""
-    listed: Any = options if isinstance(options, dict) else list(options)
+    listed: Any = dict(options) if isinstance(options, Mapping) else list(options)
     field = ui.select(
         listed, label=label, value=value, on_change=lambda e: changed(e.value)
     )

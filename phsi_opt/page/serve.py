@@ -50,10 +50,8 @@ def serve(
     from starlette.middleware.trustedhost import TrustedHostMiddleware
     from starlette.responses import PlainTextResponse
 
-    from phsi_opt.page.own_requests import OwnRequests
-    from phsi_opt.page.safe_answers import SafeAnswers
+    from phsi_opt.page.guards import OwnRequests, SafeAnswers, UploadLimit
     from phsi_opt.page.shell import Shell
-    from phsi_opt.page.upload_limit import UploadLimit
 
     sessions = Sessions(study_file)
     # Cookies go to all ports of a machine: each server has a name for its own.

@@ -17,11 +17,16 @@ from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
-from phsi_opt.page.file_names import name_refusal, suffix_of, without_path
+from phsi_opt.page.files import (
+    MOST_FILES,
+    MOST_UPLOADED,
+    in_megabytes,
+    name_refusal,
+    suffix_of,
+    without_path,
+)
 from phsi_opt.page.gallery import GALLERY, BaseModel
-from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
 from phsi_opt.page.matching import left_over, match_states
-from phsi_opt.page.snapshot import Snapshot
 from phsi_opt.page.study_draft import Drafted, StudyDraft, told_columns
 from phsi_opt.page.table_look import look_at
 from phsi_opt.page.worker import (
@@ -34,11 +39,10 @@ from phsi_opt.page.worker import (
     Done,
     Order,
     Refused,
-    Said,
     Shown,
-    Wrote,
+    WorkerHandle,
 )
-from phsi_opt.page.worker_handle import WorkerHandle
+from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.study_file import StudyFile
@@ -48,6 +52,7 @@ WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 REPORT_FILE = "report.html"
+MOST_LINES = 200  # of progress that are kept
 LOOKING = "looking for what is missing"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
@@ -57,14 +62,27 @@ class Look:
     """What the charts show, so that a page that is loaded again shows it too.
 
     Attributes:
-        run: its number in the snapshot.
-        channel: the state that is drawn; "" for the first.
+        run: its number among those of the study; ``channel``: that of its channel.
         t: the time that is marked; None: none is.
     """
 
     run: int = 0
-    channel: str = ""
+    channel: int = 0
     t: float | None = None
+
+    @classmethod
+    def at(cls, content: StudyContent) -> "Look":
+        """Where the verdict says that it shows best, else where the error is worst."""
+        glance = content.glance
+        if glance is None:
+            return cls(content.shown)
+        return cls(glance.run, glance.channel, glance.t)
+
+    def is_of(self, content: StudyContent | None) -> bool:
+        """Whether it is where the present model is said to fail."""
+        if content is None or content.glance is None or content.present is None:
+            return False
+        return bool(content.present.forces) and self == Look.at(content)
 
 
 @dataclass
@@ -126,7 +144,7 @@ class Session:
         message: what was handed out last, or how the last job ended where it did not
             end well; "" else.
         failure: why the last job could not be done; "" where it could.
-        snapshot: the study as it stands; None before the first fit.
+        content: the study as it stands; None before the first fit.
         look: what its charts show.
         fitted: the draft as it was fitted last; None before.
         report_path: the report that was written last.
@@ -151,7 +169,7 @@ class Session:
         self.job: Job | None = None
         self.message = ""
         self.failure = ""
-        self.snapshot: Snapshot | None = None
+        self.content: StudyContent | None = None
         self.look = Look()
         self.fitted: Drafted | None = None
         self.report_path: Path | None = None
@@ -238,22 +256,21 @@ class Session:
         known = self.draft.data
         data = look_at({name: place})
         self.message = ""
-        if known is not None:
-            headers = [column.column for column in data.columns]
-            is_alike = headers == [column.column for column in known.columns]
-            if is_alike and self._are_uploaded(known):
-                kept = {one: at for one, at in known.places.items() if one != name}
-                data = look_at({**kept, name: place})
-                data.columns = known.columns
-                data.held_out = known.held_out
-                data.unmeasured = known.unmeasured
-            else:
-                why = "is a table of its own" if is_alike else "has other columns"
-                self.message = (
-                    f"{name} {why}: it takes the place of {', '.join(known.files)}."
-                )
-        self.draft.data = data
+        headers = [column.column for column in data.columns]
+        if known is None:
+            self.draft.data = data
+        elif headers != [column.column for column in known.columns]:
+            self._replace(known, data, f"{name} has other columns")
+        elif not self._are_uploaded(known):
+            self._replace(known, data, f"{name} is a table of its own")
+        else:
+            others = {one: at for one, at in known.places.items() if one != name}
+            _look_again(known, {**others, name: place})
         self.check()
+
+    def _replace(self, known: DataDraft, data: DataDraft, why: str) -> None:
+        self.draft.data = data
+        self.message = f"{why}: it takes the place of {', '.join(known.files)}."
 
     def _are_uploaded(self, data: DataDraft) -> bool:
         """Whether no table is a study file's own."""
@@ -281,25 +298,15 @@ class Session:
         left = {one: place for one, place in data.places.items() if one != name}
         self.upload_error = ""
         self.message = ""
-        if not left:
-            self.draft.data = None
+        if left:
+            try:
+                _look_again(data, left)
+            except DataError as error:  # a file has changed, or is gone
+                self.upload_error = str(error)
         else:
-            self._keep_files(data, left)
+            self.draft.data = None
         self.check()
         self.shape += 1
-
-    def _keep_files(self, data: DataDraft, places: dict[str, Path]) -> None:
-        """Fewer files; their columns stay as they are."""
-        try:
-            found = look_at(places)
-        except DataError as error:  # it has changed, or is gone
-            self.upload_error = str(error)
-            return
-        data.places = places
-        data.runs = found.runs
-        data.n_samples = found.n_samples
-        held_out = [run for run in data.held_out.runs if run in found.runs]
-        data.held_out.runs = held_out
 
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
@@ -317,10 +324,10 @@ class Session:
     def left_over(self) -> str:
         """Which columns fit no state of the base model, in a sentence; "" for none."""
         data = self.draft.data
-        for base in GALLERY:
-            if data is not None and base.title == self.draft.model.title:
-                return left_over(data, base.title, base.units)
-        return ""
+        base = GALLERY.get(self.draft.model.title)
+        if data is None or base is None:
+            return ""
+        return left_over(data, base.title, base.units)
 
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""
@@ -360,7 +367,7 @@ class Session:
     @property
     def is_empty(self) -> bool:
         """Whether nobody filled in or began anything, so that nothing would be lost."""
-        if self.job is not None or self.snapshot is not None:
+        if self.job is not None or self.content is not None:
             return False
         return self.draft.as_it_is() == self._begun
 
@@ -378,7 +385,7 @@ class Session:
             return
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
-        order = Order(FIT, (str(path),), self._fitting.places)
+        order = Order(FIT, str(path), self._fitting.places)
         self._order("Fitting the base model", order, "Fitted")
 
     def average(self, n: int) -> None:
@@ -396,7 +403,7 @@ class Session:
 
     def add(self, effect: str) -> None:
         """Add an effect of the ranking, re-fit, and ask again."""
-        self._order(f"Adding {effect}", Order(ADD, (effect,)), f"Added {effect}")
+        self._order(f"Adding {effect}", Order(ADD, effect), f"Added {effect}")
 
     def undo(self) -> None:
         """Take back the last step."""
@@ -410,7 +417,7 @@ class Session:
         """Write the report; ``report_path`` is set when it is there."""
         self.report_path = None
         path = self._state / REPORT_FILE
-        self._order("Writing the report", Order(REPORT, (str(path),)), n_diagnoses=0)
+        self._order("Writing the report", Order(REPORT, str(path)), n_diagnoses=0)
 
     def cancel(self) -> None:
         """End the work that goes on, within two seconds; what was found stays."""
@@ -468,17 +475,17 @@ class Session:
         """Take a message of the worker; called from its thread."""
         if worker is not self._worker:
             return
-        if isinstance(message, Said):
-            self._note(message.line)
+        if isinstance(message, str) and self.job is not None:
+            self.job.say(message)
         elif isinstance(message, Shown):
             self._study = message.study
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
                 self.job.show()
-            self._show(message.snapshot)
+            self._show(message.content)
             self._keep_fitted()
-        elif isinstance(message, Wrote):
-            self.report_path = Path(message.path)
+        elif isinstance(message, Path):
+            self.report_path = message
         elif isinstance(message, Refused):
             self.message = message.message
             self.failure = message.message
@@ -491,17 +498,15 @@ class Session:
             self._lose_worker()
         self.version += 1
 
-    def _show(self, snapshot: Snapshot) -> None:
+    def _show(self, content: StudyContent) -> None:
         """Take a new state of the study.
 
         Charts of a base model open at what is said of it. After a further step they
         stay where they were: the reader compares before and after.
         """
-        self.snapshot = snapshot
-        if self.job is not None and self.job.compares:
-            return
-        channel = self.look.channel
-        self.look = Look(snapshot.first_run, channel, snapshot.first_time)
+        self.content = content
+        if self.job is None or not self.job.compares:
+            self.look = Look.at(content)
 
     def _keep_fitted(self) -> None:
         """Remember the draft that the first result of a fit belongs to."""
@@ -509,10 +514,6 @@ class Session:
             self.fitted = self._fitting
             self._fitting = None
             os.replace(self._state / FITTING_FILE, self._state / FITTED_FILE)
-
-    def _note(self, line: str) -> None:
-        if self.job is not None:
-            self.job.say(line)
 
     def _lose_worker(self) -> None:
         """The process ended by itself, for want of memory perhaps."""
@@ -535,10 +536,10 @@ class Session:
             DataError: nothing was fitted yet.
             StudyFileError: a data file has changed since.
         """
-        if self.snapshot is None or self.fitted is None:
+        if self.content is None or self.fitted is None:
             raise DataError("nothing has been fitted yet; press Fit first.")
         file = StudyFile.read(self._state / FITTED_FILE, self.fitted.places)
-        further = [one for one in self.snapshot.added if one not in file.steps.added]
+        further = [one for one in self.content.added if one not in file.steps.added]
         return file.with_added(*further)
 
     def study_text(self) -> str:
@@ -562,6 +563,15 @@ class Session:
         self.is_closed = True
         self._end_worker()
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _look_again(data: DataDraft, places: dict[str, Path]) -> None:
+    """Take other files with the same columns, which stay as they are."""
+    found = look_at(places)
+    data.places = places
+    data.runs = found.runs
+    data.n_samples = found.n_samples
+    data.held_out.runs = [run for run in data.held_out.runs if run in found.runs]
 
 
 def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:

@@ -5,8 +5,14 @@ import time
 from pathlib import Path
 
 from phsi_opt.errors import DataError
-from phsi_opt.page.limits import FORGOTTEN_SESSION, IDLE_WORKER, MOST_SESSIONS
 from phsi_opt.page.session import Session
+
+# Browsers that one server keeps; each may hold a process of about 300 MB.
+MOST_SESSIONS = 20
+# Seconds without work after which a worker ends; the session keeps its study.
+IDLE_WORKER = 600.0
+# Seconds without a sign of the browser after which a session is forgotten.
+FORGOTTEN_SESSION = 24 * 3600.0
 
 
 class Sessions:

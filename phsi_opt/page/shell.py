@@ -5,16 +5,19 @@ that anew. So it does not matter how often it is loaded, or in how many windows.
 """
 
 from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
 
 from nicegui import run, ui
 
-from phsi_opt.page import style
 from phsi_opt.page.data_view import DataView
 from phsi_opt.page.model_view import ModelView
 from phsi_opt.page.parts import button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
 
+PRIMARY = "#1f5fa8"  # 6.5:1 below white text
+ON_PRIMARY = "#ffffff"
 ASK_EVERY = 0.25  # s between looks at the session; faster than a reader notices
 # The next key acts on the part that is shown, and its top is seen.
 FOCUS_CONTENT = """
@@ -64,8 +67,8 @@ class Shell:
 
     def build(self) -> None:
         """Draw everything and keep up with the session."""
-        ui.colors(primary=style.PRIMARY, onprimary=style.ON_PRIMARY)
-        ui.add_css(style.CSS)
+        ui.colors(primary=PRIMARY, onprimary=ON_PRIMARY)
+        ui.add_css(Path(str(files("phsi_opt.page") / "page.css")))
         self._dark = ui.dark_mode(value=None)
         self._header()
         first = STUDY_PART if _has_begun(self._session) else DATA_PART
@@ -194,14 +197,14 @@ class Shell:
     def _to_draw(self) -> tuple[object, ...]:
         """What the third part is drawn from."""
         session = self._session
-        if session.snapshot is None:
+        if session.content is None:
             return session.job, session.complaints, session.failure
-        return session.snapshot, session.is_stale, session.failure
+        return session.content, session.is_stale, session.failure
 
 
 def _has_begun(session: Session) -> bool:
     """Whether there is more to see than fields to fill in."""
-    if session.snapshot is not None or session.job is not None:
+    if session.content is not None or session.job is not None:
         return True
     return session.draft.data is not None and not session.complaints
 
@@ -210,13 +213,13 @@ def _can_begin(session: Session) -> bool:
     """Whether there is a draft that was not fitted as it is."""
     if session.job is not None or session.draft.data is None:
         return False
-    is_new = session.snapshot is None or session.is_stale or bool(session.failure)
+    is_new = session.content is None or session.is_stale or bool(session.failure)
     return is_new and bool(session.draft.model.states)
 
 
 def _standing(session: Session) -> str:
     """What to do next, where nothing goes on."""
-    if session.snapshot is not None:
+    if session.content is not None:
         return READY
     if session.draft.data is None:
         return "Begin with the measurements: part 1."

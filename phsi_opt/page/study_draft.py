@@ -12,7 +12,6 @@ from typing import Any
 
 from phsi_opt.page.drafts import (
     AFTER,
-    DEFAULT_SHARE,
     FIRST_ORDER,
     INPUT,
     NOT_USED,
@@ -33,6 +32,7 @@ from phsi_opt.study_file.study_text import text_of
 from phsi_opt.study_file.toml_text import toml_tables, toml_value
 
 Content = dict[str, Any]
+HELD_OUT_KEYS = {SHARE: "share", AFTER: "after", RUNS: "runs"}
 KEPT = ("effects", "loss")  # sections that the page neither shows nor changes
 # Keys of [data] that it shows.
 SHOWN = ("files", "trajectory", "hold", "thinned", "time", "states", "inputs")
@@ -82,9 +82,7 @@ class StudyDraft:
         kept = {name: content[name] for name in KEPT if name in content}
         if study:
             kept["study"] = study
-        model = _model_draft(content["model"])
-        for name, parameter in content.get("parameters", {}).items():
-            model.parameters.append(_parameter_draft(name, parameter))
+        model = model_draft(content["model"], content.get("parameters", {}))
         return cls(data, model, added, kept)
 
     def as_it_is(self) -> Drafted:
@@ -204,20 +202,20 @@ def _channel(column: ColumnDraft) -> Content:
 
 
 def _held_out(draft: HeldOutDraft) -> Content:
-    if draft.way == RUNS:
-        return {"runs": list(draft.runs)}
-    if draft.way == AFTER:
-        return {"after": _number(draft.after)}
-    return {"share": _number(draft.share)} if draft.way == SHARE else {}
+    key = HELD_OUT_KEYS.get(draft.way)
+    if key is None:
+        return {}
+    value = getattr(draft, key)
+    return {key: list(value) if key == "runs" else _number(value)}
 
 
 def _held_out_draft(content: Mapping[str, Any]) -> HeldOutDraft:
-    if "runs" in content:
-        return HeldOutDraft(RUNS, runs=list(texts(content["runs"])))
-    if "after" in content:
-        return HeldOutDraft(AFTER, after=_written(content["after"]))
-    share = _written(content.get("share")) or DEFAULT_SHARE
-    return HeldOutDraft(SHARE if content else NOTHING, share)
+    for way, key in HELD_OUT_KEYS.items():
+        if key in content:
+            told = content[key]
+            value: Any = list(texts(told)) if key == "runs" else _written(told)
+            return HeldOutDraft(way, **{key: value})
+    return HeldOutDraft(NOTHING)
 
 
 # ---- the model -----------------------------------------------------------------------
@@ -240,7 +238,10 @@ def _model(draft: ModelDraft) -> Content:
     return content
 
 
-def _model_draft(content: Mapping[str, Any]) -> ModelDraft:
+def model_draft(
+    content: Mapping[str, Any], parameters: Mapping[str, Any]
+) -> ModelDraft:
+    """The draft of the sections [model] and [parameters]."""
     further = dict(content)
     return ModelDraft(
         type=further.pop("type", ModelDraft.type),
@@ -250,6 +251,7 @@ def _model_draft(content: Mapping[str, Any]) -> ModelDraft:
         H=_terms_text(further.pop("H", "")),
         R={name: _terms_text(one) for name, one in further.pop("R", {}).items()},
         F={name: _terms_text(one) for name, one in further.pop("F", {}).items()},
+        parameters=[_parameter_draft(name, one) for name, one in parameters.items()],
         further=further,
     )
 

@@ -1,34 +1,52 @@
-"""The third part of the page: the verdict, the charts, the ranking, the exports."""
+"""The third part of the page: the verdict, the charts, the ranking, the exports.
 
-from collections.abc import Callable
+All of it is drawn from the content of the study. A click into a chart marks a time; the
+missing force at that time is told. The field for the time does the same for those who
+use no mouse.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nicegui import ui
+import numpy as np
+from nicegui import events, ui
 
+from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.page import charts
-from phsi_opt.page.fit_view import FitView
-from phsi_opt.page.parts import alert, button, card, heading
-from phsi_opt.page.session import Session
-from phsi_opt.page.snapshot import CandidateRow, Diagnosed, Snapshot
-from phsi_opt.page.verdict_words import (
-    error_words,
-    facts_of,
-    preview_words,
-    proposed_size,
-    share_left,
+from phsi_opt.force_analysis.units import spaced
+from phsi_opt.page.parts import alert, button, card, choice, heading, strong
+from phsi_opt.page.session import Look, Session
+from phsi_opt.presentation.charts import (
+    Chart,
+    errors_chart,
+    force_chart,
+    plotly,
+    run_chart,
 )
+from phsi_opt.presentation.content import (
+    Answer,
+    Diagnosed,
+    ForceRun,
+    Ranked,
+    Run,
+    StudyContent,
+    unestablished_words,
+)
+from phsi_opt.presentation.durations import date_words
+from phsi_opt.presentation.html_report import interval_words, size_words
 from phsi_opt.presentation.numbers import (
-    capitalised,
+    listed,
+    number,
     proper_names,
     said,
     typeset,
     with_error,
 )
-from phsi_opt.presentation.report_content import Answer
 
 N_SHOWN = 5  # candidates that are shown at once
+SURE = 2.0  # standard deviations beyond which a force counts as sure at one time
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
 FOCUS_ON = """setTimeout(() => {
   const now = document.activeElement;
@@ -40,7 +58,13 @@ BAR = (
     "A bar is the error that would be left with the effect; a full bar is the error "
     "of the present model, and the mark in it is the noise floor."
 )
-STAIRCASE_HEIGHT = "height: 280px"
+HOW_TO_LOOK = (
+    "Click into a chart to see the missing force there; drag to zoom, double-click to "
+    "see all."
+)
+# Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
+# chosen: nested lists in the configuration make plotly's ``react`` draw without end.
+UNUSED_BUTTONS = ("toImage", "zoom2d", "pan2d", "select2d", "lasso2d", "autoScale2d")
 
 
 class StudyView:
@@ -52,7 +76,6 @@ class StudyView:
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._fit_view = FitView(session)
         self._wants_report = False
         self._resting: list[ui.button] = []  # pressed only while nothing is solved
 
@@ -83,8 +106,8 @@ class StudyView:
     def build(self) -> None:
         """Draw it all."""
         self._resting.clear()
-        snapshot = self._session.snapshot
-        if snapshot is None:
+        content = self._session.content
+        if content is None:
             self._nothing_yet()
             return
         if self._session.failure:
@@ -96,15 +119,15 @@ class StudyView:
                     "is of the model as it was."
                 )
                 self._begins("Fit again", self._session.fit, quiet=False)
-        self._facts(snapshot)
+        self._verdict(content)
         with ui.element("div").classes("two w-full"):
             with ui.column().classes("gap-3").style("min-width: 0"):
-                self._fit_view.build(snapshot)
-                self._model(snapshot)
+                self._measured(content)
+                self._model(content)
                 self._exports()
             with ui.column().classes("gap-3").style("min-width: 0"):
-                self._staircase(snapshot)
-                self._ranking(snapshot)
+                self._errors(content)
+                self._ranking(content)
 
     def _nothing_yet(self) -> None:
         with card():
@@ -120,205 +143,261 @@ class StudyView:
 
     # ---- the first screen ------------------------------------------------------------
 
-    def _facts(self, snapshot: Snapshot) -> None:
-        facts = facts_of(snapshot)
+    def _verdict(self, content: StudyContent) -> None:
+        told = content.headline
         verdict = card().props('role="region" aria-label="Verdict"')
         with verdict.props('id="verdict" tabindex="-1"'):
-            if facts is None:
-                self._not_asked(snapshot)
+            if content.present is None:
+                self._not_asked(content)
                 return
-            self._badge(snapshot)
-            ui.label(said(facts.sentence)).classes("sentence")
-            if snapshot.diagnosed is not None:
-                ui.label(snapshot.diagnosed.certainty)
+            with ui.row().classes("w-full items-center gap-2"):
+                ui.label(told.status).classes(f"badge {told.severity}")
+                open_ = unestablished_words(content.unestablished)
+                for beside in filter(None, (told.beside, open_)):
+                    ui.label(beside).classes("badge look")
+            ui.label(said(told.sentence)).classes("sentence")
+            ui.label(said(told.certainty))
             with ui.element("div").classes("facts w-full"):
-                with ui.element("div"):
-                    heading("What is wrong", 3).classes("faint")
-                    color = "bad" if facts.add or snapshot.diagnosed else ""
-                    is_good = snapshot.diagnosed and not snapshot.diagnosed.is_missing
-                    self._lead(facts.what.lead, "good" if is_good else color)
-                    self._detail(facts.what.detail)
-                with ui.element("div"):
-                    heading("Where", 3).classes("faint")
-                    self._lead(facts.where.lead)
-                    self._detail(facts.where.detail)
-                with ui.element("div"):
-                    heading("Since when", 3).classes("faint")
-                    self._lead(facts.since.lead)
-                    self._detail(facts.since.detail)
-                with ui.element("div"):
-                    is_told = bool(facts.to_do.lead)
-                    question = "What to do next" if is_told else "What to add"
-                    heading(question, 3).classes("faint")
-                    if is_told:
-                        self._to_do(snapshot, facts.to_do)
-                    if facts.add or not is_told:
-                        self._what_to_add(snapshot, facts.add, facts.preview)
-            if snapshot.caution:
-                ui.label(snapshot.caution)
-            if snapshot.warning:
-                alert(snapshot.warning)
+                for answer in told.answers:
+                    with ui.element("div"):
+                        self._answer(answer)
+                        if answer is told.answers[-1]:
+                            self._next(content.present)
+            if told.caution:
+                ui.label(said(told.caution))
+            if content.warning:
+                alert(content.warning)
 
     @staticmethod
-    def _badge(snapshot: Snapshot) -> None:
-        """The verdict in its own words."""
-        diagnosed = snapshot.diagnosed
-        if diagnosed is None:
-            return
-        color = "bad" if diagnosed.is_missing else "good"
-        with ui.row().classes("w-full items-center gap-2"):
-            ui.label(diagnosed.verdict).classes(f"badge {color}")
-            if diagnosed.beside:
-                ui.label(diagnosed.beside).classes("badge look")
-            if snapshot.unestablished:
-                ui.label(snapshot.unestablished).classes("badge look")
+    def _answer(answer: Answer) -> None:
+        heading(answer.question, 3).classes("faint")
+        strong(said(answer.lead))
+        if answer.detail:
+            ui.label(said(answer.detail)).classes("faint")
 
-    @staticmethod
-    def _lead(text: str, color: str = "") -> None:
-        """What is to be understood at once."""
-        ui.label(said(text)).classes(color).style("font-weight: 600; line-height: 1.35")
-
-    @staticmethod
-    def _detail(text: str) -> None:
-        """What stands behind it."""
-        if text:
-            ui.label(said(text)).classes("faint")
-
-    def _not_asked(self, snapshot: Snapshot) -> None:
-        error = snapshot.steps[-1]
+    def _not_asked(self, content: StudyContent) -> None:
+        error = content.steps[-1]
         heading("Fitted; what is missing is not known yet")
         ui.label(
-            f"The error is {error_words(snapshot, error.judged)}; noise alone would "
-            f"leave {error_words(snapshot, error.floor)}."
+            f"The error is {error_words(content, error.judged)}; noise alone would "
+            f"leave {error_words(content, error.floor)}."
         )
         self._begins("Look for what is missing", self._session.diagnose, False)
 
-    def _to_do(self, snapshot: Snapshot, to_do: Answer) -> None:
-        """What to do where nothing is named, with a button where the page can."""
-        self._lead(to_do.lead)
-        averaged = 0 if snapshot.diagnosed is None else snapshot.diagnosed.averaged
-        if averaged and not self._session.is_stale:
-            label = f"Average every {averaged} samples and fit again"
-            self._begins(label, lambda: self._session.average(averaged), quiet=False)
-        self._detail(to_do.detail)
-
-    def _what_to_add(self, snapshot: Snapshot, add: str, preview: str) -> None:
-        if not add or snapshot.diagnosed is None:
-            ui.label("Nothing more." if snapshot.added else "Nothing.")
-            if snapshot.added:
-                ui.label(proper_names(f"Added: {' and '.join(snapshot.added)}."))
-            ui.label(preview).classes("faint")
+    def _next(self, diagnosed: Diagnosed) -> None:
+        """A button for what the page can do next."""
+        if self._session.is_stale:
             return
-        size = proposed_size(snapshot)
-        is_named = snapshot.diagnosed.is_named
-        if is_named:
-            ui.label(said(capitalised(f"{add}{size}"))).style("font-weight: 600")
-            ui.label(said(preview))
-        else:
-            told = f"Nearest, but not proven: {add}{size}. {preview}."
-            ui.label(said(told)).classes("faint")
-        if not self._session.is_stale:
-            begin = "Add" if is_named else "Try"
-            label = proper_names(f"{begin} {add}")
-            self._add_button(label, add, quiet=not is_named)
+        if diagnosed.averaged:
+            n = diagnosed.averaged
+            label = f"Average every {n} samples and fit again"
+            self._begins(label, lambda: self._session.average(n), quiet=False)
+        if diagnosed.proposed:
+            self._add_button("Add", diagnosed.proposed[0], quiet=False)
+        elif diagnosed.nearest:
+            self._add_button("Try", diagnosed.nearest, quiet=True)
 
-    def _add_button(self, label: str, effect: str, quiet: bool = False) -> ui.button:
+    def _add_button(self, verb: str, effect: str, quiet: bool) -> ui.button:
+        label = f"{verb} {proper_names(effect)}"
         return self._begins(label, lambda: self._session.add(effect), quiet)
 
-    # ---- staircase and ranking -------------------------------------------------------
+    # ---- measured and model, and the force that is missing ---------------------------
 
-    def _staircase(self, snapshot: Snapshot) -> None:
+    @property
+    def _look(self) -> Look:
+        return self._session.look
+
+    @property
+    def _run(self) -> Run | None:
+        content = self._session.content
+        return None if content is None else content.runs[self._look.run]
+
+    def _measured(self, content: StudyContent) -> None:
+        with card():
+            heading("Measured and model")
+            with ui.element("div").classes("fields"):
+                titles = {k: run.title for k, run in enumerate(content.runs)}
+                choice("run", titles, self._look.run, self._set_run, width="15em")
+                names = [one.name for one in content.runs[0].channels]
+                if len(names) > 1:
+                    channels = dict(enumerate(names))
+                    now = self._look.channel
+                    choice("channel", channels, now, self._set_channel)
+                unit = content.time.unit
+                self._field = ui.number(
+                    f"look at the time ({unit})" if unit else "look at the time",
+                    value=None
+                    if self._look.t is None
+                    else float(f"{self._look.t:.6g}"),
+                    on_change=lambda e: self._look_at(e.value),
+                )
+                self._field.props("dense outlined debounce=400").style("width: 12em")
+            self.overlay()
+            ui.label(HOW_TO_LOOK).classes("faint")
+        with card():
+            heading("The missing force")
+            self.force()
+
+    def _set_run(self, run: int) -> None:
+        self._look.run = run
+        self._field.set_value(None)
+        self._look_at(None)
+
+    def _set_channel(self, channel: int) -> None:
+        self._look.channel = channel
+        self.overlay.refresh()
+
+    def _look_at(self, t: float | None) -> None:
+        self._look.t = t
+        self.overlay.refresh()
+        self.force.refresh()
+
+    def _click(self, e: events.GenericEventArguments) -> None:
+        points = e.args.get("points") or []
+        if points:
+            self._field.set_value(float(points[0]["x"]))
+
+    def _mark(self, run: Run) -> tuple[float, str] | None:
+        """The time that is marked with its words, where the run has it."""
+        t = self._look.t
+        if t is None or not run.holds(t):
+            return None
+        is_worst = self._look.is_of(self._session.content)
+        return t, "worst moment" if is_worst else "the time looked at"
+
+    @ui.refreshable_method
+    def overlay(self) -> None:
+        """Measured and free runs, with the residuals; what is missing at the mark."""
+        run = self._run
+        content = self._session.content
+        if run is None or content is None:
+            return
+        chart = run_chart(content, run, self._look.channel, self._mark(run))
+        name = run.channels[self._look.channel].name
+        label = f"Chart: {name} of {run.title}, measured and model"
+        plotted(chart, label, 360).on("plotly_click", self._click)
+        t = self._look.t
+        if t is None:
+            return
+        with ui.element("div").props('role="status"'):
+            if not run.holds(t):
+                begin, end = run.channels[0].t[[0, -1]]
+                unit = spaced(content.time.unit)
+                ui.label(
+                    f"{run.name} was measured from t = {number(begin)} to "
+                    f"{number(end)}{unit}; there is nothing at {number(t)}{unit}."
+                ).classes("bad")
+                return
+            for force in content.forces_along(run):
+                strong(said(force_near(content, force, t)))
+
+    @ui.refreshable_method
+    def force(self) -> None:
+        """What the model lacks along this run."""
+        run = self._run
+        content = self._session.content
+        if run is None or content is None:
+            return
+        forces = content.forces_along(run)
+        if forces:
+            chart = force_chart(content, forces, self._mark(run))
+            label = "Chart: the missing force over time"
+            plotted(chart, label, 260).on("plotly_click", self._click)
+
+    # ---- errors and ranking ----------------------------------------------------------
+
+    def _errors(self, content: StudyContent) -> None:
         with card():
             heading("Error after each step")
-            figure = charts.staircase(snapshot.steps, snapshot.unit)
-            errors = ", ".join(
-                f"{step.label} {step.judged:.3g}" for step in snapshot.steps
-            )
-            plot = ui.plotly(figure).classes("w-full").style(STAIRCASE_HEIGHT)
-            told = f"Chart: error after each step: {errors}"
-            plot.props('role="img"').props["aria-label"] = told
+            chart = errors_chart(content.steps, content.unit)
+            errors = [f"{one.label} {number(one.judged, 3)}" for one in content.steps]
+            plotted(chart, f"Chart: error after each step: {', '.join(errors)}", 280)
             with ui.row():
-                if len(snapshot.steps) > 1:
+                if len(content.steps) > 1:
                     self._begins("Undo the last step", self._session.undo, True)
-                diagnosed = snapshot.diagnosed
-                if diagnosed is None or diagnosed.proposed:
-                    auto = self._session.auto
-                    self._begins(ADD_ALL, auto, True)
+                if content.present is None or content.present.proposed:
+                    self._begins(ADD_ALL, self._session.auto, True)
 
-    def _ranking(self, snapshot: Snapshot) -> None:
-        diagnosed = snapshot.diagnosed
-        if diagnosed is None:
+    def _ranking(self, content: StudyContent) -> None:
+        if content.present is None:
             return
         with card():
-            heading(_title_of_ranking(diagnosed))
+            heading(_title_of_ranking(content))
             ui.label(BAR).classes("faint")
-            for row in diagnosed.candidates[:N_SHOWN]:
-                self._candidate(snapshot, row)
-            further = diagnosed.candidates[N_SHOWN:]
-            if further:
-                with ui.expansion(f"{len(further)} more").classes("w-full"):
-                    for row in further:
-                        self._candidate(snapshot, row)
+            ranking = content.present.ranking
+            for row in ranking[:N_SHOWN]:
+                self._candidate(content, row)
+            if ranking[N_SHOWN:]:
+                title = f"{len(ranking) - N_SHOWN} more"
+                with ui.expansion(title).classes("w-full"):
+                    for row in ranking[N_SHOWN:]:
+                        self._candidate(content, row)
 
-    def _candidate(self, snapshot: Snapshot, row: CandidateRow) -> None:
+    def _candidate(self, content: StudyContent, row: Ranked) -> None:
+        assert content.present is not None
+        is_proposed = row.effect in content.present.proposed
         with ui.column().classes("candidate gap-1"):
-            proposed = " (proposed)" if row.is_proposed else ""
-            size = f": {row.size}" if row.size else ""
+            size = f": {size_words(row)}" if np.isfinite(row.std_error) else ""
             with ui.row().classes("w-full items-center no-wrap justify-between"):
-                told = proper_names(typeset(f"{row.effect}{size}{proposed}"))
-                ui.label(told).style("font-weight: 600")
+                proposed = " (proposed)" if is_proposed else ""
+                strong(proper_names(typeset(f"{row.effect}{size}{proposed}")))
                 if not self._session.is_stale:
-                    self._add_of_ranking(row)
-            left, floor = share_left(snapshot, row)
+                    self._add_of_ranking(row, is_proposed)
+            left, floor = share_left(content, row)
             with ui.element("div").classes("track").props('aria-hidden="true"'):
                 ui.element("div").style(f"width: {100 * left:.1f}%")
                 ui.element("i").style(f"left: {100 * floor:.1f}%")
-            ui.label(said(f"Evidence: {row.evidence}. {preview_words(snapshot, row)}"))
+            ui.label(said(f"Evidence: {row.evidence}. {preview_words(content, row)}"))
             if row.lost:
                 ui.label(f"Not proposed: {said(row.lost)}.").classes("faint")
-            if row.confusable_with:
-                others = proper_names(", ".join(row.confusable_with))
+            if row.confused_with:
+                others = proper_names(listed(row.confused_with))
                 ui.label(f"The data do not tell it from {others}.").classes("faint")
 
-    def _add_of_ranking(self, row: CandidateRow) -> None:
+    def _add_of_ranking(self, row: Ranked, is_proposed: bool) -> None:
         """The button of a candidate; flat where something speaks against it."""
-        diagnosed = self._session.snapshot and self._session.snapshot.diagnosed
-        is_against = bool(row.lost) or not (diagnosed and diagnosed.is_named)
-        label = "Add anyway" if is_against else "Add"
-        add = self._add_button(label, row.effect, quiet=True)
+        label = "Add" if is_proposed else "Add anyway"
+        add = self._begins(label, lambda: self._session.add(row.effect), quiet=True)
         named = proper_names(row.effect)
         add.props("dense").props["aria-label"] = f"{label} {named}, of the ranking"
-        if is_against:
+        if not is_proposed:
             add.props("flat").props(remove="outline")
 
     # ---- the model and the exports ---------------------------------------------------
 
-    def _model(self, snapshot: Snapshot) -> None:
+    def _model(self, content: StudyContent) -> None:
+        model = content.models[-1]
         with card().classes("last"):
             heading("The model now")
-            for equation in snapshot.equations:
+            for equation in model.lines:
                 ui.label(typeset(equation)).classes("formula")
             with ui.expansion("Parameters").classes("w-full"):
-                for row in snapshot.parameters:
-                    value = with_error(row.value, row.std_error)
-                    text = f"{row.name} = {value} {row.unit}"
-                    ui.label(typeset(text)).classes("formula")
-            if snapshot.diagnosed is not None:
+                for row in model.parameters:
+                    value = f"{row.name} = {with_error(row.value, row.std_error)}"
+                    text = f"{value} {row.unit}".rstrip()
+                    known = interval_words(row)
+                    ui.label(typeset(f"{text} ({known})")).classes("formula")
+            if content.present is not None:
                 with ui.expansion("What the diagnosis says").classes("w-full"):
-                    ui.label(snapshot.diagnosed.verdict).style("font-weight: 600")
-                    ui.label(said(snapshot.diagnosed.reason))
-                    for sentence in snapshot.diagnosed.sentences:
+                    strong(content.present.verdict)
+                    for sentence in (
+                        content.present.reason,
+                        *content.present.sentences,
+                    ):
                         ui.label(said(sentence))
-            if snapshot.stopped:
-                ui.label(f"The automatic study stopped: {snapshot.stopped}")
+            if content.stopped:
+                ui.label(f"The automatic study stopped: {content.stopped}")
 
     def _exports(self) -> None:
         with card().classes("last"):
             heading("Take it away")
             with ui.row():
                 self._begins("Report", self._report, False, redraws=False)
-                button("Study file", self._study_file, quiet=True)
-                button("Python script", self._script, quiet=True)
+                for label, text, name in (
+                    ("Study file", self._session.study_text, "study.toml"),
+                    ("Python script", self._session.script, "study.py"),
+                ):
+                    button(label, partial(self._send, text, name), quiet=True)
             ui.label(
                 "Study file and script look for the CSV files beside themselves."
             ).classes("faint")
@@ -332,32 +411,93 @@ class StudyView:
         path = self._session.report_path
         if self._wants_report and path is not None:
             self._wants_report = False
-            self._download(path.read_bytes(), path.name)
+            self._send(path.read_bytes, path.name)
 
-    def _download(self, content: bytes | str, name: str) -> None:
+    def _send(self, made: Callable[[], str | bytes], name: str) -> None:
         """Hand a file to the browser, and say so where the work is told."""
-        ui.download.content(content, name)
-        self._session.message = (
-            f"{name} was handed to the browser, among its downloads."
-        )
-        self._session.version += 1
-
-    def _study_file(self) -> None:
-        self._send(self._session.study_text, "study.toml")
-
-    def _script(self) -> None:
-        self._send(self._session.script, "study.py")
-
-    def _send(self, text: Callable[[], str], name: str) -> None:
         try:
-            self._download(text(), Path(name).name)
+            ui.download.content(made(), Path(name).name)
         except PhsiOptError as error:
             self._session.message = str(error)
-            self._session.version += 1
+        else:
+            told = f"{name} was handed to the browser, among its downloads."
+            self._session.message = told
+        self._session.version += 1
 
 
-def _title_of_ranking(diagnosed: Diagnosed) -> str:
+def plotted(chart: Chart, told: str, height: int) -> ui.plotly:
+    """A chart; ``told`` to screen readers, ``height`` in pixels."""
+    config = {
+        "responsive": True,
+        "displaylogo": False,
+        "displayModeBar": True,
+        "modeBarButtonsToRemove": list(UNUSED_BUTTONS),
+    }
+    plot = ui.plotly({**plotly(chart), "config": config}).classes("w-full")
+    plot.style(f"height: {height}px").props('role="img"').props["aria-label"] = told
+    return plot
+
+
+def _title_of_ranking(content: StudyContent) -> str:
     """What the list of effects is: none of them may be what is missing."""
-    if diagnosed.is_named:
+    assert content.present is not None
+    if content.present.proposed:
         return "Effects, best first"
-    return "Tried, none accepted" if diagnosed.is_missing else "Tried, none needed"
+    is_good = content.present.verdict == "nothing missing"
+    return "Tried, none needed" if is_good else "Tried, none accepted"
+
+
+def error_words(content: StudyContent, value: float | None) -> str:
+    """An error with its unit."""
+    return f"{number(value, 3)} {content.unit}".rstrip()
+
+
+def errors_with(
+    content: StudyContent, row: Ranked
+) -> tuple[str, float | None, float | None]:
+    """The data that judge a candidate, the present error on them and that with it."""
+    now = content.steps[-1]
+    if now.held_out is not None and row.held_out is not None:
+        return "Held-out", now.held_out, row.held_out
+    return "Training", now.train, row.train
+
+
+def preview_words(content: StudyContent, row: Ranked) -> str:
+    """The error before and after, on the data that judge where that is known."""
+    which, before, after = errors_with(content, row)
+    if before is None or after is None:
+        return "The error that it would leave is not known."
+    percent = round(100 * (after / before - 1))
+    trend = f"{abs(percent)} % {'less' if percent < 0 else 'more'}"
+    if percent == 0:
+        trend = "unchanged"
+    now = content.steps[-1]
+    floor = FAILING_ERROR * (now.floor or 0.0)
+    if before == now.judged and after <= floor < before:
+        trend += ", at the noise floor"
+    errors = [error_words(content, one) for one in (before, after)]
+    return f"{which} error {' → '.join(errors)} ({trend})"
+
+
+def share_left(content: StudyContent, row: Ranked) -> Sequence[float]:
+    """The error that would be left, and the noise floor, as shares of the present."""
+    _, before, after = errors_with(content, row)
+    if not before or after is None:
+        return 1.0, 0.0
+    floor = content.steps[-1].floor or 0.0
+    return min(after / before, 1.0), min(floor / before, 1.0)
+
+
+def force_near(content: StudyContent, force: ForceRun, t: float) -> str:
+    """What an equation lacks at a time, in a sentence."""
+    place = int(np.argmin(np.abs(force.t - t)))
+    value, std = force.force[place], force.std[place]
+    sure = "surely not zero" if abs(value) > SURE * std else "may as well be zero"
+    date = date_words(t * content.time.size, force.origin)
+    when = f"{number(t, 3)}{spaced(content.time.unit)}"
+    when = f"{when} ({date})" if date else when
+    return (
+        f"At t = {when} of {force.run}, d{force.equation}/dt lacks "
+        f"{with_error(value, std)}{spaced(force.unit)} (± one standard deviation; "
+        f"{sure})."
+    )

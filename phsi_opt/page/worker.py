@@ -6,10 +6,11 @@ came and hands it to the next process, to go on where one was cancelled. It goes
 the pipe alone: what lies on the disk is never unpickled.
 """
 
+import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
@@ -18,11 +19,10 @@ from queue import SimpleQueue
 from types import MappingProxyType
 from typing import Any
 
-from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
+from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
-from phsi_opt.page.snapshot import Snapshot
-from phsi_opt.page.snapshot_making import snapshot_of
+from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study import Study
 from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
@@ -33,6 +33,8 @@ ADD = "add"
 UNDO = "undo"
 AUTO = "auto"
 REPORT = "report"
+CANCEL_GRACE = 1.0  # s that a cancelled worker has before it is killed
+Receiver = Callable[["WorkerHandle", Any], None]
 
 
 @dataclass(frozen=True)
@@ -41,20 +43,13 @@ class Order:
 
     Attributes:
         verb: such as ``ADD``.
-        what: a path for ``FIT`` and ``REPORT``; for ``ADD`` names of effects.
+        what: a path for ``FIT`` and ``REPORT``; for ``ADD`` the name of an effect.
         places: for ``FIT``: where the data files lie, by their names.
     """
 
     verb: str
-    what: tuple[str, ...] = ()
+    what: str = ""
     places: Mapping[str, Path] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Said:
-    """A line of progress."""
-
-    line: str
 
 
 @dataclass(frozen=True)
@@ -62,19 +57,12 @@ class Shown:
     """The study as it stands now.
 
     Attributes:
-        snapshot: what the page shows of it.
+        content: what the page shows of it.
         study: the study itself as bytes, for the next worker alone.
     """
 
-    snapshot: Snapshot
+    content: StudyContent
     study: bytes
-
-
-@dataclass(frozen=True)
-class Wrote:
-    """A file that was asked for."""
-
-    path: str
 
 
 @dataclass(frozen=True)
@@ -90,6 +78,79 @@ class Done:
     """The order is carried out, or refused; the worker waits for the next."""
 
 
+# ---- the server's end ----------------------------------------------------------------
+
+
+class WorkerHandle:
+    """One spawned process, the thread that listens to it and the one that tells it.
+
+    Args:
+        study: the study to go on from, as the worker before sent it; None: there is
+            none.
+        on_message: called from the listening thread with every message (a line of
+            progress, `Shown`, the `Path` of a report, `Refused`, `Done`), and with None
+            when the process has ended.
+    """
+
+    def __init__(self, study: bytes | None, on_message: Receiver) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._on_message = on_message
+        self._orders: SimpleQueue[Order | None] = SimpleQueue()
+        self._process = context.Process(target=work, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()  # else the pipe would not break when the worker ends
+        threading.Thread(target=self._listen, daemon=True).start()
+        threading.Thread(target=self._write, args=(study,), daemon=True).start()
+
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        return self._process.pid or 0
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process is there."""
+        return self._process.is_alive()
+
+    def tell(self, order: Order) -> None:
+        """Send an order; the worker takes it when the one before is done."""
+        self._orders.put(order)
+
+    def end(self) -> None:
+        """End the process: politely, and after ``CANCEL_GRACE`` seconds in any case."""
+        self._process.terminate()
+        self._process.join(CANCEL_GRACE)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(CANCEL_GRACE)
+
+    def _listen(self) -> None:
+        message: Any = ""
+        while message is not None:
+            try:
+                message = self._connection.recv()
+            except (EOFError, OSError):
+                message = None
+                self._orders.put(None)
+            self._on_message(self, message)
+
+    def _write(self, study: bytes | None) -> None:
+        """Send the study, which a worker that starts takes late, then the orders."""
+        try:
+            if study is None:
+                self._connection.send(None)
+            else:
+                self._connection.send_bytes(study)
+            while (order := self._orders.get()) is not None:
+                self._connection.send(order)
+        except OSError:  # the process has ended; the other thread tells
+            return
+
+
+# ---- the process ---------------------------------------------------------------------
+
+
 class _Pipe:
     """The end of the pipe of this process; progress lines go through it."""
 
@@ -99,7 +160,7 @@ class _Pipe:
 def tell(line: str) -> None:
     """Send a line of progress; a study keeps this function, so it has a name."""
     if _Pipe.connection is not None:
-        _Pipe.connection.send(Said(line))
+        _Pipe.connection.send(line)
 
 
 def work(connection: Connection) -> None:
@@ -115,10 +176,23 @@ def work(connection: Connection) -> None:
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
-    bench = Bench(orders.get())
+    study: Study | None = orders.get()
     while True:
         order = orders.get()
-        connection.send(_answer(bench, order, connection))
+        try:
+            if order.verb == FIT:
+                study = StudyFile.read(order.what, order.places).study(tell)
+            if study is None:
+                answer: Any = Refused("Nothing has been fitted yet; press Fit first.")
+            else:
+                answer = _carried_out(study, order, connection.send)
+        except StudyFileError as error:
+            answer = Refused("The draft cannot be used yet.", error.complaints)
+        except PhsiOptError as error:
+            answer = Refused(str(error))
+        except Exception as error:  # the page says it; the process goes on
+            answer = Refused(f"This is an error of the package: {error!r}")
+        connection.send(answer)
         connection.send(Done())
 
 
@@ -131,83 +205,41 @@ def _listen(connection: Connection, orders: "SimpleQueue[Any]") -> None:
             os._exit(0)
 
 
-def _answer(bench: "Bench", order: Order, connection: Connection) -> Any:
-    """What is said at the end of an order."""
-    try:
-        return bench.carry_out(order, connection)
-    except StudyFileError as error:
-        return Refused("The draft cannot be used yet.", error.complaints)
-    except PhsiOptError as error:
-        return Refused(str(error))
-    except Exception as error:  # the page says it; the process goes on
-        return Refused(f"This is an error of the package: {error!r}")
-
-
-class Bench:
-    """A study in work.
-
-    Args:
-        study: to go on from; None: there is none yet.
-    """
-
-    def __init__(self, study: Study | None) -> None:
-        self.study = study
-
-    def carry_out(self, order: Order, connection: Connection) -> Any:
-        """Do it, sending snapshots on the way; return the last message.
-
-        Raises:
-            DataError: the data cannot be used, or nothing was fitted yet.
-            ModelError: an effect is unknown, or there is nothing to undo.
-            SolveError: a model could not be fitted.
-        """
-        if order.verb == FIT:
-            self.study = StudyFile.read(order.what[0], order.places).study(tell)
-        study = self.study
-        if study is None:
-            return Refused("Nothing has been fitted yet; press Fit first.")
-        if order.verb == REPORT:
-            return Wrote(str(study.report(order.what[0])))
-        if order.verb == ADD:
-            study.add(_effect_named(study, order.what[0]))
-        elif order.verb == UNDO:
-            study.undo()
-        elif order.verb == AUTO:
-            self._add_all(study, connection)
-        connection.send(_shown(study, None))
-        return _shown(study, study.diagnose())
-
-    def _add_all(self, study: Study, connection: Connection) -> None:
-        """What ``Study.auto`` does, shown after each step."""
-        for _ in range(DEFAULT_MAX_STEPS):
+def _carried_out(study: Study, order: Order, send: Callable[[Shown], None]) -> Any:
+    """Do it, sending what there is on the way; return the last message."""
+    if order.verb == REPORT:
+        return study.report(order.what)
+    if order.verb == ADD:
+        study.add(_effect_named(study, order.what))
+    elif order.verb == UNDO:
+        study.undo()
+    elif order.verb == AUTO:
+        for _ in range(DEFAULT_MAX_STEPS):  # shown after each step
             n_steps = len(study.steps)
             study.auto(max_steps=1)
             if len(study.steps) == n_steps:
-                return
-            connection.send(_shown(study, None))
+                break
+            send(_shown(study))
+    send(_shown(study))
+    study.diagnose()
+    return _shown(study)
 
 
-def _shown(study: Study, diagnosis: Diagnosis | None) -> Shown:
+def _shown(study: Study) -> Shown:
     """What is shown of a study, with the study itself."""
-    return Shown(snapshot_of(study, diagnosis), bytes(ForkingPickler.dumps(study)))
+    content = study.content(forces=True)
+    return Shown(content, bytes(ForkingPickler.dumps(study)))
 
 
 def _effect_named(study: Study, name: str) -> Effect:
-    """One of the candidates, by its name and equation."""
-    for candidate in study.diagnose().ranking:
-        if candidate.name == name:
-            return candidate.effect
-    return effect_meant(study, name)
-
-
-def effect_meant(study: Study, name: str) -> Effect:
-    """An effect of the catalogue, such as "coulomb friction on p".
+    """One of the candidates by its name, else of the catalogue.
 
     Raises:
         ModelError: there is none of that name.
     """
-    from phsi_opt.model.catalogue import effect_named
-
+    for candidate in study.diagnose().ranking:
+        if candidate.name == name:
+            return candidate.effect
     before, _, equation = name.rpartition(" on ")
     return effect_named(study.model, before, equation, study.train.units)
 

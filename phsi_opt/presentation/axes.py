@@ -10,10 +10,13 @@ from phsi_opt.presentation.numbers import typeset
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MEASURED = "0.55"  # grey: what was measured, and what stands for comparison
-MODEL = "C0"  # blue: the model, and what was estimated
-FLOOR = "C2"  # green: a limit set by the noise
-ATTENTION = "C1"  # orange: what a reader should look at first
+# Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
+MEASURED = "#7a828c"  # grey: what was measured, and what stands for comparison
+MODEL = "#2f7fd6"  # blue: the model, and what was estimated
+FLOOR = "#3b8f5a"  # green: a limit set by the noise
+ATTENTION = "#c8611a"  # orange: what a reader should look at first
+FORCE = "#9a5fd0"  # violet: what is missing
+MARK = "#b5459e"  # a place that somebody points at
 BASELINE = "0.3"  # dark grey: the line at zero
 
 

@@ -5,6 +5,7 @@ value of its own estimate; the labels give the numbers with their units.
 """
 
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,6 @@ WIDTH = 8.0  # inches of a new figure
 ROW_HEIGHT = 0.32  # inches per parameter: tick labels do not touch
 FRAME_HEIGHT = 1.1  # inches for title and axis below and above the rows
 LEAST_ROWS = 2  # for which a new figure has room
-TITLE_WIDTH = 60  # in a line of the title over the axes of a new figure
 AXIS_MARGIN = 1.15  # range of the axis over the widest interval that it shows
 
 
@@ -48,71 +48,64 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     percent = np.full(n, np.nan)
     percent[is_sure] = 100 * half_width[is_sure] / size[is_sure]
     reach = AXIS_MARGIN * float(np.nanmax(percent)) if is_sure.any() else 100.0
+    rows = np.arange(n)
+    zero = np.zeros(n)
     ax.axvline(0, color=BASELINE, lw=0.8)
-    _draw_intervals(ax, np.flatnonzero(is_sure), percent[is_sure])
-    _draw_open_signs(ax, np.flatnonzero(is_open), reach)
-    _draw_marks(ax, np.flatnonzero(is_held), "s", face=BASELINE)
-    _draw_marks(ax, np.flatnonzero(is_unknown), "o", face="white")
+    width = percent[is_sure]
+    look: Any = {"fmt": "o", "color": MODEL, "ms": 5, "capsize": 4}
+    ax.errorbar(zero[is_sure], rows[is_sure], xerr=width, **look)
+    # Lines to both edges, with arrows that say that the intervals go on.
+    ax.hlines(rows[is_open], -reach, reach, color=ATTENTION, lw=0.8)
+    for shown, x, marker, color, face in (
+        (is_open, 0.0, "o", ATTENTION, ATTENTION),
+        (is_open, -reach, "<", ATTENTION, ATTENTION),
+        (is_open, reach, ">", ATTENTION, ATTENTION),
+        (is_held, 0.0, "s", BASELINE, BASELINE),
+        (is_unknown, 0.0, "o", BASELINE, "white"),
+    ):
+        mark: Any = {"mec": color, "mfc": face, "ms": 7, "ls": "none"}
+        ax.plot(zero[shown] + x, rows[shown], marker, clip_on=False, **mark)
 
-    ax.set_yticks(np.arange(n), _row_labels(table, half_width))
+    ax.set_yticks(rows, _row_labels(table, half_width))
     ax.tick_params(axis="y", length=0, pad=8)  # room for the arrows
     ax.set_ylim(max(n, 1) - 0.5, -0.5)
     ax.set_xlim(-reach, reach)
     ax.set_xlabel(f"{100 * level:.3g} % interval around the estimate (% of its size)")
-    title = _doubts(is_open, is_unknown, is_held) or _worst(table["name"], percent)
-    ax.set_title(fill(title, TITLE_WIDTH))
+    ax.set_title(fill(_title(table, percent, is_open, is_unknown, is_held), 60))
     return ax
-
-
-def _draw_intervals(ax: Axes, rows: np.ndarray, percent: np.ndarray) -> None:
-    middle = np.zeros(len(rows))
-    ax.errorbar(middle, rows, xerr=percent, fmt="o", color=MODEL, ms=5, capsize=4)
-
-
-def _draw_open_signs(ax: Axes, rows: np.ndarray, reach: float) -> None:
-    """Lines to both edges, with arrows that say that the intervals go on."""
-    ax.hlines(rows, -reach, reach, color=ATTENTION, lw=0.8)
-    ax.plot(np.zeros(len(rows)), rows, "o", color=ATTENTION, ms=5)
-    for edge, arrow in ((-reach, "<"), (reach, ">")):
-        at_edge = np.full(len(rows), edge)
-        ax.plot(at_edge, rows, arrow, color=ATTENTION, ms=7, clip_on=False)
-
-
-def _draw_marks(ax: Axes, rows: np.ndarray, marker: str, *, face: str) -> None:
-    middle = np.zeros(len(rows))
-    ax.plot(middle, rows, marker, mfc=face, mec=BASELINE, ms=7, mew=1.5, ls="none")
 
 
 def _row_labels(table: pd.DataFrame, half_width: np.ndarray) -> list[str]:
     """Name, value and half width with the unit, or why there is no half width."""
     labels = []
-    for i, half in enumerate(half_width):
-        name = str(table["name"].iloc[i])
-        value = float(table["value"].iloc[i])
-        unit = str(table["unit"].iloc[i])
-        estimate = f"{name} = {value:.4g}"
+    for (_, row), half in zip(table.iterrows(), half_width, strict=True):
+        estimate = f"{row['name']} = {float(row['value']):.4g}"
+        reason = "at its bound" if row["at_bound"] else "no standard error"
+        told = f"{estimate} {row['unit']}".rstrip() + f", {reason}"
         if np.isfinite(half):
-            labels.append(f"{estimate} \N{PLUS-MINUS SIGN} {half:.2g} {unit}".rstrip())
-            continue
-        reason = "at its bound" if table["at_bound"].iloc[i] else "no standard error"
-        labels.append(f"{estimate} {unit}".rstrip() + f", {reason}")
+            told = f"{estimate} \N{PLUS-MINUS SIGN} {half:.2g} {row['unit']}".rstrip()
+        labels.append(told)
     return labels
 
 
-def _doubts(is_open: np.ndarray, is_unknown: np.ndarray, is_held: np.ndarray) -> str:
-    """How many estimates are not to be relied on, and how they are marked; or ""."""
+def _title(
+    table: pd.DataFrame,
+    percent: np.ndarray,
+    is_open: np.ndarray,
+    is_unknown: np.ndarray,
+    is_held: np.ndarray,
+) -> str:
+    """How many are not to be relied on, and how marked; else which is known worst."""
     counted = (
         (int(is_open.sum()), "not told from zero (orange)"),
         (int(is_unknown.sum()), "without standard error (circle)"),
         (int(is_held.sum()), "at a bound (square)"),
     )
-    parts = [f"{number} {what}" for number, what in counted if number]
-    return f"Of {len(is_open)} estimates: {', '.join(parts)}" if parts else ""
-
-
-def _worst(names: pd.Series, percent: np.ndarray) -> str:
-    """Which parameter is known worst, where all are known."""
-    if not len(percent):
+    doubts = [f"{n} {what}" for n, what in counted if n]
+    if doubts:
+        return f"Of {len(table)} estimates: {', '.join(doubts)}"
+    if not len(table):
         return "No parameter was estimated"
     worst = int(np.argmax(percent))
-    return f"{names.iloc[worst]} is known worst, to {percent[worst]:.2g} % of its size"
+    name = table["name"].iloc[worst]
+    return f"{name} is known worst, to {percent[worst]:.2g} % of its size"

@@ -19,7 +19,7 @@ NOTHING_MISSING = "nothing missing"
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
 # each unit); single ones differ by a factor of three.
 SIZES = {FITTING: 1.0, SCREENING: 1.5, WEIGHING: 1.0, ADDING: 2.0}
-EXPECTED_WEIGHED = 4  # effects in a diagnosis, of 1 to 12
+DIAGNOSIS = (SCREENING, *[WEIGHING] * 4)  # 1 to 12 effects are weighed
 # Times its expected length after which a work is said to take longer than expected.
 OVERDUE = 1.5
 MOST_SAID = 99 * 3600.0  # s; beyond that no forecast is worth saying
@@ -32,41 +32,47 @@ class Forecast:
     Attributes:
         n_diagnoses: how many diagnoses are expected; the last one finds nothing.
         clock: the time in s.
+        done: size of the work that is done; ``current``: kind of the present one.
+        plan: the kinds of work that are expected after it.
     """
 
     n_diagnoses: int
     clock: Callable[[], float] = time.monotonic
     done: float = 0.0
     current: str = ""
-    n_screened: int = 0
-    n_weighed: int = 0
+    plan: list[str] = field(init=False)
     began: float = field(init=False)
     current_began: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.began = self.clock()
-        self.current_began = self.began
+        self.began = self.current_began = self.clock()
+        self.plan = [*DIAGNOSIS, *[ADDING, *DIAGNOSIS] * (self.n_diagnoses - 1)]
+        if not self.n_diagnoses:
+            self.plan = []
 
     def said(self, line: str) -> None:
         """Note a line; most say nothing of the progress."""
         if line.startswith((NOTHING_MISSING, MISSING)):
-            self._finish_current()
-            self.current = ""
-        if line.startswith(NOTHING_MISSING):
-            self.n_diagnoses = 0
+            self._begin("")
+            ends = ADDING if line.startswith(MISSING) else ""
+            place = self.plan.index(ends) if ends in self.plan else len(self.plan)
+            self.plan = self.plan[place:]
         for kind in SIZES:
             if line.startswith(kind):
-                self._finish_current()
-                self.current = kind
-                if kind == SCREENING:
-                    self.n_screened += 1
-                    self.n_weighed = 0
-                if kind == WEIGHING:
-                    self.n_weighed += 1
+                self._begin(kind)
+                self._go_on_from(kind)
 
-    def _finish_current(self) -> None:
+    def _begin(self, kind: str) -> None:
         self.done += SIZES.get(self.current, 0.0)
+        self.current = kind
         self.current_began = self.clock()
+
+    def _go_on_from(self, kind: str) -> None:
+        """Leave out of the plan what was expected up to a kind of work."""
+        if kind == ADDING and self.n_diagnoses and SCREENING not in self.plan:
+            self.plan = list(DIAGNOSIS)  # one more than was expected
+        elif kind in self.plan and (kind != WEIGHING or self.plan[0] == WEIGHING):
+            self.plan = self.plan[self.plan.index(kind) + 1 :]
 
     @property
     def _pace(self) -> float:
@@ -104,24 +110,10 @@ class Forecast:
         """
         if self.done == 0.0 or self.is_overdue:
             return None
-        half_done = self.done + SIZES.get(self.current, 0.0) / 2
-        remaining = SIZES.get(self.current, 0.0) / 2 + self._expected()
-        seconds = remaining * self.elapsed / half_done
+        half = SIZES.get(self.current, 0.0) / 2
+        remaining = half + sum(SIZES[kind] for kind in self.plan)
+        seconds = remaining * self.elapsed / (self.done + half)
         return seconds if seconds < MOST_SAID else None
-
-    def _expected(self) -> float:
-        """The size of what is expected after the current work."""
-        weighing = SIZES[WEIGHING]
-        of_diagnosis = SIZES[SCREENING] + EXPECTED_WEIGHED * weighing
-        further = max(self.n_diagnoses - max(self.n_screened, 1), 0)
-        expected = further * (of_diagnosis + SIZES[ADDING])
-        if self.n_diagnoses and self.current == FITTING:
-            expected += of_diagnosis
-        if self.current in (SCREENING, WEIGHING):
-            expected += max(EXPECTED_WEIGHED - self.n_weighed, 0) * weighing
-        if self.current == ADDING and self.n_diagnoses and self.n_screened:
-            expected += 0.0 if further else of_diagnosis
-        return expected
 
 
 def duration(seconds: float) -> str:

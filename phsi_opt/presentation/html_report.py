@@ -1,14 +1,13 @@
-"""A report as one HTML file: nothing is loaded, everything of the data is escaped.
+"""Reports by templates: one HTML file, or Markdown; everything of the data is escaped.
 
-The chart library is in the file once, compressed; the browser unpacks it. Until it has,
-on paper, and where no script runs, static pictures stand in place of the charts.
+The HTML file loads nothing. Charts and their library are in it, compressed; the browser
+unpacks them. Until it has, on paper, and where no script runs, static pictures stand in
+place of the charts.
 """
 
 import base64
 import gzip
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -16,117 +15,153 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from phsi_opt.presentation.numbers import capitalised, number, said, typeset
-from phsi_opt.presentation.report_content import Force, Report
-from phsi_opt.presentation.report_pictures import (
-    follows_picture,
-    force_picture,
-    glance_picture,
-    map_picture,
-    runs_picture,
-    staircase_picture,
+from phsi_opt.presentation.charts import (
+    Chart,
+    errors_chart,
+    follows_chart,
+    force_chart,
+    glance_chart,
+    map_chart,
+    plotly,
+    run_chart,
+    svg,
+)
+from phsi_opt.presentation.content import (
+    ParameterRow,
+    Ranked,
+    StudyContent,
+    unestablished_words,
+)
+from phsi_opt.presentation.numbers import (
+    capitalised,
+    listed,
+    number,
+    proper_names,
+    said,
+    typeset,
+    with_error,
 )
 
 TEMPLATES = "templates"
-# Characters that could end a script, or begin a comment in one, and their escapes.
-ESCAPES = {
-    "<": "\\u003c",
-    ">": "\\u003e",
-    "&": "\\u0026",
-    "\u2028": "\\u2028",
-    "\u2029": "\\u2029",
-}
+MOST_LISTED = 12  # candidates of one diagnosis
 
 
-@dataclass(frozen=True)
-class ForcePictures:
-    """The static pictures of one force, as addresses that hold them."""
+class _Charts:
+    """The charts of a report, by the names that their places have.
 
-    over_time: str
-    map: str
-    follows: str
+    Attributes:
+        drawn: what the browser draws: a figure, or those that one chooses among.
+        shown: the chart of each place that is drawn on paper.
+    """
+
+    def __init__(self, content: StudyContent) -> None:
+        self.drawn: dict[str, Any] = {}
+        self.shown: dict[str, Chart] = {}
+        self._add("staircase", errors_chart(content.steps, content.unit))
+        if content.glance is not None:
+            self._add("glance", glance_chart(content))
+        of_runs = []
+        for run in content.runs:
+            channels = range(len(run.channels))
+            of_runs.append([run_chart(content, run, k) for k in channels])
+        self.shown["measured"] = of_runs[content.shown][0]
+        self.drawn["measured"] = [[plotly(one) for one in run] for run in of_runs]
+        for k, law in enumerate(content.laws):
+            self._add(f"law-{k}", follows_chart(law))
+        for f, diagnosed in enumerate(content.diagnoses):
+            for k, force in enumerate(diagnosed.forces):
+                name = f"force-{f}-{k}"
+                along = [force_chart(content, [run]) for run in force.runs]
+                self.shown[f"{name}-time"] = along[force.shown]
+                self.drawn[f"{name}-time"] = [[plotly(one)] for one in along]
+                self._add(f"{name}-follows", follows_chart(force.follows))
+                if force.map is not None:
+                    self._add(f"{name}-map", map_chart(force.map, force.label))
+
+    def _add(self, name: str, chart: Chart) -> None:
+        self.shown[name] = chart
+        self.drawn[name] = plotly(chart)
+
+    def picture(self, name: str) -> str:
+        """The chart of a place as an address that holds its picture."""
+        picture = base64.b64encode(svg(self.shown[name]).encode()).decode()
+        return f"data:image/svg+xml;base64,{picture}"
 
 
-def html_report(report: Report) -> str:
+def html_report(content: StudyContent) -> str:
     """The whole report as the text of an HTML file."""
-    environment = Environment(
+    charts = _Charts(content)
+    template = _environment(autoescape=True).get_template("report.html.jinja")
+    return template.render(
+        report=content,
+        picture=charts.picture,
+        style=_own_file("report.css"),
+        script=_own_file("report.js"),
+        data=packed(json.dumps(charts.drawn, allow_nan=False)),
+        library=_library(),
+        most_listed=MOST_LISTED,
+    )
+
+
+def markdown_report(content: StudyContent) -> str:
+    """The same in words and tables, as Markdown."""
+    environment = _environment(finalize=_in_markdown)
+    template = environment.get_template("report.md.jinja")
+    return template.render(report=content, most_listed=MOST_LISTED)
+
+
+def _in_markdown(value: Any) -> str:
+    """A value on one line in which no name is read as HTML or ends a cell."""
+    if isinstance(value, Markup):
+        return value
+    return " ".join(str(value).split()).replace("<", "&lt;").replace("|", "\\|")
+
+
+def _environment(**settings: Any) -> Environment:
+    """The templates of reports, with the filters that they use."""
+    found = Environment(
         loader=PackageLoader("phsi_opt.presentation", TEMPLATES),
-        autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
+        **settings,
     )
-    environment.filters["number"] = number
-    environment.filters["typeset"] = typeset
-    environment.filters["said"] = said
-    environment.filters["capital"] = capitalised
-    template = environment.get_template("report.html.jinja")
-    pictures = []
-    for failure in report.failures:
-        pictures.append([_pictures_of(force) for force in failure.forces])
-    return template.render(
-        report=report,
-        staircase_picture=as_address(staircase_picture(report.staircase)),
-        glance_picture=_glance_picture(report),
-        runs_picture=as_address(runs_picture(report.runs)),
-        law_pictures=[
-            as_address(follows_picture(law.follows, law.label)) for law in report.laws
-        ],
-        force_pictures=pictures,
-        style=_own_file("report.css"),
-        script=_own_file("report.js"),
-        data=script_json(_chart_data(report)),
-        library=Markup(_packed_library()),
-    )
-
-
-def _glance_picture(report: Report) -> str:
-    """The picture beside the verdict; "" for none."""
-    if report.glance is None:
-        return ""
-    return as_address(glance_picture(report.glance, report.runs))
-
-
-def _pictures_of(force: Force) -> ForcePictures:
-    over_states = "" if force.map is None else map_picture(force.map, force.label)
-    follows = ""
-    if force.follows is not None:
-        follows = follows_picture(force.follows, force.label)
-    return ForcePictures(
-        as_address(force_picture(force)),
-        as_address(over_states),
-        as_address(follows),
-    )
-
-
-def as_address(svg: str) -> str:
-    """A picture as an address that holds it; "" for no picture."""
-    if not svg:
-        return ""
-    packed = base64.b64encode(svg.encode()).decode()
-    return f"data:image/svg+xml;base64,{packed}"
-
-
-def script_json(content: Mapping[str, Any]) -> Markup:
-    """Content as JSON that may stand in a script element, whatever its texts hold."""
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    for character, escape in ESCAPES.items():
-        text = text.replace(character, escape)
-    return Markup(text)
-
-
-def _chart_data(report: Report) -> dict[str, Any]:
-    """What the charts show."""
-    forces = []
-    for failure in report.failures:
-        forces.append([asdict(force) for force in failure.forces])
-    return {
-        "staircase": asdict(report.staircase),
-        "glance": None if report.glance is None else asdict(report.glance),
-        "runs": asdict(report.runs),
-        "laws": [asdict(law) for law in report.laws],
-        "forces": forces,
+    found.filters |= {
+        "number": number,
+        "typeset": typeset,
+        "said": said,
+        "capital": capitalised,
+        "proper": proper_names,
+        "listed": listed,
+        "estimate": with_error,
+        "interval": interval_words,
+        "size": size_words,
+        "error_with": _error_with,
+        "unestablished": unestablished_words,
+        "code": lambda line: Markup(" ".join(line.splitlines())),
     }
+    return found
+
+
+def interval_words(row: ParameterRow) -> str:
+    """The interval of a parameter, and what is odd about it."""
+    known = row.lower is not None and row.upper is not None
+    ends = f"{number(row.lower)} to {number(row.upper)}" if known else ""
+    return ", ".join(filter(None, (ends, row.remark)))
+
+
+def size_words(one: Ranked) -> str:
+    """The coefficient of a candidate with its standard error and unit."""
+    return f"{with_error(one.coefficient, one.std_error)} {one.unit}".rstrip()
+
+
+def _error_with(one: Ranked, unit: str) -> str:
+    """The error with a candidate, on the data that judge where that is known."""
+    if one.held_out is not None:
+        return f"{number(one.held_out)} {unit}".rstrip()
+    if one.train is not None:
+        return f"{number(one.train)} {unit}".rstrip() + " on training data"
+    return ""
 
 
 def _own_file(name: str) -> Markup:
@@ -136,9 +171,13 @@ def _own_file(name: str) -> Markup:
 
 
 @cache
-def _packed_library() -> str:
-    """The chart library, compressed, in base64."""
+def _library() -> str:
+    """The chart library."""
     from plotly.offline import get_plotlyjs
 
-    packed = gzip.compress(get_plotlyjs().encode(), 9, mtime=0)
-    return base64.b64encode(packed).decode()
+    return packed(get_plotlyjs())
+
+
+def packed(text: str) -> str:
+    """A text as a script element may hold it, whatever is in it: compressed."""
+    return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()

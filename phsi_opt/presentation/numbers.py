@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 
 TEXT_DIGITS = 4  # of a number in a text
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
@@ -103,6 +104,13 @@ def _power_of_ten(found: re.Match[str]) -> str:
 def proper_names(text: str) -> str:
     """A text in which people have capital letters: Coulomb friction."""
     return PEOPLE.sub(lambda found: found[0].title(), text)
+
+
+def listed(names: Sequence[str], nothing: str = "", most: int = 4) -> str:
+    """Names with commas; of many the first few, and how many more there are."""
+    if len(names) > most:
+        return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
+    return ", ".join(names) or nothing
 
 
 def lowered(text: str) -> str:

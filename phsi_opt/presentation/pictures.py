@@ -8,8 +8,6 @@ Pictures of where a missing force acts stand in `force_analysis`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from textwrap import fill
-from typing import Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,17 +16,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
-from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
-from phsi_opt.presentation.numbers import number, proper_names
+from phsi_opt.presentation.axes import FLOOR, MEASURED, MODEL, axes_of, label
+from phsi_opt.presentation.charts import (
+    FORCE_COLORS,
+    POINTS,
+    Curve,
+    Panel,
+    draw_panel,
+    errors_chart,
+)
+from phsi_opt.presentation.content import ErrorStep
 from phsi_opt.presentation.units import rate_unit
 
-LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
 RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
+BAND = "run, two standard deviations"
 STATE_HEIGHT = 1.8  # inches of a panel
-DECADE = 10  # ratio of errors from which on their axis is logarithmic
-FAR_ABOVE_FLOOR = 2.0  # times: there is room above the floor's number
-HALF_STEP = 0.45  # of a step, that the axis goes on to either side
-ASIDE = 0.05  # of a step, by which training and held-out error stand aside
 N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
 
@@ -66,43 +68,30 @@ def plot_free_run(
     stand in a panel below, with the band that noise alone leaves.
     """
     ax = axes_of(ax, (8.0, 4.8))
-    for n, channel in enumerate(channels):
-        _draw_channel(ax, t, channel, n)
+    curves: list[Curve] = []
+    residuals: list[Curve] = []
+    is_alone = len(channels) == 1
+    for n, one in enumerate(channels):
+        color, dots = (MODEL, MEASURED) if n == 0 else (f"C{n}", f"C{n + 3}")
+        std = None if one.std is None else 2 * one.std
+        run = Curve(f"{one.name} free run", t, one.simulated, color, std=std, band=BAND)
+        curves += [Curve(f"{one.name} measured", t, one.measured, dots, POINTS), run]
+        # One channel in its unit, several in standard deviations of their noise.
+        scale = 1.0 if is_alone else one.noise or 1.0
+        residuals.append(Curve("", t, (one.measured - one.simulated) / scale, color))
     names = ", ".join(channel.name for channel in channels)
     unit = _common_unit([channel.unit for channel in channels])
+    draw_panel(ax, Panel(label(names, unit), curves))
     ax.set(xlabel=label("t", t_unit), title=title)
-    ax.set_ylabel(label(names, unit))
-    _finish(ax)
     if all(channel.noise for channel in channels):
-        _draw_residuals(ax, t, channels, unit)
+        below = _panel_below(ax)
+        noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
+        told = label("residual", unit if is_alone else "noise std.")
+        draw_panel(below, Panel(told, residuals, noise=noise))
+        below.set_xlabel(ax.get_xlabel())
+        ax.tick_params(axis="x", labelbottom=False)
+        ax.xaxis.label.set_visible(False)  # it stands below the residuals
     return ax
-
-
-def _draw_residuals(
-    ax: Axes, t: np.ndarray, channels: Sequence[Channel], unit: str
-) -> None:
-    """A panel in the lower part of the axes' place.
-
-    One channel is drawn in its unit, several in standard deviations of their noise.
-    """
-    panel = _panel_below(ax)
-    is_alone = len(channels) == 1
-    scale = 1.0
-    for n, channel in enumerate(channels):
-        noise = channel.noise or 1.0
-        scale = noise if is_alone else 1.0
-        residual = (channel.measured - channel.simulated) / noise * scale
-        color = MODEL if n == 0 else f"C{n}"
-        panel.plot(t, residual, ".-", ms=2.5, lw=0.6, color=color)
-    text = "noise, two std. deviations"
-    panel.axhspan(-2 * scale, 2 * scale, color=FLOOR, alpha=0.2, lw=0, label=text)
-    panel.axhline(0, color=BASELINE, lw=0.8)
-    panel.set_ylabel(label("residual", unit if is_alone else "noise std."))
-    panel.set_xlabel(ax.get_xlabel())
-    panel.margins(y=0.35)
-    panel.legend(loc="upper right", frameon=False, fontsize="small")
-    ax.tick_params(axis="x", labelbottom=False)
-    ax.xaxis.label.set_visible(False)  # it stands below the residuals
 
 
 def _panel_below(ax: Axes) -> Axes:
@@ -117,20 +106,6 @@ def _panel_below(ax: Axes) -> Axes:
     ax.set_position((box.x0, box.y0 + lower, box.width, box.height - lower))
     size = (box.x0, box.y0, box.width, 0.85 * lower)  # a gap between them
     return ax.figure.add_axes(size, sharex=ax)
-
-
-def _draw_channel(ax: Axes, t: np.ndarray, channel: Channel, n: int) -> None:
-    """Channel number n: the first in the usual colours, others in their own."""
-    is_first = n == 0
-    dots = MEASURED if is_first else f"C{n + 3}"
-    color = MODEL if is_first else f"C{n}"
-    measured = f"{channel.name} measured"
-    run = f"{channel.name} free run"
-    ax.plot(t, channel.measured, ".", ms=3, color=dots, label=measured)
-    ax.plot(t, channel.simulated, "-", lw=1.4, color=color, label=run)
-    if channel.std is not None:
-        band = "run, two std. deviations" if is_first else None
-        _band(ax, t, channel.simulated, channel.std, color=color, alpha=0.25, text=band)
 
 
 def plot_missing_force(
@@ -151,51 +126,26 @@ def plot_missing_force(
         ax: Axes to draw on; None: a new figure.
     """
     ax = axes_of(ax, (8.0, 3.6))
+    curves = []
+    t = table["t"].to_numpy()
     for n, state in enumerate(equations):
-        color = f"C{n}"
         force = table[state].to_numpy()
-        std = table[f"std_{state}"].to_numpy()
-        ax.plot(table["t"], force, color=color, lw=1.4, label=f"missing in d{state}/dt")
-        text = "two standard deviations"
-        _band(ax, table["t"], force, std, color=color, alpha=0.2, text=text)
-    ax.axhline(0, color=BASELINE, lw=0.8)
+        std = 2 * table[f"std_{state}"].to_numpy()
+        color = FORCE_COLORS[n % len(FORCE_COLORS)]
+        curves.append(Curve(f"missing in d{state}/dt", t, force, color, std=std))
     t_unit = units.get("t", "")
     state_unit = _common_unit([units.get(state, "") for state in equations])
-    ax.set(
-        xlabel=label("t", t_unit),
-        ylabel=label("missing force", rate_unit(state_unit, t_unit)),
-        title="Where the band leaves zero, a force is surely missing",
-    )
-    _finish(ax)
+    unit = rate_unit(state_unit, t_unit)
+    draw_panel(ax, Panel(label("missing force", unit), curves))
+    title = "Where the band leaves zero, a force is surely missing"
+    ax.set(xlabel=label("t", t_unit), title=title)
     return ax
-
-
-def _band(
-    ax: Axes,
-    t: np.ndarray | pd.Series,
-    middle: np.ndarray,
-    std: np.ndarray,
-    *,
-    color: str,
-    alpha: float,
-    text: str | None,
-) -> None:
-    """Two standard deviations to either side."""
-    lower = middle - 2 * std
-    upper = middle + 2 * std
-    ax.fill_between(t, lower, upper, color=color, alpha=alpha, lw=0, label=text)
 
 
 def _common_unit(units: Sequence[str]) -> str:
     """The unit that all have, or "" where they differ."""
     different = set(units)
     return different.pop() if len(different) == 1 else ""
-
-
-def _finish(ax: Axes) -> None:
-    """A legend above curves that leave room for it."""
-    ax.margins(y=0.2)
-    ax.legend(loc="upper right", frameon=False, ncols=2)
 
 
 def plot_profile(
@@ -255,117 +205,16 @@ def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") 
         unit: Unit of the errors.
     """
     ax = axes_of(ax, (7.0, 3.8))
-    draw_errors(
-        ax,
-        [str(effect) for effect in history["effect"]],
-        train=history["train_rmse"].to_numpy(dtype=float),
-        held_out=history["held_out_rmse"].to_numpy(dtype=float),
-        floor=history["noise_floor"].to_numpy(dtype=float),
-        unit=unit,
-    )
+    errors = history[["effect", "train_rmse", "held_out_rmse", "noise_floor"]]
+    chart = errors_chart([_error_step(row) for row in errors.to_numpy()], unit)
+    draw_panel(ax, chart.panels[0], chart)
+    ax.set_title("Free-run error after each added effect")
     return ax
 
 
-def draw_errors(
-    ax: Axes,
-    labels: Sequence[str],
-    *,
-    train: np.ndarray,
-    held_out: np.ndarray,
-    floor: np.ndarray,
-    unit: str,
-) -> None:
-    """The staircase of errors on axes.
-
-    Args:
-        ax: Axes to draw on.
-        labels: What each step did.
-        train: (n_steps,) errors on the training data.
-        held_out: (n_steps,) on data held out, NaN where there are none.
-        floor: (n_steps,) what noise alone leaves.
-        unit: Of the errors.
-    """
-    steps = np.arange(len(labels))
-    is_held_out = bool(np.isfinite(held_out).any())
-    # Side by side, so that equal errors do not hide each other.
-    aside = ASIDE if is_held_out else 0.0
-    ax.plot(steps - aside, train, "s--", color=MEASURED, label="training", ms=7)
-    _write_errors(ax, steps - aside, train, MEASURED, "right" if aside else "left")
-    if is_held_out:
-        ax.plot(steps + aside, held_out, "o-", color=MODEL, label="held out")
-        _write_errors(ax, steps + aside, held_out, MODEL, "left")
-    ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=30)
-    called = [proper_names(one) for one in labels]
-    ax.set_xticks(steps, _step_labels(ax, called))
-    ax.set_ylabel(label("free-run rmse", unit))
-    ax.set_title("Free-run error after each added effect")
-    _scale_errors(ax, np.concatenate([train, held_out, floor]), len(labels))
-    if len(floor) and np.isfinite(floor[-1]):
-        judged = held_out if is_held_out else train
-        is_low = judged[-1] > FAR_ABOVE_FLOOR * floor[-1]
-        ax.annotate(
-            f"noise floor {number(floor[-1], 3)}",
-            (steps[-1], floor[-1]),
-            xytext=(10, 4) if is_low else (10, -14),
-            textcoords="offset points",
-            color=FLOOR,
-        )
-    ax.set_xlim(-HALF_STEP, len(labels) - 1 + HALF_STEP)
-    ax.legend(frameon=False, loc="upper right")
-
-
-def _write_errors(
-    ax: Axes,
-    x: np.ndarray,
-    errors: np.ndarray,
-    color: str,
-    side: Literal["left", "right"],
-) -> None:
-    """The numbers beside the points (n,), as far as they are known.
-
-    A number on the left stands below where the line falls, for the line comes from
-    there.
-    """
-    for k, (place, error) in enumerate(zip(x, errors, strict=True)):
-        if np.isfinite(error):
-            has_line_above = side == "right" and k > 0 and errors[k - 1] > error
-            ax.annotate(
-                number(error, 3),
-                (place, error),
-                xytext=(-6 if side == "right" else 6, -14 if has_line_above else 5),
-                textcoords="offset points",
-                ha=side,
-                color=color,
-            )
-
-
-def _scale_errors(ax: Axes, errors: np.ndarray, n_steps: int) -> None:
-    """A logarithmic axis where errors of steps span a decade, else one from zero."""
-    known = errors[np.isfinite(errors) & (errors > 0)]
-    if not len(known):
-        return
-    least = float(known.min())
-    most = float(known.max())
-    if most >= DECADE * least and n_steps > 1:
-        ax.set_yscale("log")
-        ax.set_ylim(least / 2, 3 * most)
-    else:
-        ax.set_ylim(0, 1.35 * most)
-
-
-def _step_labels(ax: Axes, effects: Sequence[str]) -> list[str]:
-    """What each step changed, in lines so short that neighbours do not touch."""
-    inches = ax.get_window_extent().width / ax.figure.dpi
-    n_letters = max(int(LETTERS_PER_INCH * inches / len(effects)), 8)
-    labels = []
-    for step, effect in enumerate(effects):
-        labels.append(fill(_change(step, str(effect)), n_letters))
-    return labels
-
-
-def _change(step: int, effect: str) -> str:
-    is_addition = step > 0 and not effect.startswith("without ")
-    return f"+ {effect}" if is_addition else effect
+def _error_step(row: np.ndarray) -> ErrorStep:
+    train, held_out, floor = (one if np.isfinite(one) else None for one in row[1:])
+    return ErrorStep(str(row[0]), train, held_out, floor)
 
 
 def plot_states(
@@ -393,11 +242,9 @@ def plot_states(
 
 def draw_state(ax: Axes, t: np.ndarray, channel: Channel) -> None:
     """Measurements and estimate of one state over (n_samples,) times on axes."""
-    if np.isfinite(channel.measured).any():
-        ax.plot(t, channel.measured, ".", ms=3, color=MEASURED, label="measured")
-        ax.plot(t, channel.simulated, "-", lw=1.4, color=MODEL, label="estimated")
-    else:
-        text = "estimated (not measured)"
-        ax.plot(t, channel.simulated, "-", lw=1.4, color=MODEL, label=text)
-    ax.set_ylabel(label(channel.name, channel.unit))
-    _finish(ax)
+    curves = [Curve("measured", t, channel.measured, MEASURED, POINTS)]
+    name = "estimated"
+    if not np.isfinite(channel.measured).any():
+        curves, name = [], "estimated (not measured)"
+    curves.append(Curve(name, t, channel.simulated, MODEL))
+    draw_panel(ax, Panel(label(channel.name, channel.unit), curves))

@@ -9,6 +9,7 @@ from phsi_opt.presentation.tables import html_of_table, rich_of_table, text_of_t
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
+    from rich.table import Table
     from rich.text import Text
 
 
@@ -31,6 +32,6 @@ class PrintedTable(pd.DataFrame):
 
     def __rich_console__(
         self, console: "Console", options: "ConsoleOptions"
-    ) -> "Iterator[Text]":
+    ) -> "Iterator[Table | Text]":
         """What rich prints."""
-        yield rich_of_table(self, options.max_width)
+        yield from rich_of_table(self, options.max_width)

@@ -114,4 +114,4 @@ def rich_of_summary(summary: Summary, width: int) -> "Iterator[RenderableType]":
             if text:
                 yield Text(text)
         if part.table is not None:
-            yield rich_of_table(part.table, width, most_rows=len(part.table))
+            yield from rich_of_table(part.table, width, most_rows=len(part.table))

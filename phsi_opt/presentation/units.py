@@ -48,10 +48,9 @@ NAMED: Mapping[str, Mapping[str, int]] = {
     "1/s": {"s": -1},
 }
 OF_MECHANICS = frozenset({"kg", "m", "s", RADIAN})
-# A unit with its power, of any name.
-ANY_FACTOR = re.compile(r"([A-Za-z%\u00b0\u00b5]+)(?:(?:\^|\*\*)?(-?\d))?$")
-# A factor such as "m", "s^2", "m2" or "s**-1"; between two, blanks, "*", "." or "·".
-FACTOR = re.compile(r"([A-Za-z]+)(?:(?:\^|\*\*)?(-?\d))?$")
+# A unit of any name with its power, such as "m", "s^2", "m2" or "s**-1"; between two,
+# blanks, "*", "." or "·".
+FACTOR = re.compile(r"([A-Za-z%\u00b0\u00b5]+)(?:(?:\^|\*\*)?(-?\d))?$")
 FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
 
 
@@ -69,17 +68,16 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
     """Unit of a rate of change, "" where one of the two units is not known."""
     if not unit or not unit_of_time:
         return ""
-    powers = powers_of(unit)
-    of_time = powers_of(unit_of_time)
-    if powers is not None and of_time is not None:
-        powers.subtract(of_time)
-        for name, known in NAMED.items():
-            if _without_zeros(powers) == known:
-                return name
     written = powers_as_written(unit)
-    time_as_written = powers_as_written(unit_of_time)
-    if written is not None and time_as_written is not None:
-        return _written(_quotient(written, time_as_written))
+    below = powers_as_written(unit_of_time)
+    if written is not None and below is not None:
+        powers = _quotient(written, below)
+        if set(powers) <= set(KNOWN):
+            basic = _in_base_units(powers)
+            for name, known in NAMED.items():
+                if basic == known:
+                    return name
+        return _written(powers)
     if " " in unit or "/" in unit:
         return f"({unit})/{unit_of_time}"
     return f"{unit}/{unit_of_time}"
@@ -92,8 +90,8 @@ def _quotient(above: Powers, below: Powers) -> Powers:
     return {name: power for name, power in powers.items() if power}
 
 
-def powers_of(unit: str) -> Counter[str] | None:
-    """Powers of the base units in a unit such as "kg m/s"; None: it is not known."""
+def powers_as_written(unit: str) -> Powers | None:
+    """Powers of the units as they are written, of any name; None: not readable."""
     powers: Counter[str] = Counter()
     for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
         sign = 1 if place == 0 else -1
@@ -101,43 +99,16 @@ def powers_of(unit: str) -> Counter[str] | None:
             found = FACTOR.match(factor)
             if factor == "1":
                 continue
-            if found is None or found[1] not in KNOWN:
-                return None
-            exponent = sign * int(found[2] or 1)
-            for base, power in KNOWN[found[1]].items():
-                powers[base] += exponent * power
-    return powers
-
-
-def _without_zeros(powers: Mapping[str, int]) -> dict[str, int]:
-    kept = {}
-    for base, power in powers.items():
-        if power:
-            kept[base] = power
-    return kept
-
-
-def powers_as_written(unit: str) -> Powers | None:
-    """Powers of the units as they are written, of any name; None: not readable."""
-    powers: Counter[str] = Counter()
-    for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
-        sign = 1 if place == 0 else -1
-        for factor in FACTOR_SEPARATORS.split(part.strip()):
-            found = ANY_FACTOR.match(factor)
-            if factor == "1":
-                continue
             if found is None:
                 return None
             powers[found[1]] += sign * int(found[2] or 1)
-    return _without_zeros(powers)
+    return {name: power for name, power in powers.items() if power}
 
 
 def powers_in_base_units(unit: str) -> Powers | None:
     """The same in base units, those that are not known as they are written."""
     written = powers_as_written(unit)
-    if written is None:
-        return None
-    return _in_base_units(written)
+    return None if written is None else _in_base_units(written)
 
 
 def _in_base_units(written: Powers) -> Powers:

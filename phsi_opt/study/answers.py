@@ -20,15 +20,16 @@ from phsi_opt.force_analysis.wording import VIBRATION_WORDS
 from phsi_opt.model.catalogue_storages import is_second_storage
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
-from phsi_opt.presentation.report_content import Answer
 from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study.certainty import (
     disturbance_word,
     evidence_words,
+    judged_words,
     no_noise_words,
+    off_words,
 )
-from phsi_opt.study.off_words import judged_words, off_words
 
 QUADRATIC_INPUT = "quadratic input"
 

@@ -1,20 +1,28 @@
-"""How sure a verdict is, in one line, and what the data do not determine at all."""
+"""How far a model is off, how sure a verdict is, and what the data leave open."""
 
 import numpy as np
 import pandas as pd
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.next_step import likely_cause
-from phsi_opt.presentation.numbers import number
+from phsi_opt.force_analysis.units import spaced
+from phsi_opt.presentation.numbers import listed, number
+from phsi_opt.statistics import TINY
 
 ONE_ERROR = "\N{PLUS-MINUS SIGN} is one standard error."
 # Times the noise floor from which an error alone says that something is missing.
 SURE_ERROR = 1.5
 AT_NOISE = 1.05  # times the noise floor up to which an error is that of the noise
-MOST_NAMED = 4  # parameters
 FAST_DISTURBANCE = "fast disturbance"
+MOST_CHANNELS = 3  # that are told, the worst first
+# Errors over the noise floor: of training data that are fitted to the noise, and of
+# data held out that are not foretold.
+NEAR_FLOOR = 1.1
+FAR_ABOVE_FLOOR = 2.0
+PERCENT = 100.0  # of a whole
 
 
 def certainty_words(diagnosis: Diagnosis) -> str:
@@ -82,12 +90,9 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     names = [str(name) for name in parameters["name"][is_open]]
     if not names:
         return ""
-    listed = ", ".join(names[:MOST_NAMED])
-    if len(names) > MOST_NAMED:
-        listed += f" and {len(names) - MOST_NAMED} more"
     return (
-        f"Parameters that these data do not determine: {listed} (standard error "
-        "above the value); do not rely on them."
+        f"Parameters that these data do not determine: {listed(names)} "
+        "(standard error above the value); do not rely on them."
     )
 
 
@@ -98,3 +103,37 @@ def disturbance_word(diagnosis: Diagnosis) -> str:
     is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
     is_fast = is_missing and is_open and force.pace.is_vibration
     return FAST_DISTURBANCE if is_fast else ""
+
+
+def off_words(judged: Comparison) -> list[str]:
+    """Such as "q by 0.122 rad (6.7 % of its movement; noise alone 0.1 %)".
+
+    Each of the channels that are farthest off, the worst first.
+    """
+    table = judged.table
+    shares = PERCENT - table["fit_percent"].to_numpy(dtype=float)
+    worst = np.argsort(-np.nan_to_num(shares), kind="stable")[:MOST_CHANNELS]
+    return [_channel_words(table.iloc[k]) for k in worst.tolist()]
+
+
+def _channel_words(row: pd.Series) -> str:
+    rmse = float(row["rmse"])
+    share = PERCENT - float(row["fit_percent"])
+    noise = share * float(row["noise_floor"]) / max(rmse, TINY)
+    size = f"{number(rmse, 3)}{spaced(str(row['unit']))}"
+    beside = f"{number(share, 2)} % of its movement"
+    if share >= PERCENT:
+        beside = f"{number(share, 3)} % of its movement: a constant would do better"
+    return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
+
+
+def only_follows(trained: Comparison, judged: Comparison) -> bool:
+    """Whether a model fits its training data to the noise, and no other data."""
+    floor = judged.noise_floor
+    is_fitted = trained.rmse < NEAR_FLOOR * floor
+    return is_fitted and judged.rmse > FAR_ABOVE_FLOOR * floor
+
+
+def judged_words(is_held_out: bool) -> str:
+    """On which data an error is."""
+    return "data not used for fitting" if is_held_out else "the training data"

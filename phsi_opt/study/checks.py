@@ -6,9 +6,9 @@ import pandas as pd
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import FAILING_ERROR, WHITE_ERROR, WHITENESS_LEVEL
 from phsi_opt.force_analysis.units import spaced
+from phsi_opt.presentation.content import BAD, GOOD, LOOK, Check
 from phsi_opt.presentation.durations import scale_of_time
 from phsi_opt.presentation.numbers import number, p_value_words
-from phsi_opt.presentation.report_content import BAD, GOOD, LOOK, Check
 from phsi_opt.study.record import StudyRecord
 
 # Share of the longest record from which on a free run counts as good to its end.

@@ -1,5 +1,6 @@
 """The fits of a study's steps: every model on the same aligned records."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from phsi_opt.comparison.compare import compare_record
@@ -9,18 +10,46 @@ from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.refit_effort import ADDED
-from phsi_opt.errors import PhsiOptError, SolveError
+from phsi_opt.errors import ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.state_plots import Dependence
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.study.effect_law import EffectLaw, effect_law
-from phsi_opt.study.step import Step
+from phsi_opt.study.record import Step
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 MOST_LAWS = 3  # effects whose law a report shows: each is an estimate of its own
+
+
+@dataclass(frozen=True, eq=False)
+class EffectLaw:
+    """The force that is missing where an effect is left out.
+
+    Attributes:
+        effect: that was left out.
+        force: the missing force of its equation.
+        variable: that it is shown against: the effort for a loss, else what predicts
+            it best.
+    """
+
+    effect: Effect
+    force: EquationForce
+    variable: str
+
+    @property
+    def dependence(self) -> Dependence:
+        """The force beside the variable."""
+        return Dependence.of(self.force, self.variable)
+
+    @property
+    def title(self) -> str:
+        """What is drawn, in a sentence."""
+        return f"Force that is missing without {self.effect}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,33 +123,51 @@ class StudyFitting:
         """The model of a fit with one effect, from what a diagnosis found of it."""
         if found is not None and found.fit is not None:
             return self.refined(found.fit)
-        model = fit.model.add(effect)
         values = {} if found is None else found.values
-        known = {name: values[name] for name in model.free if name in values}
+        model = fit.model.add(effect)
+        free = set(model.free)
+        known = {name: value for name, value in values.items() if name in free}
         model = model.with_values(known)
         return identify_aligned(model, self.train, self.loss, start=fit)
 
-    def with_effects(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
+    def with_effects(self, fit: Fit, effects: Sequence[Effect]) -> Fit:
         """The base model with effects, all parameters re-estimated from a fit."""
+        model = self._model(effects, fit.model.values)
+        return identify_aligned(model, self.train, self.loss, start=fit)
+
+    def _model(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Model:
+        """The base model with effects, with those of the values that it has."""
         model = self.base
         for effect in effects:
             model = model.add(effect)
-        known = {}
-        for name, value in fit.model.values.items():
-            if name in model.entries:
-                known[name] = value
-        return identify_aligned(
-            model.with_values(known), self.train, self.loss, start=fit
-        )
+        known = {name: one for name, one in values.items() if name in model.entries}
+        return model.with_values(known)
 
     def law(self, fit: Fit, added: tuple[Effect, ...], effect: Effect) -> EffectLaw:
-        """What the model of a fit lacks without one of the effects added (see there).
+        """What the model of a fit lacks without one of the effects added.
+
+        A base model that was fitted without the effect imitates it: its damping stands
+        in for a friction, and the missing force is the difference. Here the values are
+        those of the fit, so that the whole effect is missing.
 
         Raises:
-            ModelError: the effect is one of a sensor.
-            SolveError: the model without the effect does not reach the measurements.
+            ModelError: the effect is one of a sensor, or its equation can lack no
+                force.
+            SolveError: no states were found that obey the smaller model.
         """
-        return effect_law(self.base, fit.model, added, effect, self.train)
+        if effect.slot == "sensor":
+            raise ModelError(
+                f"{effect} acts in a sensor; no force is missing without it."
+            )
+        others = [other for other in added if other is not effect]
+        frozen = self._model(others, fit.model.values).frozen()
+        found = identify_aligned(frozen, self.train, MaximumLikelihood())
+        analysis = ForceAnalysis.of(Record.of_aligned(found, self.train))
+        force = analysis.force_in(effect.equation)
+        variable = force.single_variable
+        if effect.slot == "R":
+            variable = frozen.efforts[frozen.states.index(effect.equation)]
+        return EffectLaw(effect, force, variable)
 
     def laws(self, fit: Fit, added: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
         """The laws of the effects added first, as far as they can be shown."""

@@ -1,21 +1,11 @@
-"""The first screen of a report: the verdict, what is wrong, where, since when."""
+"""The verdict on a study: the first screen, and each diagnosis in a paragraph."""
 
-from collections.abc import Sequence
-
-from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect
+from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import capitalised, number
-from phsi_opt.presentation.report_content import (
-    BAD,
-    GOOD,
-    LOOK,
-    Answer,
-    Fact,
-    Headline,
-)
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.study.answers import (
     finding_words,
@@ -29,12 +19,15 @@ from phsi_opt.study.certainty import (
     certainty_words,
     disturbance_word,
     evidence_words,
+    judged_words,
+    off_words,
     undetermined_words,
 )
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.since_when import since_when
 
 NOT_ASKED = "not diagnosed yet"
+ASK = "Call study.diagnose() or study.auto()."
 SEVERITIES = {
     str(Verdict.NOTHING_MISSING): GOOD,
     str(Verdict.NAMED): LOOK,
@@ -62,13 +55,8 @@ PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 
 def headline_of(study: StudyRecord) -> Headline:
     """The verdict on the present model, and the answers of the first screen."""
-    present = study.diagnoses.get(len(study.steps) - 1)
+    present = study.present
     status = NOT_ASKED if present is None else str(present.verdict)
-    telling = telling_diagnosis(study)
-    if telling is not None:
-        facts = _facts_of(study, telling)
-    else:
-        facts = _facts_without(study, present)
     severity = SEVERITIES[status]
     beside = "" if present is None else disturbance_word(present)
     if study.unestablished and not beside:
@@ -78,26 +66,28 @@ def headline_of(study: StudyRecord) -> Headline:
         status,
         severity,
         _sentence(study, present),
-        tuple(facts),
+        _answers(study, present),
         beside=beside,
         certainty="" if present is None else certainty_words(present),
         caution=undetermined_words(study.last.fit.parameters),
     )
 
 
-def telling_diagnosis(study: StudyRecord) -> Diagnosis | None:
-    """The diagnosis whose answers stand on the first screen.
+def telling_step(study: StudyRecord) -> int | None:
+    """The step whose diagnosis is told on the first screen; None: no one is.
 
     That of the present model while something is missing; else the first one that found
     something: it says what was wrong.
     """
-    present = study.diagnoses.get(len(study.steps) - 1)
-    if present is not None and present.verdict != Verdict.NOTHING_MISSING:
-        return present
-    for _, diagnosis in sorted(study.diagnoses.items()):
-        if diagnosis.verdict != Verdict.NOTHING_MISSING:
-            return diagnosis
-    return None
+    found = [
+        place
+        for place, diagnosis in sorted(study.diagnoses.items())
+        if diagnosis.verdict != Verdict.NOTHING_MISSING
+    ]
+    last = len(study.steps) - 1
+    if last in found:
+        return last
+    return found[0] if found else None
 
 
 def errors_in_words(study: StudyRecord) -> str:
@@ -105,39 +95,36 @@ def errors_in_words(study: StudyRecord) -> str:
     first = study.steps[0].judged
     last = study.last.judged
     which = "held-out" if study.last.held_out is not None else "training"
-    size = 1.0
-    unit = spaced(study.unit)
+    size, unit, short = 1.0, spaced(study.unit), ""
     of_floor = unit
     if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
-        size = 0.01
-        unit = " % of the measured movement"
-        of_floor = " %"
+        size, unit, short = 0.01, " % of the measured movement", " %"
+        of_floor = short
     floor = f"noise floor {number(last.noise_floor / size, 3)}{of_floor}"
     after = f"{number(last.rmse / size, 3)}{unit}"
     if len(study.steps) == 1:
         return f"{which} error {after}, {floor}"
     verb = "fell" if last.rmse < first.rmse else "went"
-    before = f"{number(first.rmse / size, 3)}{of_floor if size < 1 else ''}"
+    before = f"{number(first.rmse / size, 3)}{short}"
     return f"{which} error {verb} from {before} to {after} ({floor})"
 
 
 def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
     errors = errors_in_words(study)
-    if study.last.added:
-        begin = _said_of_added(study, errors)
+    if len(study.steps) > 1 and study.last.added:
+        said = _said_of_added(study, errors)
         if present is None:
-            return f"{begin} The present model has not been diagnosed."
-        if present.verdict == Verdict.NOTHING_MISSING and study.unestablished:
-            return f"{begin} {NOT_SEEN}"
-        return f"{begin} {NOW[present.verdict]}"
+            return said
+        is_silent = present.verdict == Verdict.NOTHING_MISSING
+        now = NOT_SEEN if is_silent and study.unestablished else NOW[present.verdict]
+        return f"{said} {now}"
     if present is None and study.stopped:
         return f"What the model lacks is not known: {study.stopped}. So far: {errors}."
     if present is None:
-        return (
-            f"What the model lacks has not been asked yet: {errors}. "
-            "Call study.diagnose() or study.auto()."
-        )
-    return verdict_sentence(present, study.held_out is not None)
+        return f"What the model lacks has not been asked yet: {errors}. {ASK}"
+    if present.verdict == Verdict.NOTHING_MISSING:
+        return f"Nothing is missing: {present.reason}."
+    return str(missing_answer(present, study.held_out is not None))
 
 
 def _said_of_added(study: StudyRecord, errors: str) -> str:
@@ -146,16 +133,17 @@ def _said_of_added(study: StudyRecord, errors: str) -> str:
     sure: list[str] = []
     unsure: list[str] = []
     for effect in study.last.added:
-        if str(effect) not in open_:
-            sure.append(f"{effect}{_alternatives(study, effect)}")
+        name = str(effect)
+        if name in open_:
+            unsure.append(f"{name} ({open_[name]})")
         else:
-            unsure.append(f"{effect} ({open_[str(effect)]})")
-    with_them = "With it" if len(study.last.added) == 1 else "With them"
+            sure.append(f"{name}{_alternatives(study, effect)}")
     said = []
     if sure:
         said.append(f"The base model lacked {' and '.join(sure)}.")
     if unsure:
         said.append(f"Added, but not established: {' and '.join(unsure)}.")
+    with_them = "With it" if len(study.last.added) == 1 else "With them"
     return f"{' '.join(said)} {with_them}, the {errors}."
 
 
@@ -170,71 +158,41 @@ def _alternatives(study: StudyRecord, effect: Effect) -> str:
     return ""
 
 
-def verdict_sentence(diagnosis: Diagnosis, is_held_out: bool) -> str:
-    """What a model lacks, that nothing was added to; the facts say more."""
-    if diagnosis.verdict == Verdict.NOTHING_MISSING:
-        return f"Nothing is missing: {diagnosis.reason}."
-    return str(missing_answer(diagnosis, is_held_out))
-
-
-def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
-    if diagnosis is study.diagnoses.get(len(study.steps) - 1):
-        return _present_facts(study, diagnosis)
-    answers = (
-        Answer(was_wrong_words(diagnosis, _whose(study, diagnosis))),
-        where_answer(diagnosis, is_past=True),
-        since_when(diagnosis, _trained(study, diagnosis)),
-        _was_added(study),
-    )
-    return _facts(PAST, answers)
-
-
-def _present_facts(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
+def _answers(study: StudyRecord, present: Diagnosis | None) -> tuple[Answer, ...]:
+    """The four answers of the diagnosis that is told; fewer where none found a lack."""
+    place = telling_step(study)
+    if place is None:
+        return _without(study, present)
+    diagnosis = study.diagnoses[place]
+    step = study.steps[place]
+    since = since_when(diagnosis, step.train)
     is_held_out = study.held_out is not None
-    answers = (
-        wrong_answer(diagnosis, is_held_out),
-        where_answer(diagnosis),
-        since_when(diagnosis, study.last.train),
-        to_do_answer(diagnosis, is_held_out),
-    )
-    return _facts(PRESENT if diagnosis.findings else UNNAMED, answers)
-
-
-def _trained(study: StudyRecord, diagnosis: Diagnosis) -> Comparison:
-    """The model that a diagnosis looked at, on its training data."""
-    for number_of_step, known in study.diagnoses.items():
-        if known is diagnosis:
-            return study.steps[number_of_step].train
-    return study.last.train
-
-
-def _facts(questions: Sequence[str], answers: Sequence[Answer]) -> list[Fact]:
-    facts = []
-    for question, answer in zip(questions, answers, strict=True):
-        facts.append(Fact(question, answer.lead, answer.detail))
-    return facts
-
-
-def _whose(study: StudyRecord, diagnosis: Diagnosis) -> str:
-    """Of which model a past diagnosis speaks."""
-    added: tuple[Effect, ...] = ()
-    for number_of_step, known in study.diagnoses.items():
-        if known is diagnosis:
-            added = study.steps[number_of_step].added
-    if not added:
-        return "the base model's"
-    return f"with {' and '.join(map(str, added))}, the model's"
+    if diagnosis is present:
+        questions = PRESENT if diagnosis.findings else UNNAMED
+        what = wrong_answer(diagnosis, is_held_out)
+        where = where_answer(diagnosis)
+        what_to_do = to_do_answer(diagnosis, is_held_out)
+    else:
+        questions = PAST
+        whose = "the base model's"
+        if step.added:
+            whose = f"with {' and '.join(map(str, step.added))}, the model's"
+        what = Answer(was_wrong_words(diagnosis, whose))
+        where = where_answer(diagnosis, is_past=True)
+        what_to_do = _was_added(study)
+    answers = zip(questions, (what, where, since, what_to_do), strict=True)
+    return tuple(Answer(one.lead, one.detail, asked) for asked, one in answers)
 
 
 def _was_added(study: StudyRecord) -> Answer:
     """What was added, with the sizes that diagnoses found, and how clear it was."""
     known = {one.name: f"{one.name}, not established" for one in study.unestablished}
     evidence = {one.name: evidence_words(one) for one in study.unestablished}
-    for found in study.diagnoses.values():
-        for finding in found.findings:
+    for diagnosis in study.diagnoses.values():
+        for finding in diagnosis.findings:
             name = str(finding.effects[0])
             known[name] = finding_words(finding)
-            evidence[name] = evidence_words(found.ranking[0])
+            evidence[name] = evidence_words(diagnosis.ranking[0])
     names = [str(effect) for effect in study.last.added]
     told = "; ".join(known.get(name, name) for name in names)
     clear = "; ".join(f"{n}: {evidence[n]}" for n in names if n in evidence)
@@ -244,20 +202,48 @@ def _was_added(study: StudyRecord) -> Answer:
     return Answer(f"{capitalised(told or 'nothing')}.", detail)
 
 
-def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
+def _without(study: StudyRecord, present: Diagnosis | None) -> tuple[Answer, ...]:
     """The answers where no diagnosis has found anything missing."""
     judged = study.last.judged
     ratio = f"{number(judged.rmse / judged.noise_floor, 3)} times the noise floor"
-    error = errors_in_words(study)
-    error = f"{capitalised(error)}: {ratio}."
+    error = f"{capitalised(errors_in_words(study))}: {ratio}."
     if present is None:
-        return [
-            Fact("What is wrong", "Not asked yet."),
-            Fact("How far off", error),
-            Fact("What to do", "Call study.diagnose() or study.auto()."),
-        ]
-    return [
-        Fact("What is wrong", "Nothing that these data show."),
-        Fact("How far off", error),
-        Fact("What to add", "Nothing."),
+        return (
+            Answer("Not asked yet.", question="What is wrong"),
+            Answer(error, question="How far off"),
+            Answer(ASK, question="What to do"),
+        )
+    return (
+        Answer("Nothing that these data show.", question="What is wrong"),
+        Answer(error, question="How far off"),
+        Answer("Nothing.", question="What to add"),
+    )
+
+
+def step_story(study: StudyRecord, place: int) -> str:
+    """One diagnosis in a paragraph, as an engineer would write it.
+
+    Args:
+        study: as it stands.
+        place: number of the step, counted from 0, whose model was diagnosed.
+    """
+    diagnosis = study.diagnoses[place]
+    is_held_out = study.held_out is not None
+    if diagnosis.verdict == Verdict.NOTHING_MISSING:
+        off = " and ".join(off_words(diagnosis.base))
+        return (
+            f"Simulated on {judged_words(is_held_out)}, the model is off: {off}. "
+            "That is what noise leaves: no force is evident beside the model, and no "
+            "effect is decisive."
+        )
+    told = [
+        missing_answer(diagnosis, is_held_out),
+        wrong_answer(diagnosis, is_held_out),
+        where_answer(diagnosis),
+        since_when(diagnosis, study.steps[place].train),
+        to_do_answer(diagnosis, is_held_out),
     ]
+    if place + 1 < len(study.steps):
+        label = capitalised(study.steps[place + 1].label)
+        told.append(Answer(f"{label}: added in step {place + 1}."))
+    return " ".join(map(str, told))

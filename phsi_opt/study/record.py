@@ -1,18 +1,58 @@
-"""What a study is at one moment; texts, reports and pages are made from it."""
+"""What a study is at one moment; all that is told of it is made from it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.study.history import history_table
-from phsi_opt.study.step import Step
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.model.effect import Effect
+from phsi_opt.presentation.content import unestablished_words
+from phsi_opt.presentation.summary import Part, Summary
+from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
     import pandas as pd
+
+HISTORY_COLUMNS = (
+    "step",
+    "effect",
+    "train_rmse",
+    "held_out_rmse",
+    "noise_floor",
+    "bic",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of a study: a model, its fit, and how far its free runs are off.
+
+    Attributes:
+        label: what was done.
+        added: the effects that the model has since beyond the base model.
+        fit: of the model.
+        train: its free run on the training record.
+        held_out: its free run on data held out; None where there are none.
+    """
+
+    label: str
+    added: tuple[Effect, ...]
+    fit: Fit
+    train: Comparison
+    held_out: Comparison | None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.label!r})"
+
+    @property
+    def judged(self) -> Comparison:
+        """The comparison that judges, on data held out or else the training record."""
+        return self.held_out or self.train
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +80,11 @@ class StudyRecord:
         return self.steps[-1]
 
     @property
+    def present(self) -> Diagnosis | None:
+        """The diagnosis of the present model; None before there is one."""
+        return self.diagnoses.get(len(self.steps) - 1)
+
+    @property
     def unestablished(self) -> tuple[Candidate, ...]:
         """What was added although diagnoses considered it, and none established it."""
         considered: dict[str, Candidate] = {}
@@ -48,19 +93,36 @@ class StudyRecord:
             considered |= {one.name: one for one in diagnosis.ranking}
             for finding in diagnosis.findings:
                 established |= set(map(str, finding.effects))
-        found = []
-        for effect in self.last.added:
-            name = str(effect)
-            if name in considered and name not in established:
-                found.append(considered[name])
-        return tuple(found)
+        names = [str(effect) for effect in self.last.added]
+        open_ = [name for name in names if name not in established]
+        return tuple(considered[name] for name in open_ if name in considered)
 
     @property
     def history(self) -> "pd.DataFrame":
-        """A row per step (see `history_table`)."""
-        return history_table(self.steps)
+        """A row per step in `HISTORY_COLUMNS`; NaN where nothing is held out."""
+        rows = []
+        for number, step in enumerate(self.steps):
+            held_out = float("nan") if step.held_out is None else step.held_out.rmse
+            floor = step.judged.noise_floor
+            errors = (step.train.rmse, held_out, floor)
+            rows.append((number, step.label, *errors, step.fit.bic))
+        return printed_table(rows, columns=list(HISTORY_COLUMNS))
 
     @property
     def unit(self) -> str:
         """Unit of the errors, that of the channel where one is measured."""
         return self.last.train.error_unit
+
+    @property
+    def summary(self) -> Summary:
+        """The effects that were added, the history, and why the study stopped."""
+        added = ", ".join(map(str, self.last.added))
+        title = f"Study of {type(self.last.fit.model).__name__}"
+        title += f", added: {added}" if added else ", nothing added yet"
+        unit = f", {self.unit}" if self.unit else ""
+        parts = [Part(f"errors of free runs{unit}", table=self.history)]
+        names = tuple(one.name for one in self.unestablished)
+        said = "\n".join(filter(None, (self.stopped, unestablished_words(names))))
+        if said:
+            parts.append(Part(text=said))
+        return Summary(title, tuple(parts))

@@ -20,14 +20,11 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.presentation.report import Section, write_report
+from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
+from phsi_opt.study.content import study_content
 from phsi_opt.study.fitting import StudyFitting
-from phsi_opt.study.history import history_table
-from phsi_opt.study.record import StudyRecord
-from phsi_opt.study.report_text import report_sections
-from phsi_opt.study.step import Step
-from phsi_opt.study.summary import study_summary
+from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole, written_path
@@ -36,8 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-HELD_OUT = "held out"
-TRAINING = "training"
+REPORT_SUFFIXES = (".html", ".md", ".txt")
 # How clear an effect has to be that `Study.auto` adds.
 DECISIVE = "decisive"
 STRONG = "strong"
@@ -90,8 +86,8 @@ class Study(Summarised):
         self._fitting = StudyFitting.of(model, train, held_out, loss)
         self.stopped = ""
         self._say = progress or _silent
-        self._diagnoses: dict[int, Diagnosis] = {}
-        self._considered: dict[int, EffectChoice] = {}
+        # By the number of the step, with the effects that were considered.
+        self._diagnoses: dict[int, tuple[EffectChoice, Diagnosis]] = {}
         for note in self._fitting.notes:
             self._say(note)
         self._say("fitting the base model")
@@ -101,7 +97,7 @@ class Study(Summarised):
             self._say(self.steps[0].train.warning)
 
     def _summary(self) -> Summary:
-        return study_summary(self.record)
+        return self.record.summary
 
     def __repr__(self) -> str:
         return text_of_summary(self._summary())
@@ -135,7 +131,7 @@ class Study(Summarised):
     @property
     def record(self) -> StudyRecord:
         """The study as it stands, for those who tell of it."""
-        diagnoses = {number - 1: found for number, found in self._diagnoses.items()}
+        diagnoses = {step: found for step, (_, found) in self._diagnoses.items()}
         return StudyRecord(
             tuple(self.steps),
             diagnoses,
@@ -184,21 +180,22 @@ class Study(Summarised):
 
     def _diagnosed(self, choice: EffectChoice, executor: Executor | None) -> Diagnosis:
         """What the present model lacks, of the effects that are considered."""
-        key = len(self.steps)
-        considered = self._considered.get(key, self._choice)
-        if key not in self._diagnoses or considered != choice:
-            step = self.steps[-1]
-            self._diagnoses[key] = diagnose_comparison(
-                step.train,
-                step.held_out,
-                effects=choice.candidates(self.model, self.train.units),
-                loss=self._fitting.loss,
-                progress=self._say,
-                executor=executor,
-            )
-            self._considered[key] = choice
-            self._keep_better(self._diagnoses[key].fit)
-        return self._diagnoses[key]
+        number = len(self.steps) - 1
+        known, found = self._diagnoses.get(number, (None, None))
+        if found is not None and known == choice:
+            return found
+        step = self.steps[-1]
+        found = diagnose_comparison(
+            step.train,
+            step.held_out,
+            effects=choice.candidates(self.model, self.train.units),
+            loss=self._fitting.loss,
+            progress=self._say,
+            executor=executor,
+        )
+        self._diagnoses[number] = (choice, found)
+        self._keep_better(found.fit)
+        return found
 
     def _keep_better(self, fit: Fit) -> None:
         """The present model from the better optimum that its diagnosis found."""
@@ -229,7 +226,11 @@ class Study(Summarised):
             step = self.steps[-1]
             found = candidate_of(step.train, effect, self._fitting.loss)
         fit = self._fitting.larger(self.fit, effect, found)
-        self.steps.append(self._fitting.step(str(effect), (*self.added, effect), fit))
+        return self._take(str(effect), (*self.added, effect), fit)
+
+    def _take(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Fit:
+        """Go on from a fit; ``label`` says what was done."""
+        self.steps.append(self._fitting.step(label, added, fit))
         return fit
 
     @interruptible
@@ -248,8 +249,7 @@ class Study(Summarised):
         self._say(f"removing {known}")
         kept = self._without(known)
         fit = self._fitting.with_effects(self.fit, kept)
-        self.steps.append(self._fitting.step(f"without {known}", kept, fit))
-        return fit
+        return self._take(f"without {known}", kept, fit)
 
     def undo(self) -> Fit:
         """Take back the last step, with all that it added; return the fit before it.
@@ -261,9 +261,8 @@ class Study(Summarised):
             raise ModelError(
                 "there is nothing to undo: the study is at its base model."
             )
-        self._diagnoses.pop(len(self.steps), None)
-        self._considered.pop(len(self.steps), None)
         self.steps.pop()
+        self._diagnoses.pop(len(self.steps), None)
         self.stopped = ""
         return self.fit
 
@@ -340,7 +339,7 @@ class Study(Summarised):
         Columns: step, effect, train_rmse, held_out_rmse (NaN without data held out),
         noise_floor, bic.
         """
-        return history_table(self.steps)
+        return self.record.history
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""
@@ -398,39 +397,45 @@ class Study(Summarised):
         Raises:
             DataError: the file is of another kind, or cannot be written.
         """
+        from phsi_opt.presentation.html_report import html_report, markdown_report
+
         place = written_path(path)
-        if place.suffix == ".html":
-            from phsi_opt.presentation.html_report import html_report
-            from phsi_opt.study.report_content import report_content
+        if place.suffix not in REPORT_SUFFIXES:
+            raise DataError(
+                f"a report is written as {' or '.join(REPORT_SUFFIXES)}; "
+                f"{place.name!r} is none of these."
+            )
+        if place.suffix != ".html":
+            return write_whole(place, markdown_report(self.content()))
+        laws = self._fitting.laws(self.fit, self.added)
+        return write_whole(place, html_report(study_content(self.record, laws)))
 
-            laws = self._fitting.laws(self.fit, self.added)
-            text = html_report(report_content(self.record, laws))
-            return write_whole(place, text)
-        return write_report(self.report_sections(), place)
+    def content(self, *, forces: bool = False) -> StudyContent:
+        """All that is told of the study, as numbers, arrays and words.
 
-    def report_sections(self) -> list[Section]:
-        """History, present model, comparison, verdict, and every diagnosis."""
-        return report_sections(self.record)
+        Args:
+            forces: whether the missing force of the present model is told along all
+                runs, those held out included, which takes an estimate of it.
+        """
+        return study_content(self.record, forces=forces)
 
     def _known_candidate(self, effect: Effect) -> Candidate | None:
         """What the diagnosis of the present model found of an effect."""
-        known = self._diagnoses.get(len(self.steps))
-        if known is not None:
-            for candidate in known.ranking:
-                if candidate.effect == effect:
-                    return candidate
-        return None
+        present = self.record.present
+        ranking = () if present is None else present.ranking
+        return next((one for one in ranking if one.effect == effect), None)
 
     def _added_effect(self, effect: str | Effect, equation: str | None) -> Effect:
         """The one effect that was added and is meant."""
         name = effect if isinstance(effect, str) else effect.name
         place = equation if isinstance(effect, str) else effect.equation
-        found = []
-        for known in self.added:
-            if known.name == name and place in (None, known.equation):
-                found.append(known)
+        found = [
+            known
+            for known in self.added
+            if known.name == name and place in (None, known.equation)
+        ]
         if len(found) != 1:
-            listed = ", ".join(str(known) for known in self.added) or "none"
+            listed = ", ".join(map(str, self.added)) or "none"
             raise ModelError(
                 f"{len(found)} effects named {name!r} on {place or 'any equation'} "
                 f"were added; added are {listed}."
@@ -448,7 +453,7 @@ class Study(Summarised):
         label = " and ".join(map(str, effects))
         self._say(f"adding {label}")
         fit = self._fitting.refined(brief)
-        self.steps.append(self._fitting.step(label, (*self.added, *effects), fit))
+        self._take(label, (*self.added, *effects), fit)
 
     def _check_earlier(self) -> None:
         """Take out effects of earlier steps without which the evidence is higher."""
@@ -460,7 +465,7 @@ class Study(Summarised):
                 continue
             if fit.log_evidence > self.fit.log_evidence:
                 self._say(f"{effect} has become superfluous")
-                self.steps.append(self._fitting.step(f"without {effect}", kept, fit))
+                self._take(f"without {effect}", kept, fit)
 
 
 def _silent(line: str) -> None:

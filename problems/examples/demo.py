@@ -15,7 +15,7 @@ from typing import Any
 from matplotlib.axes import Axes
 
 import phsi_opt as ph
-from phsi_opt.presentation.report import report_text
+from phsi_opt.presentation.html_report import markdown_report
 from problems.examples.friction_spring import CSV, NOISE, TRUTH
 from problems.tools.pictures import plt, save
 from problems.tools.provenance import RESULTS, write
@@ -99,7 +99,7 @@ def main() -> ph.Study:
     print(f"stopped: {study.stopped}\n")
     print(*beside_the_truth(study.fit), sep="\n")
     pictures(study, before, diagnosis)
-    report = report_text(study.report_sections())
+    report = markdown_report(study.content())
     write("demo.md", f"{report}\nTrue noise: {NOISE:.0%} of the range.")
     study.report(RESULTS / "demo.html")
     print(f"report and pictures: results/demo*; {time.perf_counter() - began:.0f} s")

@@ -1,0 +1,207 @@
+"""What stands before the page: refuse what is not its own or too large, mark answers.
+
+Requests of other sites, or of other browsers than the one that loaded a page, are
+refused: what changes something (uploads, the socket through which the page tells what
+was pressed) needs the cookie of that browser, which no other site may send along.
+
+Answers say what a browser may load, run and show. Scripts come from the server alone,
+or stand in its HTML with a number that is new each time. NiceGUI compiles what it draws
+in the browser, so "unsafe-eval" cannot go; its style sheets are written there too.
+"""
+
+import re
+import secrets
+from collections.abc import Callable
+from urllib.parse import urlsplit
+
+from starlette.datastructures import MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import HTMLResponse, PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from phsi_opt.page.files import MOST_UPLOADED, in_megabytes
+
+UPLOAD_OVERHEAD = 100_000  # bytes of a request beside the file: names, boundaries
+FORBIDDEN = 403
+TOO_LARGE = 413
+POLICY_VIOLATION = 1008  # of a websocket
+READING = ("GET", "HEAD")
+SOCKET = "/_nicegui_ws"
+# Where NiceGUI puts what belongs to one page that was loaded, such as its uploads.
+OF_CLIENT = re.compile(r"/_nicegui/client/([^/]+)/")
+OTHER_SITE = "This request comes from another site; only the page's own are taken."
+OTHER_BROWSER = (
+    "This request has not the cookie of the browser that loaded the page; load the "
+    "page again, with cookies allowed."
+)
+# A link of another site comes without the cookie. Loaded again from here, it has it.
+LOAD_AGAIN = (
+    '<!doctype html><title>phsi_opt</title><meta http-equiv="refresh" content="0">'
+)
+POLICY = (
+    "default-src 'self'; script-src 'self' 'nonce-{nonce}' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; "
+    "font-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
+HEADERS = {
+    "x-frame-options": "DENY",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+}
+
+
+class OwnRequests:
+    """An application (ASGI) that passes on the page's own requests.
+
+    Args:
+        app: the one behind it.
+        owner_of: the key of the browser that loaded a page, by the page's number; None
+            where there is no such page.
+        cookie: the name of the session's cookie.
+    """
+
+    def __init__(
+        self, app: ASGIApp, owner_of: Callable[[str], str | None], cookie: str
+    ) -> None:
+        self._app = app
+        self._owner_of = owner_of
+        self._cookie = cookie
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass it on, or refuse it."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        request = HTTPConnection(scope)
+        refusal = self._refusal(request)
+        has_cookie = self._cookie in request.cookies
+        is_link = request.headers.get("sec-fetch-site") == "cross-site"
+        if refusal and scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": POLICY_VIOLATION})
+            return
+        if not refusal and (has_cookie or not is_link):
+            await self._app(scope, receive, send)
+            return
+        if not has_cookie:  # no new one may take the place of the one not sent
+            request.session.clear()
+        again = HTMLResponse(LOAD_AGAIN)
+        answer = PlainTextResponse(refusal, FORBIDDEN) if refusal else again
+        await answer(scope, receive, send)
+
+    def _refusal(self, request: HTTPConnection) -> str:
+        """Why a request is refused; "" where it is the page's own."""
+        headers = request.headers
+        origin = headers.get("origin", "")
+        if origin and not is_own_origin(origin, headers.get("host", "")):
+            return OTHER_SITE
+        scope = request.scope
+        is_socket = scope["path"].startswith(SOCKET)
+        changes = is_socket or scope.get("method") not in READING
+        return OTHER_BROWSER if changes and not self._is_of_owner(request) else ""
+
+    def _is_of_owner(self, request: HTTPConnection) -> bool:
+        """Whether it comes from the browser that loaded the page it speaks for."""
+        path = request.scope["path"]
+        query = request.query_params
+        found = OF_CLIENT.match(path)
+        client = found[1] if found else query.get("client_id", "")
+        owner = self._owner_of(client)
+        if owner is None and path.startswith(SOCKET):
+            # A page of a server that ended: NiceGUI tells it to load itself anew.
+            return query.get("implicit_handshake") == "true" and bool(client)
+        return owner is not None and owner == request.session.get("id")
+
+
+def is_own_origin(origin: str, host: str) -> bool:
+    """Whether a page of this origin was loaded from this host and port."""
+    try:
+        parts = urlsplit(origin.lower())
+    except ValueError:
+        return False
+    is_of_web = parts.scheme in ("http", "https") and bool(parts.netloc)
+    return is_of_web and parts.netloc == host.lower()
+
+
+class UploadLimit:
+    """An application (ASGI) that passes on what is small enough.
+
+    The browser's own check is a courtesy; this one holds for every client.
+
+    Args:
+        app: the one behind it.
+        most: bytes of a request's body.
+    """
+
+    def __init__(self, app: ASGIApp, most: int = MOST_UPLOADED + UPLOAD_OVERHEAD):
+        self._app = app
+        self._most = most
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse by the length that is told, or cut off what is longer than told."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        told = HTTPConnection(scope).headers.get("content-length", "")
+        if told.isascii() and told.isdigit() and int(told) > self._most:
+            refusal = f"A file may have at most {in_megabytes(MOST_UPLOADED)}."
+            await PlainTextResponse(refusal, TOO_LARGE)(scope, receive, send)
+            return
+        n_received = 0
+
+        async def counted() -> Message:
+            nonlocal n_received
+            message = await receive()
+            n_received += len(message.get("body", b""))
+            if n_received > self._most:
+                return {"type": "http.disconnect"}
+            return message
+
+        await self._app(scope, counted, send)
+
+
+class SafeAnswers:
+    """An application (ASGI) whose answers have these headers.
+
+    Args:
+        app: the one behind it.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on the request; complete the answer.
+
+        HTML waits until all of it is there: each of its scripts gets the number.
+        """
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        nonce = secrets.token_urlsafe(16)
+        start: Message = {}
+        page = b""
+
+        async def completed(message: Message) -> None:
+            nonlocal start, page
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers.update(HEADERS)
+                headers["content-security-policy"] = POLICY.format(nonce=nonce)
+                if headers.get("content-type", "").startswith("text/html"):
+                    start = message
+                    return
+            elif start:
+                page += message.get("body", b"")
+                if message.get("more_body", False):
+                    return
+                marked = f'<script nonce="{nonce}"'.encode()
+                page = page.replace(b"<script", marked)
+                MutableHeaders(scope=start)["content-length"] = str(len(page))
+                await send(start)
+                message = {"type": "http.response.body", "body": page}
+            await send(message)
+
+        await self._app(scope, receive, completed)

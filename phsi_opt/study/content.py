@@ -1,0 +1,403 @@
+"""The content of a study: numbers, arrays and words, in the order of reading."""
+
+import platform
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+
+import numpy as np
+import pandas as pd
+
+from phsi_opt.comparison.compare import Comparison
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.wording import number_of
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_report import equation_lines
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.presentation.content import (
+    HELD_OUT,
+    TRAINING,
+    Answer,
+    Channel,
+    Diagnosed,
+    Equations,
+    ErrorStep,
+    ForceRun,
+    Glance,
+    ParameterRow,
+    Run,
+    StudyContent,
+)
+from phsi_opt.presentation.durations import TimeScale, scale_of_time
+from phsi_opt.presentation.numbers import (
+    capitalised,
+    number,
+    proper_names,
+    short_constants,
+)
+from phsi_opt.presentation.thinning import thinned
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
+from phsi_opt.study.answers import nearest_candidate, samples_to_average
+from phsi_opt.study.certainty import NEAR_FLOOR, only_follows
+from phsi_opt.study.checks import checks_of
+from phsi_opt.study.fitting import EffectLaw
+from phsi_opt.study.force_content import (
+    FEWEST_PER_CURVE,
+    MOST_PER_CURVE,
+    all_forces,
+    glance_of,
+    law_of,
+    ranking_of,
+    sure_forces,
+    worst_run,
+)
+from phsi_opt.study.headline import (
+    errors_in_words,
+    headline_of,
+    step_story,
+    telling_step,
+)
+from phsi_opt.study.record import Step, StudyRecord
+
+Ends = tuple[float | None, float | None]
+ENDED_AT_BOUND = "at its bound"
+LEVEL = 0.95  # of the intervals: the convention of most tables
+HOLD_WORDS = {
+    "zero": "constant until the next sample (zero-order hold)",
+    "linear": "on a straight line to the next sample",
+    "cubic": "smooth, on the cubic spline through the samples",
+}
+LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
+# Together in all trajectories and channels: two megabytes of text.
+MOST_DRAWN_SAMPLES = 60_000
+MOST_DRAWN_RUNS = 200  # trajectories that are drawn
+FREE_RUNS = (
+    "Free runs: each begins at a starting state estimated from the whole record of its "
+    "run and never looks at the measurements again. Residuals (measured less model) "
+    "that stay within the noise band are what noise leaves."
+)
+
+
+def study_content(
+    study: StudyRecord, laws: Sequence[EffectLaw] = (), *, forces: bool = False
+) -> StudyContent:
+    """What is told of a study.
+
+    Args:
+        study: as it stands.
+        laws: of the effects that were added.
+        forces: whether the missing force of the present model is told along all runs,
+            those held out included.
+    """
+    time = _time(study)
+    steps = _drawn_steps(study)
+    runs = _runs(study, list(steps.values()), time)
+    size, unit = scale_of_errors(study.unit)
+    judged = [run for run in runs if run.part == runs[0].part]
+    return StudyContent(
+        title=f"Study of {', '.join(study.train.measured)}",
+        headline=headline_of(study),
+        steps=tuple(_error_step(step, size) for step in study.steps),
+        unit=unit,
+        errors=_errors(study, size),
+        glance=_glance(study, runs, time),
+        models=tuple(_models(study)),
+        time=time,
+        names=tuple(_name(step, k) for k, step in steps.items()),
+        runs=runs,
+        shown=runs.index(worst_run(judged, 0)),
+        runs_told=_runs_told(study, len(steps), len(runs)),
+        forces=tuple(_forces(study, time)) if forces else (),
+        laws=tuple(map(law_of, laws)),
+        diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
+        is_diagnosed=study.present is not None,
+        checks=checks_of(study),
+        settings=tuple(_settings(study)),
+        code=_code(study),
+        added=tuple(map(str, study.last.added)),
+        stopped=study.stopped,
+        unestablished=tuple(one.name for one in study.unestablished),
+        warning=study.last.judged.warning,
+    )
+
+
+# ---- errors --------------------------------------------------------------------------
+
+
+def _error_step(step: Step, size: float) -> ErrorStep:
+    held_out = None if step.held_out is None else size * step.held_out.rmse
+    floor = size * step.judged.noise_floor
+    return ErrorStep(step.label, size * step.train.rmse, held_out, floor, step.fit.bic)
+
+
+def _errors(study: StudyRecord, size: float) -> str:
+    """Where the errors have got, and what that means."""
+    said = f"{capitalised(errors_in_words(study))}."
+    if only_follows(study.last.train, study.last.judged):
+        said += (
+            " The model fits the training data to the noise, but not the data held "
+            "out: it follows what it was fitted to."
+        )
+    else:
+        said += _at_floor(study.last, size)
+    if study.unit == STANDARD_DEVIATIONS:
+        said += (
+            " The movement of a channel is the standard deviation of its measurements."
+        )
+    return said
+
+
+def _at_floor(step: Step, size: float) -> str:
+    """What errors just below the noise floor mean; ``size``: factor on errors."""
+    floor = step.judged.noise_floor
+    errors = {"": step.judged.rmse}
+    if step.held_out is not None:
+        errors[" (training)"] = step.train.rmse
+    told = []
+    for which, error in errors.items():
+        if is_just_below(error, floor):
+            told.append(f"{number(size * error, 3)}{which}")
+    if not told:
+        return ""
+    verb = "equals" if len(told) == 1 else "equal"
+    listed = " and ".join(told)
+    return f" {listed} {verb} the noise floor within its own uncertainty."
+
+
+def is_just_below(error: float, floor: float) -> bool:
+    """Whether an error is below the noise floor, and no further than it is known."""
+    return floor / NEAR_FLOOR < error < floor
+
+
+# ---- models --------------------------------------------------------------------------
+
+
+def _models(study: StudyRecord) -> Iterator[Equations]:
+    """Base model and present model."""
+    yield _model("Base model", study.steps[0].fit)
+    if len(study.steps) > 1:
+        added = " and ".join(map(str, study.last.added))
+        heading = f"Present model: with {added}" if added else "Present model"
+        yield _model(heading, study.last.fit)
+
+
+def _model(heading: str, fit: Fit) -> Equations:
+    intervals = fit.intervals(LEVEL)
+    rows = [_parameter(fit, row, intervals) for _, row in fit.parameters.iterrows()]
+    lines = tuple(short_constants(line) for line in equation_lines(fit))
+    return Equations(proper_names(heading), lines, tuple(rows))
+
+
+def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRow:
+    """A parameter, its interval as far as its bounds let it go."""
+    name = str(row["name"])
+    value = float(row["value"])
+    remark = "fixed" if row["fixed"] else ""
+    ends: Ends = (None, None)
+    if name in fit.outcome.at_bounds:
+        remark = ENDED_AT_BOUND
+        value = fit.entry(name).parameter.nearest_bound(value)
+    if name in intervals.index:
+        found = tuple(map(float, intervals.loc[name, ["ci_lower", "ci_upper"]]))
+        ends = ends_within(fit.entry(name).parameter, *found)
+        if ends not in (found, (None, None)):
+            remark = remark or "cut at its bound"
+    if ends == (None, None) and not remark:
+        remark = "no standard error"
+    std_error = np.nan if remark == ENDED_AT_BOUND else float(row["std_error"])
+    return ParameterRow(name, value, std_error, *ends, remark, str(row["unit"]))
+
+
+def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
+    """The ends of an interval, as far as the parameter's bounds let it go."""
+    ends = (max(lower, parameter.lower), min(upper, parameter.upper))
+    return ends if np.isfinite([lower, upper, *ends]).all() else (None, None)
+
+
+# ---- measurements beside free runs ---------------------------------------------------
+
+
+def _time(study: StudyRecord) -> TimeScale:
+    """The unit in which times are told: that of the longest run."""
+    parts = [study.train] if study.held_out is None else [study.train, study.held_out]
+    longest = max(float(run.t[-1]) for part in parts for run in part.trajectories)
+    return scale_of_time(longest, study.train.units.get("t", ""))
+
+
+def _drawn_steps(study: StudyRecord) -> dict[int, Step]:
+    """The steps whose free runs are drawn, by number: base, first, last."""
+    last = len(study.steps) - 1
+    return {k: study.steps[k] for k in sorted({0, min(1, last), last})}
+
+
+def _name(step: Step, number_of_step: int) -> str:
+    if number_of_step == 0:
+        return step.label
+    removes = step.label.startswith("without ")
+    told = proper_names(step.label)
+    return f"step {number_of_step}: {'' if removes else 'with '}{told}"
+
+
+def _runs(
+    study: StudyRecord, steps: Sequence[Step], time: TimeScale
+) -> tuple[Run, ...]:
+    """The trajectories that are drawn, those held out first."""
+    parts = {TRAINING: [step.train for step in steps]}
+    if study.held_out is not None:
+        held_out = [step.held_out for step in steps if step.held_out is not None]
+        parts = {HELD_OUT: held_out, **parts}
+    places = [(part, k) for part in parts for k in range(len(parts[part][0].data))]
+    places = places[:MOST_DRAWN_RUNS]
+    n_curves = max(len(places) * len(study.last.judged.noise), 1)
+    most = int(np.clip(MOST_DRAWN_SAMPLES / n_curves, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    return tuple(_run(part, parts[part], k, most, time) for part, k in places)
+
+
+def _run(
+    part: str, comparisons: list[Comparison], place: int, most: int, time: TimeScale
+) -> Run:
+    """One trajectory with the free runs of all models."""
+    first, last = comparisons[0], comparisons[-1]
+    run = first.data.trajectories[place]
+    channels = []
+    for k, name in enumerate(first.model.states):
+        if name in last.noise:
+            # A state with a memory comes behind those of the base model.
+            shown = [one.shown[place][:, k] for one in comparisons]
+            unit = first.data.units.get(name, "")
+            t = run.t / time.size
+            channels.append(
+                _channel(name, unit, last.noise[name], t, run.x[:, k], shown, most)
+            )
+    return Run(run.name, part, tuple(channels), run.origin)
+
+
+def _channel(
+    name: str,
+    unit: str,
+    noise: float,
+    t: np.ndarray,
+    measured: np.ndarray,
+    shown: list[np.ndarray],
+    most: int,
+) -> Channel:
+    errors: list[float | None] = []
+    for one in shown:
+        off = (measured - one)[np.isfinite(measured - one)]
+        errors.append(float(np.sqrt(np.mean(off**2))) if len(off) else None)
+    known = measured[np.isfinite(measured)]
+    movement = float(np.std(known)) if len(known) else 0.0
+    kept = thinned([measured, *shown], most)
+    models = tuple(one[kept] for one in shown)
+    return Channel(
+        name, unit, noise, t[kept], measured[kept], models, tuple(errors), movement
+    )
+
+
+def _runs_told(study: StudyRecord, n_models: int, n_drawn: int) -> str:
+    """What the reader should look for, and which runs are not drawn."""
+    said = [FREE_RUNS]
+    if n_models > 1:
+        said.append("Base model and present model are shown one over the other.")
+    n_runs = len(study.train)
+    if study.held_out is not None:
+        n_runs += len(study.held_out)
+        said.append("Data held out were used for starting states alone, not to fit.")
+    if n_runs > n_drawn:
+        said.append(f"The first {n_drawn} of {n_runs} runs are drawn.")
+    return " ".join(said)
+
+
+# ---- what is missing -----------------------------------------------------------------
+
+
+def _forces(study: StudyRecord, time: TimeScale) -> Iterator[ForceRun]:
+    yield from all_forces(study.last.train.record, TRAINING, time)
+    if study.last.held_out is not None:
+        yield from all_forces(study.last.held_out.record, HELD_OUT, time)
+
+
+def _diagnosed(study: StudyRecord, place: int, time: TimeScale) -> Diagnosed:
+    """The diagnosis of a step's model; ``place``: number of the step."""
+    diagnosis = study.diagnoses[place]
+    label = study.steps[place].label
+    heading = f"After step {place} ({label})"
+    if place == 0:
+        heading = f"Base model: what it lacks ({label})".replace(" (base model)", "")
+    nearest = nearest_candidate(diagnosis)
+    return Diagnosed(
+        proper_names(heading),
+        step_story(study, place),
+        str(diagnosis.verdict),
+        diagnosis.reason,
+        tuple(diagnosis.sentences),
+        sure_forces(diagnosis, time),
+        ranking_of(diagnosis),
+        tuple(map(str, diagnosis.proposed)),
+        "" if nearest is None else nearest.name,
+        samples_to_average(diagnosis),
+    )
+
+
+def _glance(
+    study: StudyRecord, runs: tuple[Run, ...], time: TimeScale
+) -> Glance | None:
+    """Where what the verdict tells of is seen best."""
+    place = telling_step(study)
+    if place is None:
+        return None
+    model = -1 if place == len(study.steps) - 1 else 0
+    return glance_of(study.diagnoses[place], runs, time, model)
+
+
+# ---- how it is repeated --------------------------------------------------------------
+
+
+def _settings(study: StudyRecord) -> Iterator[Answer]:
+    held_out = "none" if study.held_out is None else _data(study.held_out)
+    units = [f"{name}: {unit}" for name, unit in study.train.units.items() if unit]
+    versions = [f"{name} {version(name)}" for name in LIBRARIES]
+    starts = "estimated from the whole record of each run, held out or not"
+    seeds = "fixed in the package, none taken from a clock: the same data and settings "
+    told = {
+        "Training data": _data(study.train),
+        "Data held out": held_out,
+        "Starting states": starts,
+        "Units": ", ".join(units) or "not given",
+        "Inputs between samples": _hold(study.train),
+        "Loss": str(study.loss),
+        "Standard errors": str(study.last.fit.std_error_source),
+        "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
+        "Seeds": f"{seeds}give the same numbers",
+        "Versions": ", ".join([*versions, f"Python {platform.python_version()}"]),
+    }
+    if not study.train.inputs:
+        del told["Inputs between samples"]
+    for question, said in told.items():
+        yield Answer(said, question=question)
+
+
+def _hold(data: Measurements) -> str:
+    """What inputs do between samples."""
+    if isinstance(data.hold, str):
+        return HOLD_WORDS[data.hold]
+    return "; ".join(f"{name}: {HOLD_WORDS[word]}" for name, word in data.hold.items())
+
+
+def _data(data: Measurements) -> str:
+    lengths = [float(run.t[-1] - run.t[0]) for run in data.trajectories]
+    scale = scale_of_time(max(lengths), data.units.get("t", ""))
+    extent = f"{min(lengths) / scale.size:.4g}"
+    if max(lengths) > min(lengths):
+        extent += f" to {max(lengths) / scale.size:.4g}"
+    size = f"{number_of(len(lengths), 'run')}, {data.n_samples} samples"
+    return f"{size}, {extent} {scale.unit}".rstrip() + f" each; SHA-256 {data.digest}"
+
+
+def _code(study: StudyRecord) -> str:
+    """The calls that repeat the steps, beside the user's data and base model."""
+    held_out = ", held_out" if study.held_out is not None else ""
+    lines = [f"study = ph.Study(model, train{held_out})"]
+    for effect in study.last.added:
+        lines.append(f"study.add({effect.name!r}, {effect.equation!r})")
+    lines.append('study.report("report.html")')
+    return "\n".join(lines)
