@@ -17,7 +17,7 @@ from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
-from phsi_opt.model.catalogue_storages import is_second_storage
+from phsi_opt.model.laws import is_second_storage
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
