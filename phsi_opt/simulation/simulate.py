@@ -70,7 +70,9 @@ def simulate(
         DataError: wrong shapes, times or numbers.
         SolveError: the solution cannot be continued.
     """
-    added = None if force is None else partial(_of_state_and_time, force)
+    added: Force | None = None
+    if force is not None:
+        added = lambda at, x, u: force(at, x)  # noqa: E731
     return simulate_forced(model, t, x0, u, added, hold=hold, method=method)
 
 
@@ -87,13 +89,13 @@ def simulate_forced(
     """`simulate` with a force that may depend on the inputs.
 
     Args:
-        model: as in `simulate`.
-        t: as in `simulate`.
-        x0: as in `simulate`.
-        u: as in `simulate`.
+        model: with the present values of its parameters.
+        t: as x0, u, hold and method those of `simulate`.
+        x0: starting state.
+        u: inputs.
         force: function (t, x, u) -> (n_states,) that is added to dx/dt.
-        hold: as in `simulate`.
-        method: as in `simulate`.
+        hold: between the samples of u.
+        method: of SciPy.
 
     Raises:
         DataError: wrong shapes, times or numbers.
@@ -103,14 +105,14 @@ def simulate_forced(
     x0 = _checked_start(model, x0)
     pieces = _pieces(t, _inputs(model, t, u), hold)
     f = _right_hand_side(model)
-    if force is not None:
-        f = partial(_with_force, f, force)
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
     size = max(float(np.max(np.abs(x0))), SMALLEST_START)
     for piece in pieces:
         samples = slice(piece.first + 1, piece.last + 1)
-        states[samples] = _integrated(f, piece, t, states[piece.first], method, size)
+        states[samples] = _integrated(
+            _Guarded(f, force, piece), t, states[piece.first], method, size
+        )
     return states
 
 
@@ -128,17 +130,13 @@ class _Piece:
 
 
 def _integrated(
-    f: Callable[..., np.ndarray],
-    piece: _Piece,
-    t: np.ndarray,
-    x0: np.ndarray,
-    method: str,
-    size: float,
+    f: "_Guarded", t: np.ndarray, x0: np.ndarray, method: str, size: float
 ) -> np.ndarray:
     """The states at the samples of a piece after its first one."""
+    piece = f.piece
     with np.errstate(all="ignore"):
         found = solve_ivp(
-            _Guarded(f, piece),
+            f,
             (t[piece.first], t[piece.last]),
             x0,
             method,
@@ -164,9 +162,10 @@ class _Guarded:
     the solution ends, or with far more steps than there are samples.
     """
 
-    def __init__(self, f: Callable[..., np.ndarray], piece: _Piece) -> None:
+    def __init__(self, f: Force, force: Force | None, piece: _Piece) -> None:
         self.f = f
-        self.value = piece.value
+        self.force = force
+        self.piece = piece
         self.furthest = -np.inf
         self.waited = 0
         n_samples = piece.last - piece.first
@@ -182,7 +181,9 @@ class _Guarded:
         self.left -= 1
         if self.left < 0:
             raise _stopped(at, TOO_FAST)
-        return self.f(at, x, self.value(at))
+        u = self.piece.value(at)
+        rate = self.f(at, x, u)
+        return rate if self.force is None else rate + self.force(at, x, u)
 
 
 def _stopped(at: float, why: str) -> SolveError:
@@ -259,27 +260,23 @@ def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[_Piece]:
     """The stretches over which the input is smooth."""
     checked_hold(hold)
     end = len(t) - 1
+    # No step may be longer than a sample, or a short pulse is stepped over.
     sample = float(np.max(np.diff(t)))
     if callable(u):
-        yield _Piece(0, end, partial(_called, u), sample)
-    elif not u.shape[1]:
-        yield _Piece(0, end, partial(_constant, u[0]), np.inf)
-    elif hold == "zero":
+        yield _Piece(0, end, lambda at: np.atleast_1d(np.asarray(u(at), float)), sample)
+    elif hold == "zero" or not u.shape[1]:
         changes = np.flatnonzero(np.any(np.diff(u[:-1], axis=0) != 0, axis=1)) + 1
-        limits = [0, *changes.tolist(), end]
-        for first, last in pairwise(limits):
+        for first, last in pairwise([0, *changes.tolist(), end]):
             yield _Piece(first, last, partial(_constant, u[first]), np.inf)
     elif hold == "linear":
         slope = np.diff(u, axis=0) / np.diff(t)[:, None]
-        value = partial(_interpolated, t.tolist(), u, slope)
-        # No step may be longer than a sample, or a short pulse is stepped over.
-        yield _Piece(0, end, value, sample)
+        yield _Piece(0, end, partial(_interpolated, t.tolist(), u, slope), sample)
     else:
         yield _Piece(0, end, SmoothInputs(t, u), sample)
 
 
-def _called(u: Callable[[float], Any], at: float) -> np.ndarray:
-    return np.atleast_1d(np.asarray(u(at), dtype=float))
+def _constant(value: np.ndarray, at: float) -> np.ndarray:
+    return value
 
 
 def _interpolated(
@@ -293,32 +290,7 @@ def _interpolated(
     return u[left] + min(since, longest) * slope[left]
 
 
-def _constant(value: np.ndarray, at: float) -> np.ndarray:
-    return value
-
-
-def _with_force(
-    f: Callable[..., np.ndarray],
-    force: Force,
-    at: float,
-    x: np.ndarray,
-    u: np.ndarray,
-) -> np.ndarray:
-    return f(at, x, u) + force(at, x, u)
-
-
-def _of_state_and_time(
-    force: Callable[[float, np.ndarray], np.ndarray],
-    at: float,
-    x: np.ndarray,
-    u: np.ndarray,
-) -> np.ndarray:
-    return force(at, x)
-
-
-def _right_hand_side(
-    model: Model,
-) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray]:
+def _right_hand_side(model: Model) -> Force:
     """The right-hand side on NumPy buffers: no call costs a conversion."""
     made: Any = model.rhs().buffer()  # CasADi's own types say less than what it takes
     buffer, evaluate = made
