@@ -4,16 +4,17 @@ exp(1000*q), log(q) of negative positions or a mass of zero would meet the solve
 numbers that are none, and it would blame something else.
 """
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import ModelError
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.model import Model
-from phsi_opt.model.symbolic import energy_function, terms_function
+from phsi_opt.model.symbolic import Expressions, function_of, terms_function
 from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols
 
 # Values that stand for states nobody measured, by turns: a formula that has a value at
 # one of them may have one at the true state.
@@ -66,14 +67,11 @@ def check_rates(model: Model, grid: Grid) -> None:
 def _with_energy(model: Model) -> ColumnFunction:
     """(x, u, t, theta) -> dx/dt, H, at many places."""
 
-    def made() -> ca.Function:
-        rhs = model.rhs()
-        arguments = argument_symbols(rhs)
-        energy = energy_function(model)(*arguments)
-        return ca.Function("rates", arguments, [rhs(*arguments), energy])
+    def both(parts: Expressions) -> ca.SX:
+        return ca.vertcat(parts.rates, ca.SX(parts.energy))
 
-    function = model.built("rates and energy", made)
-    return ColumnFunction(function, (function.n_in() - 1,))
+    made = partial(function_of, model, "rates", both)
+    return ColumnFunction(model.built("rates and energy", made), (3,))
 
 
 def _told(model: Model, grid: Grid, place: str, n_bad: int, node: int) -> str:

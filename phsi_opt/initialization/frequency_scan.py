@@ -7,11 +7,11 @@ frequencies at which the defects fall most are starting values.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from phsi_opt.initialization.relative_guesses import values_at
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan
@@ -200,7 +200,7 @@ def _best_frequencies(
         remainders.append(_Remainder.of(known.d.ravel(), known.slopes))
     waves = KnownDefects(model, grid, STARTING_SCHEME, only=amplitudes)
     start = _without_others(model, theta, [])
-    tried = frequency_grid(grid, _values_at_nodes(model, grid, scan.variable, start))
+    tried = frequency_grid(grid, values_at(model, grid, grid.y, scan.variable, start))
     explained = np.zeros((len(besides), len(tried)))
     for k, omega in enumerate(tried):
         columns = waves.at(with_entry(start, frequency, omega)).slopes
@@ -222,13 +222,3 @@ def _without_others(
         if model.entries[name].prunable and i not in others:
             start[i] = 0.0
     return start
-
-
-def _values_at_nodes(
-    model: Model, grid: Grid, expression: str, theta: np.ndarray
-) -> Any:
-    """Values of a formula at the nodes, (n_nodes,), at the known states."""
-    mapped = model.function(expression).map(grid.n_nodes)
-    repeated = ca.repmat(theta, 1, grid.n_nodes)
-    values = mapped(grid.y.T, grid.u.T, grid.t[None, :], repeated)
-    return np.array(values).ravel()

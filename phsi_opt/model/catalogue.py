@@ -104,7 +104,7 @@ def effect_named(
 
     Args:
         model: the model to which it could be added.
-        name: such as ``"coulomb friction"``.
+        name: such as ``"coulomb friction"``, or ``"coulomb friction on p"``.
         equation: the state in whose equation it acts; not needed where the effect
             applies to one equation only.
         units: of the states, as in `catalogue`.
@@ -113,14 +113,14 @@ def effect_named(
         ModelError: no effect of that name applies there, or it applies to several
             equations and none is given.
     """
+    before, _, place = name.rpartition(" on ")
+    if equation is None and before and place in model.states:
+        name, equation = before, place
     if equation is not None:
         model.index(equation, f"equation of effect {name!r}:")
-    own = [e for e in catalogue(model, units) if equation in (None, e.equation)]
-    found = _called(name, own)
-    if not found:
-        every = every_name(model, units)
-        there = [e for e in every if equation in (None, e.equation)]
-        found = _called(name, there)
+    own = catalogue(model, units)
+    found = _called(name, equation, own)
+    found = found or _called(name, equation, every_name(model, units))
     if not found:
         raise ModelError(_not_in_catalogue(model, name, equation, own))
     if len(found) > 1 and equation is None:
@@ -132,34 +132,30 @@ def effect_named(
     return found[0]
 
 
-def _called(name: str, effects: list[Effect]) -> list[Effect]:
-    """Those of a name, in small letters or large ones."""
-    return [effect for effect in effects if effect.name.lower() == name.lower()]
+def _called(name: str, equation: str | None, effects: list[Effect]) -> list[Effect]:
+    """Those of a name, in small letters or large ones, in an equation or in any."""
+    there = [one for one in effects if equation in (None, one.equation)]
+    return [one for one in there if one.name.lower() == name.lower()]
 
 
 def _not_in_catalogue(
-    model: BaseModel, name: str, equation: str | None, there: list[Effect]
+    model: BaseModel, name: str, equation: str | None, own: list[Effect]
 ) -> str:
     place = "" if equation is None else f" on {equation}"
-    if _is_had(model, name, equation):
+    # Whether it would be offered if the model had neither losses nor forces.
+    bare = replace(model, F={}, R={} if model.has_energy else model.R)
+    if _called(name, equation, every_name(bare)):
         return (
             f"the model has {name!r}{place} already, or can do the same by its own "
             "terms; give another effect."
         )
-    names = sorted({effect.name for effect in there})
+    names = sorted({one.name for one in own if equation in (None, one.equation)})
     hint = did_you_mean(name, names)
     where = "this model" if equation is None else f"the equation of {equation}"
     return (
         f"there is no effect {name!r}{place} in the catalogue.{hint} "
         f"For {where} there are: {', '.join(names)}."
     )
-
-
-def _is_had(model: BaseModel, name: str, equation: str | None) -> bool:
-    """Whether it would be offered if the model had neither losses nor forces."""
-    bare = replace(model, R={}, F={}) if model.has_energy else replace(model, F={})
-    there = [e for e in every_name(bare) if equation in (None, e.equation)]
-    return bool(_called(name, there))
 
 
 def _places(

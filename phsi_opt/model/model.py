@@ -25,6 +25,7 @@ from phsi_opt.model.symbolic import (
     formulas_function,
     output_function,
     rhs_function,
+    with_slopes,
 )
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
@@ -117,6 +118,14 @@ class Model(BaseModel, Summarised):
     def rhs(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, theta in the order of `free`."""
         return self.built("rhs", lambda: rhs_function(self))
+
+    def rhs_slopes(self, argument: str) -> ca.Function:
+        """CasADi function (x, u, t, theta) -> dx/dt, and its slopes row by row.
+
+        In "x", "u", "t" or "theta".
+        """
+        key = ("slopes", argument)
+        return self.built(key, lambda: with_slopes(self.rhs(), argument))
 
     def output(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""

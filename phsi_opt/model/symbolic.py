@@ -174,6 +174,15 @@ def function_of(
     return ca.Function(name, [x, u, t, theta], [result], names, ["value"])
 
 
+def with_slopes(function: ca.Function, argument: str) -> ca.Function:
+    """The function, and its slopes in an argument, (n_out * n_argument,) row by row."""
+    names = function.name_in()
+    arguments = [ca.SX.sym(name, function.size1_in(name)) for name in names]
+    values = function(*arguments)
+    slopes = ca.jacobian(values, arguments[names.index(argument)])
+    return ca.Function("slopes", arguments, [values, ca.vec(ca.densify(slopes.T))])
+
+
 def rhs_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> dx/dt."""
     return function_of(model, "rhs", lambda parts: parts.rates)
@@ -182,11 +191,6 @@ def rhs_function(model: BaseModel) -> ca.Function:
 def output_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
     return function_of(model, "output", lambda parts: parts.shown)
-
-
-def energy_function(model: BaseModel) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> H; zero in a model without energy."""
-    return function_of(model, "energy", lambda parts: ca.SX(parts.energy))
 
 
 def terms_function(model: BaseModel) -> ca.Function:

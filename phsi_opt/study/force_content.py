@@ -7,16 +7,10 @@ import numpy as np
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.state_plots import (
-    Bins,
-    Dependence,
-    dependence_title,
-    map_title,
-    map_variables,
-)
+from phsi_opt.force_analysis.state_plots import Bins, Dependence
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.force_analysis.wording import sentence
+from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
 from phsi_opt.presentation.axes import label
 from phsi_opt.presentation.durations import date_words, scale_of_time
 from phsi_opt.presentation.numbers import number, proper_names, with_error
@@ -111,7 +105,7 @@ def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
 
 
 def _map(force: EquationForce) -> ForceMap | None:
-    names = map_variables(force)
+    names = force.map_variables
     if len(names) < 2:
         return None
     found = MeanForce.of(force, names)
