@@ -202,13 +202,11 @@ def terms_function(model: BaseModel) -> ca.Function:
 
     def values(parts: Expressions) -> ca.SX:
         known = {**parts.known, **dict.fromkeys(model.slopes, ca.SX(0))}
-        found = []
-        for placed in model.placed():
-            value = ca.SX(parts.term(placed, known))
-            if placed.slot == "H":
-                value = value + ca.sum1(ca.gradient(value, ca.vertcat(*parts.x)))
-            found.append(value)
-        return ca.vertcat(*found)
+        found = [ca.SX(parts.term(placed, known)) for placed in model.placed()]
+        energies = ca.vertcat(*found[: len(model.H)])
+        others = ca.vertcat(*found[len(model.H) :])
+        slopes = ca.jacobian(energies, ca.vertcat(*parts.x))
+        return ca.vertcat(energies + ca.sum2(slopes), others)
 
     return function_of(model, "terms", values)
 
