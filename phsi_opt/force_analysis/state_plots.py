@@ -6,6 +6,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import binned_statistic, binned_statistic_2d
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
@@ -50,17 +51,12 @@ class Bins:
     @classmethod
     def of(cls, z: np.ndarray, w: np.ndarray) -> "Bins":
         """Bins of even width over a variable z (n,), of a force w (n,)."""
-        edges = np.linspace(z.min(), z.max(), N_SHOWN_BINS + 1)
-        below = np.searchsorted(edges, z, "right") - 1
-        part = np.clip(below, 0, N_SHOWN_BINS - 1)
-        count = np.bincount(part, minlength=N_SHOWN_BINS)
-        at_least_one = np.maximum(count, 1)
-        mean = np.bincount(part, w, N_SHOWN_BINS) / at_least_one
-        squares = np.bincount(part, (w - mean[part]) ** 2, N_SHOWN_BINS)
-        std = np.sqrt(squares / at_least_one)
-        centre = (edges[:-1] + edges[1:]) / 2
+        statistics = ("count", "mean", "std")
+        found = [binned_statistic(z, w, one, N_SHOWN_BINS) for one in statistics]
+        edges = found[0].bin_edges
+        count, mean, std = (one.statistic for one in found)
         shown = count >= FEWEST_IN_BIN
-        return cls(centre[shown], mean[shown], std[shown])
+        return cls(((edges[:-1] + edges[1:]) / 2)[shown], mean[shown], std[shown])
 
 
 # ---- over the states
@@ -102,10 +98,9 @@ class ForceMap:
         """The map over the first two of the names."""
         a = force.record.variable(names[0])
         b = force.record.variable(names[1])
-        count, edges_a, edges_b = np.histogram2d(a, b, N_CELLS)
-        total, _, _ = np.histogram2d(a, b, (edges_a, edges_b), weights=force.w)
-        mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
-        return cls(edges_a, edges_b, mean)
+        found = binned_statistic_2d(a, b, force.w, "mean", N_CELLS)
+        mean = np.ma.masked_invalid(found.statistic)
+        return cls(found.x_edge, found.y_edge, mean)
 
 
 def _draw_cells(ax: "Axes", force: EquationForce, names: Sequence[str]) -> None:

@@ -80,22 +80,23 @@ class HybridProblem:
 
         x0 = grid.y[grid.begin].T
         x1 = grid.y[grid.begin + 1].T
-        h = grid.h[None, :]
-        left = (x1 - x0) / h
+        found = self.rule.states(rates, x0, x1, grid.h[None, :])
         stages = []
-        found = self.rule.states(rates, x0, x1, h)
-        averaged = zip(found, self.rule.shares, self.rule.weights, strict=True)
-        for x, share, weight in averaged:
-            left = left - weight * rates(x, share)
+        for x, share in zip(found, self.rule.shares, strict=True):
             u, t = _inputs_and_times(self.grid, share)
             stages.append(np.column_stack([x.T, u, t]))
         data = TrainingSet(
             np.stack(stages, axis=1),
             np.array(self.rule.weights),
-            left.T[:, self.rows],
+            self._defects(forced, grid)[:, self.rows],
             self.folds(),
         )
         return replace(data, target=data.target + data.mean(force))
+
+    def _defects(self, forced: Model, grid: Grid) -> np.ndarray:
+        """Of a model with the force, (n_intervals, n_states)."""
+        d = defects(forced, grid, self.scheme, grid.y.T, forced.theta)
+        return np.array(d).T
 
     def with_best_output(
         self, trained: TrainedForce, model: Model, data: TrainingSet
@@ -110,7 +111,7 @@ class HybridProblem:
         n_theta = len(theta)
         n = grid.n_intervals
         slopes = np.array(defect_jacobian(forced, grid, self.scheme)(grid.y.T, theta))
-        d = np.array(defects(forced, grid, self.scheme, grid.y.T, theta)).T
+        d = self._defects(forced, grid)
         d[:, self.rows] = data.target  # without the force
         units = data.mean(trained.network.features(trained.values_in(data.stages)))
         features = np.hstack([units, np.ones((n, 1))])
@@ -151,10 +152,10 @@ class HybridProblem:
         """
         forced = self.forced(after)
         grid = self.with_force(new_force)
-        d = np.array(defects(forced, grid, self.scheme, grid.y.T, forced.theta))
+        d = self._defects(forced, grid)
         size = max(rms(new_force), LEAST_SIZE)
         return {
-            "loss": float(np.mean(np.sum(d**2, axis=0))),
+            "loss": float(np.mean(np.sum(d**2, axis=1))),
             "coefficient_change": _coefficient_change(before, after),
             "force_change": rms(new_force - old_force) / size,
             "n_terms": len(after.free),

@@ -17,13 +17,18 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import RK45
 
-from phsi_opt.data.checks import HOLDS
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.evaluated import Evaluated
-from phsi_opt.simulation import dormand_prince
-from phsi_opt.simulation.simulate import simulate
+from phsi_opt.simulation.simulate import (
+    checked_inputs,
+    checked_start,
+    checked_times,
+    simulate,
+)
 from phsi_opt.statistics import TINY
 
 # change of the run with twice the steps, in standard deviations of each state along the
@@ -63,7 +68,7 @@ def free_run(
         t: (n_samples,) strictly increasing times.
         x0: (n_states,) starting state.
         u: (n_samples, n_inputs) inputs at t; None if the model has no inputs.
-        hold: between the samples of u, one of `HOLDS`.
+        hold: between the samples of u, as in `simulate`.
 
     Returns:
         (n_samples, n_states).
@@ -72,19 +77,13 @@ def free_run(
         DataError: wrong shapes, times or numbers, as in `simulate`.
         SolveError: the solution cannot be continued.
     """
-    times = np.asarray(t, dtype=float)
-    start = np.asarray(x0, dtype=float)
-    inputs = np.zeros((times.size, 0)) if u is None else np.asarray(u, dtype=float)
-    found = None
-    if _is_usable(model, times, start, inputs, hold):
-        theta = tuple(model.theta.tolist())
-        runs = _runs_of(model.rhs(), theta, get_ident())
-        found = runs.run(times, start, inputs, hold)
-    if found is not None:
-        return found
-    # Arguments that cannot be used go to SciPy too: `simulate` says what is wrong with
-    # them.
-    return simulate(model, t, x0, u, hold=hold)
+    t = checked_times(t)
+    x0 = checked_start(model, x0)
+    u = checked_inputs(model, t, u)
+    checked_hold(hold)
+    runs = _runs_of(model.rhs(), tuple(model.theta.tolist()), get_ident())
+    found = runs.run(t, x0, u, hold)
+    return simulate(model, t, x0, u, hold=hold) if found is None else found
 
 
 def rates(model: Model) -> ca.Function:
@@ -107,15 +106,41 @@ def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
     return Runs(_rates(rhs, np.array(theta)))
 
 
-def _is_usable(
-    model: Model, t: np.ndarray, x0: np.ndarray, u: np.ndarray, hold: str
-) -> bool:
-    if t.ndim != 1 or t.size < 2 or hold not in HOLDS:
-        return False
-    if x0.shape != (model.n_states,) or u.shape != (t.size, model.n_inputs):
-        return False
-    is_finite = all(bool(np.all(np.isfinite(values))) for values in (t, x0, u))
-    return is_finite and bool(np.all(np.diff(t) > 0))
+def _step(rhs: ca.Function, n_watched: int) -> ca.Function:
+    """One step of Dormand and Prince's scheme of order five, with its error estimate.
+
+    Its coefficients are SciPy's (J. R. Dormand and P. J. Prince 1980, "A family of
+    embedded Runge-Kutta formulae", Journal of Computational and Applied Mathematics 6,
+    19-26).
+
+    Args:
+        rhs: CasADi function (x, u, t) -> dx/dt; the inputs change linearly.
+        n_watched: number of states, the first ones, whose errors are estimated.
+
+    Returns:
+        CasADi function (x, column) -> x after the step, size of the estimated error
+        (n_watched,); the column holds the time, the length of the step, the inputs and
+        their slopes.
+    """
+    n_inputs = rhs.size1_in(1)
+    x = ca.SX.sym("x", rhs.size1_in(0))
+    column = ca.SX.sym("column", 2 + 2 * n_inputs)
+    t, h = column[0], column[1]
+    u, slope = column[2 : 2 + n_inputs], column[2 + n_inputs :]
+    rates: list[ca.SX] = []
+
+    def change(weights: np.ndarray) -> ca.SX:
+        """Length times the sum of weight * rate, without the weights that are zero."""
+        terms = [
+            w * rate for w, rate in zip(weights.tolist(), rates, strict=False) if w
+        ]
+        return h * sum(terms, ca.SX.zeros(x.numel()))
+
+    for weights, c in zip([*RK45.A, RK45.B], [*RK45.C, 1.0], strict=True):
+        after = x + change(weights)
+        rates.append(rhs(after, u + c * h * slope, t + c * h))
+    error = ca.fabs(change(RK45.E))[:n_watched]
+    return ca.Function("step", [x, column], [after, error], {"cse": True})
 
 
 class Runs:
@@ -129,7 +154,7 @@ class Runs:
 
     def __init__(self, rhs: ca.Function, watched: int | None = None) -> None:
         self.n_watched = watched or rhs.size1_in(0)
-        step = dormand_prince.step(rhs, self.n_watched)
+        step = _step(rhs, self.n_watched)
         self.loop = Evaluated(step.mapaccum(CHUNK))
 
     def run(
@@ -146,7 +171,7 @@ class Runs:
             t: (n_samples,) strictly increasing times.
             x0: (n_states,) starting state.
             u: (n_samples, n_inputs).
-            hold: between the samples of u, one of `HOLDS`.
+            hold: between the samples of u, as in `simulate`.
             tolerance: as `TOLERANCE`.
 
         Returns:

@@ -101,9 +101,9 @@ def simulate_forced(
         DataError: wrong shapes, times or numbers.
         SolveError: the solution cannot be continued.
     """
-    t = _checked_times(t)
-    x0 = _checked_start(model, x0)
-    pieces = _pieces(t, _inputs(model, t, u), hold)
+    t = checked_times(t)
+    x0 = checked_start(model, x0)
+    pieces = _pieces(t, checked_inputs(model, t, u), hold)
     f = _right_hand_side(model)
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
@@ -208,7 +208,12 @@ def _real_numbers(values: Any, name: str) -> np.ndarray:
     raise DataError(f"{name}={values!r} must be an array of real numbers.")
 
 
-def _checked_times(t: Any) -> np.ndarray:
+def checked_times(t: Any) -> np.ndarray:
+    """The times, (n_samples,), if they increase.
+
+    Raises:
+        DataError: they do not, or are no numbers.
+    """
     times = _real_numbers(t, "t")
     is_series = times.ndim == 1 and len(times) >= 2
     is_finite = np.all(np.isfinite(times))
@@ -220,7 +225,12 @@ def _checked_times(t: Any) -> np.ndarray:
     return times
 
 
-def _checked_start(model: Model, x0: Any) -> np.ndarray:
+def checked_start(model: Model, x0: Any) -> np.ndarray:
+    """The starting state, (n_states,), if it has a number per state.
+
+    Raises:
+        DataError: it has not.
+    """
     start = _real_numbers(x0, "x0")
     if start.shape != (model.n_states,) or not np.all(np.isfinite(start)):
         raise DataError(
@@ -230,8 +240,12 @@ def _checked_start(model: Model, x0: Any) -> np.ndarray:
     return start
 
 
-def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
-    """The inputs as a function of the time, or as an array (n_samples, n_inputs)."""
+def checked_inputs(model: Model, t: np.ndarray, u: Any) -> Any:
+    """The inputs as a function of the time, or as an array (n_samples, n_inputs).
+
+    Raises:
+        DataError: they do not fit the model and the times.
+    """
     if callable(u):
         size = np.size(u(t[0]))
         if size != model.n_inputs:
