@@ -22,7 +22,6 @@ from phsi_opt.model.kinds import (
     plain_unit,
 )
 from phsi_opt.model.laws import (
-    COUPLINGS,
     ENERGIES,
     FORCES,
     HEAT_EXCHANGE,
@@ -180,7 +179,7 @@ def _places(
     for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
         # Without an energy the masses of the two may be anything.
         if kind_of(model, p1) == kind_of(model, p2):
-            yield COUPLINGS, {"x": p1, "q1": q1, "q2": q2}
+            yield ENERGIES, {"x": p1, "q1": q1, "q2": q2}
     for x in model.states:
         if x not in model.memory:
             yield SENSORS, {"x": x}
@@ -192,6 +191,7 @@ def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]
     e = effort_of(model, x)
     names = {
         "x": x,
+        "own": x,
         "e": e,
         "omega": _free_frequency(model, x),
         "source": words.source,

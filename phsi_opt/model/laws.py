@@ -2,7 +2,8 @@
 
 In the texts of a row stand names in braces, which the ``catalogue`` fills in:
 
-- ``{x}`` the state of the equation, ``{e}`` its effort: a velocity, a flow, a level;
+- ``{x}`` the state of the equation, ``{own}`` the same where nothing else is beside it;
+- ``{e}`` its effort: a velocity, a flow, a level;
 - ``{q}`` the position of a momentum, ``{angle}`` the same in radians;
 - ``{u}`` an input, ``{slope}`` the slope of the model's own force in it, ``{new}`` an
   input that the equation does not use yet, ``{of_u}`` its name where there are several;
@@ -13,21 +14,19 @@ A row that needs a name which an equation does not have is not offered there. A 
 R_ii dH/dx_i, so that a force c f(v) against the velocity v has R_ii = c f(v)/v.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.roles import Role
 from phsi_opt.model.terms import Dictionary, Term
 
 HYSTERESIS = "hysteresis"
 SECOND_STORAGE = "a storage that nobody measures"
-GROWING_LOSS = "a loss that grows with {grows_with}"
 POSITION_FORCE = "a force that depends on the position"
 CHANGING_STIFFNESS = "a stiffness that changes with the time"
 WRONG_READING = "an error of the sensor"
@@ -96,10 +95,8 @@ def _width(of: str, share: float, sharper: tuple[float, ...] = ()) -> Parameter:
     return Parameter(lower=0.0, fixed=True, guess=Share(of, share, sharper))
 
 
-TURNOVER = _width("{e}", FRICTION_TURNOVER, SHARPER_TURNOVERS)
 FREQUENCY = Parameter(lower=0.0, unit="rad/s", guess=Scan("t"))
 LAG = _tried("dt", DELAYS, unit="s")
-RIM = _tried("{e}", LIMITS, LARGEST_SHARE)
 
 
 # ---- a law -------------------------------------------------------------------------
@@ -149,36 +146,27 @@ class Law:
             terms = dict.fromkeys([self.force] if self.force else [], *terms.values())
         inner = {}
         for key, parameter in self.inner.items():
-            inner[key.format_map(names)] = _of(parameter, names)
-        known = {term.body for term in model.terms_at(slot, names["x"])}
-        added = []
-        for body, coefficient in terms.items():
-            text = body.format_map(names)
-            if text not in known:
-                added.append(self._term(text, coefficient, inner, names))
+            inner[key] = (key.format_map(names), _of(parameter, names))
+
+        def term(template: str, coefficient: str | None) -> Term:
+            own = dict(one for key, one in inner.items() if key in template)
+            body = template.format_map(names)
+            if coefficient is None:
+                return Term(body, None, own)
+            free = Parameter(lower=self.lower)
+            return Term(body, free, own, coefficient.format_map(names))
+
+        known = {one.body for one in model.terms_at(slot, names["x"])}
+        added = [term(*one) for one in terms.items()]
+        added = [one for one in added if one.body not in known]
         memory = {}
         for state, rate in self.memory.items():
-            term = self._term(rate.format_map(names), None, inner, names)
-            memory[state.format_map(names)] = Dictionary((term,))
+            memory[state.format_map(names)] = Dictionary((term(rate, None),))
         if not added:
             return None
         family = self.family.format_map(names)
         sum_of_terms = Dictionary(tuple(added))
         return Effect(name, slot, names["x"], sum_of_terms, memory, family)
-
-    def _term(
-        self,
-        body: str,
-        coefficient: str | None,
-        inner: Mapping[str, Parameter],
-        names: Mapping[str, str],
-    ) -> Term:
-        used = names_of(body)
-        own = {name: one for name, one in inner.items() if name in used}
-        if coefficient is None:
-            return Term(body, None, own)
-        named = coefficient.format_map(names)
-        return Term(body, Parameter(lower=self.lower), own, named)
 
 
 def _of(parameter: Parameter, names: Mapping[str, str]) -> Parameter:
@@ -191,89 +179,69 @@ def _of(parameter: Parameter, names: Mapping[str, str]) -> Parameter:
 
 # ---- losses: terms of R_ii >= 0 ------------------------------------------------------
 
-BODY = (Role.BODY,)
-SPEED = (Role.BODY, Role.UNKNOWN)
-PIPE = (Role.PIPE,)
-TANK = (Role.TANK,)
-LEAKING = (Role.TANK, Role.UNKNOWN)
-COIL = (Role.COIL,)
-CURRENT = (Role.COIL, Role.CIRCUIT)
-CAPACITOR = (Role.CAPACITOR,)
-CIRCUIT = (Role.CIRCUIT,)
-HEAT = (Role.HEAT,)
-
+# The name, the roles, R_ii = loss/effort, the family where it is none that grows. A
+# turbulent leak is the square root of the level, linear below a small one.
+LOSS_TABLE = """
+viscous damping | BODY | 1
+laminar pipe friction | PIPE | 1
+linear leak | TANK, UNKNOWN | 1
+linear resistance | COIL, CIRCUIT | 1
+leakage conductance | CAPACITOR | 1
+heat loss | HEAT | 1
+coulomb friction | BODY, UNKNOWN | DRY | dry friction
+contact voltage drop | COIL, CIRCUIT | DRY | a constant voltage drop
+quadratic drag | BODY, UNKNOWN | abs({e})
+turbulent pipe friction | PIPE | abs({e})
+quadratic leak | TANK | abs({e})
+quadratic resistance | COIL, CIRCUIT | abs({e})
+quadratic conductance | CAPACITOR | abs({e})
+quadratic heat loss | HEAT | abs({e})
+cubic drag | BODY, UNKNOWN | {e}**2
+stribeck friction | BODY, UNKNOWN | DRY + RISE | dry friction
+turbulent leak | TANK, UNKNOWN | ({e}**2 + e0**2)**(-0.25)
+saturating leak | TANK, UNKNOWN | 1/(1 + abs({e})/half)
+overflow | TANK, UNKNOWN | max(abs({e}) - limit, 0)/max(abs({e}), limit) | an overflow
+radiation | HEAT | {radiation}
+position-dependent damping | BODY | {q}**2 | damping that depends on the position
+charge-dependent resistance | COIL | {q}**2 | a resistance that depends on a charge
+"""
 # sign(e)/e, rounded within the turnover velocity v0.
 DRY = "({e}**4 + v0**4)**(-0.25)"
-OVERFLOWING = "max(abs({e}) - limit, 0)/max(abs({e}), limit)"
-
-
-def _loss(
-    name: str,
-    roles: tuple[Role, ...],
-    body: str,
-    family: str = GROWING_LOSS,
-    **inner: Parameter,
-) -> Law:
-    return Law(name, "R", {body: "{name}_{x}"}, family, roles, inner, lower=0.0)
-
-
-LOSSES = (
-    _loss("viscous damping", BODY, "1"),
-    _loss("laminar pipe friction", PIPE, "1"),
-    _loss("linear leak", LEAKING, "1"),
-    _loss("linear resistance", CURRENT, "1"),
-    _loss("leakage conductance", CAPACITOR, "1"),
-    _loss("heat loss", HEAT, "1"),
-    _loss("coulomb friction", SPEED, DRY, "dry friction", v0=TURNOVER),
-    _loss("contact voltage drop", CURRENT, DRY, "a constant voltage drop", v0=TURNOVER),
-    _loss("quadratic drag", SPEED, "abs({e})"),
-    _loss("turbulent pipe friction", PIPE, "abs({e})"),
-    _loss("quadratic leak", TANK, "abs({e})"),
-    _loss("quadratic resistance", CURRENT, "abs({e})"),
-    _loss("quadratic conductance", CAPACITOR, "abs({e})"),
-    _loss("quadratic heat loss", HEAT, "abs({e})"),
-    _loss("cubic drag", SPEED, "{e}**2"),
+SUMS = {
+    "DRY": {DRY: "{name}_{x}"},
     # Dry friction that is larger at low speed: f_c + f_s exp(-(v/v_s)^2).
-    Law(
-        "stribeck friction",
-        "R",
-        {
-            DRY: "coulomb_friction_{x}",
-            f"{DRY}*exp(-({{e}}/v_s)**2)": "stribeck_friction_{x}",
-        },
-        "dry friction",
-        SPEED,
-        {"v0": TURNOVER, "v_s": _tried("{e}", STRIBECK_SPEEDS, LARGEST_STRIBECK_SPEED)},
-        lower=0.0,
-    ),
-    # The square root of the level, linear below a small one.
-    _loss(
-        "turbulent leak",
-        LEAKING,
-        "({e}**2 + e0**2)**(-0.25)",
-        e0=_width("{e}", LAMINAR_LEVEL),
-    ),
-    _loss(
-        "saturating leak",
-        LEAKING,
-        "1/(1 + abs({e})/half)",
-        half=_tried("{e}", HALF_LEVELS),
-    ),
-    _loss("overflow", LEAKING, OVERFLOWING, "an overflow", limit=RIM),
-    _loss("radiation", HEAT, "{radiation}"),
-    _loss(
-        "position-dependent damping",
-        BODY,
-        "{q}**2",
-        "damping that depends on the position",
-    ),
-    _loss(
-        "charge-dependent resistance",
-        COIL,
-        "{q}**2",
-        "a resistance that depends on a charge",
-    ),
-)
+    "DRY + RISE": {
+        DRY: "coulomb_friction_{x}",
+        f"{DRY}*exp(-({{e}}/v_s)**2)": "stribeck_friction_{x}",
+    },
+}
+LOSS_PARAMETERS = {
+    "v0": _width("{e}", FRICTION_TURNOVER, SHARPER_TURNOVERS),
+    "v_s": _tried("{e}", STRIBECK_SPEEDS, LARGEST_STRIBECK_SPEED),
+    "e0": _width("{e}", LAMINAR_LEVEL),
+    "half": _tried("{e}", HALF_LEVELS),
+    "limit": _tried("{e}", LIMITS, LARGEST_SHARE),
+}
+
+
+def _rows(table: str) -> list[list[str]]:
+    """The cells of a table, a list per line."""
+    lines = [line.split("|") for line in table.strip().splitlines()]
+    return [[cell.strip() for cell in cells] for cells in lines]
+
+
+def _roles(names: str) -> tuple[Role, ...]:
+    return tuple(Role[name] for name in names.split(", "))
+
+
+def _losses() -> Iterator[Law]:
+    for name, roles, body, *family in _rows(LOSS_TABLE):
+        said = family[0] if family else "a loss that grows with {grows_with}"
+        terms = SUMS.get(body, {body: "{name}_{x}"})
+        yield Law(name, "R", terms, said, _roles(roles), LOSS_PARAMETERS, lower=0.0)
+
+
+LOSSES = tuple(_losses())
 
 # ---- what comes from outside, in the time: terms of F --------------------------------
 
@@ -363,74 +331,54 @@ INPUTS = (
 # ---- what stores energy: terms of H, or without an energy their forces ---------------
 
 
-def _energy(
-    name: str,
-    roles: tuple[Role, ...],
-    body: str,
-    force: str = "",
-    family: str = POSITION_FORCE,
-    at: str = "{q}",
-) -> Law:
-    terms = {body: f"{{name}}_{at}"}
-    return Law(name, "H", terms, family, roles, force=force)
+# The name, the roles, the energy, the force without one, the coefficient, the family.
+ENERGY_TABLE = """
+linear stiffness | BODY | {q}**2/2 | -{q} | {name}_{q} | POSITION
+quadratic stiffness | BODY | {q}**3/3 | -{q}**2 | {name}_{q} | POSITION
+cubic stiffness | BODY | {q}**4/4 | -{q}**3 | {name}_{q} | POSITION
+gravity torque | BODY | -cos({angle}) | -sin({angle}) | {name}_{q} | POSITION
+linear stiffness | PIPE | {q}**2/2 | -{q} | {name}_{q} | VOLUME
+quadratic stiffness | PIPE | {q}**3/3 | -{q}**2 | {name}_{q} | VOLUME
+cubic stiffness | PIPE | {q}**4/4 | -{q}**3 | {name}_{q} | VOLUME
+linear elastance | COIL | {q}**2/2 | -{q} | {name}_{q} | CHARGE
+quadratic elastance | COIL | {q}**3/3 | -{q}**2 | {name}_{q} | CHARGE
+cubic elastance | COIL | {q}**4/4 | -{q}**3 | {name}_{q} | CHARGE
+coil saturation | COIL | {own}**4/4 | | {name}_{own} | SATURATION
+coil or capacitor saturation | CIRCUIT | {own}**4/4 | | {name}_{own} | SATURATION
+coupling stiffness | BODY | ({q1} - {q2})**2/2 | | {name}_{q1}_{q2} | POSITIONS
+coupling stiffness | PIPE | ({q1} - {q2})**2/2 | | {name}_{q1}_{q2} | VOLUMES
+coupling capacitance | COIL | ({q1} - {q2})**2/2 | | {name}_{q1}_{q2} | CHARGES
+"""
+FAMILIES_OF_ENERGIES = {
+    "POSITION": POSITION_FORCE,
+    "VOLUME": "a pressure that depends on the volume",
+    "CHARGE": "a voltage that depends on the charge",
+    "SATURATION": "a storage that saturates",
+    "POSITIONS": "a coupling of two positions",
+    "VOLUMES": "a coupling of two volumes",
+    "CHARGES": "a coupling of two charges",
+}
 
 
-def _powers(noun: str, roles: tuple[Role, ...], family: str) -> tuple[Law, ...]:
-    """Energies of the second to the fourth power of a position."""
-    return (
-        _energy(f"linear {noun}", roles, "{q}**2/2", "-{q}", family),
-        _energy(f"quadratic {noun}", roles, "{q}**3/3", "-{q}**2", family),
-        _energy(f"cubic {noun}", roles, "{q}**4/4", "-{q}**3", family),
-    )
+def _energies() -> Iterator[Law]:
+    for name, roles, body, force, coefficient, family in _rows(ENERGY_TABLE):
+        said = FAMILIES_OF_ENERGIES[family]
+        terms = {body: coefficient}
+        yield Law(name, "H", terms, said, _roles(roles), force=force)
 
 
-SATURATION = "a storage that saturates"
-ENERGIES = (
-    *_powers("stiffness", BODY, POSITION_FORCE),
-    _energy("gravity torque", BODY, "-cos({angle})", "-sin({angle})"),
-    # A spring with free play, to both sides.
-    Law(
-        "gap",
-        "H",
-        {"max(abs({q}) - play, 0)**2/2": "gap_{q}"},
-        POSITION_FORCE,
-        BODY,
-        {"play": _tried("{q}", PLAYS, LARGEST_SHARE)},
-        lower=0.0,
-        force="-max({q} - play, 0) + max(-{q} - play, 0)",
-    ),
-    *_powers("stiffness", PIPE, "a pressure that depends on the volume"),
-    *_powers("elastance", COIL, "a voltage that depends on the charge"),
-    _energy("coil saturation", COIL, "{x}**4/4", "", SATURATION, "{x}"),
-    _energy("coil or capacitor saturation", CIRCUIT, "{x}**4/4", "", SATURATION, "{x}"),
+# A spring with free play, to both sides.
+GAP = Law(
+    "gap",
+    "H",
+    {"max(abs({q}) - play, 0)**2/2": "gap_{q}"},
+    POSITION_FORCE,
+    (Role.BODY,),
+    {"play": _tried("{q}", PLAYS, LARGEST_SHARE)},
+    lower=0.0,
+    force="-max({q} - play, 0) + max(-{q} - play, 0)",
 )
-COUPLED = "({q1} - {q2})**2/2"
-COUPLINGS = (
-    _energy(
-        "coupling stiffness",
-        BODY,
-        COUPLED,
-        "",
-        "a coupling of two positions",
-        "{q1}_{q2}",
-    ),
-    _energy(
-        "coupling stiffness",
-        PIPE,
-        COUPLED,
-        "",
-        "a coupling of two volumes",
-        "{q1}_{q2}",
-    ),
-    _energy(
-        "coupling capacitance",
-        COIL,
-        COUPLED,
-        "",
-        "a coupling of two charges",
-        "{q1}_{q2}",
-    ),
-)
+ENERGIES = (*_energies(), GAP)
 
 # ---- what remembers, or changes with the time: terms of F ----------------------------
 
@@ -467,11 +415,11 @@ def _parametric(name: str, roles: tuple[Role, ...], family: str) -> Law:
 
 
 LASTING = (
-    _second_storage("second heat storage", HEAT),
-    _second_storage("second charge storage", CIRCUIT),
-    _parametric("parametric stiffness", (*BODY, *PIPE), CHANGING_STIFFNESS),
+    _second_storage("second heat storage", (Role.HEAT,)),
+    _second_storage("second charge storage", (Role.CIRCUIT,)),
+    _parametric("parametric stiffness", (Role.BODY, Role.PIPE), CHANGING_STIFFNESS),
     _parametric(
-        "parametric elastance", COIL, "a capacitance that changes with the time"
+        "parametric elastance", (Role.COIL,), "a capacitance that changes with the time"
     ),
     # Bouc (1967) and Wen (1976) with n = 1, rounded: the force is -c z, with
     # w dz/dt = v - (|v| z + v |z|)/2, so that z stays within -1 and 1, and w is the
@@ -481,7 +429,7 @@ LASTING = (
         "F",
         {"-hysteresis_{x}": "hysteresis_force_{x}"},
         HYSTERESIS,
-        (*BODY, *PIPE, *COIL),
+        (Role.BODY, Role.PIPE, Role.COIL),
         {
             "hysteresis_width_{x}": _tried("{q}", YIELD_WIDTHS),
             "hysteresis_slow_{x}": _width("{e}", ROUNDED_VELOCITY),
@@ -511,7 +459,7 @@ HEAT_EXCHANGE = Law(
     "F",
     {"{s_e} - {e}": "heat_exchange_{s}_{x}"},
     "an exchange of heat",
-    HEAT,
+    (Role.HEAT,),
     lower=0.0,
 )
 

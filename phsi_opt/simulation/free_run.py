@@ -19,16 +19,11 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import RK45
 
-from phsi_opt.data.checks import checked_hold
+from phsi_opt.data.checks import HOLDS
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.evaluated import Evaluated
-from phsi_opt.simulation.simulate import (
-    checked_inputs,
-    checked_start,
-    checked_times,
-    simulate,
-)
+from phsi_opt.simulation.simulate import simulate
 from phsi_opt.statistics import TINY
 
 # change of the run with twice the steps, in standard deviations of each state along the
@@ -68,7 +63,7 @@ def free_run(
         t: (n_samples,) strictly increasing times.
         x0: (n_states,) starting state.
         u: (n_samples, n_inputs) inputs at t; None if the model has no inputs.
-        hold: between the samples of u, as in `simulate`.
+        hold: between the samples of u, one of `HOLDS`.
 
     Returns:
         (n_samples, n_states).
@@ -77,13 +72,19 @@ def free_run(
         DataError: wrong shapes, times or numbers, as in `simulate`.
         SolveError: the solution cannot be continued.
     """
-    t = checked_times(t)
-    x0 = checked_start(model, x0)
-    u = checked_inputs(model, t, u)
-    checked_hold(hold)
-    runs = _runs_of(model.rhs(), tuple(model.theta.tolist()), get_ident())
-    found = runs.run(t, x0, u, hold)
-    return simulate(model, t, x0, u, hold=hold) if found is None else found
+    times = np.asarray(t, dtype=float)
+    start = np.asarray(x0, dtype=float)
+    inputs = np.zeros((times.size, 0)) if u is None else np.asarray(u, dtype=float)
+    found = None
+    if _is_usable(model, times, start, inputs, hold):
+        theta = tuple(model.theta.tolist())
+        runs = _runs_of(model.rhs(), theta, get_ident())
+        found = runs.run(times, start, inputs, hold)
+    if found is not None:
+        return found
+    # Arguments that cannot be used go to SciPy too: `simulate` says what is wrong with
+    # them.
+    return simulate(model, t, x0, u, hold=hold)
 
 
 def rates(model: Model) -> ca.Function:
@@ -104,6 +105,17 @@ def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
     thread, whose runs are written over by the next.
     """
     return Runs(_rates(rhs, np.array(theta)))
+
+
+def _is_usable(
+    model: Model, t: np.ndarray, x0: np.ndarray, u: np.ndarray, hold: str
+) -> bool:
+    if t.ndim != 1 or t.size < 2 or hold not in HOLDS:
+        return False
+    if x0.shape != (model.n_states,) or u.shape != (t.size, model.n_inputs):
+        return False
+    is_finite = all(bool(np.all(np.isfinite(values))) for values in (t, x0, u))
+    return is_finite and bool(np.all(np.diff(t) > 0))
 
 
 def _step(rhs: ca.Function, n_watched: int) -> ca.Function:
@@ -171,7 +183,7 @@ class Runs:
             t: (n_samples,) strictly increasing times.
             x0: (n_states,) starting state.
             u: (n_samples, n_inputs).
-            hold: between the samples of u, as in `simulate`.
+            hold: between the samples of u, one of `HOLDS`.
             tolerance: as `TOLERANCE`.
 
         Returns:

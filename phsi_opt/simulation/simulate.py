@@ -101,9 +101,9 @@ def simulate_forced(
         DataError: wrong shapes, times or numbers.
         SolveError: the solution cannot be continued.
     """
-    t = checked_times(t)
-    x0 = checked_start(model, x0)
-    pieces = _pieces(t, checked_inputs(model, t, u), hold)
+    t = _checked_times(t)
+    x0 = _checked_start(model, x0)
+    pieces = _pieces(t, _inputs(model, t, u), hold)
     f = _right_hand_side(model)
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
@@ -208,12 +208,7 @@ def _real_numbers(values: Any, name: str) -> np.ndarray:
     raise DataError(f"{name}={values!r} must be an array of real numbers.")
 
 
-def checked_times(t: Any) -> np.ndarray:
-    """The times, (n_samples,), if they increase.
-
-    Raises:
-        DataError: they do not, or are no numbers.
-    """
+def _checked_times(t: Any) -> np.ndarray:
     times = _real_numbers(t, "t")
     is_series = times.ndim == 1 and len(times) >= 2
     is_finite = np.all(np.isfinite(times))
@@ -225,12 +220,7 @@ def checked_times(t: Any) -> np.ndarray:
     return times
 
 
-def checked_start(model: Model, x0: Any) -> np.ndarray:
-    """The starting state, (n_states,), if it has a number per state.
-
-    Raises:
-        DataError: it has not.
-    """
+def _checked_start(model: Model, x0: Any) -> np.ndarray:
     start = _real_numbers(x0, "x0")
     if start.shape != (model.n_states,) or not np.all(np.isfinite(start)):
         raise DataError(
@@ -240,12 +230,8 @@ def checked_start(model: Model, x0: Any) -> np.ndarray:
     return start
 
 
-def checked_inputs(model: Model, t: np.ndarray, u: Any) -> Any:
-    """The inputs as a function of the time, or as an array (n_samples, n_inputs).
-
-    Raises:
-        DataError: they do not fit the model and the times.
-    """
+def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
+    """The inputs as a function of the time, or as an array (n_samples, n_inputs)."""
     if callable(u):
         size = np.size(u(t[0]))
         if size != model.n_inputs:
@@ -274,23 +260,27 @@ def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[_Piece]:
     """The stretches over which the input is smooth."""
     checked_hold(hold)
     end = len(t) - 1
-    # No step may be longer than a sample, or a short pulse is stepped over.
     sample = float(np.max(np.diff(t)))
     if callable(u):
-        yield _Piece(0, end, lambda at: np.atleast_1d(np.asarray(u(at), float)), sample)
-    elif hold == "zero" or not u.shape[1]:
+        yield _Piece(0, end, partial(_called, u), sample)
+    elif not u.shape[1]:
+        yield _Piece(0, end, partial(_constant, u[0]), np.inf)
+    elif hold == "zero":
         changes = np.flatnonzero(np.any(np.diff(u[:-1], axis=0) != 0, axis=1)) + 1
-        for first, last in pairwise([0, *changes.tolist(), end]):
+        limits = [0, *changes.tolist(), end]
+        for first, last in pairwise(limits):
             yield _Piece(first, last, partial(_constant, u[first]), np.inf)
     elif hold == "linear":
         slope = np.diff(u, axis=0) / np.diff(t)[:, None]
-        yield _Piece(0, end, partial(_interpolated, t.tolist(), u, slope), sample)
+        value = partial(_interpolated, t.tolist(), u, slope)
+        # No step may be longer than a sample, or a short pulse is stepped over.
+        yield _Piece(0, end, value, sample)
     else:
         yield _Piece(0, end, SmoothInputs(t, u), sample)
 
 
-def _constant(value: np.ndarray, at: float) -> np.ndarray:
-    return value
+def _called(u: Callable[[float], Any], at: float) -> np.ndarray:
+    return np.atleast_1d(np.asarray(u(at), dtype=float))
 
 
 def _interpolated(
@@ -302,6 +292,10 @@ def _interpolated(
     since = max(at, t[0]) - t[left]
     longest = t[-1] - t[left]
     return u[left] + min(since, longest) * slope[left]
+
+
+def _constant(value: np.ndarray, at: float) -> np.ndarray:
+    return value
 
 
 def _right_hand_side(model: Model) -> Force:
