@@ -10,9 +10,11 @@ from collections.abc import Collection
 from dataclasses import replace
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import with_slopes
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
@@ -226,13 +228,8 @@ def _state_slopes(
     Where a slope has no number (a corner as sharp as a step) it says nothing.
     """
     # Away from the origin, where a higher-order term has no slope.
-    is_zero = np.all(x == 0, axis=0)
-    shifted = x + np.where(is_zero, 1.0, 0.0)
-    nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
-    slopes_at = mapped(model.rhs_slopes("x"), N_SLOPES, True)
-    u, t = grid.u[nodes].T, grid.t[nodes][None, :]
-    _, columns = slopes_at(shifted[nodes].T, u, t, theta)
-    slopes = columns.full().T.reshape(N_SLOPES, model.n_states, model.n_states)
+    shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
+    slopes = _slopes_at(model.rhs_slopes("x"), grid, shifted, theta, N_SLOPES)
     with np.errstate(over="ignore"):
         squares = np.square(slopes)
     is_number = np.isfinite(squares)
@@ -261,9 +258,16 @@ def _sensor_strength(
 
     (n_free, n_states).
     """
-    jacobian = model.built("output jacobian", lambda: model.output().jacobian())
-    slopes = []
-    for node in np.linspace(0, grid.n_nodes - 1, N_SENSOR_SLOPES).astype(int):
-        at_node = jacobian(x[node], grid.u[node], grid.t[node], theta, 0)
-        slopes.append(np.array(at_node[3]))
+    made = model.built("output slopes", lambda: with_slopes(model.output(), "theta"))
+    slopes = _slopes_at(made, grid, x, theta, N_SENSOR_SLOPES)
     return np.sqrt(np.mean(np.square(slopes), axis=0)).T
+
+
+def _slopes_at(
+    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray, n: int
+) -> np.ndarray:
+    """Slopes that a function has beside its values, at n nodes, (n, n_out, n_in)."""
+    nodes = np.linspace(0, grid.n_nodes - 1, n).astype(int)
+    arguments = (x[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
+    values, slopes = mapped(function, n, True)(*arguments)
+    return np.asarray(slopes.full().T.reshape(n, values.shape[0], -1))
