@@ -6,7 +6,6 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import binned_statistic, binned_statistic_2d
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
@@ -51,6 +50,8 @@ class Bins:
     @classmethod
     def of(cls, z: np.ndarray, w: np.ndarray) -> "Bins":
         """Bins of even width over a variable z (n,), of a force w (n,)."""
+        from scipy.stats import binned_statistic  # slow to load
+
         statistics = ("count", "mean", "std")
         found = [binned_statistic(z, w, one, N_SHOWN_BINS) for one in statistics]
         edges = found[0].bin_edges
@@ -98,6 +99,8 @@ class ForceMap:
         """The map over the first two of the names."""
         a = force.record.variable(names[0])
         b = force.record.variable(names[1])
+        from scipy.stats import binned_statistic_2d
+
         found = binned_statistic_2d(a, b, force.w, "mean", N_CELLS)
         mean = np.ma.masked_invalid(found.statistic)
         return cls(found.x_edge, found.y_edge, mean)

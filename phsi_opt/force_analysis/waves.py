@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lombscargle
 
 from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
 from phsi_opt.force_analysis.force_record import Force
@@ -46,6 +45,8 @@ def explained_by_wave(
     z: np.ndarray, y: np.ndarray, frequencies: np.ndarray
 ) -> np.ndarray:
     """Fall of the sum of squares of y (n,) by a wave of each frequency along z (n,)."""
+    from scipy.signal import lombscargle  # slow to load
+
     return np.atleast_1d(2 * lombscargle(z, y, 2 * np.pi * frequencies))
 
 

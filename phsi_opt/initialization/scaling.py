@@ -258,7 +258,9 @@ def _sensor_strength(
 
     (n_free, n_states).
     """
-    made = model.built("output slopes", lambda: with_slopes(model.output(), "theta"))
+    made = model.built(
+        ("output", "slopes"), lambda: with_slopes(model.output(), "theta")
+    )
     slopes = _slopes_at(made, grid, x, theta, N_SENSOR_SLOPES)
     return np.sqrt(np.mean(np.square(slopes), axis=0)).T
 
