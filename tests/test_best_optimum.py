@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.comparison.flat_run import flat_sentence, is_flat
+from phsi_opt.comparison.compare import flat_sentence, is_flat
 
 PER_PERIOD = 20
 CORRELATION_TIME = 1.0

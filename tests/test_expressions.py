@@ -7,7 +7,7 @@ import sympy as sp
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import FUNCTIONS, NUMPY
-from phsi_opt.model.expressions import evaluate, names_of, parse, renamed
+from phsi_opt.model.expressions import evaluate, names_of, parse
 from phsi_opt.model.sympy_backend import SYMPY
 
 FORMULAS = [
@@ -47,13 +47,6 @@ def test_numpy_evaluates_whole_arrays() -> None:
 
 def test_names_are_those_that_need_a_value() -> None:
     assert names_of("k*sin(omega*t) + pi*q**2") == {"k", "omega", "t", "q"}
-
-
-def test_renaming_changes_names_and_nothing_else() -> None:
-    assert (
-        renamed("k*q**2/2 + sin(q*k2)", {"q": "x", "k": "c"})
-        == "c * x ** 2 / 2 + sin(x * k2)"
-    )
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, formula
-from phsi_opt.simulation import dormand_prince
+from phsi_opt.simulation import free_run as stepping
 from phsi_opt.simulation.free_run import Runs, free_run, rates
 from phsi_opt.simulation.simulate import simulate
 
@@ -186,13 +186,13 @@ def test_the_loop_is_built_once_for_all_records_of_a_model(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     built = []
-    step = dormand_prince.step
+    step = stepping._step
 
     def noted(rhs: ca.Function, n_watched: int) -> ca.Function:
         built.append(rhs)
         return step(rhs, n_watched)
 
-    monkeypatch.setattr(dormand_prince, "step", noted)
+    monkeypatch.setattr(stepping, "_step", noted)
     t = np.linspace(0, 2, 41)
     u = np.sin(t)[:, None]
     model = spring(formula("k*q**2/2 + p**2/5", k=Parameter(40.0)))

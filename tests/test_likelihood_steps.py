@@ -14,8 +14,7 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.model.built_functions import built_of
-from phsi_opt.model.model import Model
+from phsi_opt.model.model import Model, built_of
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.endings import DIRECT_STEPS

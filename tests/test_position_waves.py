@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 import phsi_opt as ph
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.next_step import step_without_name
-from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.state_plots import draw_dependence
+from phsi_opt.force_analysis.words import place_answer
 from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest

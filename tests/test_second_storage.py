@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue_storages import is_second_storage
+from phsi_opt.model.laws import is_second_storage
 
 AIR, WALLS = 2.0, 10.0  # capacities
 INSIDE, OUTSIDE = 2.0, 0.5  # conductances: air to walls, air to outdoors

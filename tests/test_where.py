@@ -14,20 +14,20 @@ from phsi_opt.errors import ModelError
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.cause_words import cause_words
 from phsi_opt.force_analysis.causes import Causes
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_plots import plot_where
 from phsi_opt.force_analysis.localization import StrongRange
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.place_words import (
+from phsi_opt.force_analysis.spectrum import spectrum
+from phsi_opt.force_analysis.words import (
+    cause_words,
     place_answer,
     place_words,
     plain_name,
     range_words,
+    sentence,
 )
-from phsi_opt.force_analysis.spectrum import spectrum
-from phsi_opt.force_analysis.wording import sentence
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
@@ -218,7 +218,7 @@ def test_what_the_hidden_force_does_with_energy_is_named(
     cases: dict[str, Case], name: str, cause: str, words: str
 ) -> None:
     found = ForceAnalysis.of(cases[name])
-    shares = found.energy.table.drop(columns=["equation", "mean_power"]).iloc[0]
+    shares = found.energy.drop(columns=["equation", "mean_power"]).iloc[0]
     assert shares.drop("unexplained").idxmax() == cause
     assert shares.sum() == pytest.approx(1.0, abs=1e-12)
     assert words in cause_words(found.force_in("p"))
@@ -227,13 +227,11 @@ def test_what_the_hidden_force_does_with_energy_is_named(
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     case = spring_with(friction, model=spring(D))
     found = ForceAnalysis.of(case)
-    assert "takes energy out (it opposes the velocity dq/dt)" in found.sentences[0]
+    assert "takes energy out (it opposes the velocity of q)" in found.sentences[0]
     speed = np.abs(case.estimate.x[:, 1] / M).mean()
     # Minus friction times speed, but for what smoothing takes off where the velocity
     # turns.
-    assert found.energy.table["mean_power"].iloc[0] == pytest.approx(
-        -3 * speed, rel=0.15
-    )
+    assert found.energy["mean_power"].iloc[0] == pytest.approx(-3 * speed, rel=0.15)
 
 
 def test_a_short_push_is_placed_in_its_time(cases: dict[str, Case]) -> None:
@@ -291,7 +289,7 @@ def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
     found = ForceAnalysis.of(tanks)
     assert list(found.where["equation"]) == ["h1", "h2"]  # the strongest first
     assert best(tanks, "h1")[0] == "h1"
-    upper, lower = found.energy.table.to_dict("records")
+    upper, lower = found.energy.to_dict("records")
     assert upper["dissipated"] > 0.8
     # The outlets of the second tank are right but for a1 and a2, which the leak has
     # moved.
@@ -396,7 +394,7 @@ def test_a_place_never_contradicts_what_the_force_follows(
         force = ForceAnalysis.of(cases[name]).force_in()
         told[name] = str(place_answer(force, is_named=False, is_known=False))
     assert told["friction"].startswith(
-        "In dp/dt, the force on q. It depends on the velocity dq/dt. It changes how "
+        "In dp/dt, the force on q. It depends on the velocity of q. It changes how "
         "energy is lost"
     )
     on = "In dp/dt, the force on q"
@@ -423,12 +421,12 @@ def test_what_moves_together_is_said_not_to_be_separable(
     closed_loop = with_found(force, causes=driven)
     assert cause_words(closed_loop) == (
         "follows the input u, which explains 82 % of it; not told apart from the "
-        "velocity dq/dt, which moves together with the input here"
+        "velocity of q, which moves together with the input here"
     )
     said = str(place_answer(closed_loop, is_named=True, is_known=False))
-    assert "It depends on the velocity dq/dt or on the input u" in said
+    assert "It depends on the velocity of q or on the input u" in said
     assert (
-        "82 % of it is explained by the velocity dq/dt or by the input u; these data "
+        "82 % of it is explained by the velocity of q or by the input u; these data "
         "cannot separate the two."
     ) in said
 

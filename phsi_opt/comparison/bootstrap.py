@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phsi_opt.comparison.profile_likelihood import check_likelihood
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
+from phsi_opt.errors import DataError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.model_content import model_content
@@ -182,18 +183,7 @@ def bootstrap(
 
 
 def _check(fit: Fit, n_draws: int) -> None:
-    if fit.loss != "MaximumLikelihood":
-        raise ModelError(
-            f"the fit is one by {fit.loss}, which says nothing of the noise; "
-            "fit with MaximumLikelihood()."
-        )
-    if fit.has_model_error:
-        raise ModelError(
-            "the fit has a model error in its likelihood, which is not drawn here; "
-            "bootstrap a fit by MaximumLikelihood()."
-        )
-    if not fit.names:
-        raise ModelError("the fit has no free parameter: there is nothing to repeat.")
+    check_likelihood(fit, "bootstrap")
     if not fit.states:
         raise DataError(
             "the fit has no states, as one that was loaded from a file; identify it "

@@ -5,17 +5,22 @@ the measurements again. A prediction over one step would hide what a model lacks
 sample would correct it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
-from phsi_opt.comparison.energy_balance import energy_balance
-from phsi_opt.comparison.flat_run import flat_sentence, is_flat
 from phsi_opt.comparison.prediction_bands import prediction_bands
-from phsi_opt.criteria import DIVERGED_RUN, HORIZON_RESIDUAL
+from phsi_opt.criteria import (
+    DIVERGED_RUN,
+    FLAT_FIT_PERCENT,
+    FLAT_NOISE,
+    FLAT_SPREAD,
+    HORIZON_RESIDUAL,
+)
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
@@ -27,6 +32,7 @@ from phsi_opt.estimation.smoothing import smoothed_states
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,
@@ -105,6 +111,16 @@ class Comparison(Summarised):
         return {name: s for name, s in by_state if name in self.data.measured}
 
     @cached_property
+    def _y(self) -> np.ndarray:
+        """What was measured, (n_samples of all trajectories, n_states)."""
+        return np.concatenate([run.x for run in self.data.trajectories])
+
+    @cached_property
+    def _n_values(self) -> np.ndarray:
+        """How many values were measured of each state, (n_states,)."""
+        return np.asarray(np.isfinite(self._y).sum(axis=0))
+
+    @cached_property
     @interruptible
     def bands(self) -> tuple[np.ndarray, ...] | None:
         """Standard deviation of what the free run shows, per trajectory.
@@ -129,28 +145,20 @@ class Comparison(Summarised):
         return printed_table(rows, columns=list(TABLE_COLUMNS))
 
     def _row(self, number: int, name: str) -> tuple[object, ...]:
-        residual = np.concatenate([run[:, number] for run in self.residuals])
-        measured = np.concatenate([run.x[:, number] for run in self.data.trajectories])
-        is_measured = np.isfinite(measured)
-        residual = residual[is_measured]
-        spread = float(np.std(measured[is_measured]))
-        rmse = float(np.sqrt(np.mean(residual**2)))
-        fit_percent = 100 * (1 - rmse / max(spread, TINY))
+        residuals = [_known(run[:, number]) for run in self.residuals]
+        rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+        spread = float(np.std(_known(self._y[:, number])))
         floor = self.sigma[number]
-        chi2_dof = (rmse / floor) ** 2
-        whiteness = ljung_box([_known(run[:, number]) for run in self.residuals])
-        horizon = min(self._horizon(run, number) for run in range(len(self.residuals)))
-        unit = self.data.units.get(name, "")
         return (
             name,
-            unit,
-            fit_percent,
+            self.data.units.get(name, ""),
+            100 * (1 - rmse / max(spread, TINY)),
             rmse,
             floor,
-            chi2_dof,
-            whiteness,
-            horizon,
-            len(residual),
+            (rmse / floor) ** 2,
+            ljung_box(residuals),
+            min(self._horizon(run, number) for run in range(len(residuals))),
+            int(self._n_values[number]),
         )
 
     def _horizon(self, trajectory: int, state: int) -> float:
@@ -168,14 +176,13 @@ class Comparison(Summarised):
 
         The limits are `FLAT_FIT_PERCENT` and `FLAT_SPREAD` of `phsi_opt.criteria`.
         """
-        y = np.concatenate([run.x for run in self.data.trajectories])
         shown = np.concatenate(self.shown)
         names = []
         for number, name in enumerate(self.model.states):
-            is_measured = np.isfinite(y[:, number])
-            if name in self.data.measured and is_flat(
-                y[is_measured, number], shown[is_measured, number], self.sigma[number]
-            ):
+            y = self._y[:, number]
+            seen = shown[np.isfinite(y), number]
+            is_measured = name in self.data.measured
+            if is_measured and is_flat(_known(y), seen, self.sigma[number]):
                 names.append(name)
         return tuple(names)
 
@@ -193,10 +200,8 @@ class Comparison(Summarised):
         is_measured = [name in self.data.measured for name in self.model.states]
         if sum(is_measured) == 1:
             return np.where(is_measured, 1.0, 0.0)
-        y = np.concatenate([run.x for run in self.data.trajectories])
         spread = np.full(len(is_measured), np.inf)
-        for number in np.flatnonzero(is_measured):
-            spread[number] = np.nanstd(y[:, number])
+        spread[is_measured] = np.nanstd(self._y[:, is_measured], axis=0)
         return 1 / np.where(spread > 0, spread, 1.0)
 
     @cached_property
@@ -205,12 +210,8 @@ class Comparison(Summarised):
 
         In the order of time, trajectory after trajectory.
         """
-        weights = self.weights
-        parts = []
-        for residual, run in zip(self.residuals, self.data.trajectories, strict=True):
-            squared = (residual * weights) ** 2
-            parts.append(squared[np.isfinite(run.x)])
-        return np.concatenate(parts)
+        squared = (np.concatenate(self.residuals) * self.weights) ** 2
+        return np.asarray(squared[np.isfinite(self._y)])
 
     @cached_property
     def misfit(self) -> float:
@@ -220,9 +221,7 @@ class Comparison(Summarised):
     @cached_property
     def deviance(self) -> float:
         """Of the free run, up to a constant (see ``profiled_deviance``)."""
-        measured = np.concatenate([run.x for run in self.data.trajectories])
-        n_values = np.isfinite(measured).sum(axis=0)
-        return profiled_deviance(self._squares_by_state, n_values)
+        return profiled_deviance(self._squares_by_state, self._n_values)
 
     @property
     def _squares_by_state(self) -> np.ndarray:
@@ -248,10 +247,8 @@ class Comparison(Summarised):
     @property
     def noise_floor(self) -> float:
         """What the estimated measurement noise alone leaves, on the scale of `rmse`."""
-        y = np.concatenate([run.x for run in self.data.trajectories])
-        n_values = np.isfinite(y).sum(axis=0)
-        squares = n_values * (self.sigma * self.weights) ** 2
-        return float(np.sqrt(np.sum(squares) / n_values.sum()))
+        squares = self._n_values * (self.sigma * self.weights) ** 2
+        return float(np.sqrt(np.sum(squares) / self._n_values.sum()))
 
     @cached_property
     def energy(self) -> "pd.DataFrame":
@@ -263,10 +260,12 @@ class Comparison(Summarised):
         rows = []
         for x, run in zip(self.simulated, self.data.trajectories, strict=True):
             model = self.model.with_values(self.values[run.name])
-            balance = energy_balance(model, x, run.t, run.u)
-            rows.append(
-                (run.name, balance.change, balance.supplied, balance.dissipated)
-            )
+            powers = function_of(model, "powers", _energy_and_powers)
+            mapped = powers.map("mapped", "serial", run.n_samples, [3], [])
+            values = mapped(x.T, run.u.T, run.t[None, :], model.theta)
+            energy, supplied, dissipated = np.array(values)
+            powers_over_time = np.trapezoid([supplied, dissipated], run.t)
+            rows.append((run.name, energy[-1] - energy[0], *powers_over_time.tolist()))
         columns = ["trajectory", "change", "supplied", "dissipated"]
         return printed_table(rows, columns=columns)
 
@@ -391,3 +390,45 @@ def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: Hold) -> np.n
 
 def _known(residual: np.ndarray) -> np.ndarray:
     return residual[np.isfinite(residual)]
+
+
+def _energy_and_powers(parts: Expressions) -> ca.SX:
+    """H, and dH/dt = F . grad H - grad H . R grad H in its two parts, (3,)."""
+    efforts = ca.vertcat(*parts.efforts)
+    supplied = ca.dot(ca.vertcat(*parts.force), efforts)
+    dissipated = ca.dot(ca.vertcat(*parts.loss), efforts**2)
+    return ca.vertcat(parts.energy, supplied, dissipated)
+
+
+# ---- a free run that hardly moves beside measurements that do ------------------------
+#
+# That is how a fit ends whose parameters began too far off: a motion that is out of
+# step with the measurements costs more than none, so that it dies out. Every criterion
+# of the solver is met there; what such a model lacks cannot be told.
+
+
+def is_flat(measured: np.ndarray, shown: np.ndarray, noise: float) -> bool:
+    """Whether what a run shows of a state hardly moves, and explains next to nothing.
+
+    Args:
+        measured: (n_values,) measured values of the state.
+        shown: (n_values,) what the run shows at the same times.
+        noise: standard deviation of the measurement noise.
+    """
+    spread = float(np.std(measured))
+    moves = noise < FLAT_NOISE * spread
+    rmse = float(np.sqrt(np.mean((measured - shown) ** 2)))
+    explains = rmse < (1 - FLAT_FIT_PERCENT / 100) * spread
+    return moves and not explains and float(np.std(shown)) < FLAT_SPREAD * spread
+
+
+def flat_sentence(states: Sequence[str]) -> str:
+    """What to do where the free run of ``states`` is flat; empty without any."""
+    if not states:
+        return ""
+    return (
+        f"The free run of {' and '.join(states)} is flat: it hardly moves and explains "
+        "next to nothing of what was measured. The parameters are probably those of a "
+        "wrong optimum, and what the model lacks cannot be told from it. Give the "
+        "parameters other values to start from."
+    )

@@ -6,7 +6,6 @@ single measurement is not in it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,11 +15,9 @@ from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model_error.linearization import linearized
 from phsi_opt.model_error.marginal_likelihood import reduced
-from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import output_slopes, output_slopes_in_theta
 
 # Values in a record up to which bands are worked out: beyond, they take longer than the
@@ -54,60 +51,7 @@ def prediction_bands(
     nodes = np.concatenate(simulated)
     if not np.all(np.isfinite(nodes)) or not grid.measured.any():
         return None
-    run = _linearized(record, nodes, values)
-    scale = run.point.theta_scale
-    information = run.reduced.information
-    entries = run.unknown.entries
-    own_names = record.estimated_here(record.model)
-    is_own = np.array([entry.name in own_names for entry in entries], dtype=bool)
-    covariance = _parameter_covariance(fit, run.unknown, is_own, scale, information)
-    response = _response_of_sensors(record, nodes, run)
-    by_theta = response.by_theta
-    from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
-    from_starts = np.einsum("aii->ai", response.left_open)
-    # What is not independent tells as little about starting states as about parameters.
-    share = fit.independent_share(fit.names)
-    from_starts = from_starts / (share if np.isfinite(share) else 1.0)
-    variance = from_parameters + from_starts
-    return grid.split(np.sqrt(np.maximum(variance, 0.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class _LinearizedRun:
-    """The likelihood of a record, linearised along a free run.
-
-    Attributes:
-        unknown: the layout of the vector of parameters.
-        theta: their values, (n_theta,).
-        point: values and scales of all unknowns.
-        reduced: the system with its states eliminated.
-    """
-
-    unknown: Theta
-    theta: np.ndarray
-    point: Point
-    reduced: ReducedSystem
-
-
-@dataclass(frozen=True, eq=False)
-class _Response:
-    """What is shown when parameters move, and what is left open beside them.
-
-    Attributes:
-        by_theta: (n_nodes, n_states, n_theta), by scaled parameters.
-        left_open: (n_nodes, n_states, n_states), covariance for known parameters.
-    """
-
-    by_theta: np.ndarray
-    left_open: np.ndarray
-
-
-def _linearized(
-    record: Record, nodes: np.ndarray, values: Mapping[str, Mapping[str, float]]
-) -> _LinearizedRun:
-    """Along states (n_nodes, n_states)."""
     model = record.model
-    grid = record.grid
     unknown = Theta.of(model, record.trajectories)
     theta = np.zeros(len(unknown))
     theta[unknown.table] = parameter_matrix(model, values)
@@ -116,29 +60,30 @@ def _linearized(
     likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
     z = point.scaled
     linear = linearized(likelihood, z, likelihood.at(z))
-    return _LinearizedRun(unknown, theta, point, reduced(linear, record.sigma))
-
-
-def _response_of_sensors(
-    record: Record, nodes: np.ndarray, run: _LinearizedRun
-) -> _Response:
-    """At states (n_nodes, n_states)."""
-    model = record.model
-    grid = record.grid
-    point = run.point
+    system = reduced(linear, record.sigma)
+    # What states follow parameters, and what is left open beside these.
     starts = grid.first[:, None] * model.n_states + np.arange(model.n_states)
-    by_theta = run.reduced.following * point.x_scale[:, None]
-    left_open = run.reduced.start_covariances(starts, grid.trajectory)
+    by_theta = system.following * point.x_scale[:, None]
+    left_open = system.start_covariances(starts, grid.trajectory)
     left_open = left_open * np.outer(point.x_scale, point.x_scale)
-    if not model.sensor:
-        return _Response(by_theta, left_open)
-    of_runs = run.unknown.by_trajectory(run.theta)
-    by_state = output_slopes(model, grid, nodes, of_runs).in_states
-    direct = output_slopes_in_theta(run.unknown, grid, nodes, run.theta)
-    direct = direct * point.theta_scale
-    by_theta = by_state @ by_theta + direct
-    left_open = by_state @ left_open @ by_state.transpose(0, 2, 1)
-    return _Response(by_theta, left_open)
+    if model.sensor:
+        of_runs = unknown.by_trajectory(theta)
+        by_state = output_slopes(model, grid, nodes, of_runs).in_states
+        direct = output_slopes_in_theta(unknown, grid, nodes, theta)
+        by_theta = by_state @ by_theta + direct * point.theta_scale
+        left_open = by_state @ left_open @ by_state.transpose(0, 2, 1)
+    own_names = record.estimated_here(model)
+    is_own = np.array([one.name in own_names for one in unknown.entries], dtype=bool)
+    covariance = _parameter_covariance(
+        fit, unknown, is_own, point.theta_scale, system.information
+    )
+    from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
+    from_starts = np.einsum("aii->ai", left_open)
+    # What is not independent tells as little about starting states as about parameters.
+    share = fit.independent_share(fit.names)
+    from_starts = from_starts / (share if np.isfinite(share) else 1.0)
+    variance = from_parameters + from_starts
+    return grid.split(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _parameter_covariance(

@@ -131,7 +131,7 @@ def profile(
         SolveError: the fit could not be repeated, or a re-fit failed.
     """
     _check(fit, name, level)
-    line = _Line(fit, AlignedData.of(fit.model, data), name, progress or _silent)
+    line = _Line(fit, AlignedData.of(fit.model, data), name, progress)
     value = line.value
     freedom = fit.degrees_of_freedom[fit.names.index(name)]
     quantile = f_limit(1 - level, 1, freedom)
@@ -152,31 +152,32 @@ def profile(
     )
 
 
-def _silent(line: str) -> None:
-    pass
+def check_likelihood(fit: Fit, what: str) -> None:
+    """Refuse a fit without a likelihood of white noise and free parameters.
 
+    ``what`` is wanted of it, such as a profile.
 
-def _check(fit: Fit, name: str, level: float) -> None:
+    Raises:
+        ModelError: it is one.
+    """
     if fit.loss != "MaximumLikelihood":
         raise ModelError(
-            f"the fit is one by {fit.loss}, which has no likelihood; "
-            "fit with MaximumLikelihood()."
+            f"the fit is one by {fit.loss}, which has no likelihood, so no {what}; fit "
+            "with MaximumLikelihood()."
         )
     if fit.has_model_error:
         raise ModelError(
-            "the fit was made with model_error=True, which has no profile here; use "
-            "fit.intervals(), or the profile of a fit with MaximumLikelihood()."
+            f"the fit was made with model_error=True, which has no {what} here; use "
+            f"fit.intervals(), or the {what} of a fit with MaximumLikelihood()."
         )
     if not fit.names:
         raise ModelError(
-            f"parameter {name!r} has no profile: the fit has no free parameter, all "
-            "values were given."
+            f"the fit has no free parameter, all values were given: there is no {what}."
         )
-    if fit.has_model_error:
-        raise ModelError(
-            "the fit has a model error in its likelihood, whose profile is not known; "
-            "take fit.intervals(), or the profile of a fit by MaximumLikelihood()."
-        )
+
+
+def _check(fit: Fit, name: str, level: float) -> None:
+    check_likelihood(fit, "profile")
     if name not in fit.model.free or name not in fit.names:
         raise ModelError(
             f"parameter {name!r} is not a free, shared one of the fit."
@@ -195,7 +196,11 @@ class _Line:
     """The profile as a function of the parameter, with the points worked out so far."""
 
     def __init__(
-        self, fit: Fit, aligned: AlignedData, name: str, say: Callable[[str], None]
+        self,
+        fit: Fit,
+        aligned: AlignedData,
+        name: str,
+        say: Callable[[str], None] | None,
     ) -> None:
         self.aligned = aligned
         self.name = name
@@ -247,7 +252,8 @@ class _Line:
         rise = max(state.chi_square - self.lowest, 0.0)
         self.states[held] = state
         self.points[held] = rise
-        self.say(f"{self.name} = {held:.6g}: -2 log likelihood rises by {rise:.3g}")
+        if self.say:
+            self.say(f"{self.name} = {held:.6g}: -2 log likelihood rises by {rise:.3g}")
         return rise
 
     def end(self, bound: float, half: float, threshold: float) -> float:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from math import isfinite
 
 from phsi_opt.criteria import MOST_FAMILIES
-from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.laws import HYSTERESIS
 
 LOSS = "a loss of energy whose law the data do not tell"
 LOSS_SOMEWHERE = "a loss of energy whose place and law the data do not tell"

@@ -204,7 +204,7 @@ class Diagnosis(Summarised):
 
         A row per equation (see `ForceAnalysis.energy`).
         """
-        return self.analysis.energy.table
+        return self.analysis.energy
 
     @property
     def sentences(self) -> list[str]:

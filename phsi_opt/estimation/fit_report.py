@@ -4,13 +4,13 @@ Exact equations, without errors and in one line each, are `Identified.equations`
 """
 
 import re
+from functools import partial
 
 import numpy as np
 
 from phsi_opt.criteria import DIFFERENT_STD_ERRORS
 from phsi_opt.estimation.fit_record import FitRecord
-from phsi_opt.model.equation_text import dictionary_at, structure_rows
-from phsi_opt.model.slots import place_of
+from phsi_opt.model.equation_text import dictionary_rows, structure_rows
 from phsi_opt.model.terms import Term
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.presentation.numbers import estimate_text
@@ -54,7 +54,11 @@ def _title(fit: FitRecord) -> str:
 
 def equation_lines(fit: FitRecord) -> list[str]:
     """Structure, terms with their estimates, and fixed parameters; a line each."""
-    rows = [*structure_rows(fit.model), *_dictionaries(fit), *_fixed(fit)]
+    rows = [
+        *structure_rows(fit.model),
+        *dictionary_rows(fit.model, partial(_term, fit)),
+        *_fixed(fit),
+    ]
     return [LONG_NUMBER.sub(_few_digits, row) for row in rows]
 
 
@@ -119,18 +123,7 @@ def _difference(fit: FitRecord, source: Source) -> str:
     return f"; {source} alone would give {least:.2g} to {most:.2g} times as much"
 
 
-def _dictionaries(fit: FitRecord) -> list[str]:
-    """Every dictionary of the model that has terms, with the estimates in it."""
-    places = dict.fromkeys((slot, equation) for slot, equation, _ in fit.model.placed())
-    rows = []
-    for slot, equation in places:
-        place = place_of(slot, equation)
-        terms = [_term(fit, t, place) for t in dictionary_at(fit.model, slot, equation)]
-        rows.append(f"{place} = {' + '.join(terms)}")
-    return rows
-
-
-def _term(fit: FitRecord, term: Term, place: str) -> str:
+def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
     """The term with every parameter replaced by its estimate in brackets."""
 
     def estimate_of(match: re.Match[str]) -> str:

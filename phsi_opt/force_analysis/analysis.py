@@ -11,26 +11,11 @@ from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.wording import sentence
+from phsi_opt.force_analysis.words import sentence
 from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-@dataclass(frozen=True, eq=False)
-class EnergyExchange:
-    """What missing forces do with energy.
-
-    Attributes:
-        table: a row per equation: equation, mean_power (force times effort, averaged
-            over the time; negative: taken out), parameters, constant, dissipated,
-            conserved, inputs, time and unexplained. These shares are parts of the
-            force's mean square on stretches of time left out, each what its cause adds
-            to the stronger ones; they sum to one.
-    """
-
-    table: "pd.DataFrame"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +83,20 @@ class ForceAnalysis:
         return pd.concat(tables, ignore_index=True)
 
     @cached_property
-    def energy(self) -> EnergyExchange:
-        """Whether the forces dissipate, store or supply energy."""
+    def energy(self) -> "pd.DataFrame":
+        """Whether the forces dissipate, store or supply energy.
+
+        A row per equation: equation, mean_power (force times effort, averaged over the
+        time; negative: taken out), parameters, constant, dissipated, conserved, inputs,
+        time and unexplained. These shares are parts of the force's mean square on
+        stretches of time left out, each what its cause adds to the stronger ones; they
+        sum to one.
+        """
         rows = []
         for force in self.forces:
             known = {"equation": force.equation, "mean_power": force.mean_power}
             rows.append({**known, **force.causes.shares})
-        return EnergyExchange(printed_table(rows))
+        return printed_table(rows)
 
     @cached_property
     def sentences(self) -> list[str]:

@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOSTLY_CONSTANT
 from phsi_opt.force_analysis.causes import Causes, causes_of
-from phsi_opt.force_analysis.dependence import CONSTANT, NO_VARIABLES, dependence
+from phsi_opt.force_analysis.dependence import (
+    CONSTANT,
+    NO_VARIABLES,
+    dependence,
+    leading,
+)
 from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.localization import (
     Region,
@@ -39,7 +44,7 @@ class EquationForce(Force):
             "equation": self.equation,
             "trajectory": trajectory,
             "time_window": times,
-            "state_region": region_words(self.region, {}) or EVERYWHERE,
+            "state_region": region_words(self.region) or EVERYWHERE,
             "frequency": self.pace.frequency,
             "strength": rms(self.w),
             "times_noise": self.record.estimate.posterior.times_noise[self.number],
@@ -114,6 +119,23 @@ class EquationForce(Force):
         listed = self.follows["variable"]
         single = ~listed.str.contains(",") & ~listed.isin(NO_VARIABLES)
         return str(listed[single].iloc[0])
+
+    @property
+    def map_variables(self) -> list[str]:
+        """Variables of a map: position and velocity of a momentum, or the best states.
+
+        There may be only one state. Another pair of states takes their place where the
+        force follows only that pair.
+        """
+        states = self.record.model.states
+        usual = [name for name in self.follows["variable"] if name in states][:2]
+        if self.position:
+            usual = [self.position, f"dH_d{self.equation}"]
+        best = leading(self.follows, self.equation)
+        if best is None or "," not in best["variable"] or best["share"] < CLEAR_PATTERN:
+            return usual
+        pair: list[str] = best["variable"].split(", ")
+        return usual if {self.equation, usual[0]} <= set(pair) else pair
 
     @property
     def scale(self) -> RateScale:

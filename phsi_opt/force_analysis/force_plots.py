@@ -23,7 +23,7 @@ from phsi_opt.force_analysis.state_plots import (
     draw_title,
 )
 from phsi_opt.force_analysis.units import frequency_unit
-from phsi_opt.force_analysis.wording import sentence
+from phsi_opt.force_analysis.words import sentence
 from phsi_opt.presentation.axes import MEASURED, MODEL
 from phsi_opt.presentation.pictures import plot_missing_force
 from phsi_opt.statistics import TINY

@@ -20,6 +20,7 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
+from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.statistics import TINY
 
 # Distance to a bound, as a change of the rates beside these, up to which a parameter
@@ -55,18 +56,13 @@ class Points:
 
     def values(self, function: ca.Function) -> np.ndarray:
         """Of a function of states, inputs, time and parameters, (n, n_out)."""
-        mapped = function.map(len(self.t))
-        columns = mapped(self.x.T, self.u.T, self.t[None, :], self.theta)
-        return np.array(columns).T
+        arguments = (self.x.T, self.u.T, self.t[None, :], self.theta)
+        return np.vstack(ColumnFunction(function)(*arguments)).T
 
     def slopes(self, model: Model) -> np.ndarray:
         """Of dx/dt in the free parameters, (n, n_states, n_free)."""
-        rhs = model.rhs()
-        arguments = [ca.SX.sym("s", rhs.size1_in(i)) for i in range(4)]
-        jacobian = ca.densify(ca.jacobian(rhs(*arguments), arguments[-1]))
-        # Row by row, so that reshaping gives back states and parameters.
-        columns = ca.Function("slopes", arguments, [ca.vec(jacobian.T)])
-        return self.values(columns).reshape(len(self.t), model.n_states, -1)
+        columns = self.values(model.rhs_slopes("theta"))[:, model.n_states :]
+        return columns.reshape(len(self.t), model.n_states, -1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,6 @@ import numpy as np
 from phsi_opt.criteria import MOST_STRONG_RANGES, OUTSTANDING_FORCE, VISITED_BIN
 from phsi_opt.force_analysis.cross_validation import part_of_run
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
@@ -126,10 +125,9 @@ def strong_region(force: Force, names: Sequence[str]) -> Region:
     return region
 
 
-def region_words(region: Region, units: Mapping[str, str]) -> str:
-    """A region in words: 'q -1 to -0.6 or 0.7 to 1 m, p 2 to 3'."""
+def region_words(region: Region) -> str:
+    """A region in a table: 'q -1 to -0.6 or 0.7 to 1, p 2 to 3'."""
     told = []
     for name, ranges in region.items():
-        values = " or ".join(map(str, ranges))
-        told.append(f"{name} {values}{spaced(units.get(name, ''))}")
+        told.append(f"{name} {' or '.join(map(str, ranges))}")
     return ", ".join(told)

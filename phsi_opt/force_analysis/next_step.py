@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.cause_words import inputs_words
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.words import inputs_words
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
 from phsi_opt.model.structure import exchange_partners, kind_of, with_kinds_of_units
 from phsi_opt.presentation.content import Answer

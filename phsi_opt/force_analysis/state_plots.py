@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phsi_opt.criteria import CLEAR_PATTERN
-from phsi_opt.force_analysis.dependence import TIME_NAME, leading, without_parameters
+from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import region_words, strong_region
 from phsi_opt.force_analysis.waves import period_of
+from phsi_opt.force_analysis.words import dependence_title, map_title
 from phsi_opt.presentation.axes import BASELINE, MODEL
 
 if TYPE_CHECKING:
@@ -50,17 +50,14 @@ class Bins:
     @classmethod
     def of(cls, z: np.ndarray, w: np.ndarray) -> "Bins":
         """Bins of even width over a variable z (n,), of a force w (n,)."""
-        edges = np.linspace(z.min(), z.max(), N_SHOWN_BINS + 1)
-        below = np.searchsorted(edges, z, "right") - 1
-        part = np.clip(below, 0, N_SHOWN_BINS - 1)
-        count = np.bincount(part, minlength=N_SHOWN_BINS)
-        at_least_one = np.maximum(count, 1)
-        mean = np.bincount(part, w, N_SHOWN_BINS) / at_least_one
-        squares = np.bincount(part, (w - mean[part]) ** 2, N_SHOWN_BINS)
-        std = np.sqrt(squares / at_least_one)
-        centre = (edges[:-1] + edges[1:]) / 2
+        from scipy.stats import binned_statistic  # slow to load
+
+        statistics = ("count", "mean", "std")
+        found = [binned_statistic(z, w, one, N_SHOWN_BINS) for one in statistics]
+        edges = found[0].bin_edges
+        count, mean, std = (one.statistic for one in found)
         shown = count >= FEWEST_IN_BIN
-        return cls(centre[shown], mean[shown], std[shown])
+        return cls(((edges[:-1] + edges[1:]) / 2)[shown], mean[shown], std[shown])
 
 
 # ---- over the states
@@ -73,7 +70,7 @@ def draw_map(ax: "Axes", force: EquationForce) -> None:
     blank. Where only one state predicts the force, or there is only one, the force is
     drawn over that.
     """
-    names = map_variables(force)
+    names = force.map_variables
     if len(names) < 2:
         z = force.record.variable(names[0])
         draw_beside(ax, Dependence(z, force.w, force.variable_label(names[0])))
@@ -81,24 +78,6 @@ def draw_map(ax: "Axes", force: EquationForce) -> None:
     else:
         _draw_cells(ax, force, names)
     draw_title(ax, map_title(force, names))
-
-
-def map_variables(force: EquationForce) -> Sequence[str]:
-    """Variables of a map: position and velocity of a momentum, else the best states.
-
-    There may be only one state. Another pair of states takes their place where the
-    force follows only that pair.
-    """
-    model = force.record.model
-    listed = force.follows["variable"]
-    usual = [name for name in listed if name in model.states][:2]
-    if force.position:
-        usual = [force.position, f"dH_d{force.equation}"]
-    best = leading(force.follows, force.equation)
-    if best is None or "," not in best["variable"] or best["share"] < CLEAR_PATTERN:
-        return usual
-    pair = best["variable"].split(", ")
-    return usual if {force.equation, usual[0]} <= set(pair) else pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +99,11 @@ class ForceMap:
         """The map over the first two of the names."""
         a = force.record.variable(names[0])
         b = force.record.variable(names[1])
-        count, edges_a, edges_b = np.histogram2d(a, b, N_CELLS)
-        total, _, _ = np.histogram2d(a, b, (edges_a, edges_b), weights=force.w)
-        mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
-        return cls(edges_a, edges_b, mean)
+        from scipy.stats import binned_statistic_2d
+
+        found = binned_statistic_2d(a, b, force.w, "mean", N_CELLS)
+        mean = np.ma.masked_invalid(found.statistic)
+        return cls(found.x_edge, found.y_edge, mean)
 
 
 def _draw_cells(ax: "Axes", force: EquationForce, names: Sequence[str]) -> None:
@@ -141,23 +121,6 @@ def _draw_cells(ax: "Axes", force: EquationForce, names: Sequence[str]) -> None:
     ax.figure.colorbar(mesh, ax=ax, label=force.force_label("mean missing force"))
     ax.set_xlabel(force.variable_label(names[0]))
     ax.set_ylabel(force.variable_label(names[1]))
-
-
-def map_title(force: EquationForce, names: Sequence[str]) -> str:
-    """Where over the variables the force is strong, in a sentence."""
-    begin = f"d{force.equation}/dt:"
-    if force.is_uncertain:
-        return f"{begin} no missing force is sure"
-    region = {}
-    units = {}
-    for name, ranges in strong_region(force, names).items():
-        called = f"velocity {name}" if force.position_of(name) else name
-        region[called] = ranges
-        units[called] = force.unit_of(name)
-    if not region:
-        return f"{begin} the missing force acts all over the visited states"
-    told = region_words(region, units)
-    return f"{begin} the missing force is strong where {told}"
 
 
 # ---- against what it follows
@@ -223,21 +186,3 @@ def draw_beside(ax: "Axes", found: Dependence) -> None:
     ax.set_xlabel(found.label)
     ax.margins(y=0.25)
     ax.legend(loc="upper center", frameon=False, ncols=3, columnspacing=1.0)
-
-
-def dependence_title(force: EquationForce, variable: str) -> str:
-    """Whether the force follows the variable, in a sentence."""
-    equation = f"d{force.equation}/dt"
-    if force.is_uncertain:
-        return f"{equation}: no missing force is sure"
-    share = max(force.share_of(variable), 0.0)
-    if share >= CLEAR_PATTERN:
-        predicted = f"which predicts {100 * share:.0f} % of it"
-        return f"The force in {equation} follows {variable}, {predicted}"
-    if force.is_constant:
-        begin = f"The force in {equation} is constant; what varies hardly follows"
-        return f"{begin} {variable}"
-    return (
-        f"The force in {equation} follows no single variable clearly: the best, "
-        f"{variable}, predicts {100 * share:.0f} % of it"
-    )

@@ -20,9 +20,6 @@ from phsi_opt.statistics import TINY, local_maxima
 
 # Intervals (drawn at random where there are more) on which a frequency is refined.
 MOST_REFINED = 3000
-# Determinant of sine and cosine over the product of their squares: smaller ones are one
-# function, to rounding.
-LEAST_DETERMINANT = 1e-9
 N_TRIED = 21  # frequencies that are tried about a good one
 N_TIME_KNOTS = 6  # of piecewise linear functions of the time
 N_PEAKS = 3  # peaks of the spectrum, about which the frequency is sought
@@ -48,19 +45,9 @@ def explained_by_wave(
     z: np.ndarray, y: np.ndarray, frequencies: np.ndarray
 ) -> np.ndarray:
     """Fall of the sum of squares of y (n,) by a wave of each frequency along z (n,)."""
-    phase = 2 * np.pi * np.outer(frequencies, z)
-    sine = np.sin(phase)
-    cosine = np.cos(phase)
-    ss = np.sum(sine * sine, axis=1)
-    cc = np.sum(cosine * cosine, axis=1)
-    sc = np.sum(sine * cosine, axis=1)
-    sy = sine @ y
-    cy = cosine @ y
-    least = LEAST_DETERMINANT * ss * cc + TINY
-    determinant = np.maximum(ss * cc - sc**2, least)
-    both = 2 * sy * cy * sc
-    fall = sy**2 * cc - both + cy**2 * ss
-    return np.asarray(fall / determinant)
+    from scipy.signal import lombscargle  # slow to load
+
+    return np.atleast_1d(2 * lombscargle(z, y, 2 * np.pi * frequencies))
 
 
 def _refined(

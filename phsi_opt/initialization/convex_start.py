@@ -116,21 +116,6 @@ def _with_linear(
 
 
 @dataclass(frozen=True, eq=False)
-class _LeastSquares:
-    """|A z - b|^2, the loss over scaled coefficients z.
-
-    Attributes:
-        A: (n_rows, n_coefficients), columns of norm one.
-        b: (n_rows,).
-        scale: (n_coefficients,) coefficients over z.
-    """
-
-    A: np.ndarray
-    b: np.ndarray
-    scale: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class _ConvexStart:
     """The loss over groups of coefficients in which it is convex, one after another."""
 
@@ -151,30 +136,29 @@ class _ConvexStart:
         return theta
 
     def _solved(self, theta: np.ndarray, group: list[int]) -> np.ndarray:
-        """Theta with the coefficients ``group`` at their optimum, others fixed."""
-        problem = self._least_squares(theta, group)
-        entries = [self.model.entries[self.model.free[i]] for i in group]
-        z = _optimum(problem, entries, self._l1_weights(entries))
-        result = theta.copy()
-        if z is not None and np.all(np.isfinite(z)):
-            lower = np.array([e.parameter.lower for e in entries])
-            upper = np.array([e.parameter.upper for e in entries])
-            result[group] = np.clip(z * problem.scale, lower, upper)
-        return result
+        """Theta with the coefficients ``group`` at their optimum, others fixed.
 
-    def _least_squares(self, theta: np.ndarray, group: list[int]) -> _LeastSquares:
-        """The squared defects, linearised; exact where they are linear in the group."""
+        The squared defects are linearised, which is exact where they are linear in the
+        group.
+        """
         grid = self.grid
+        entries = [self.model.entries[self.model.free[i]] for i in group]
         known = self._defects.at(theta)
         jacobian = known.slopes[:, group]
         d = known.d.ravel()
         is_usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
-        jacobian = jacobian[is_usable]
         weight = np.sqrt(1 / (mean_square_rate(grid) * grid.n_intervals))
-        norms = np.linalg.norm(weight * jacobian, axis=0)
-        scale = 1 / np.maximum(norms, LEAST_NORM)
-        b = weight * (jacobian @ theta[group] - d[is_usable])
-        return _LeastSquares(weight * jacobian * scale, b, scale)
+        A = weight * jacobian[is_usable]
+        b = A @ theta[group] - weight * d[is_usable]
+        scale = 1 / np.maximum(np.linalg.norm(A, axis=0), LEAST_NORM)
+        lower = np.array([e.parameter.lower for e in entries])
+        upper = np.array([e.parameter.upper for e in entries])
+        bounds = (lower / scale, upper / scale)
+        z = _optimum(A * scale, b, bounds, self._l1_weights(entries) * scale)
+        result = theta.copy()
+        if z is not None and np.all(np.isfinite(z)):
+            result[group] = np.clip(z * scale, lower, upper)
+        return result
 
     def _l1_weights(self, entries: Sequence[Entry]) -> np.ndarray:
         """Weight of each coefficient's size in the loss."""
@@ -185,31 +169,26 @@ class _ConvexStart:
 
 
 def _optimum(
-    problem: _LeastSquares, entries: Sequence[Entry], l1: np.ndarray
+    A: np.ndarray, b: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], l1: np.ndarray
 ) -> np.ndarray | None:
-    """Scaled coefficients of least loss within their bounds; None: not found.
+    """Coefficients z of least |A z - b|^2 + l1 |z| within bounds; None: not found.
 
     Where the loss does not change along a direction, the smallest ones.
     """
-    n = len(entries)
-    q, r = np.linalg.qr(np.vstack([problem.A, INVISIBLE * np.eye(n)]))
-    right = q.T @ np.append(problem.b, np.zeros(n))
+    n = A.shape[1]
+    lower, upper = bounds
+    q, r = np.linalg.qr(np.vstack([A, INVISIBLE * np.eye(n)]))
+    right = q.T @ np.append(b, np.zeros(n))
     if not np.any(l1):
-        lower = np.array([e.parameter.lower for e in entries]) / problem.scale
-        upper = np.array([e.parameter.upper for e in entries]) / problem.scale
         return bounded_least_squares(r, right, lower, upper)
     import cvxpy as cp  # takes longer to load than most fits to solve
 
-    z = cp.Variable(len(entries))
+    z = cp.Variable(n)
     misfit = cp.sum_squares(r @ z - right)
-    penalty = cp.sum(cp.multiply(l1 * problem.scale, cp.abs(z)))
-    constraints = []
-    for i, entry in enumerate(entries):
-        if np.isfinite(entry.parameter.lower):
-            constraints.append(z[i] >= entry.parameter.lower / problem.scale[i])
-    for i, entry in enumerate(entries):
-        if np.isfinite(entry.parameter.upper):
-            constraints.append(z[i] <= entry.parameter.upper / problem.scale[i])
+    penalty = cp.sum(cp.multiply(l1, cp.abs(z)))
+    below = np.isfinite(lower)
+    above = np.isfinite(upper)
+    constraints = [z[below] >= lower[below], z[above] <= upper[above]]
     program = cp.Problem(cp.Minimize(misfit + penalty), constraints)
     with warnings.catch_warnings():  # a start need not be accurate to the last digit
         warnings.simplefilter("ignore", UserWarning)

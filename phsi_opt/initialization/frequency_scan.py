@@ -6,12 +6,12 @@ frequencies at which the defects fall most are starting values.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
+from phsi_opt.initialization.relative_guesses import values_at
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan
@@ -47,21 +47,18 @@ class FrequencyScan:
 
 def frequency_scans(model: Model) -> list[FrequencyScan]:
     """The frequencies of a model that are to be scanned, without a value yet."""
-    variables: dict[str, str] = {}
-    amplitudes: dict[str, list[str]] = {}
+    found: dict[str, FrequencyScan] = {}
     for slot, equation, term in model.placed():
-        if term.coefficient is None:
-            continue
         place = place_of(slot, equation)
         for inner, parameter in term.inner.items():
-            if isinstance(parameter.guess, Scan) and parameter.value is None:
+            guess = parameter.guess
+            is_open = parameter.value is None and not term.is_formula
+            if isinstance(guess, Scan) and is_open:
                 name = term.inner_name(inner, place)
-                variables.setdefault(name, parameter.guess.variable)
-                amplitudes.setdefault(name, []).append(term.coefficient_name(place))
-    return [
-        FrequencyScan(name, variable, tuple(amplitudes[name]))
-        for name, variable in variables.items()
-    ]
+                scan = found.get(name, FrequencyScan(name, guess.variable, ()))
+                amplitudes = (*scan.amplitudes, term.coefficient_name(place))
+                found[name] = replace(scan, amplitudes=amplitudes)
+    return list(found.values())
 
 
 def frequency_grid(grid: Grid, variable: np.ndarray) -> np.ndarray:
@@ -165,10 +162,7 @@ class _Remainder:
 
     @classmethod
     def of(cls, d: np.ndarray, columns: np.ndarray) -> "_Remainder":
-        if not columns.shape[1]:
-            basis = np.zeros((len(d), 0))
-        else:
-            basis = np.linalg.qr(columns)[0]
+        basis = np.linalg.qr(columns)[0]
         return cls(d - basis @ (basis.T @ d), basis)
 
     def explained_by(self, columns: np.ndarray) -> float:
@@ -200,7 +194,7 @@ def _best_frequencies(
         remainders.append(_Remainder.of(known.d.ravel(), known.slopes))
     waves = KnownDefects(model, grid, STARTING_SCHEME, only=amplitudes)
     start = _without_others(model, theta, [])
-    tried = frequency_grid(grid, _values_at_nodes(model, grid, scan.variable, start))
+    tried = frequency_grid(grid, values_at(model, grid, grid.y, scan.variable, start))
     explained = np.zeros((len(besides), len(tried)))
     for k, omega in enumerate(tried):
         columns = waves.at(with_entry(start, frequency, omega)).slopes
@@ -222,13 +216,3 @@ def _without_others(
         if model.entries[name].prunable and i not in others:
             start[i] = 0.0
     return start
-
-
-def _values_at_nodes(
-    model: Model, grid: Grid, expression: str, theta: np.ndarray
-) -> Any:
-    """Values of a formula at the nodes, (n_nodes,), at the known states."""
-    mapped = model.function(expression).map(grid.n_nodes)
-    repeated = ca.repmat(theta, 1, grid.n_nodes)
-    values = mapped(grid.y.T, grid.u.T, grid.t[None, :], repeated)
-    return np.array(values).ravel()

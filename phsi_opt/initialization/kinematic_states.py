@@ -9,14 +9,13 @@ differences.
 from dataclasses import dataclass
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.initialization.scaling import interpolated, invert_sensors
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols, at_nodes
+from phsi_opt.transcription.interval_map import at_nodes
 
 KINEMATIC_STEPS = 3  # of Newton's method; one is exact where the rates are linear
 # Share of the largest curvature of the rates' squares below which they leave a
@@ -98,8 +97,7 @@ def _rates_and_slopes(
     model: Model, grid: Grid, x: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (n_nodes, n_states), and slopes (n_nodes, n_states, n_states) in states."""
-    together = model.built("rates and slopes", lambda: _with_slopes(model.rhs()))
-    values, entries = at_nodes(together, grid, x.T, model.theta)
+    values, entries = at_nodes(model.rhs_slopes("x"), grid, x.T, model.theta)
     n = model.n_states
     return values.T, entries.T.reshape(grid.n_nodes, n, n)
 
@@ -142,11 +140,3 @@ def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     if right.shape[1] == 1:
         return right / matrices[:, :, 0]
     return np.asarray(np.linalg.solve(matrices, right[:, :, None])[:, :, 0])
-
-
-def _with_slopes(rhs: ca.Function) -> ca.Function:
-    """(x, u, t, theta) -> rates, and their slopes in the states row by row."""
-    arguments = argument_symbols(rhs)
-    rates = rhs(*arguments)
-    slopes = ca.densify(ca.jacobian(rates, arguments[0]).T)
-    return ca.Function("rates", arguments, [rates, ca.vec(slopes)])

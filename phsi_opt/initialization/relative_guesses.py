@@ -9,10 +9,11 @@ import numpy as np
 
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
-from phsi_opt.model.parameters import Parameter, Share, Tried
+from phsi_opt.model.parameters import Share, Tried
 from phsi_opt.model.slots import place_of
 from phsi_opt.transcription.augmented_states import padded
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.interval_map import at_nodes
 
 # Factor on bounds that follow from efforts, whose scale depends on parameters.
 ROOM = 3.0
@@ -47,37 +48,20 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
     """
     for slot, equation, term in model.placed():
         for inner, parameter in term.inner.items():
+            guess = parameter.guess
             name = term.inner_name(inner, place_of(slot, equation))
-            if isinstance(parameter.guess, Share):
-                model = _with_share(model, grid, x, name, parameter)
-            elif isinstance(parameter.guess, Tried):
-                model = _with_middle_value(model, grid, x, name, parameter)
+            value = parameter.value
+            if isinstance(guess, Share) and value is None:
+                size = root_mean_square(model, grid, x, guess.of)
+                model = model.with_values({name: guess.share * size})
+            is_open = value is None or not parameter.fixed
+            if isinstance(guess, Tried) and is_open:
+                size = _largest(model, grid, x, guess.of)
+                upper = max(_upper_bound(model, grid, guess, size), parameter.lower)
+                middle = size * guess.shares[len(guess.shares) // 2]
+                start = middle if value is None else value
+                model = model.with_upper({name: upper}).with_values({name: start})
     return model
-
-
-def _with_share(
-    model: Model, grid: Grid, x: np.ndarray, name: str, parameter: Parameter
-) -> Model:
-    guess = parameter.guess
-    if parameter.value is not None or not isinstance(guess, Share):
-        return model
-    size = root_mean_square(model, grid, x, guess.of)
-    return model.with_values({name: guess.share * size})
-
-
-def _with_middle_value(
-    model: Model, grid: Grid, x: np.ndarray, name: str, parameter: Parameter
-) -> Model:
-    guess = parameter.guess
-    is_known = parameter.fixed and parameter.value is not None
-    if is_known or not isinstance(guess, Tried):
-        return model
-    size = _largest(model, grid, x, guess.of)
-    upper = max(_upper_bound(model, grid, guess, size), parameter.lower)
-    value = parameter.value
-    if value is None:
-        value = size * guess.shares[len(guess.shares) // 2]
-    return model.with_upper({name: upper}).with_values({name: value})
 
 
 def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
@@ -162,9 +146,17 @@ def _finite_values(
     return values[np.isfinite(values)]
 
 
-def values_at(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
-    """Values of a formula at the nodes, (n_nodes,), at the model's present values."""
-    function = model.function(expression)
-    mapped = function.map("mapped", "serial", grid.n_nodes, [3], [])
-    values = mapped(padded(model, x).T, grid.u.T, grid.t[None, :], model.theta)
-    return np.array(values).ravel()
+def values_at(
+    model: Model,
+    grid: Grid,
+    x: np.ndarray,
+    expression: str,
+    theta: np.ndarray | None = None,
+) -> np.ndarray:
+    """Values of a formula at the nodes, (n_nodes,), at the model's present values.
+
+    Or at others of its free parameters, (n_free,).
+    """
+    theta = model.theta if theta is None else theta
+    (values,) = at_nodes(model.function(expression), grid, padded(model, x).T, theta)
+    return values.ravel()

@@ -14,10 +14,11 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import with_slopes
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
-from phsi_opt.transcription.interval_map import argument_symbols, mapped
+from phsi_opt.transcription.interval_map import mapped
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
@@ -226,26 +227,14 @@ def _state_slopes(
 
     Where a slope has no number (a corner as sharp as a step) it says nothing.
     """
-    jacobian = model.built("state slopes", lambda: _slopes_in_states(model.rhs()))
     # Away from the origin, where a higher-order term has no slope.
-    is_zero = np.all(x == 0, axis=0)
-    shifted = x + np.where(is_zero, 1.0, 0.0)
-    nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
-    at_nodes = mapped(jacobian, N_SLOPES, True)
-    columns = at_nodes(shifted[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
-    slopes = columns.full().T.reshape(N_SLOPES, model.n_states, model.n_states)
+    shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
+    slopes = _slopes_at(model.rhs_slopes("x"), grid, shifted, theta, N_SLOPES)
     with np.errstate(over="ignore"):
         squares = np.square(slopes)
     is_number = np.isfinite(squares)
     n_numbers = np.maximum(np.sum(is_number, axis=0), 1)
     return np.sqrt(np.sum(np.where(is_number, squares, 0.0), axis=0) / n_numbers)
-
-
-def _slopes_in_states(rhs: ca.Function) -> ca.Function:
-    """(x, u, t, theta) -> slopes of the rates in the states, row by row."""
-    arguments = argument_symbols(rhs)
-    slopes = ca.jacobian(rhs(*arguments), arguments[0])
-    return ca.Function("slopes", arguments, [ca.vec(ca.densify(slopes.T))])
 
 
 def _equation_strength(
@@ -269,9 +258,18 @@ def _sensor_strength(
 
     (n_free, n_states).
     """
-    jacobian = model.built("output jacobian", lambda: model.output().jacobian())
-    slopes = []
-    for node in np.linspace(0, grid.n_nodes - 1, N_SENSOR_SLOPES).astype(int):
-        at_node = jacobian(x[node], grid.u[node], grid.t[node], theta, 0)
-        slopes.append(np.array(at_node[3]))
+    made = model.built(
+        ("output", "slopes"), lambda: with_slopes(model.output(), "theta")
+    )
+    slopes = _slopes_at(made, grid, x, theta, N_SENSOR_SLOPES)
     return np.sqrt(np.mean(np.square(slopes), axis=0)).T
+
+
+def _slopes_at(
+    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray, n: int
+) -> np.ndarray:
+    """Slopes that a function has beside its values, at n nodes, (n, n_out, n_in)."""
+    nodes = np.linspace(0, grid.n_nodes - 1, n).astype(int)
+    arguments = (x[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
+    values, slopes = mapped(function, n, True)(*arguments)
+    return np.asarray(slopes.full().T.reshape(n, values.shape[0], -1))

@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 
 from phsi_opt.learning.force_samples import RANK_TOLERANCE, ForceSamples, Response
 from phsi_opt.model.backends import NUMPY
-from phsi_opt.model.catalogue_losses import FRICTION_TURNOVER
 from phsi_opt.model.expressions import evaluate
+from phsi_opt.model.laws import FRICTION_TURNOVER
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Term
 from phsi_opt.statistics import autocorrelation_time

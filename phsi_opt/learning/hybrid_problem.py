@@ -80,19 +80,15 @@ class HybridProblem:
 
         x0 = grid.y[grid.begin].T
         x1 = grid.y[grid.begin + 1].T
-        h = grid.h[None, :]
-        left = (x1 - x0) / h
+        found = self.rule.states(rates, x0, x1, grid.h[None, :])
         stages = []
-        found = self.rule.states(rates, x0, x1, h)
-        averaged = zip(found, self.rule.shares, self.rule.weights, strict=True)
-        for x, share, weight in averaged:
-            left = left - weight * rates(x, share)
+        for x, share in zip(found, self.rule.shares, strict=True):
             u, t = _inputs_and_times(self.grid, share)
             stages.append(np.column_stack([x.T, u, t]))
         data = TrainingSet(
             np.stack(stages, axis=1),
             np.array(self.rule.weights),
-            left.T[:, self.rows],
+            KnownDefects(forced, grid, self.scheme).at(forced.theta).d[:, self.rows],
             self.folds(),
         )
         return replace(data, target=data.target + data.mean(force))
@@ -151,10 +147,10 @@ class HybridProblem:
         """
         forced = self.forced(after)
         grid = self.with_force(new_force)
-        d = KnownDefects(forced, grid, self.scheme).at(forced.theta).d.T
+        d = KnownDefects(forced, grid, self.scheme).at(forced.theta).d
         size = max(rms(new_force), LEAST_SIZE)
         return {
-            "loss": float(np.mean(np.sum(d**2, axis=0))),
+            "loss": float(np.mean(np.sum(d**2, axis=1))),
             "coefficient_change": _coefficient_change(before, after),
             "force_change": rms(new_force - old_force) / size,
             "n_terms": len(after.free),

@@ -6,7 +6,7 @@ could be added to it, and ``model`` has the classes that a user writes. Every ch
 makes a new record.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -288,22 +288,12 @@ class BaseModel:
         Raises:
             ModelError: there is no such parameter.
         """
-
-        def fixed(name: str, parameter: Parameter) -> Parameter:
-            if name not in values:
-                return parameter
-            return replace(parameter, fixed=True, per_trajectory=False)
-
-        return self.with_values(values)._with_parameters(fixed)
+        valued = self.with_values(values)
+        return valued._with_settings(values, fixed=True, per_trajectory=False)
 
     def with_free(self, names: Iterable[str]) -> Self:
         """A new model with the named parameters unknown, from their present values."""
-        chosen = set(names)
-
-        def freed(name: str, parameter: Parameter) -> Parameter:
-            return replace(parameter, fixed=False) if name in chosen else parameter
-
-        return self._with_parameters(freed)
+        return self._with_settings(set(names), fixed=False)
 
     def with_upper(self, bounds: Mapping[str, float]) -> Self:
         """A new model with the named parameters no higher than the given bounds.
@@ -330,15 +320,19 @@ class BaseModel:
 
         Its sensors show the state itself, and every parameter is shared by all runs.
         """
-
         entries = self.entries.values()
         if not self.sensor and not any(e.parameter.per_trajectory for e in entries):
             return self
+        motion = replace(self, sensor={})
+        return motion._with_settings(motion.entries, per_trajectory=False)
 
-        def shared(name: str, parameter: Parameter) -> Parameter:
-            return replace(parameter, per_trajectory=False)
+    def _with_settings(self, names: Collection[str], **settings: Any) -> Self:
+        """A new model with the same settings for the named parameters."""
 
-        return replace(self, sensor={})._with_parameters(shared)
+        def changed(name: str, parameter: Parameter) -> Parameter:
+            return replace(parameter, **settings) if name in names else parameter
+
+        return self._with_parameters(changed)
 
     def _with_parameters(self, change: Callable[[str, Parameter], Parameter]) -> Self:
         """A new model with each parameter (by its name) changed."""

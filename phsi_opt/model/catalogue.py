@@ -1,33 +1,42 @@
 """The catalogue of physical effects: those that apply to a model, by name.
 
-An effect is a term in a slot of an equation; the files ``catalogue_losses``,
-``catalogue_energies``, ``catalogue_forces``, ``catalogue_actuators`` and
-``catalogue_sensors`` write them down, with the values that are tried before a Stribeck
-speed, a play or a delay is optimised. What a model can do already is left out.
+An effect is a term in a slot of an equation. The tables of ``laws`` write them down;
+here their names are filled in for each equation of a model. What a model can do already
+is left out.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.catalogue_actuators import actuators
-from phsi_opt.model.catalogue_energies import coupling, energies
-from phsi_opt.model.catalogue_forces import forces, hysteresis, parametric_stiffness
-from phsi_opt.model.catalogue_losses import (
-    heat_from,
-    losses,
-    overflow_into,
+from phsi_opt.model.effect import Effect, EffectList
+from phsi_opt.model.expressions import names_of
+from phsi_opt.model.kinds import (
+    KINDS,
+    LENGTHS,
+    RADIANS,
+    TEMPERATURES,
+    ZEROS,
+    plain_unit,
 )
-from phsi_opt.model.catalogue_sensors import sensors
-from phsi_opt.model.catalogue_storages import second_storages
-from phsi_opt.model.effect import Effect
-from phsi_opt.model.effect_list import EffectList
-from phsi_opt.model.kinds import KINDS, TEMPERATURES, plain_unit
+from phsi_opt.model.laws import (
+    ENERGIES,
+    FORCES,
+    HEAT_EXCHANGE,
+    INPUTS,
+    LASTING,
+    LOSSES,
+    OVERFLOW_INTO,
+    SENSORS,
+    Law,
+)
 from phsi_opt.model.redundancy import is_redundant
-from phsi_opt.model.roles import Role, role_of
+from phsi_opt.model.roles import WORDS, Role, role_of
+from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
+    effort_of,
     forced_rows,
     kind_of,
     position_of_momentum,
@@ -52,14 +61,15 @@ def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> Effec
     """
     units = units or {}
     known = with_kinds_of_units(model, units)
-    effects = [
-        *_in_equations(known, units),
-        *_between_storages(known),
-        *_from_surroundings(known, units),
-        *_between_positions(known),
-        *_in_sensors(known),
-    ]
-    return EffectList(effect for effect in effects if not is_redundant(known, effect))
+    offered = EffectList()
+    for laws, names in _places(known, units):
+        role = role_of(known, names["x"])
+        for law in laws:
+            is_of_role = not law.roles or role in law.roles
+            effect = law.effect(known, names) if is_of_role else None
+            if effect is not None and not is_redundant(known, effect):
+                offered.append(effect)
+    return offered
 
 
 def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
@@ -93,7 +103,7 @@ def effect_named(
 
     Args:
         model: the model to which it could be added.
-        name: such as ``"coulomb friction"``.
+        name: such as ``"coulomb friction"``, or ``"coulomb friction on p"``.
         equation: the state in whose equation it acts; not needed where the effect
             applies to one equation only.
         units: of the states, as in `catalogue`.
@@ -102,14 +112,14 @@ def effect_named(
         ModelError: no effect of that name applies there, or it applies to several
             equations and none is given.
     """
+    before, _, place = name.rpartition(" on ")
+    if equation is None and before and place in model.states:
+        name, equation = before, place
     if equation is not None:
         model.index(equation, f"equation of effect {name!r}:")
-    own = [e for e in catalogue(model, units) if equation in (None, e.equation)]
-    found = _called(name, own)
-    if not found:
-        every = every_name(model, units)
-        there = [e for e in every if equation in (None, e.equation)]
-        found = _called(name, there)
+    own = catalogue(model, units)
+    found = _called(name, equation, own)
+    found = found or _called(name, equation, every_name(model, units))
     if not found:
         raise ModelError(_not_in_catalogue(model, name, equation, own))
     if len(found) > 1 and equation is None:
@@ -121,21 +131,24 @@ def effect_named(
     return found[0]
 
 
-def _called(name: str, effects: list[Effect]) -> list[Effect]:
-    """Those of a name, in small letters or large ones."""
-    return [effect for effect in effects if effect.name.lower() == name.lower()]
+def _called(name: str, equation: str | None, effects: list[Effect]) -> list[Effect]:
+    """Those of a name, in small letters or large ones, in an equation or in any."""
+    there = [one for one in effects if equation in (None, one.equation)]
+    return [one for one in there if one.name.lower() == name.lower()]
 
 
 def _not_in_catalogue(
-    model: BaseModel, name: str, equation: str | None, there: list[Effect]
+    model: BaseModel, name: str, equation: str | None, own: list[Effect]
 ) -> str:
     place = "" if equation is None else f" on {equation}"
-    if _is_had(model, name, equation):
+    # Whether it would be offered if the model had neither losses nor forces.
+    bare = replace(model, F={}, R={} if model.has_energy else model.R)
+    if _called(name, equation, every_name(bare)):
         return (
             f"the model has {name!r}{place} already, or can do the same by its own "
             "terms; give another effect."
         )
-    names = sorted({effect.name for effect in there})
+    names = sorted({one.name for one in own if equation in (None, one.equation)})
     hint = did_you_mean(name, names)
     where = "this model" if equation is None else f"the equation of {equation}"
     return (
@@ -144,72 +157,91 @@ def _not_in_catalogue(
     )
 
 
-def _is_had(model: BaseModel, name: str, equation: str | None) -> bool:
-    """Whether it would be offered if the model had neither losses nor forces."""
-    bare = replace(model, R={}, F={}) if model.has_energy else replace(model, F={})
-    there = [e for e in every_name(bare) if equation in (None, e.equation)]
-    return bool(_called(name, there))
-
-
-def _in_equations(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
-    """Losses, forces, actuators and energies of each equation."""
-    positions = position_of_momentum(model)
-    effects = []
+def _places(
+    model: BaseModel, units: Mapping[str, str]
+) -> Iterator[tuple[tuple[Law, ...], dict[str, str]]]:
+    """Laws that may be offered, and their names, place by place."""
     for row in forced_rows(model):
-        state = model.states[row]
-        position = positions.get(state)
-        effects += losses(model, state, position, units.get(state, ""))
-        effects += forces(model, state)
-        effects += actuators(model, state)
-        effects += energies(model, state, position, units.get(position or "", ""))
-        effects += second_storages(model, state)
-        if position is not None:
-            effects.append(parametric_stiffness(model, position, state))
-            effects.append(hysteresis(model, position, state))
-    return effects
-
-
-def _between_storages(model: BaseModel) -> list[Effect]:
-    """What runs from one tank into another, and heat between two storages."""
-    tanks = permutations(storage_states(model), 2)
-    overflows = [overflow_into(model, state, source) for source, state in tanks]
-    heat = []
-    for source, state in permutations(model.states, 2):
-        if Role.HEAT == role_of(model, source) == role_of(model, state):
-            heat.append(heat_from(model, state, source))
-    return [*overflows, *heat]
-
-
-def _from_surroundings(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
-    """Heat from inputs that are, or may be, temperatures."""
-    found = []
-    for u in model.inputs:
-        unit = plain_unit(units.get(u, ""))
-        if unit and unit not in TEMPERATURES:
-            continue
-        for state in model.states:
-            if role_of(model, state) is Role.HEAT:
-                found.append(heat_from(model, state, u))
-    return found
-
-
-def _between_positions(model: BaseModel) -> list[Effect]:
-    """Springs between two positions of one kind.
-
-    None without an energy, where the masses of the two may be anything.
-    """
-    found: list[Effect] = []
-    if not model.has_energy:
-        return found
+        names = _names(model, model.states[row], units)
+        yield (*LOSSES, *FORCES), names
+        for u in model.inputs:
+            yield INPUTS, names | _names_of_input(model, u, names)
+        yield (*ENERGIES, *LASTING), names
+    for source, x in permutations(storage_states(model), 2):
+        yield (OVERFLOW_INTO,), _names_of_source(model, source, x)
+    for source, x in permutations(model.states, 2):
+        if role_of(model, source) is Role.HEAT:
+            yield (HEAT_EXCHANGE,), _names_of_source(model, source, x)
+    for source, x in product(model.inputs, model.states):
+        unit = plain_unit(units.get(source, ""))
+        if not unit or unit in TEMPERATURES:
+            yield (HEAT_EXCHANGE,), _names_of_source(model, source, x)
     for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
+        # Without an energy the masses of the two may be anything.
         if kind_of(model, p1) == kind_of(model, p2):
-            found.append(coupling(model, q1, q2, p1))
-    return found
+            yield ENERGIES, {"x": p1, "q1": q1, "q2": q2}
+    for x in model.states:
+        if x not in model.memory:
+            yield SENSORS, {"x": x}
 
 
-def _in_sensors(model: BaseModel) -> list[Effect]:
-    effects = []
-    for state in model.states:
-        if state not in model.memory:
-            effects += sensors(state)
-    return effects
+def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]:
+    """The names of the laws in the equation of x, see ``laws``."""
+    words = WORDS[role_of(model, x)]
+    e = effort_of(model, x)
+    names = {
+        "x": x,
+        "own": x,
+        "e": e,
+        "omega": _free_frequency(model, x),
+        "source": words.source,
+        "a_source": words.a_source,
+        "grows_with": words.grows_with,
+    }
+    zero = ZEROS.get(plain_unit(units.get(x, "")), 0.0)
+    if not zero:
+        names["radiation"] = f"abs({e})**3"
+    elif not model.has_energy:  # else the effort is not in the unit of the state
+        names["radiation"] = _radiation(x, zero)
+    position = position_of_momentum(model).get(x)
+    if position is not None:
+        names["q"] = position
+        unit = plain_unit(units.get(position, ""))
+        if unit not in LENGTHS:
+            names["angle"] = RADIANS.get(unit, "{q}").format(q=position)
+    return names
+
+
+def _free_frequency(model: BaseModel, x: str) -> str:
+    """A name for the frequency of a wave in F of the equation that is not taken."""
+    omega = "omega"
+    while f"{place_of('F', x)}.{omega}" in model.entries:
+        omega += "_"
+    return omega
+
+
+def _radiation(T: str, zero: float) -> str:
+    """((T + z)^4 - z^4)/T multiplied out; the zero of the scale is at z degrees."""
+    powers = (f"{T}**3", f"{4 * zero:.8g}*{T}**2", f"{6 * zero**2:.10g}*{T}")
+    return " + ".join((*powers, f"{4 * zero**3:.12g}"))
+
+
+def _names_of_input(
+    model: BaseModel, u: str, names: Mapping[str, str]
+) -> dict[str, str]:
+    """The further names of the laws between an input and its force."""
+    size = "an error in the size of the input"
+    terms = model.terms_at("F", names["x"])
+    is_used = any(u in names_of(term.body) for term in terms)
+    return {
+        "u": u,
+        "of_u": "" if len(model.inputs) == 1 else f" of {u}",
+        "input_size": f"{size}'s force" if names["source"] == "force" else size,
+        **({"slope": f"dF_d{u}"} if is_used else {"new": u}),
+    }
+
+
+def _names_of_source(model: BaseModel, source: str, x: str) -> dict[str, str]:
+    """The names of a law by which x gets something from a storage or an input."""
+    s_e = source if source in model.inputs else effort_of(model, source)
+    return {"x": x, "e": effort_of(model, x), "s": source, "s_e": s_e}

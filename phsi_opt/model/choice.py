@@ -61,14 +61,19 @@ class EffectChoice:
         """
         offered: list[Effect] = catalogue(model, units)
         considered = offered
-        effects = None
+        effects: list[Effect | str] | None = None
         if self.effects is not None:
             effects = []
             for one in self.effects:
                 effects += _as_offered(one, offered, model, units, "effects")
             considered = _all_meant(effects, offered)
-            _check_new(considered, model)
-        without = []
+            for effect in considered:
+                if stands_in(model, effect):
+                    raise ModelError(
+                        f"effect {str(effect)!r} in effects stands in the model "
+                        "already; leave it out."
+                    )
+        without: list[Effect | str] = []
         for one in self.without:
             every = [*considered, *offered]
             without += _as_offered(one, every, model, units, "without")
@@ -141,46 +146,28 @@ def _as_offered(
     """
     if one in offered:
         return [str(one)]
-    if isinstance(one, Effect) and what == "effects":
-        return [one]
-    if any(_is_called(effect, one) for effect in offered):
+    is_own = isinstance(one, Effect) and what == "effects"
+    if is_own or any(_is_called(effect, one) for effect in offered):
         return [one]
     found: list[Effect | str] = []
     if isinstance(one, str):
-        for alias in every_name(model, units):
-            if _is_called(alias, one):
-                found += [str(e) for e in offered if _is_same_term(e, alias)]
+        aliases = [e for e in every_name(model, units) if _is_called(e, one)]
+        for alias in aliases:
+            found += [str(e) for e in offered if _term_of(e) == _term_of(alias)]
         # What the units rule out may still be meant.
         found = found or [e for e in catalogue(model) if _is_called(e, one)]
     if found:
         return found
     names = sorted({effect.name for effect in offered})
+    with_places = [str(effect) for effect in offered]
+    hint = did_you_mean(str(one), with_places if " on " in str(one) else names)
     raise ModelError(
         f"effect {str(one)!r} in {what} is not in the catalogue of this model "
         "(or the model has it already); "
-        f"available are {', '.join(names)}.{_hint(str(one), offered)}"
+        f"available are {', '.join(names)}.{hint}"
     )
 
 
-def _is_same_term(effect: Effect, other: Effect) -> bool:
-    """Whether two effects add the same to the same equation, by whatever name."""
-    bodies = [term.body for term in effect.term]
-    other_bodies = [term.body for term in other.term]
-    place = (effect.slot, effect.equation)
-    return place == (other.slot, other.equation) and bodies == other_bodies
-
-
-def _check_new(effects: list[Effect], model: BaseModel) -> None:
-    for effect in effects:
-        if stands_in(model, effect):
-            raise ModelError(
-                f"effect {str(effect)!r} in effects stands in the model already; "
-                "leave it out."
-            )
-
-
-def _hint(name: str, offered: list[Effect]) -> str:
-    """The closest name, with a place where one was given."""
-    if " on " in name:
-        return did_you_mean(name, [str(effect) for effect in offered])
-    return did_you_mean(name, [effect.name for effect in offered])
+def _term_of(effect: Effect) -> tuple[object, ...]:
+    """What an effect adds, by whatever name."""
+    return (effect.slot, effect.equation, [term.body for term in effect.term])

@@ -1,6 +1,6 @@
 """An effect: a named physical phenomenon is a term in a slot of an equation.
 
-The record only; which effects there are is in the files of the ``catalogue``.
+The record only; which effects there are is in the tables of ``laws``.
 """
 
 from collections.abc import Mapping
@@ -12,6 +12,15 @@ from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import SLOTS
 from phsi_opt.model.terms import Dictionary
+from phsi_opt.presentation.summary import (
+    Part,
+    Summarised,
+    Summary,
+    text_of_summary,
+)
+from phsi_opt.presentation.table_making import printed_table
+
+COLUMNS_OF_EFFECTS = ("effect", "equation", "slot", "family")
 
 
 @dataclass(frozen=True)
@@ -101,3 +110,20 @@ def _has_guess(terms: Dictionary, kind: type | UnionType) -> bool:
             if isinstance(parameter.guess, kind):
                 return True
     return False
+
+
+class EffectList(list[Effect], Summarised):
+    """Effects; in all but how it prints a list."""
+
+    def _summary(self) -> Summary:
+        rows = []
+        for effect in self:
+            rows.append((effect.name, effect.equation, effect.slot, effect.family))
+        table = printed_table(rows, columns=list(COLUMNS_OF_EFFECTS))
+        noun = "effect" if len(self) == 1 else "effects"
+        return Summary(f"{len(self)} {noun}", (Part(table=table),))
+
+    def __repr__(self) -> str:
+        return text_of_summary(self._summary())
+
+    __str__ = __repr__

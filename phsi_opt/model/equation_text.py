@@ -1,10 +1,11 @@
 """The equations of a model as text, with the names of its parameters."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.slots import place_of
-from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.model.terms import Term
 from phsi_opt.presentation.summary import Part, Summary
 from phsi_opt.presentation.table_making import printed_table
 
@@ -20,7 +21,7 @@ def model_summary(model: BaseModel) -> Summary:
     title = f"{type(model).__name__}: states {', '.join(model.states)}"
     if model.inputs:
         title += f"; inputs {', '.join(model.inputs)}"
-    rows = [*structure_rows(model), *dictionary_rows(model)]
+    rows = [*structure_rows(model), *dictionary_rows(model, _term)]
     parts = [Part(code="\n".join(rows))]
     if model.entries:
         parts.append(Part("parameters", table=_parameters(model)))
@@ -37,32 +38,32 @@ def _parameters(model: BaseModel) -> "PrintedTable":
     return printed_table(rows, columns=list(SHOWN_OF_MODEL))
 
 
-def dictionary_rows(model: BaseModel) -> list[str]:
-    """Every dictionary of the model that has terms: F_p = c1*q + c2*q**3."""
+def dictionary_rows(
+    model: BaseModel, written: Callable[[Term, str, int], str]
+) -> list[str]:
+    """Every dictionary of the model that has terms: F_p = c1*q + c2*q**3.
+
+    Args:
+        model: the model.
+        written: a term, the name of its place, its number there -> its text.
+    """
     rows = []
     places = dict.fromkeys((slot, equation) for slot, equation, _ in model.placed())
     for slot, equation in places:
+        place = place_of(slot, equation)
         terms = []
-        for number, term in enumerate(dictionary_at(model, slot, equation), start=1):
-            terms.append(_term(term, number))
-        rows.append(f"{place_of(slot, equation)} = {' + '.join(terms)}")
+        for number, term in enumerate(model.terms_at(slot, equation), start=1):
+            terms.append(written(term, place, number))
+        rows.append(f"{place} = {' + '.join(terms)}")
     return rows
 
 
-def _term(term: Term, number: int) -> str:
+def _term(term: Term, place: str, number: int) -> str:
     """A term; a coefficient without a name of its own has the term's number."""
     if term.is_formula:
         return term.body
     coefficient = term.name or f"c{number}"
     return coefficient if term.body == "1" else f"{coefficient}*{term.body}"
-
-
-def dictionary_at(model: BaseModel, slot: str, equation: str) -> Dictionary:
-    """The terms of a slot of an equation ('' for H)."""
-    if slot == "H":
-        return model.H
-    dictionary: Dictionary = getattr(model, slot)[equation]
-    return dictionary
 
 
 def structure_rows(model: BaseModel) -> list[str]:

@@ -10,7 +10,6 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -85,33 +84,27 @@ def _check(node: ast.AST, text: str, depth: int = 0) -> None:
         raise RecursionError
     match node:
         case ast.BinOp(left=left, right=right):
-            _check(left, text, depth + 1)
-            _check(right, text, depth + 1)
-            _check_operator(node, text)
+            below: list[ast.expr] = [left, right]
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
-            _check(operand, text, depth + 1)
+            below = [operand]
         case ast.Call(args=arguments):
             _check_call(node, text)
-            for argument in arguments:
-                _check(argument, text, depth + 1)
-        case ast.Constant():
-            _check_constant(node, text)
+            below = arguments
+        case ast.Constant(value=value):
+            below = []
+            if not _is_finite(value):
+                raise ModelError(f"{_place(node, text)} is not a finite number.")
         case ast.Name():
-            pass
+            below = []
         case _:
             raise ModelError(
-                f"{_source(node, text)!r} in formula {_shortened(text)!r} is not "
-                "allowed; a formula holds numbers, names, + - * / **, brackets "
-                f"and the functions {', '.join(FUNCTIONS)}."
+                f"{_place(node, text)} is not allowed; a formula holds numbers, names, "
+                f"+ - * / **, brackets and the functions {', '.join(FUNCTIONS)}."
             )
-
-
-def _check_constant(node: ast.Constant, text: str) -> None:
-    if not _is_finite(node.value):
-        raise ModelError(
-            f"{_source(node, text)!r} in formula {_shortened(text)!r} "
-            "is not a finite number."
-        )
+    for part in below:
+        _check(part, text, depth + 1)
+    if isinstance(node, ast.BinOp):
+        _check_operator(node, text)
 
 
 def _is_finite(value: Any) -> bool:
@@ -147,12 +140,9 @@ def _number(node: ast.expr, text: str) -> float | None:
     if _names_below(node):
         return None
     with np.errstate(all="ignore"):
-        value = _Evaluation({}, NUMPY, text).value(node)
+        value = _value(node, {}, NUMPY, text)
     if isinstance(value, complex) or not math.isfinite(value):
-        raise ModelError(
-            f"{_source(node, text)!r} in formula {_shortened(text)!r} has no finite "
-            "value."
-        )
+        raise ModelError(f"{_place(node, text)} has no finite value.")
     return float(value)
 
 
@@ -186,9 +176,13 @@ def _check_call(node: ast.Call, text: str) -> None:
     expected = 2 if node.func.id in TWO_ARGUMENTS else 1
     if node.keywords or len(node.args) != expected:
         raise ModelError(
-            f"{_source(node, text)!r} in formula {_shortened(text)!r}: "
-            f"{node.func.id} takes {expected} argument(s)."
+            f"{_place(node, text)}: {node.func.id} takes {expected} argument(s)."
         )
+
+
+def _place(node: ast.AST, text: str) -> str:
+    """A part and its formula, as messages name them."""
+    return f"{_source(node, text)!r} in formula {_shortened(text)!r}"
 
 
 def _source(node: ast.AST, text: str) -> str:
@@ -224,15 +218,6 @@ def _names_below(tree: ast.AST) -> set[str]:
     return found - set(CONSTANTS)
 
 
-def renamed(text: str, names: Mapping[str, str]) -> str:
-    """The formula with names exchanged."""
-    tree = ast.parse(text.strip(), mode="eval")
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and node.id in names:
-            node.id = names[node.id]
-    return ast.unparse(tree)
-
-
 # ---- evaluation ----------------------------------------------------------------------
 
 
@@ -243,52 +228,40 @@ def evaluate(text: str, names: Mapping[str, Any], backend: Backend = CASADI) -> 
         ModelError: the formula cannot be read, uses a name that is not given, or
             divides by zero.
     """
-    return _Evaluation(names, backend, text).value(parse(text))
+    return _value(parse(text), names, backend, text)
 
 
-@dataclass(frozen=True)
-class _Evaluation:
-    """One walk over a formula's tree, which `parse` has checked."""
-
-    names: Mapping[str, Any]
-    backend: Backend
-    text: str
-
-    def value(self, node: ast.expr) -> Any:
-        match node:
-            case ast.BinOp():
-                return self._operation(node)
-            case ast.UnaryOp(op=sign, operand=operand):
-                value = self.value(operand)
-                return -value if isinstance(sign, ast.USub) else value
-            case ast.Call(func=ast.Name(id=name), args=arguments):
-                function = self.backend.functions[name]
-                return function(*map(self.value, arguments))
-            case ast.Name(id=name):
-                return self._value_of_name(name)
-            case ast.Constant(value=int() | float() as number):
-                return self.backend.number(number)
-        raise AssertionError(f"{self.text!r} was not checked")
-
-    def _operation(self, node: ast.BinOp) -> Any:
-        left = self.value(node.left)
-        right = self.value(node.right)
-        try:
-            return OPERATORS[type(node.op)](left, right)
-        except (ZeroDivisionError, OverflowError) as error:
+def _value(
+    node: ast.expr, names: Mapping[str, Any], backend: Backend, text: str
+) -> Any:
+    """Value of a part of a formula that `parse` has checked."""
+    match node:
+        case ast.BinOp(left=left, op=sign, right=right):
+            values = [_value(part, names, backend, text) for part in (left, right)]
+            try:
+                return OPERATORS[type(sign)](*values)
+            except (ZeroDivisionError, OverflowError) as error:
+                raise ModelError(
+                    f"formula {_shortened(text)!r} has no finite value: {error}."
+                ) from None
+        case ast.UnaryOp(op=sign, operand=operand):
+            value = _value(operand, names, backend, text)
+            return -value if isinstance(sign, ast.USub) else value
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            values = [_value(part, names, backend, text) for part in arguments]
+            return backend.functions[name](*values)
+        case ast.Constant(value=int() | float() as number):
+            return backend.number(number)
+        case ast.Name(id=name) if name in names:
+            return names[name]
+        case ast.Name(id=name) if name in backend.constants:
+            return backend.constants[name]
+        case ast.Name(id=name):
+            hint = did_you_mean(name, names)
+            if not hint:
+                hint = f" Give it a value: formula({text!r}, {name}=Parameter(...))."
             raise ModelError(
-                f"formula {_shortened(self.text)!r} has no finite value: {error}."
-            ) from None
-
-    def _value_of_name(self, name: str) -> Any:
-        if name in self.names:
-            return self.names[name]
-        if name in self.backend.constants:
-            return self.backend.constants[name]
-        hint = did_you_mean(name, self.names)
-        if not hint:
-            hint = f" Give it a value: formula({self.text!r}, {name}=Parameter(...))."
-        raise ModelError(
-            f"name {name!r} in formula {_shortened(self.text)!r} is unknown; "
-            f"known are {', '.join(sorted(self.names))}.{hint}"
-        )
+                f"name {name!r} in formula {_shortened(text)!r} is unknown; "
+                f"known are {', '.join(sorted(names))}.{hint}"
+            )
+    raise AssertionError(f"{text!r} was not checked")

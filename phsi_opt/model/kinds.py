@@ -18,7 +18,7 @@ ELECTRICAL = "electrical"
 THERMAL = "thermal"
 KINDS = (MECHANICAL, HYDRAULIC, ELECTRICAL, THERMAL)
 
-PREFIXES = ("", "n", "u", "µ", "m", "c", "d", "k", "M", "G")
+PREFIXES = ("", *"nuµmcdkMG")
 LENGTHS = frozenset(f"{prefix}m" for prefix in PREFIXES)
 # Angles by their unit as radians.
 RADIANS = {"rad": "{q}", "mrad": "{q}/1000", "rev": "2*pi*{q}"}
@@ -29,19 +29,16 @@ VOLTS = frozenset(f"{prefix}V" for prefix in PREFIXES)
 # Units that take a prefix, and those that do not; spaces and signs of products are left
 # out, and powers written m3.
 WITH_PREFIX = {
-    MECHANICAL: ("rad", "m/s", "rad/s", "N", "Nm", "Ns", "Nms"),
-    HYDRAULIC: ("Pa", "bar", "L", "l", "L/s", "l/s", "L/min", "l/min"),
-    ELECTRICAL: ("A", "C", "Wb", "Ah"),
-    THERMAL: ("K", "J"),
+    MECHANICAL: "rad m/s rad/s N Nm Ns Nms",
+    HYDRAULIC: "Pa bar L l L/s l/s L/min l/min",
+    ELECTRICAL: "A C Wb Ah",
+    THERMAL: "K J",
 }
 WITHOUT_PREFIX = {
-    MECHANICAL: (
-        *("deg", "°", "rev", "deg/s", "°/s", "rev/s", "rpm", "m/min", "km/h"),
-        *("kgm/s", "kgm2/s", "gm/s"),
-    ),
-    HYDRAULIC: ("m3", "m3/s", "m3/h", "cm3", "dm3", "mm3", "cm3/s", "psi", "mH2O"),
-    ELECTRICAL: ("Vs",),
-    THERMAL: ("degC", "°C", "degF", "°F", "kWh", "Wh"),
+    MECHANICAL: "deg ° rev deg/s °/s rev/s rpm m/min km/h kgm/s kgm2/s gm/s",
+    HYDRAULIC: "m3 m3/s m3/h cm3 dm3 mm3 cm3/s psi mH2O",
+    ELECTRICAL: "Vs",
+    THERMAL: "degC °C degF °F kWh Wh",
 }
 # Temperatures that count from elsewhere than absolute zero.
 # Their zero on the absolute scale of the same degrees.
@@ -100,10 +97,11 @@ def kind_of_unit(unit: str) -> str:
     written = plain_unit(unit)
     if written in LENGTHS:
         return MECHANICAL
-    for kind, units in WITHOUT_PREFIX.items():
-        if written in units:
+    for kind in KINDS:
+        if written in WITHOUT_PREFIX[kind].split():
             return kind
-    for kind, units in WITH_PREFIX.items():
+    for kind in KINDS:
+        units = WITH_PREFIX[kind].split()
         if any(f"{prefix}{one}" == written for one in units for prefix in PREFIXES):
             return kind
     return ""

@@ -8,7 +8,7 @@ here knows of data, losses or solvers.
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Self, TypeVar, cast
 
 import casadi as ca
@@ -17,22 +17,35 @@ import numpy as np
 from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import CASADI, Backend
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.built_functions import built_of
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.equation_text import model_summary
 from phsi_opt.model.symbolic import (
     Expressions,
-    Symbols,
-    expressions_at,
     formulas_function,
     output_function,
     rhs_function,
+    with_slopes,
 )
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
 
 T = TypeVar("T")
+# Different formulas whose functions are remembered, those last asked for; a model keeps
+# its own as long as it lives.
+MOST_FORMULAS = 64
+
+
+@lru_cache(MOST_FORMULAS)
+def built_of(formulas: Hashable) -> dict[Hashable, object]:
+    """What was built of the same formulas, by name; empty at first.
+
+    Models are records that come and go: a fit makes dozens with other values, a study
+    hundreds. Building CasADi functions takes longer than evaluating them, and what a
+    function computes follows from its formulas alone, so it does not matter who built
+    it. Nothing here is written to a file.
+    """
+    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +113,19 @@ class Model(BaseModel, Summarised):
             values: the parameters, by name.
             backend: the library whose symbols these are.
         """
-        return expressions_at(self, Symbols(x, u, t, values, backend))
+        return Expressions(self, x, u, t, values, backend)
 
     def rhs(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, theta in the order of `free`."""
         return self.built("rhs", lambda: rhs_function(self))
+
+    def rhs_slopes(self, argument: str) -> ca.Function:
+        """CasADi function (x, u, t, theta) -> dx/dt, and its slopes row by row.
+
+        In "x", "u", "t" or "theta".
+        """
+        key = ("slopes", argument)
+        return self.built(key, lambda: with_slopes(self.rhs(), argument))
 
     def output(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""

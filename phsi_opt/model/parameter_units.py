@@ -11,8 +11,7 @@ into base units, and then each equation is asked by itself.
 from collections.abc import Callable, Mapping
 
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.dimension_system import solved_dimensions
-from phsi_opt.model.formula_dimensions import Form, Likenesses, product
+from phsi_opt.model.dimensions import Form, Likenesses, product, solved_dimensions
 from phsi_opt.model.parameters import Parameter, Scan, Tried
 from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.presentation.units import (
@@ -108,15 +107,14 @@ class _Equations:
 
     def say_structure(self) -> None:
         """dx_i/dt = dH/dx_j; without an energy efforts are the states."""
+        if not self._model.has_energy:
+            return
         states = self._model.states
-        for row, state in enumerate(states):
-            if not self._model.has_energy:
-                continue
-            self._said.alike(self._effort(state), product(_one("H"), _one(state), -1.0))
-            for column, coupling in enumerate(self._model.S[row]):
+        for state, couplings in zip(states, self._model.S, strict=True):
+            self._said.alike(self._effort(state), _quotient("H", state))
+            for other, coupling in zip(states, couplings, strict=True):
                 if abs(coupling) == 1.0:
-                    effort = self._effort(states[column])
-                    self._said.alike(effort, self._rate(state))
+                    self._said.alike(self._effort(other), _quotient(state, "t"))
 
     def say_term(self, placed: PlacedTerm) -> None:
         """A term has the unit of its slot."""
@@ -136,27 +134,21 @@ class _Equations:
             return _one("H")
         if slot == "sensor":
             return _one(equation)
-        if slot == "F":
-            return self._rate(equation)
-        return product(self._rate(equation), self._effort(equation), -1.0)
+        rate = _quotient(equation, "t")
+        return rate if slot == "F" else product(rate, self._effort(equation), -1.0)
 
     def _variables(self, equation: str) -> dict[str, Form]:
         model = self._model
-        names: dict[str, Form] = {}
-        for name in (*model.states, *model.inputs, "t"):
-            names[name] = _one(name)
+        names = {name: _one(name) for name in (*model.states, *model.inputs, "t")}
         for effort, state in zip(model.efforts, model.states, strict=True):
             names[effort] = self._effort(state)
-        if equation:
-            for slope, of in zip(model.slopes, model.inputs, strict=True):
-                names[slope] = product(self._rate(equation), _one(of), -1.0)
+        rate = _quotient(equation, "t")
+        for slope, of in zip(model.slopes, model.inputs, strict=True):
+            names[slope] = product(rate, _one(of), -1.0)
         return names
 
     def _effort(self, state: str) -> Form:
         return _one(f"effort {state}" if self._model.has_energy else state)
-
-    def _rate(self, state: str) -> Form:
-        return product(_one(state), _one("t"), -1.0)
 
     def solution(
         self,
@@ -165,25 +157,6 @@ class _Equations:
         numbers_are_pure: bool = True,
     ) -> dict[str, Powers] | None:
         """Powers of the units by parameter and state; None for a contradiction."""
-        known = self._known(units, split)
-        said = self._said.said
-        if not numbers_are_pure:
-            said = [likeness for likeness in said if not likeness.is_number]
-        found = solved_dimensions(said, known)
-        if found is None:
-            return None
-        powers = {}
-        for name in self._model.entries:
-            if _parameter(name) in found:
-                powers[name] = found[_parameter(name)]
-        for state in self._model.states:
-            if state in found:
-                powers[state] = found[state]
-        return powers
-
-    def _known(
-        self, units: Mapping[str, str], split: Callable[[str], Powers | None]
-    ) -> dict[str, Powers]:
         told = dict(units)
         for name, entry in self._model.entries.items():
             if _is_stated(entry.parameter):
@@ -193,11 +166,23 @@ class _Equations:
             powers = split(unit)
             if powers is not None:
                 known[name] = powers
-        return known
+        said = self._said.said
+        if not numbers_are_pure:
+            said = [likeness for likeness in said if not likeness.is_number]
+        found = solved_dimensions(said, known)
+        if found is None:
+            return None
+        names = {state: state for state in self._model.states}
+        names |= {name: _parameter(name) for name in self._model.entries}
+        return {name: found[one] for name, one in names.items() if one in found}
 
 
 def _one(name: str) -> Form:
     return {name: 1.0}
+
+
+def _quotient(above: str, below: str) -> Form:
+    return product(_one(above), _one(below), -1.0)
 
 
 def _parameter(name: str) -> str:

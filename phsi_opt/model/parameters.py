@@ -101,10 +101,14 @@ class Parameter:
     per_trajectory: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lower", _bound(self.lower, "lower"))
-        object.__setattr__(self, "upper", _bound(self.upper, "upper"))
-        if self.value is not None:
-            object.__setattr__(self, "value", _finite(self.value, "value"))
+        for name in ("lower", "upper", "value"):
+            given = getattr(self, name)
+            if name != "value" or given is not None:
+                number = _number(given, name)
+                is_bound = name != "value" and np.isinf(number)
+                if not np.isfinite(number) and not is_bound:
+                    raise ModelError(f"parameter {name}={number} is not finite.")
+                object.__setattr__(self, name, number)
         if not isinstance(self.unit, str):
             raise ModelError(f"parameter unit={self.unit!r} is not text, such as 'm'.")
         self._check_bounds()
@@ -164,20 +168,6 @@ def with_value(parameter: Parameter, value: float) -> Parameter:
     number = _number(value, "value")
     within = float(np.clip(number, parameter.lower, parameter.upper))
     return replace(parameter, value=within)
-
-
-def _bound(value: Any, name: str) -> float:
-    number = _number(value, name)
-    if np.isnan(number):
-        raise ModelError(f"parameter {name}={number} is not finite.")
-    return number
-
-
-def _finite(value: Any, name: str) -> float:
-    number = _number(value, name)
-    if not np.isfinite(number):
-        raise ModelError(f"parameter {name}={number} is not finite.")
-    return number
 
 
 def _number(value: Any, name: str) -> float:

@@ -5,12 +5,11 @@ sensors show is a sum of the changes that the model's own parameters make. The s
 looked at in random states: an identity holds in all of them.
 """
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, is_scanned
-from phsi_opt.model.symbolic import output_function, rhs_function
+from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
 
 SEED = 0
 # Random states per parameter, and some more: with fewer rows than parameters anything
@@ -61,10 +60,12 @@ def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
     x = random.normal(size=(larger.n_states, n))
     u = random.normal(size=(larger.n_inputs, n))
     t = random.uniform(0, LATEST_TIME, (1, n))
-    in_every_state = _slopes(larger).map("slopes", "serial", n, [3], [])
-    columns = np.nan_to_num(np.array(in_every_state(x, u, t, theta)))
-    by_state = columns.reshape(2 * larger.n_states, n, len(theta))
-    return by_state.reshape(-1, len(theta))
+    parts = []
+    for function in (rhs_function(larger), output_function(larger)):
+        slopes = with_slopes(function, "theta").map("slopes", "serial", n, [3], [])
+        columns = np.array(slopes(x, u, t, theta)[1]).T
+        parts.append(columns.reshape(-1, len(theta)))
+    return np.nan_to_num(np.vstack(parts))
 
 
 def _theta(
@@ -82,19 +83,3 @@ def _theta(
         is_added = name not in model.entries and larger.entries[name].prunable
         theta.append(0.0 if is_added else value)
     return np.array(theta)
-
-
-def _slopes(model: BaseModel) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> slopes in theta, (2 n_states, n_free).
-
-    The slopes are those of dx/dt, then of what is shown.
-    """
-    rhs = rhs_function(model)
-    output = output_function(model)
-    arguments = []
-    for i in range(rhs.n_in()):
-        arguments.append(ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)))
-    theta = arguments[3]
-    both = ca.vertcat(rhs(*arguments), output(*arguments))
-    slopes = ca.densify(ca.jacobian(both, theta))
-    return ca.Function("slopes", arguments, [slopes])

@@ -5,8 +5,9 @@ for printing; ``Model`` keeps the functions. This file knows nothing of data, lo
 solvers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -14,29 +15,15 @@ import casadi as ca
 from phsi_opt.model.backends import CASADI, Backend
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import evaluate, names_of
-from phsi_opt.model.slots import place_of
-from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.model.slots import PlacedTerm, place_of
 
 
 @dataclass(frozen=True)
 class Expressions:
     """The parts of a model as expressions, one per state but for the energy.
 
-    R is diagonal, so ``loss`` holds its diagonal.
-    """
-
-    energy: Any
-    efforts: list[Any]
-    loss: list[Any]
-    force: list[Any]
-    sensor: list[Any]
-
-
-@dataclass(frozen=True)
-class Symbols:
-    """What a model is evaluated in: symbols for all that its terms name.
-
     Args:
+        model: the model.
         x: the states.
         u: the inputs.
         t: the time.
@@ -44,172 +31,166 @@ class Symbols:
         backend: the library whose symbols these are.
     """
 
+    model: BaseModel
     x: Sequence[Any]
     u: Sequence[Any]
     t: Any
     values: Mapping[str, Any]
     backend: Backend = CASADI
 
+    @cached_property
+    def energy(self) -> Any:
+        """The energy H."""
+        return self._total(self._at("H", ""), self._variables)
 
-def expressions_at(model: BaseModel, symbols: Symbols) -> Expressions:
-    """Energy, efforts, loss, force and sensor terms of the model in these symbols."""
-    in_states = _Sums(symbols, _variables(model, symbols))
-    energy = in_states.total(model.H, "H")
-    efforts = _efforts(model, energy, symbols)
-    by_name = dict(zip(model.efforts, efforts, strict=True))
-    sums = in_states.knowing(by_name)
-    return Expressions(
-        energy=energy,
-        efforts=efforts,
-        loss=_by_state(model, "R", sums),
-        sensor=_by_state(model, "sensor", sums),
-        force=[_force(model, name, sums) for name in model.states],
-    )
+    @cached_property
+    def efforts(self) -> list[Any]:
+        """dH/dx; in a model without energy the states themselves."""
+        if not self.model.has_energy:
+            return list(self.x)
+        if self.backend is not CASADI:
+            return [
+                self.energy.diff(name) if self.energy != 0 else 0 for name in self.x
+            ]
+        if not isinstance(
+            self.energy, ca.SX
+        ):  # a number: no terms, or none with a state
+            return rows_of(ca.SX.zeros(len(self.x)))
+        return rows_of(ca.gradient(self.energy, ca.vertcat(*self.x)))
 
+    @cached_property
+    def loss(self) -> list[Any]:
+        """The diagonal of R."""
+        return self._by_state("R")
 
-def _variables(model: BaseModel, symbols: Symbols) -> dict[str, Any]:
-    states = dict(zip(model.states, symbols.x, strict=True))
-    inputs = dict(zip(model.inputs, symbols.u, strict=True))
-    return {**states, **inputs, "t": symbols.t}
+    @cached_property
+    def sensor(self) -> list[Any]:
+        """What each sensor adds to its state."""
+        return self._by_state("sensor")
 
+    @cached_property
+    def force(self) -> list[Any]:
+        """F; terms that name a slope in an input see that of the equation's others."""
+        forces = []
+        for equation in self.model.states:
+            placed = self._at("F", equation)
+            direct = [one for one in placed if not self._slopes_in(one)]
+            force = self._total(direct, self.known)
+            on_slopes = [one for one in placed if self._slopes_in(one)]
+            if on_slopes:
+                slopes = [self._slope(force, u) for u in self.u]
+                named = dict(zip(self.model.slopes, slopes, strict=True))
+                force = force + self._total(on_slopes, {**self.known, **named})
+            forces.append(force)
+        return forces
 
-@dataclass(frozen=True)
-class _Sums:
-    """Sums of terms in the variables that are known by name."""
+    @property
+    def rates(self) -> ca.SX:
+        """dx/dt = (S - R) grad H + F as a column, (n_states, 1)."""
+        rows = []
+        for i, couplings in enumerate(self.model.S):
+            exchange = 0
+            for coupling, effort in zip(couplings, self.efforts, strict=True):
+                if coupling != 0.0:
+                    exchange = exchange + coupling * effort
+            rows.append(exchange - self.loss[i] * self.efforts[i] + self.force[i])
+        return ca.vertcat(*map(ca.SX, rows))
 
-    symbols: Symbols
-    known: Mapping[str, Any]
+    @property
+    def shown(self) -> ca.SX:
+        """What the sensors show of the states, as a column, (n_states, 1)."""
+        x = ca.vertcat(*self.x)
+        return x + ca.vertcat(*map(ca.SX, self.sensor)) if self.model.sensor else x
 
-    def knowing(self, more: Mapping[str, Any]) -> "_Sums":
-        return _Sums(self.symbols, {**self.known, **more})
+    @cached_property
+    def _variables(self) -> dict[str, Any]:
+        states = zip(self.model.states, self.x, strict=True)
+        inputs = zip(self.model.inputs, self.u, strict=True)
+        return {**dict(states), **dict(inputs), "t": self.t}
 
-    def total(self, terms: Dictionary, place: str) -> Any:
-        total = 0
-        for term in terms:
-            total = total + self.value(term, place)
-        return total
+    @cached_property
+    def known(self) -> dict[str, Any]:
+        """States, inputs, the time and the efforts, by name."""
+        efforts = zip(self.model.efforts, self.efforts, strict=True)
+        return {**self._variables, **dict(efforts)}
 
-    def value(self, term: Term, place: str) -> Any:
-        values = self.symbols.values
-        inner = {name: values[term.inner_name(name, place)] for name in term.inner}
-        body = evaluate(term.body, {**self.known, **inner}, self.symbols.backend)
+    def term(self, placed: PlacedTerm, known: Mapping[str, Any]) -> Any:
+        """The value of a term in variables that are known by name."""
+        slot, equation, term = placed
+        place = place_of(slot, equation)
+        inner = {name: self.values[term.inner_name(name, place)] for name in term.inner}
+        body = evaluate(term.body, {**known, **inner}, self.backend)
         if term.is_formula:
             return body
-        return values[term.coefficient_name(place)] * body
+        return self.values[term.coefficient_name(place)] * body
 
+    def _at(self, slot: str, equation: str) -> list[PlacedTerm]:
+        terms = self.model.terms_at(slot, equation)
+        return [PlacedTerm(slot, equation, term) for term in terms]
 
-def _by_state(model: BaseModel, slot: str, sums: _Sums) -> list[Any]:
-    totals = []
-    for name in model.states:
-        totals.append(sums.total(model.terms_at(slot, name), place_of(slot, name)))
-    return totals
+    def _total(self, terms: Iterable[PlacedTerm], known: Mapping[str, Any]) -> Any:
+        total = 0
+        for placed in terms:
+            total = total + self.term(placed, known)
+        return total
 
+    def _by_state(self, slot: str) -> list[Any]:
+        states = self.model.states
+        return [self._total(self._at(slot, name), self.known) for name in states]
 
-def _force(model: BaseModel, equation: str, sums: _Sums) -> Any:
-    """F of one equation; terms that name a slope in an input see that of the others."""
-    place = place_of("F", equation)
-    direct: list[Term] = []
-    on_slopes: list[Term] = []
-    for term in model.terms_at("F", equation):
-        uses_slopes = names_of(term.body) & set(model.slopes)
-        (on_slopes if uses_slopes else direct).append(term)
-    force = sums.total(Dictionary(tuple(direct)), place)
-    if not on_slopes:
-        return force
-    slopes = {}
-    for name, u in zip(model.slopes, sums.symbols.u, strict=True):
-        slopes[name] = _slope(force, u, sums.symbols.backend)
-    return force + sums.knowing(slopes).total(Dictionary(tuple(on_slopes)), place)
+    def _slopes_in(self, placed: PlacedTerm) -> frozenset[str]:
+        return names_of(placed.term.body) & set(self.model.slopes)
 
-
-def _slope(expression: Any, variable: Any, backend: Backend) -> Any:
-    if backend is CASADI:
-        is_symbolic = isinstance(expression, ca.SX)
-        return ca.jacobian(expression, variable) if is_symbolic else 0.0
-    return expression.diff(variable) if hasattr(expression, "diff") else 0
-
-
-def _efforts(model: BaseModel, energy: Any, symbols: Symbols) -> list[Any]:
-    """dH/dx; in a model without energy the states themselves."""
-    x = symbols.x
-    if not model.has_energy:
-        return list(x)
-    if symbols.backend is not CASADI:
-        return [energy.diff(name) if energy != 0 else energy for name in x]
-    if not isinstance(energy, ca.SX):  # a number: no terms, or none with a state
-        return _rows(ca.SX.zeros(len(x)))
-    return _rows(ca.gradient(energy, ca.vertcat(*x)))
-
-
-def derivative(model: BaseModel, parts: Expressions) -> ca.SX:
-    """dx/dt = (S - R) grad H + F as a column, (n_states, 1)."""
-    rows = []
-    for i, couplings in enumerate(model.S):
-        exchange = 0
-        for coupling, effort in zip(couplings, parts.efforts, strict=True):
-            if coupling != 0.0:
-                exchange = exchange + coupling * effort
-        rows.append(exchange - parts.loss[i] * parts.efforts[i] + parts.force[i])
-    return ca.vertcat(*map(ca.SX, rows))
+    def _slope(self, expression: Any, variable: Any) -> Any:
+        if self.backend is CASADI:
+            is_symbolic = isinstance(expression, ca.SX)
+            return ca.jacobian(expression, variable) if is_symbolic else 0.0
+        return expression.diff(variable) if hasattr(expression, "diff") else 0
 
 
 # ---- CasADi functions ----------------------------------------------------------------
 
 
-class Arguments:
-    """Symbols for the arguments x, u, t and theta of a model's CasADi functions."""
-
-    names = ("x", "u", "t", "theta")
-
-    def __init__(self, model: BaseModel) -> None:
-        """Free parameters become theta, the fixed ones stay numbers."""
-        free = model.free
-        self.x = ca.SX.sym("x", model.n_states)
-        self.u = ca.SX.sym("u", model.n_inputs)
-        self.t = ca.SX.sym("t")
-        self.theta = ca.SX.sym("theta", len(free))
-        values: dict[str, Any] = dict(model.values)
-        for i, name in enumerate(free):
-            values[name] = self.theta[i]
-        self.symbols = Symbols(_rows(self.x), _rows(self.u), self.t, values)
-
-    def function(self, name: str, value: ca.SX, value_name: str) -> ca.Function:
-        """The CasADi function (x, u, t, theta) -> value."""
-        return ca.Function(
-            name,
-            [self.x, self.u, self.t, self.theta],
-            [ca.densify(value)],
-            list(self.names),
-            [value_name],
-        )
-
-
-def _rows(column: ca.SX) -> list[ca.SX]:
+def rows_of(column: ca.SX) -> list[ca.SX]:
+    """The entries of a column of symbols."""
     return [column[i] for i in range(column.numel())]
+
+
+def function_of(
+    model: BaseModel, name: str, value: Callable[[Expressions], ca.SX]
+) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> a value made of the model's expressions.
+
+    Free parameters become theta, the fixed ones stay numbers.
+    """
+    x = ca.SX.sym("x", model.n_states)
+    u = ca.SX.sym("u", model.n_inputs)
+    t = ca.SX.sym("t")
+    theta = ca.SX.sym("theta", len(model.free))
+    values = {**model.values, **dict(zip(model.free, rows_of(theta), strict=True))}
+    parts = Expressions(model, rows_of(x), rows_of(u), t, values)
+    result = ca.densify(value(parts))
+    names = ["x", "u", "t", "theta"]
+    return ca.Function(name, [x, u, t, theta], [result], names, ["value"])
+
+
+def with_slopes(function: ca.Function, argument: str) -> ca.Function:
+    """The function, and its slopes in an argument, (n_out * n_argument,) row by row."""
+    names = function.name_in()
+    arguments = [ca.SX.sym(name, function.size1_in(name)) for name in names]
+    values = function(*arguments)
+    slopes = ca.jacobian(values, arguments[names.index(argument)])
+    return ca.Function("slopes", arguments, [values, ca.vec(ca.densify(slopes.T))])
 
 
 def rhs_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> dx/dt."""
-    arguments = Arguments(model)
-    parts = expressions_at(model, arguments.symbols)
-    return arguments.function("rhs", derivative(model, parts), "dx")
-
-
-def energy_function(model: BaseModel) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> H; zero in a model without energy."""
-    arguments = Arguments(model)
-    parts = expressions_at(model, arguments.symbols)
-    return arguments.function("energy", ca.SX(parts.energy), "H")
+    return function_of(model, "rhs", lambda parts: parts.rates)
 
 
 def output_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
-    arguments = Arguments(model)
-    shown = arguments.x
-    if model.sensor:
-        parts = expressions_at(model, arguments.symbols)
-        shown = shown + ca.vertcat(*map(ca.SX, parts.sensor))
-    return arguments.function("output", shown, "y")
+    return function_of(model, "output", lambda parts: parts.shown)
 
 
 def terms_function(model: BaseModel) -> ca.Function:
@@ -218,27 +199,23 @@ def terms_function(model: BaseModel) -> ca.Function:
     The term's value, and in H those of its slopes in the states, added up: a number
     that is finite only where all of them are.
     """
-    arguments = Arguments(model)
-    symbols = arguments.symbols
-    parts = expressions_at(model, symbols)
-    known = dict(zip(model.efforts, parts.efforts, strict=True))
-    known |= dict.fromkeys(model.slopes, ca.SX(0))
-    sums = _Sums(symbols, _variables(model, symbols)).knowing(known)
-    values = []
-    for slot, equation, term in model.placed():
-        value = ca.SX(sums.value(term, place_of(slot, equation)))
-        if slot == "H":
-            value = value + ca.sum1(ca.gradient(value, arguments.x))
-        values.append(value)
-    return arguments.function("terms", ca.vertcat(*values), "values")
+
+    def values(parts: Expressions) -> ca.SX:
+        known = {**parts.known, **dict.fromkeys(model.slopes, ca.SX(0))}
+        found = [ca.SX(parts.term(placed, known)) for placed in model.placed()]
+        energies = ca.vertcat(*found[: len(model.H)])
+        others = ca.vertcat(*found[len(model.H) :])
+        slopes = ca.jacobian(energies, ca.vertcat(*parts.x))
+        return ca.vertcat(energies + ca.sum2(slopes), others)
+
+    return function_of(model, "terms", values)
 
 
 def formulas_function(model: BaseModel, formulas: Sequence[str]) -> ca.Function:
     """CasADi function (x, u, t, theta) -> values of the formulas, as one column."""
-    arguments = Arguments(model)
-    symbols = arguments.symbols
-    parts = expressions_at(model, symbols)
-    efforts = dict(zip(model.efforts, parts.efforts, strict=True))
-    known = {**_variables(model, symbols), **efforts, **symbols.values}
-    values = [ca.SX(evaluate(text, known)) for text in formulas]
-    return arguments.function("formulas", ca.vertcat(*values), "values")
+
+    def values(parts: Expressions) -> ca.SX:
+        known = {**parts.known, **parts.values}
+        return ca.vertcat(*(ca.SX(evaluate(text, known)) for text in formulas))
+
+    return function_of(model, "formulas", values)

@@ -17,12 +17,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import RK45
 
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.evaluated import Evaluated
-from phsi_opt.simulation import dormand_prince
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.statistics import TINY
 
@@ -117,6 +117,43 @@ def _is_usable(model: Model, t: np.ndarray, x0: np.ndarray, u: np.ndarray) -> bo
     return is_finite and bool(np.all(np.diff(t) > 0))
 
 
+def _step(rhs: ca.Function, n_watched: int) -> ca.Function:
+    """One step of Dormand and Prince's scheme of order five, with its error estimate.
+
+    Its coefficients are SciPy's (J. R. Dormand and P. J. Prince 1980, "A family of
+    embedded Runge-Kutta formulae", Journal of Computational and Applied Mathematics 6,
+    19-26).
+
+    Args:
+        rhs: CasADi function (x, u, t) -> dx/dt; the inputs change linearly.
+        n_watched: number of states, the first ones, whose errors are estimated.
+
+    Returns:
+        CasADi function (x, column) -> x after the step, size of the estimated error
+        (n_watched,); the column holds the time, the length of the step, the inputs and
+        their slopes.
+    """
+    n_inputs = rhs.size1_in(1)
+    x = ca.SX.sym("x", rhs.size1_in(0))
+    column = ca.SX.sym("column", 2 + 2 * n_inputs)
+    t, h = column[0], column[1]
+    u, slope = column[2 : 2 + n_inputs], column[2 + n_inputs :]
+    rates: list[ca.SX] = []
+
+    def change(weights: np.ndarray) -> ca.SX:
+        """Length times the sum of weight * rate, without the weights that are zero."""
+        terms = [
+            w * rate for w, rate in zip(weights.tolist(), rates, strict=False) if w
+        ]
+        return h * sum(terms, ca.SX.zeros(x.numel()))
+
+    for weights, c in zip([*RK45.A, RK45.B], [*RK45.C, 1.0], strict=True):
+        after = x + change(weights)
+        rates.append(rhs(after, u + c * h * slope, t + c * h))
+    error = ca.fabs(change(RK45.E))[:n_watched]
+    return ca.Function("step", [x, column], [after, error], {"cse": True})
+
+
 class Runs:
     """Runs of one right-hand side; built once, run along any record.
 
@@ -128,7 +165,7 @@ class Runs:
 
     def __init__(self, rhs: ca.Function, watched: int | None = None) -> None:
         self.n_watched = watched or rhs.size1_in(0)
-        step = dormand_prince.step(rhs, self.n_watched)
+        step = _step(rhs, self.n_watched)
         self.loop = Evaluated(step.mapaccum(CHUNK))
 
     def run(

@@ -71,7 +71,9 @@ def simulate(
         DataError: wrong shapes, times or numbers.
         SolveError: the solution cannot be continued.
     """
-    added = None if force is None else partial(_of_state_and_time, force)
+    added: Force | None = None
+    if force is not None:
+        added = lambda at, x, u: force(at, x)  # noqa: E731
     return simulate_forced(model, t, x0, u, added, hold=hold, method=method)
 
 
@@ -88,13 +90,13 @@ def simulate_forced(
     """`simulate` with a force that may depend on the inputs.
 
     Args:
-        model: as in `simulate`.
-        t: as in `simulate`.
-        x0: as in `simulate`.
-        u: as in `simulate`.
+        model: with the present values of its parameters.
+        t: as x0, u, hold and method those of `simulate`.
+        x0: starting state.
+        u: inputs.
         force: function (t, x, u) -> (n_states,) that is added to dx/dt.
-        hold: as in `simulate`.
-        method: as in `simulate`.
+        hold: between the samples of u.
+        method: of SciPy.
 
     Raises:
         DataError: wrong shapes, times or numbers.
@@ -104,14 +106,14 @@ def simulate_forced(
     x0 = _checked_start(model, x0)
     pieces = _pieces(t, _inputs(model, t, u), hold_of_each(hold, model.inputs))
     f = _right_hand_side(model)
-    if force is not None:
-        f = partial(_with_force, f, force)
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
     size = max(float(np.max(np.abs(x0))), SMALLEST_START)
     for piece in pieces:
         samples = slice(piece.first + 1, piece.last + 1)
-        states[samples] = _integrated(f, piece, t, states[piece.first], method, size)
+        states[samples] = _integrated(
+            _Guarded(f, force, piece), t, states[piece.first], method, size
+        )
     return states
 
 
@@ -129,17 +131,13 @@ class _Piece:
 
 
 def _integrated(
-    f: Callable[..., np.ndarray],
-    piece: _Piece,
-    t: np.ndarray,
-    x0: np.ndarray,
-    method: str,
-    size: float,
+    f: "_Guarded", t: np.ndarray, x0: np.ndarray, method: str, size: float
 ) -> np.ndarray:
     """The states at the samples of a piece after its first one."""
+    piece = f.piece
     with np.errstate(all="ignore"):
         found = solve_ivp(
-            _Guarded(f, piece),
+            f,
             (t[piece.first], t[piece.last]),
             x0,
             method,
@@ -165,9 +163,10 @@ class _Guarded:
     the solution ends, or with far more steps than there are samples.
     """
 
-    def __init__(self, f: Callable[..., np.ndarray], piece: _Piece) -> None:
+    def __init__(self, f: Force, force: Force | None, piece: _Piece) -> None:
         self.f = f
-        self.value = piece.value
+        self.force = force
+        self.piece = piece
         self.furthest = -np.inf
         self.waited = 0
         n_samples = piece.last - piece.first
@@ -183,7 +182,9 @@ class _Guarded:
         self.left -= 1
         if self.left < 0:
             raise _stopped(at, TOO_FAST)
-        return self.f(at, x, self.value(at))
+        u = self.piece.value(at)
+        rate = self.f(at, x, u)
+        return rate if self.force is None else rate + self.force(at, x, u)
 
 
 def _stopped(at: float, why: str) -> SolveError:
@@ -319,28 +320,7 @@ def _constant(value: np.ndarray, at: float) -> np.ndarray:
     return value
 
 
-def _with_force(
-    f: Callable[..., np.ndarray],
-    force: Force,
-    at: float,
-    x: np.ndarray,
-    u: np.ndarray,
-) -> np.ndarray:
-    return f(at, x, u) + force(at, x, u)
-
-
-def _of_state_and_time(
-    force: Callable[[float, np.ndarray], np.ndarray],
-    at: float,
-    x: np.ndarray,
-    u: np.ndarray,
-) -> np.ndarray:
-    return force(at, x)
-
-
-def _right_hand_side(
-    model: Model,
-) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray]:
+def _right_hand_side(model: Model) -> Force:
     """The right-hand side on NumPy buffers: no call costs a conversion."""
     made: Any = model.rhs().buffer()  # CasADi's own types say less than what it takes
     buffer, evaluate = made

@@ -14,10 +14,9 @@ from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.force_analysis.wording import VIBRATION_WORDS
-from phsi_opt.model.catalogue_storages import is_second_storage
+from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
+from phsi_opt.model.laws import is_second_storage
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.content import Answer

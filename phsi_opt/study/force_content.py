@@ -10,16 +10,10 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import window_of
-from phsi_opt.force_analysis.state_plots import (
-    Bins,
-    Dependence,
-    dependence_title,
-    map_title,
-    map_variables,
-)
+from phsi_opt.force_analysis.state_plots import Bins, Dependence
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.force_analysis.wording import sentence
+from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
 from phsi_opt.presentation.axes import label
 from phsi_opt.presentation.content import (
     TRAINING,
@@ -107,7 +101,7 @@ def force_runs(
 
 
 def _map(force: EquationForce) -> ForceMap | None:
-    names = map_variables(force)
+    names = force.map_variables
     if len(names) < 2:
         return None
     found = MeanForce.of(force, names)

@@ -71,9 +71,6 @@ def meant_effect(
     Raises:
         ModelError: there is no such effect.
     """
-    before, _, equation = name.rpartition(ON)
-    if before and equation in model.states:
-        return own_effect(name, own) or effect_named(model, before, equation, units)
     return own_effect(name, own) or effect_named(model, name, units=units)
 
 
@@ -91,11 +88,10 @@ def check_effects(
             larger = larger.add(meant_effect(larger, name, own, units))
         except ModelError as error:
             complaints.add("study.added", error, name)
-    chosen = [("effects", EffectChoice([name]), name) for name in steps.effects or ()]
-    left_out = [("without", EffectChoice(None, [name]), name) for name in steps.without]
-    for key, choice, name in [*chosen, *left_out]:
-        try:
-            if own_effect(name, own) is None:
-                choice.checked(model, units)
-        except ModelError as error:
-            complaints.add(f"study.{key}", error, name)
+    for key in ("effects", "without"):
+        for name in getattr(steps, key) or ():
+            try:
+                if own_effect(name, own) is None:
+                    EffectChoice(**{key: (name,)}).checked(model, units)
+            except ModelError as error:
+                complaints.add(f"study.{key}", error, name)

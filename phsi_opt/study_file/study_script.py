@@ -18,7 +18,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.study_file.effects import ON, own_effect
+from phsi_opt.study_file.effects import own_effect
 from phsi_opt.study_file.sections import DataSection, HeldOut, Sections, told
 from phsi_opt.study_file.study_text import shared_parameters
 
@@ -188,9 +188,5 @@ def _study_lines(study: Sections, source: Source) -> list[str]:
     call = source.call("ph.Study", Code("model"), Code("train"), **arguments)
     lines.append(f"study = {call}")
     for name in study.steps.added:
-        before, _, equation = name.rpartition(ON)
-        place = [named(name)]
-        if not isinstance(place[0], Code) and before and equation in study.base.states:
-            place = [before, equation]
-        lines.append(source.call("study.add", *place))
+        lines.append(source.call("study.add", named(name)))
     return lines
