@@ -183,6 +183,17 @@ class JointProblem:
         Raises:
             SolveError: the states do not follow from the data.
         """
+        with np.errstate(all="ignore"):
+            return self._steps(z, most_steps, beside, target, before)
+
+    def _steps(
+        self,
+        z: np.ndarray,
+        most_steps: int,
+        beside: JointPoint | None,
+        target: Target,
+        before: MarginalLikelihood | None,
+    ) -> JointEstimate:
         place = _Place.of(self, z, beside, before)
         n_steps = 0
         has_converged = False
@@ -254,7 +265,7 @@ class JointProblem:
         return replace(place, point=point, known=self._at(point.z))
 
     def _at(self, z: np.ndarray) -> PointValues:
-        with solving(), np.errstate(all="ignore"):
+        with solving():
             return self.values.at(z)
 
     def _within(self, z: np.ndarray) -> np.ndarray:

@@ -121,6 +121,7 @@ class EvidenceRecord:
     @cached_property
     def _weighing(self) -> Weighing:
         times = [force.time for force in self.disturbances.processes]
+        rates = self.aligned.grid.rates(self.states)
         return Weighing(
             aligned=self.aligned,
             n_fitted=self.n_fitted,
@@ -129,6 +130,7 @@ class EvidenceRecord:
             channels=self.channels,
             least_noise=self.least_noise,
             longest=max(times, default=np.inf),
+            rates=np.sqrt(np.mean(rates**2, axis=0)) + TINY,
         )
 
     @cached_property

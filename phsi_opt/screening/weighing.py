@@ -147,6 +147,7 @@ class Weighing:
         channels: measured states whose noise is not known.
         least_noise: (n_states,) below which that does not fall.
         longest: correlation time of a force, at most.
+        rates: (n_states,) typical rate of every state, before anything is weighed.
     """
 
     aligned: AlignedData
@@ -156,6 +157,7 @@ class Weighing:
     channels: tuple[int, ...]
     least_noise: np.ndarray
     longest: float
+    rates: np.ndarray
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -192,7 +194,13 @@ class Weighing:
             first = replace(problem, moving=np.delete(problem.moving, inner))
             joint = first.optimum(z, STEPS_OF_A_ROUND, _beside(first, z, processes))
             z, processes = joint.point.z, joint.point.processes
+        # Beside a force that was never met with these parameters they stay at first:
+        # free ones may run from a large force to where nothing is alike.
+        is_first = start.processes is None
         for number in range(MOST_ROUNDS):
+            free = problem.moving
+            if is_first and number == 0:
+                problem = replace(problem, moving=free[:0])
             joint = problem.optimum(z, STEPS_OF_A_ROUND, _beside(problem, z, processes))
             z, processes = joint.point.z, joint.point.processes
             problem = self._without_bounds_met(problem, z)
@@ -200,12 +208,14 @@ class Weighing:
             sizes = self._better_sizes(likelihood, problem.disturbances)
             change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes)
+            if is_first and number == 0:
+                problem = replace(problem, moving=free)
             found = _Found(joint, likelihood, sizes)
             gain = np.inf if best is None else found.evidence - best.evidence
             if best is None or found.is_better_than(best):
                 best = found
             is_settled = change < SETTLED_SIZES or abs(gain) < SETTLED_EVIDENCE
-            if is_settled and joint.has_converged:
+            if is_settled and joint.has_converged and len(problem.moving):
                 break
             if number + 1 == ROUNDS_TO_REST and not best.is_valid:
                 break
@@ -262,15 +272,14 @@ class Weighing:
     ) -> Disturbances:
         """Sizes and times moved to the largest evidence of the linearised record."""
         problem = likelihood.problem
-        grid = problem.grid
-        rates = np.sqrt(np.mean(grid.rates(problem.nodes) ** 2, axis=0)) + TINY
+        rates = self.rates
         n_more = problem.n_states - len(self.least_noise)
         functions = [float(rates[f.equation]) for f in sizes.functions]
         coordinates = Coordinates(
             origin=sizes,
             channels=self.channels,
             least_noise=np.r_[self.least_noise, np.zeros(n_more)],
-            shortest=SHORTEST_FORCE * float(np.median(grid.h)),
+            shortest=SHORTEST_FORCE * float(np.median(problem.grid.h)),
             longest=self.longest,
             largest_functions=tuple(functions),
         )
