@@ -4,6 +4,7 @@ outliers, gaps, starts.
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
@@ -13,15 +14,18 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
+from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, formula
 from phsi_opt.simulation.simulate import simulate
+from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import (
     MaximumLikelihood,
     PHSILoss,
 )
+from phsi_opt.transcription.parameter_vector import Theta
 
 TRUTH = {"k": 1.2, "a": 0.8, "c": 0.15}
 NOISE = 0.01
@@ -477,6 +481,36 @@ def test_options_that_mean_nothing_are_refused(options: dict[str, Any]) -> None:
         MaximumLikelihood(**options)
 
 
+# ---- the exact Hessian ---------------------------------------------------------------
+
+
+def test_the_exact_hessian_is_that_of_automatic_differentiation() -> None:
+    rng = np.random.default_rng(0)
+    data = Measurements.from_arrays(
+        [0.1 * np.arange(5), 0.13 * np.arange(4)],
+        [rng.normal(size=(5, 2)), rng.normal(size=(4, 2))],
+        states=["q", "p"],
+    )
+    model = loaded(Parameter(1.2, per_trajectory=True)).with_values({"c": 0.3})
+    grid, unknown = grid_of(data), Theta.of(model, ("run 1", "run 2"))
+    point = point_at(model, grid, unknown, np.array([1.2, 1.5, 0.3]), grid.y)
+    program = MaximumLikelihood().program(
+        model, grid, point, {}, np.array([0.1, 0.2]), unknown
+    )
+    assert program.exact is not None
+    z = program.start + 0.01 * rng.normal(size=program.start.size)
+    multipliers = rng.normal(size=program.g.numel())
+    lagrangian = program.objective + ca.dot(ca.DM(multipliers), program.g)
+    whole = ca.Function(
+        "h",
+        [program.z, program.settings],
+        [ca.triu(ca.hessian(lagrangian, program.z)[0])],
+    )
+    expected = np.array(whole(z, program.set_to))
+    found = np.array(program.exact()(z, program.set_to, 1.0, multipliers))
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+
+
 def test_large_residuals_of_a_wrong_model_do_not_keep_the_solver_from_its_optimum() -> (
     None
 ):
@@ -525,3 +559,23 @@ def test_large_residuals_of_a_wrong_model_do_not_keep_the_solver_from_its_optimu
         np.mean(shooting.fun**2)
     )
     assert fit.noise["h2"] > 5 * 0.01
+
+
+def test_the_jacobian_made_per_interval_is_that_of_automatic_differentiation() -> None:
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.05, 0.2, 7))
+    data = measured(t, rng.normal(size=(7, 2)), rng.normal(size=(7, 1)))
+    grid, sigma = grid_of(data, 2), np.array([0.1, 0.2])
+    unknown = Theta.of(duffing(), ("run 1",))
+    nodes = rng.normal(size=grid.y.shape)
+    point = point_at(duffing(), grid, unknown, np.array([1.0, 0.7, 0.2]), nodes)
+    program = MaximumLikelihood(huber=1.0).program(
+        duffing(), grid, point, {"H": 0.1}, sigma, unknown
+    )
+    z = program.start + 0.1 * rng.normal(size=program.start.size)
+    whole = ca.Function(
+        "j", [program.z, program.settings], [ca.jacobian(program.g, program.z)]
+    )
+    expected = np.array(whole(z, program.set_to))
+    ours = np.array(program.jacobian(z, program.set_to)[1])
+    np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9)

@@ -71,7 +71,8 @@ class Solver:
     Args:
         program: what to solve.
         settings: tolerance and limits.
-        exact: with the curvature of the constraints in the Hessian.
+        exact: with the curvature of the constraints in the Hessian, where the program
+            knows it.
     """
 
     def __init__(
@@ -82,8 +83,10 @@ class Solver:
     ) -> None:
         self.program = program
         self.limits = settings or SolverSettings()
-        self.is_exact = exact
-        hessian = program.exact() if exact else program.hessian
+        self.is_exact = exact and program.exact is not None
+        hessian = program.hessian
+        if exact and program.exact is not None:
+            hessian = program.exact()
         problem = {
             "x": program.z,
             "p": program.settings,

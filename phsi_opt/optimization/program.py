@@ -58,7 +58,8 @@ class Program:
         jacobian: function (z, settings) -> g and its Jacobian.
         hessian: function (z, settings, factor, multipliers) -> upper triangle of the
             Gauss-Newton Hessian times the factor.
-        exact: makes the same function with the curvature of the constraints.
+        exact: makes the same function with the curvature of the constraints; None where
+            no loss knows it.
         start: scaled variables to start from, (n_variables,).
         scale: (n_variables,).
         lower: bounds of z, (n_variables,).
@@ -77,7 +78,7 @@ class Program:
     g: ca.MX
     jacobian: ca.Function
     hessian: ca.Function
-    exact: Callable[[], ca.Function]
+    exact: Callable[[], ca.Function] | None
     start: np.ndarray
     scale: np.ndarray
     lower: np.ndarray

@@ -6,7 +6,6 @@ A loss adds its variables, constraints and residuals in the units of the model;
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -15,6 +14,8 @@ from phsi_opt.errors import ModelError
 from phsi_opt.optimization.program import Block, Program
 
 Label = Callable[[int], str]
+Jacobian = Callable[[ca.MX], ca.MX]  # of the scaled variables z
+Curvature = Callable[[ca.MX, ca.MX], ca.MX]  # of z and the multipliers
 
 # A slack variable starts above the absolute value that it bounds, by this share of the
 # value's scale, so that the start is inside the constraints.
@@ -37,6 +38,14 @@ class _Variables:
 
 
 @dataclass(frozen=True, eq=False)
+class _Expression:
+    """A column of expressions; its Jacobian where the caller knows a cheaper one."""
+
+    column: ca.MX
+    jacobian: Jacobian | None
+
+
+@dataclass(frozen=True, eq=False)
 class _DenseResidual:
     """Residuals of the first block of variables, with dense slopes."""
 
@@ -49,7 +58,7 @@ class _Constraints:
     """A block of constraints with their bounds."""
 
     block: Block
-    column: ca.MX
+    expression: _Expression
     lower: np.ndarray
     upper: np.ndarray
 
@@ -72,6 +81,14 @@ class Assembly:
     _dense: _DenseResidual | None = None
     _linear: list[ca.MX] = field(default_factory=list)
     _settings: list[_Setting] = field(default_factory=list)
+    _curvature: Curvature | None = None
+
+    def curvature(self, of_constraints: Curvature) -> None:
+        """Say how to make the constraints' part of the exact Hessian.
+
+        ``of_constraints``: (scaled z, multipliers) -> its upper triangle.
+        """
+        self._curvature = of_constraints
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
         """Numbers (n_values,) that may change between two solves of one program."""
@@ -130,6 +147,7 @@ class Assembly:
         lower: float = 0.0,
         upper: float = 0.0,
         label: Label = str,
+        jacobian: Jacobian | None = None,
     ) -> None:
         """Add lower <= expression <= upper.
 
@@ -139,6 +157,8 @@ class Assembly:
             lower: bound of every entry.
             upper: bound of every entry.
             label: names an entry in messages.
+            jacobian: of z, where the caller knows one that costs less than automatic
+                differentiation of the whole.
         """
         column = ca.vec(expression)
         offset = self._constraints[-1].block.stop if self._constraints else 0
@@ -146,7 +166,7 @@ class Assembly:
         self._constraints.append(
             _Constraints(
                 block=block,
-                column=column,
+                expression=_Expression(column, jacobian),
                 lower=np.full(column.numel(), float(lower)),
                 upper=np.full(column.numel(), float(upper)),
             )
@@ -198,7 +218,7 @@ class Assembly:
         """
         z = ca.MX.sym("z", self._variables[-1].block.stop)
         linear = self._in_terms_of(z, self._linear)
-        columns = [constraints.column for constraints in self._constraints]
+        columns = [constraints.expression.column for constraints in self._constraints]
         g = self._in_terms_of(z, columns)
         cost = ca.sum1(linear) if self._linear else ca.MX(0)
         symbols = [setting.symbol for setting in self._settings]
@@ -216,9 +236,9 @@ class Assembly:
             objective=ca.sumsqr(residual) / 2 + cost,
             residual=residual,
             g=g,
-            jacobian=ca.Function("jac_g", [z, settings], [g, ca.jacobian(g, z)]),
+            jacobian=self._jacobian(z, settings, g),
             hessian=self._hessian(z, settings, gauss_newton, g.numel()),
-            exact=partial(_exact, z, settings, gauss_newton, g),
+            exact=self._exact(z, settings, gauss_newton, g.numel()),
             start=_stacked(variables, "start"),
             scale=_stacked(variables, "scale"),
             lower=_stacked(variables, "lower"),
@@ -234,6 +254,14 @@ class Assembly:
         if not columns:
             return ca.MX(0, 1)
         return ca.graph_substitute([ca.vertcat(*columns)], *self._parts_of(z))[0]
+
+    def _jacobian(self, z: ca.MX, settings: ca.MX, g: ca.MX) -> ca.Function:
+        rows = [ca.MX(0, z.numel())]
+        for constraints in self._constraints:
+            known = constraints.expression.jacobian
+            part = g[constraints.block.slice]
+            rows.append(ca.jacobian(part, z) if known is None else known(z))
+        return ca.Function("jac_g", [z, settings], [g, ca.vertcat(*rows)])
 
     def _parts_of(self, z: ca.MX) -> tuple[list[ca.MX], list[ca.MX]]:
         """The blocks' symbols, and the slices of z that stand for them."""
@@ -277,17 +305,23 @@ class Assembly:
         arguments = [z, settings, factor, multipliers]
         return ca.Function("gauss_newton", arguments, [factor * gauss_newton])
 
+    def _exact(
+        self, z: ca.MX, settings: ca.MX, gauss_newton: ca.MX, n_constraints: int
+    ) -> Callable[[], ca.Function] | None:
+        """What makes the Hessian with the constraints' curvature, where it is known."""
+        curvature = self._curvature
+        if curvature is None:
+            return None
 
-def _exact(z: ca.MX, settings: ca.MX, gauss_newton: ca.MX, g: ca.MX) -> ca.Function:
-    """The Hessian with the constraints' curvature, upper triangle.
+        def make() -> ca.Function:
+            factor = ca.MX.sym("factor")
+            multipliers = ca.MX.sym("lam", n_constraints)
+            # The residuals' own curvature is zero but for sensors, which are linear or
+            # nearly so.
+            hessian = factor * gauss_newton + curvature(z, multipliers)
+            return ca.Function("exact", [z, settings, factor, multipliers], [hessian])
 
-    The residuals' own curvature is zero but for sensors, which are linear or nearly so.
-    """
-    factor = ca.MX.sym("factor")
-    multipliers = ca.MX.sym("lam", g.numel())
-    of_constraints, _ = ca.hessian(ca.dot(multipliers, g), z)
-    hessian = factor * gauss_newton + ca.triu(of_constraints)
-    return ca.Function("exact", [z, settings, factor, multipliers], [hessian])
+        return make
 
 
 def _spread(value: float | np.ndarray, like: np.ndarray) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 The defect of an interval is (x1 - x0)/h - Psi(g; x0, x1), where g is the right-hand
 side of the model and Psi the mean derivative of a scheme (`integrators`). Every loss is
-made from them.
+made from them. Their second derivatives, and the first ones interval by interval, are
+in `defect_derivatives`.
 """
 
 from dataclasses import dataclass

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
@@ -24,6 +23,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.presentation.short_repr import short_number
+from phsi_opt.transcription.defect_constraint import DefectConstraint
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import known_defects
@@ -154,10 +154,13 @@ class MaximumLikelihood:
         x = state_variable(build, grid, point)
         of_runs = theta.by_trajectory
         d = defects(model, grid, self.integrator, x, of_runs)
-        # An error of the state in units of its size, comparable between equations.
-        size = grid.h[None, :] / point.x_scale[:, None]
-        label = grid.interval_label(model.n_states)
-        build.constrain("defect", d * ca.DM(size), label=label)
+        constraint = DefectConstraint(model, grid, self.integrator, point, unknown)
+        build.constrain(
+            "defect",
+            constraint.scaled(d),
+            label=grid.interval_label(model.n_states),
+            jacobian=constraint.jacobian,
+        )
         noise = build.setting("sigma", sigma)
         residual = measurement_residual(model, grid, x, of_runs, noise)
         n_measured = len(grid.channel)
@@ -165,6 +168,7 @@ class MaximumLikelihood:
             residual = residual - outlier_slack(build, n_measured, self.huber)
         build.residual(residual * np.sqrt(2 / n_measured))
         theta.add_l1(build, l1, 1.0)
+        build.curvature(constraint.curvature)
         return build.finish()
 
 
