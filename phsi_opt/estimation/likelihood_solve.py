@@ -56,9 +56,10 @@ class LikelihoodSolver:
         """The optimum of the whole record, however far off the start is."""
         start = replace(start, steps=self._steps(start))
         if self.task.settings.thorough and not start.is_optimum:
-            near = self.solve(start, most_steps=FIRST_STEPS)
-            if near.is_success and is_at_scatter(near):
-                return near
+            if self.task.settings.has_own_steps:
+                near = self.solve(start, most_steps=FIRST_STEPS)
+                if near.is_success and is_at_scatter(near):
+                    return near
             there = self.continued(start)
             return self.solve(start if there is None else there)
         near = self.solve(start)

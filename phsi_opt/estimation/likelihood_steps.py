@@ -33,7 +33,7 @@ from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 
 MOST_NOISE_UPDATES = 10
-STEPS_WITH_ONE_NOISE = 60  # with one noise
+STEPS_WITH_ONE_NOISE = 30  # with one noise
 # Length of a step, in standard deviations of what is unknown, that is short enough for
 # the noise to be re-estimated.
 FOR_THE_NOISE = Target(length=0.1)
