@@ -259,13 +259,9 @@ class _Judge:
         """Why what is decisive is not named; empty where it is."""
         base = self.base
         first = self.ranking[0]
-        unresolved = unresolved_channels(base.record.data)
-        if unresolved and is_small_as_noise(done.trained):
-            steps = f"the steps of {', '.join(unresolved)}"
-            return (
-                f"so may {steps}, which moves by less than one of them (standard "
-                "deviation)"
-            )
+        steps = self.steps_in_words()
+        if steps and is_small_as_noise(done.trained):
+            return f"so may {steps}"
         if self.leaves_nothing(done):
             return ""
         if done.trained.rmse > base.trained.rmse:
@@ -279,6 +275,16 @@ class _Judge:
                 f"and {100 * first.share:.0f} % of the error"
             )
         return self.rival(first)
+
+    def steps_in_words(self) -> str:
+        """Steps of sensors that are coarser than the motion; empty: there are none."""
+        unresolved = unresolved_channels(self.base.record.data)
+        if not unresolved:
+            return ""
+        return (
+            f"the steps of {', '.join(unresolved)}, which moves by less than one of "
+            "them (standard deviation)"
+        )
 
     def rival(self, first: Candidate) -> str:
         """A law of no catalogue that is far likelier; empty where there is none."""
@@ -393,6 +399,9 @@ class _Judge:
             none = "no force is evident beside the model, and no effect is decisive"
             return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}", ranking)
         reason = f"{errors}: a force is evident, and no effect explains it"
+        steps = self.steps_in_words()
+        if steps:
+            reason += f"; it may be {steps}"
         nearest = [one for one in self.ranking if one.was_weighed]
         if nearest and nearest[0].grade != Grade.NONE:
             one = nearest[0]

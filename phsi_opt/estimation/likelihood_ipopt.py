@@ -17,8 +17,8 @@ from phsi_opt.optimization.settings import SolverSettings
 
 MOST_IPOPT_SOLVES = 6  # with a noise re-estimated
 # Iterations after which the exact Hessian takes over from Gauss-Newton's: that
-# converges in a few, or not at all.
-GAUSS_NEWTON_ITERATIONS = 30
+# converges in a few, or creeps (a pendulum over the top without its friction: 134).
+GAUSS_NEWTON_ITERATIONS = 200
 # Iterations with the exact Hessian where a solve need not be thorough.
 BRIEF_ITERATIONS = 25
 # Root mean square residual, over the noise assumed, of data without noise.
@@ -46,15 +46,14 @@ def by_ipopt(
         by_steps: where full steps ended that did not settle; None: there were none.
     """
     program = transcription.program
-    z = program.start
-    hessians: tuple[bool, ...] = (False, True)
+    starts = {False: program.start, True: program.start}  # by whether it is exact
     if by_steps is not None:
-        hessians = (True,)
         if by_steps.solution.outcome.infeasibility < NEARLY_HOLDING:
-            z = by_steps.solution.z
-    for is_exact in hessians:
-        limits = _limits(settings, is_exact)
-        solver = Solver(program, limits, exact=is_exact)
+            starts[True] = by_steps.solution.z
+        if not settings.thorough:
+            del starts[False]
+    for is_exact, z in starts.items():
+        solver = Solver(program, _limits(settings, is_exact), exact=is_exact)
         optimum = _settled(solver, noise, z, sigma)
         if optimum.solution.outcome.success:
             break

@@ -12,6 +12,7 @@ from phsi_opt.statistics import TINY
 # millionth of where it began is not there.
 SMALLEST_LOG = -14.0
 LARGEST_LOG = 7.0  # and up to which it goes
+LEAST_WHITE = 0.1  # share of the least noise of a channel that stays white
 # Sizes of noises and processes that are estimated one by one, at most: beyond, those of
 # one kind keep their ratios.
 MOST_SIZES = 27
@@ -28,7 +29,7 @@ class Coordinates:
     Attributes:
         origin: the disturbances at zero.
         channels: states whose white noise is estimated.
-        least_noise: (n_states,) least mean of it over the trajectories.
+        least_noise: (n_states,) least noise, white and lasting, mean over trajectories.
         shortest: correlation time, at least.
         longest: at most.
         largest_functions: sizes of the functions, at most.
@@ -62,7 +63,7 @@ class Coordinates:
         lowest = []
         for channel in self.channels:
             noise = float(np.mean(origin.sigma[:, channel]))
-            least = self.least_noise[channel] / noise
+            least = self._least_white(channel) / noise
             lowest.append(max(float(np.log(max(least, TINY))), SMALLEST_LOG))
         for group in self._groups(len(self.channels)):
             highest = max(lowest[place] for place in group)
@@ -75,6 +76,16 @@ class Coordinates:
                 (SMALLEST_LOG, max(float(np.log(largest / function.size)), 0.0))
             )
         return bounds
+
+    def _least_white(self, channel: int) -> float:
+        """White noise of a channel, at least: what errors that last leave of its noise.
+
+        Not none of it: the weight of a value is one over its white noise.
+        """
+        least = self.least_noise[channel]
+        lasting = [one.size for one in self.origin.sensors if one.place == channel]
+        left = least**2 - sum(size**2 for size in lasting)
+        return float(np.sqrt(max(left, (LEAST_WHITE * least) ** 2)))
 
     def is_free(self, distance: float) -> np.ndarray:
         """Whether the origin is farther from both bounds, (n_coordinates,) of bool."""

@@ -65,7 +65,7 @@ DECADE = 10  # ratio of errors from which on their axis is logarithmic
 LETTERS_PER_INCH = 9.5  # of a tick label in matplotlib's default font
 TICK_LETTERS = 16  # in a line of a step's label
 MOST_LETTERS = 44  # of a name in a chart; the text has it whole
-GAP = 0.1  # of the height, between two panels
+PANEL_GAP = 0.1  # of the height, between two panels
 PAPER_WIDTH = 7.2  # inches: the width of a page of paper
 STYLE: Any = {
     "svg.fonttype": "none",
@@ -382,13 +382,13 @@ def _looks() -> dict[str, Any]:
 
 def _domains(heights: Sequence[float]) -> list[list[float]]:
     """Bottom and top of each panel, the first one at the top."""
-    room = 1 - GAP * (len(heights) - 1)
+    room = 1 - PANEL_GAP * (len(heights) - 1)
     top = 1.0
     found = []
     for height in heights:
         share = room * height / sum(heights)
         found.append([max(top - share, 0.0), top])
-        top -= share + GAP
+        top -= share + PANEL_GAP
     return found
 
 

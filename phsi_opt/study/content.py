@@ -3,9 +3,9 @@
 import platform
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
@@ -57,6 +57,9 @@ from phsi_opt.study.headline import (
     telling_step,
 )
 from phsi_opt.study.record import Step, StudyRecord
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Ends = tuple[float | None, float | None]
 ENDED_AT_BOUND = "at its bound"
@@ -187,7 +190,7 @@ def _model(heading: str, fit: Fit) -> Equations:
     return Equations(proper_names(heading), lines, tuple(rows))
 
 
-def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRow:
+def _parameter(fit: Fit, row: "pd.Series", intervals: "pd.DataFrame") -> ParameterRow:
     """A parameter, its interval as far as its bounds let it go."""
     name = str(row["name"])
     value = float(row["value"])

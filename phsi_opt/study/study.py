@@ -22,7 +22,6 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
-from phsi_opt.study.content import study_content
 from phsi_opt.study.fitting import StudyFitting
 from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import check_executor
@@ -398,6 +397,7 @@ class Study(Summarised):
             DataError: the file is of another kind, or cannot be written.
         """
         from phsi_opt.presentation.html_report import html_report, markdown_report
+        from phsi_opt.study.content import study_content
 
         place = written_path(path)
         if place.suffix not in REPORT_SUFFIXES:
@@ -417,6 +417,8 @@ class Study(Summarised):
             forces: whether the missing force of the present model is told along all
                 runs, those held out included, which takes an estimate of it.
         """
+        from phsi_opt.study.content import study_content
+
         return study_content(self.record, forces=forces)
 
     def _known_candidate(self, effect: Effect) -> Candidate | None:
