@@ -205,12 +205,13 @@ class Weighing:
             z, processes = joint.point.z, joint.point.processes
             problem = self._without_bounds_met(problem, z)
             likelihood = joint.likelihood.with_moving(problem.moving)
+            # Of the sizes that led there: others have their optimum elsewhere.
+            found = _Found(joint, likelihood, problem.disturbances)
             sizes = self._better_sizes(likelihood, problem.disturbances)
             change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes)
             if is_first and number == 0:
                 problem = replace(problem, moving=free)
-            found = _Found(joint, likelihood, sizes)
             gain = np.inf if best is None else found.evidence - best.evidence
             if best is None or found.is_better_than(best):
                 best = found
@@ -356,7 +357,7 @@ class _Found:
     Attributes:
         joint: parameters, states and forces.
         likelihood: of the record linearised there.
-        sizes: the most likely ones.
+        sizes: with which they were taken.
     """
 
     joint: JointEstimate

@@ -20,6 +20,9 @@ from phsi_opt.transcription.grid import Grid
 # Information, per scaled parameter, that makes the matrix regular where the data say
 # nothing.
 RIDGE = 1e-10
+# The same as a share of the largest information: beside less the others drown in its
+# inverse's rounding.
+ROUNDING = 1e-15
 HELD = 1e12  # information, per scaled parameter, by which a parameter does not move
 REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
 
@@ -43,9 +46,10 @@ def regularized_inverse(
             "parameter has a standard error; give parameters bounds, or start them "
             "nearer to the truth."
         )
-    ridge = np.full(len(information), RIDGE)
-    ridge[list(held)] = HELD
     values, vectors = np.linalg.eigh(information)
+    least = max(RIDGE, ROUNDING * float(np.max(values, initial=0.0)))
+    ridge = np.full(len(information), least)
+    ridge[list(held)] = HELD
     positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
     regular = positive + np.diag(ridge)
     try:
