@@ -68,10 +68,10 @@ nitpick_ignore_regex = [
         r"(abc|ast|collections|concurrent|datetime|enum|functools|os|pathlib|types|typing)(\..*)?",
     ),
     ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
-    ("py:class", r"(.*\.)?Annotated"),  # an option of the command line
+    ("py:class", r"(.*\.)?(Annotated|Content)"),  # an option of the command line; a type variable
     (
         "py:class",
-        r"Axes|Dtype|Figure|RenderableType|(dict|tuple)\[str",
+        r"Arguments|Axes|Dtype|Figure|RenderableType|(dict|tuple)\[str",
     ),  # imported for types alone; cut up
     (
         "py:class",

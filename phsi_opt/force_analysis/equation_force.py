@@ -122,7 +122,7 @@ class EquationForce(Force):
 
     @property
     def map_variables(self) -> list[str]:
-        """Variables of a map: position and velocity of a momentum, or the best states.
+        """Position and velocity of a momentum, or the best states, for a map.
 
         There may be only one state. Another pair of states takes their place where the
         force follows only that pair.

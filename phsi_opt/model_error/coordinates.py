@@ -46,7 +46,7 @@ class Coordinates:
 
     @property
     def is_tied(self) -> bool:
-        """Whether sizes of one kind share a factor: where there are many."""
+        """Whether sizes of one kind share a factor, as they do where there are many."""
         return len(self.channels) + len(self.origin.processes) > MOST_SIZES
 
     def _groups(self, n: int) -> list[list[int]]:
