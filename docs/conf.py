@@ -68,7 +68,10 @@ nitpick_ignore_regex = [
         r"(abc|ast|collections|concurrent|datetime|enum|functools|os|pathlib|types|typing)(\..*)?",
     ),
     ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
-    ("py:class", r"(.*\.)?(Annotated|Content)"),  # an option of the command line; a type variable
+    (
+        "py:class",
+        r"(.*\.)?(Annotated|Content)",
+    ),  # an option of the command line; a type variable
     (
         "py:class",
         r"Arguments|Axes|Dtype|Figure|RenderableType|(dict|tuple)\[str",
