@@ -22,7 +22,7 @@ from phsi_opt.transcription.grid import Grid
 RIDGE = 1e-10
 # The same as a share of the largest information: beside less the others drown in its
 # inverse's rounding.
-ROUNDING = 1e-15
+ROUNDED_RIDGE = 1e-15
 HELD = 1e12  # information, per scaled parameter, by which a parameter does not move
 REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
 
@@ -47,7 +47,7 @@ def regularized_inverse(
             "nearer to the truth."
         )
     values, vectors = np.linalg.eigh(information)
-    least = max(RIDGE, ROUNDING * float(np.max(values, initial=0.0)))
+    least = max(RIDGE, ROUNDED_RIDGE * float(np.max(values, initial=0.0)))
     ridge = np.full(len(information), least)
     ridge[list(held)] = HELD
     positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
