@@ -32,10 +32,6 @@ class Room:
         """Between the bounds of z, (n,) each."""
         return cls(np.minimum(lower - z, 0.0), np.maximum(upper - z, 0.0))
 
-    def is_pressed(self, gradient: np.ndarray) -> np.ndarray:
-        """Which are at a bound beyond which the objective would fall, (n,)."""
-        return np.where(gradient > 0, self.below == 0, self.above == 0)
-
     def holds(self, step: np.ndarray) -> bool:
         """Whether the parameters can take a whole step (n,)."""
         return bool(np.all((self.below <= step) & (step <= self.above)))

@@ -196,27 +196,24 @@ class Weighing:
             z, processes = joint.point.z, joint.point.processes
         # Beside a force that was never met with these parameters they stay at first:
         # free ones may run from a large force to where nothing is alike.
-        is_first = start.processes is None
         for number in range(MOST_ROUNDS):
-            free = problem.moving
-            if is_first and number == 0:
-                problem = replace(problem, moving=free[:0])
-            joint = problem.optimum(z, STEPS_OF_A_ROUND, _beside(problem, z, processes))
+            are_held = start.processes is None and number == 0
+            own = replace(problem, moving=problem.moving[:0]) if are_held else problem
+            joint = own.optimum(z, STEPS_OF_A_ROUND, _beside(own, z, processes))
             z, processes = joint.point.z, joint.point.processes
-            problem = self._without_bounds_met(problem, z)
-            likelihood = joint.likelihood.with_moving(problem.moving)
+            if not are_held:
+                problem = own = self._without_bounds_met(problem, z)
+            likelihood = joint.likelihood.with_moving(own.moving)
             # Of the sizes that led there: others have their optimum elsewhere.
             found = _Found(joint, likelihood, problem.disturbances)
             sizes = self._better_sizes(likelihood, problem.disturbances)
             change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes)
-            if is_first and number == 0:
-                problem = replace(problem, moving=free)
             gain = np.inf if best is None else found.evidence - best.evidence
             if best is None or found.is_better_than(best):
                 best = found
             is_settled = change < SETTLED_SIZES or abs(gain) < SETTLED_EVIDENCE
-            if is_settled and joint.has_converged and len(problem.moving):
+            if is_settled and joint.has_converged and not are_held:
                 break
             if number + 1 == ROUNDS_TO_REST and not best.is_valid:
                 break
