@@ -16,6 +16,7 @@ from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model, built_of
 from phsi_opt.model_error.joint_estimate import JointProblem
+from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.endings import DIRECT_STEPS
 from phsi_opt.transcription.alignment import AlignedData
@@ -317,7 +318,7 @@ def test_starting_states_stay_within_their_bounds() -> None:
     point = point_at(model, grid, theta, model.theta, nodes)
     point = replace(point, x_bounds=StateBounds(lower, upper))
     values = LikelihoodValues(model, grid, "srk4", point, theta)
-    problem = JointProblem.white(values, np.array([FINE_NOISE, 1.0]))
+    problem = JointProblem.white(Linearizer(values), np.array([FINE_NOISE, 1.0]))
     found = problem.optimum(point.scaled, 100)
     assert found.has_converged and found.violation < 1e-7
     began = point.unscaled(found.point.z)["x"][0]

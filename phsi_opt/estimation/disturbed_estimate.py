@@ -29,6 +29,7 @@ from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointProblem
+from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, noise_weights
 from phsi_opt.model_error.spread import Spread
 from phsi_opt.model_error.standard_errors import Source, under_disturbances
@@ -211,6 +212,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     solved = plain.solved
     search = solved.search(replace(solved.linearized(), linear_share=0.0))
     values = plain.transcription.values
+    linearizer = Linearizer(values)
     z = plain.solution.z[: len(plain.unknown) + plain.point.x.size]
     evidence = -np.inf
     move = np.inf
@@ -221,7 +223,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         if is_settled and move < SETTLED_STEP:
             break
         task.say("parameters, states and forces together")
-        problem = JointProblem(values, disturbances, search.moving)
+        problem = JointProblem(linearizer, disturbances, search.moving)
         joint = problem.optimum(z, MOST_STEPS_OF_A_SOLVE)
         z = joint.point.z
         solution = _solution(values, joint, disturbances, began)

@@ -26,6 +26,7 @@ from phsi_opt.model_error.joint_estimate import (
     JointProblem,
     Target,
 )
+from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.optimization.endings import STEPS_OPTIMUM, STEPS_STALLED
 from phsi_opt.optimization.ipopt import Solution, names_at_bounds
 from phsi_opt.optimization.outcome import Outcome
@@ -70,11 +71,12 @@ def by_steps(
     began = time.perf_counter()
     most = min(STEPS_WITH_ONE_NOISE, settings.max_iterations)
     target = FOR_THE_NOISE if noise.is_estimated.any() else EXACTLY
+    linearizer = Linearizer(values)
     joint = None
     n_steps = 0
     is_found = False
     for _ in range(MOST_NOISE_UPDATES):
-        problem = JointProblem.white(values, sigma)
+        problem = JointProblem.white(linearizer, sigma)
         before = None if joint is None else joint.likelihood
         try:
             joint = problem.optimum(z, most, target=target, before=before)
@@ -122,14 +124,18 @@ def continued(values: LikelihoodValues, sigma: np.ndarray) -> np.ndarray | None:
         sigma: (n_states,) noise.
     """
     rates = _sizes_of_rates(values)
+    linearizer = Linearizer(values)
     z = values.point.scaled
+    before = None
     for size in FORCE_SIZES:
-        problem = JointProblem.white(values, sigma, (size * rates) ** 2)
+        problem = JointProblem.white(linearizer, sigma, (size * rates) ** 2)
         try:
-            found = problem.optimum(z, MOST_STEPS_OF_A_SIZE, target=NEXT_SIZE)
+            found = problem.optimum(
+                z, MOST_STEPS_OF_A_SIZE, target=NEXT_SIZE, before=before
+            )
         except (SolveError, np.linalg.LinAlgError):
             return None
-        z = found.point.z
+        z, before = found.point.z, found.likelihood
     return z
 
 

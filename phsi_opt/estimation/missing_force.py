@@ -23,6 +23,7 @@ from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.force_posterior import ForcePosterior
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
+from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.processes import Process
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
@@ -155,7 +156,7 @@ def estimate_force(
     forces = generous_force(model, grid, point) if forces is None else forces
     noise = np.tile(sigma, (int(grid.trajectory[-1]) + 1, 1))
     search = _Search(
-        values=_values(model, grid, point, integrator),
+        linearizer=Linearizer(_values(model, grid, point, integrator)),
         disturbances=Disturbances(noise, forces, sensors),
         channels=_unknown_channels(grid, known_noise),
         least_noise=np.broadcast_to(least_noise, len(sigma)),
@@ -168,7 +169,7 @@ def estimate_force(
         change = search.disturbances.distance(before)
         if change < SETTLED_SIZE and found.has_converged:
             break
-    x = search.values.point.unscaled(found.point.z)["x"]
+    x = search.linearizer.values.point.unscaled(found.point.z)["x"]
     n_forces = len(forces) * grid.n_intervals
     return ForceEstimate(
         x=x.reshape(point.x.shape),
@@ -205,14 +206,14 @@ class _Search:
     """States and force, solved for better and better sizes.
 
     Attributes:
-        values: of the likelihood; where they begin is where a search begins.
+        linearizer: of the likelihood; where its values begin is where a search begins.
         disturbances: noise and force, with their present sizes.
         channels: states whose noise is not known.
         least_noise: (n_states,) below which that does not fall.
         is_patient: whether many steps are taken where few are not enough.
     """
 
-    values: LikelihoodValues
+    linearizer: Linearizer
     disturbances: Disturbances
     channels: tuple[int, ...]
     least_noise: np.ndarray
@@ -246,8 +247,8 @@ class _Search:
         return found
 
     def _solved(self, start: JointPoint | None, most_steps: int) -> JointEstimate:
-        problem = JointProblem(self.values, self.disturbances, NO_PARAMETERS)
-        z = self.values.point.scaled if start is None else start.z
+        problem = JointProblem(self.linearizer, self.disturbances, NO_PARAMETERS)
+        z = self.linearizer.values.point.scaled if start is None else start.z
         return problem.optimum(z, most_steps, start)
 
     def update_sizes(self, found: JointEstimate) -> ForcePosterior:

@@ -128,14 +128,14 @@ class JointProblem:
     """A record whose disturbances have given sizes.
 
     Attributes:
-        values: the likelihood of parameters and states.
+        linearizer: of the likelihood of parameters and states.
         disturbances: with their sizes and times.
         moving: (n_moving,) places of the parameters that are free to move.
         softness: (n_constraints,) variance of what the scaled dynamics are violated by;
             zero where they hold; None: they all hold.
     """
 
-    values: LikelihoodValues
+    linearizer: Linearizer
     disturbances: Disturbances
     moving: np.ndarray
     softness: np.ndarray | None = None
@@ -143,19 +143,20 @@ class JointProblem:
     @classmethod
     def white(
         cls,
-        values: LikelihoodValues,
+        linearizer: Linearizer,
         sigma: np.ndarray,
         softness: np.ndarray | None = None,
     ) -> "JointProblem":
         """All parameters, and white noise sigma (n_states,) of the sensors."""
+        values = linearizer.values
         n_runs = int(values.grid.trajectory[-1]) + 1
         noise = Disturbances(np.tile(sigma, (n_runs, 1)))
-        return cls(values, noise, np.arange(len(values.unknown)), softness)
+        return cls(linearizer, noise, np.arange(len(values.unknown)), softness)
 
-    @cached_property
-    def linearizer(self) -> Linearizer:
-        """Of the likelihood."""
-        return Linearizer(self.values)
+    @property
+    def values(self) -> LikelihoodValues:
+        """The likelihood of parameters and states."""
+        return self.linearizer.values
 
     @cached_property
     def variance(self) -> np.ndarray:
@@ -323,7 +324,7 @@ class _Place:
         linear = replace(problem.linearizer.at(z, known), linear_share=0.0)
         structure = problem.disturbances.structure
         if before is not None:
-            likelihood = before.relinearized(linear)
+            likelihood = before.with_softness(problem.softness).relinearized(linear)
         else:
             likelihood = MarginalLikelihood(
                 linear, structure, problem.moving, problem.softness
@@ -382,6 +383,16 @@ class _Place:
 
         Infinite where values or slopes are no numbers.
         """
+        cost = self._objective + price * self._violations
+        return cost if np.isfinite(cost) else np.inf
+
+    @cached_property
+    def _violations(self) -> float:
+        """Sum of the violations of the dynamics that hold."""
+        return float(np.sum(np.abs(self._excess[self._holds])))
+
+    @cached_property
+    def _objective(self) -> float:
         known = self.known
         if not np.isfinite(np.sum(known.jacobian) + np.sum(known.slopes)):
             return np.inf
@@ -389,9 +400,7 @@ class _Place:
         squares = self._squares(
             self.residual, point.processes, point.coefficients, self._excess
         )
-        violation = float(np.sum(np.abs(self._excess[self._holds])))
-        cost = squares / 2 + price * violation
-        return cost if np.isfinite(cost) else np.inf
+        return squares / 2
 
     def _squares(
         self,

@@ -260,13 +260,13 @@ class Linearization:
 class Linearizer:
     """Linearises one likelihood at point after point, whose patterns stay.
 
-    Args:
+    Attributes:
         values: of the likelihood.
     """
 
     def __init__(self, values: LikelihoodValues) -> None:
         grid, model, point = values.grid, values.model, values.point
-        self._values = values
+        self.values = values
         self._dynamics = values.jacobian.part(point.of_x)
         self._dynamics_in_theta = values.jacobian.part(point.of_theta)
         self._shown = values.shown.part(point.of_x)
@@ -287,7 +287,7 @@ class Linearizer:
             z: (n_variables,) scaled parameters and states.
             known: what the values are there.
         """
-        values = self._values
+        values = self.values
         point = values.point
         n_states = values.n_states
         return Linearization(

@@ -256,6 +256,12 @@ class MarginalLikelihood:
         other._set_slopes()
         return other
 
+    def with_softness(self, softness: np.ndarray | None) -> "MarginalLikelihood":
+        """The same where the dynamics fail to hold by other variances."""
+        other = copy(self)
+        other._softness = np.zeros(0) if softness is None else softness
+        return other
+
     def with_moving(self, moving: np.ndarray) -> "MarginalLikelihood":
         """The same where other parameters are free to move."""
         if np.array_equal(moving, self.moving):
@@ -269,7 +275,7 @@ class MarginalLikelihood:
         """What the slopes of the record fill."""
         self.shown = self._shown_in_unknowns()
         self.shown_transposed = self.shown.T
-        self._products = _products_of_rows(self.shown)
+        self._products = self._pairs.products(self.shown)
         slopes = coo_matrix(self.problem.dynamics_in_states).data
         dynamics = np.concatenate([slopes, self._slopes_of_forces])
         self._dynamics_entries = np.concatenate([dynamics, dynamics])
@@ -309,10 +315,10 @@ class MarginalLikelihood:
         self._slopes_of_forces = np.concatenate(of_forces)
         below = np.concatenate(row) + self.n_unknowns
         unknown = np.concatenate(column)
-        products = _products_of_rows(self._shown_in_unknowns())
+        self._pairs = _Pairs.of(self._shown_in_unknowns())
         every_state = np.arange(problem.nodes.size)
-        rows = [below, unknown, products.row, every_state]
-        columns = [unknown, below, products.column, every_state]
+        rows = [below, unknown, self._pairs.row, every_state]
+        columns = [unknown, below, self._pairs.column, every_state]
         for first, n in places:
             on_diagonal = first + np.arange(n)
             rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
@@ -446,7 +452,7 @@ class MarginalLikelihood:
         squared = weight**2
         processes = disturbances.processes
         whiteners = self.whiteners(disturbances)
-        curvature = self._products.entries(squared)
+        curvature = self._products * squared[self._pairs.value]
         largest = np.max(curvature)
         shift = np.full(problem.nodes.size, regular * largest)
         shift[held] = HELD_STATE * largest
@@ -710,43 +716,40 @@ class Eliminated:
 
 
 @dataclass(frozen=True, eq=False)
-class _Products:
-    """Entries of C' W C as a function of the weights W of the values.
+class _Pairs:
+    """Pairs of entries in one row of a sparse matrix C, whose products make C' W C.
 
     Attributes:
-        row: (n_entries,).
-        column: (n_entries,).
-        value: (n_entries,) number of the measured value that an entry comes from.
-        factor: (n_entries,) product of two slopes.
+        one: (n_pairs,) place of an entry among those of C.
+        other: (n_pairs,).
+        row: (n_pairs,) of the product.
+        column: (n_pairs,).
+        value: (n_pairs,) row of C that both are from.
     """
 
+    one: np.ndarray
+    other: np.ndarray
     row: np.ndarray
     column: np.ndarray
     value: np.ndarray
-    factor: np.ndarray
 
-    def entries(self, weights: np.ndarray) -> np.ndarray:
-        """With these weights, (n_entries,)."""
-        entries: np.ndarray = self.factor * weights[self.value]
-        return entries
+    @classmethod
+    def of(cls, slopes: csr_matrix) -> "_Pairs":
+        """All pairs of a matrix."""
+        n_in_row = np.diff(slopes.indptr)
+        value = np.repeat(np.arange(slopes.shape[0]), n_in_row)
+        n_partners = n_in_row[value]
+        one = np.repeat(np.arange(len(value)), n_partners)
+        number = np.arange(len(one)) - np.repeat(
+            np.cumsum(n_partners) - n_partners, n_partners
+        )
+        other = slopes.indptr[value[one]] + number
+        return cls(one, other, slopes.indices[one], slopes.indices[other], value[one])
 
-
-def _products_of_rows(slopes: csr_matrix) -> _Products:
-    """All products of two entries of one row."""
-    n_in_row = np.diff(slopes.indptr)
-    value = np.repeat(np.arange(slopes.shape[0]), n_in_row)
-    n_partners = n_in_row[value]
-    one = np.repeat(np.arange(len(value)), n_partners)
-    number = np.arange(len(one)) - np.repeat(
-        np.cumsum(n_partners) - n_partners, n_partners
-    )
-    other = slopes.indptr[value[one]] + number
-    return _Products(
-        row=slopes.indices[one],
-        column=slopes.indices[other],
-        value=value[one],
-        factor=slopes.data[one] * slopes.data[other],
-    )
+    def products(self, slopes: csr_matrix) -> np.ndarray:
+        """Of the entries of a matrix of the same pattern, (n_pairs,)."""
+        products: np.ndarray = slopes.data[self.one] * slopes.data[self.other]
+        return products
 
 
 def reduced(linear: Linearization, sigma: np.ndarray) -> ReducedSystem:

@@ -27,7 +27,7 @@ from phsi_opt.model_error.ascent import climbed
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
-from phsi_opt.model_error.linearization import linearized
+from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.alignment import AlignedData
@@ -246,7 +246,8 @@ class Weighing:
         point = point_at(model, grid, unknown, start.theta, start.states, held)
         grid = self._with_memory_at_rest(grid, start.states)
         values = LikelihoodValues(model, grid, SCHEME, point, unknown)
-        return JointProblem(values, start.disturbances, np.arange(len(unknown)))
+        every = np.arange(len(unknown))
+        return JointProblem(Linearizer(values), start.disturbances, every)
 
     def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
         """The memory of an effect is known to begin near rest, as if measured."""
@@ -402,7 +403,7 @@ def _beside(
         return None
     n = 0
     if problem.disturbances.functions:
-        linear = linearized(problem.values, z, problem.values.at(z))
+        linear = problem.linearizer.at(z, problem.values.at(z))
         linear = replace(linear, linear_share=0.0)
         for function in problem.disturbances.functions:
             n += linear.function_values[function.state].shape[1]

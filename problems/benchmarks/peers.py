@@ -112,8 +112,8 @@ def _identified(
 def floor(problem: Problem, model: ph.Model, case: Drawn) -> float:
     """Seconds that the final solve needs at least.
 
-    For each of its iterations the defects with their Jacobian, the Hessian, and a
-    banded LU with a solve per parameter; the median of a few at the optimum.
+    For each of its iterations the defects and their slopes, and a banded factorisation
+    with a solve per parameter; the median of a few at the optimum.
     """
     aligned = AlignedData.of(model, _data(problem, case))
     task = Task(model, aligned, l1={}, pruning=None, settings=ph.SolverSettings())
@@ -126,9 +126,9 @@ def floor(problem: Problem, model: ph.Model, case: Drawn) -> float:
 def _iteration(estimate: LikelihoodEstimate) -> float:
     """Processor seconds of one iteration, at least."""
     values = estimate.transcription.values
-    problem = JointProblem.white(values, estimate.sigma)
-    z = estimate.solution.z
     linearizer = Linearizer(values)
+    problem = JointProblem.white(linearizer, estimate.sigma)
+    z = estimate.solution.z
     linear = linearizer.at(z, values.at(z))
     noise = problem.disturbances
     kernel = MarginalLikelihood(linear, noise.structure, problem.moving)
@@ -202,9 +202,9 @@ def page(rows: pd.DataFrame) -> str:
         finds the noise and chooses steps; the peers give estimates alone. Standard
         errors, which survive model error, are worked out when they are asked for:
         "with standard errors" is `identify` and `fit.std_errors` together. Over floor:
-        `identify` over iterations of its final solve times one evaluation of defects,
-        Jacobian and Hessian, a banded LU and its solves. Second fit: the same model
-        object, other data.
+        `identify` over iterations of its final solve times one evaluation of defects
+        and their slopes, a banded factorisation and its solves. Second fit: the same
+        model object, other data.
         """)
     return "\n".join(["# Beside what users would write", "", text, "", _table(rows)])
 
