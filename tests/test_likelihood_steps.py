@@ -1,5 +1,6 @@
 """A likelihood by full steps: the optimum that IPOPT finds, from any start."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -97,6 +98,79 @@ def test_a_crude_start_leads_to_the_optimum_where_the_model_lacks_something() ->
     near = ph.identify(unknown(fit.values["k"], fit.values["c"]), data)
     assert fit.bic == pytest.approx(near.bic, abs=1e-3)
     assert fit.noise["q"] > 2 * NOISE
+
+
+def test_the_likelier_of_both_ways_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A cubic spring that the model lacks: what is left is no scatter of the samples,
+    # so that the force that shrinks is tried too; here it leads somewhere far worse.
+    truth = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("1.7*q**2/2 + q**4/10 + p**2/3"),
+        R={"p": ph.formula("0.15")},
+    )
+    data = swinging(truth)
+    fit = ph.identify(unknown(1.5, 0.15), data)
+    heavy = spring(ph.Parameter(200.0, lower=0), ph.Parameter(9.0, lower=0), 0.01)
+    wrong = ph.identify(heavy, data)
+    lost: list[StartingPoint] = []
+
+    def astray(_solver: LikelihoodSolver, start: StartingPoint) -> StartingPoint:
+        theta = np.array([wrong.values["k"], wrong.values["c"]])
+        lost.append(replace(start, theta=theta, states=wrong.states, is_optimum=True))
+        return lost[-1]
+
+    monkeypatch.setattr(LikelihoodSolver, "continued", astray)
+    kept = ph.identify(unknown(1.5, 0.15), data)
+    assert lost
+    assert kept.bic == pytest.approx(fit.bic, abs=1e-3)
+
+
+def test_states_that_nothing_tells_begin_at_the_size_of_what_they_drive() -> None:
+    """Two slow voltages of a cell, of which a first look at the data says nothing."""
+    t = np.arange(0.0, 2400.0, 5.0)
+    current = np.where(t % 800 < 100, -20.0, 0.0)
+    current += np.where((t % 800 > 300) & (t % 800 < 340), 15.0, 0.0)
+    truth = {
+        "C": 3e5,
+        "R1": 1e-3,
+        "tau1": 20.0,
+        "R2": 2e-3,
+        "tau2": 300.0,
+        "R0": 1.6e-3,
+    }
+    known = cell(truth)
+    x = ph.simulate(known, t, [3.7, 0.0, 0.0], u=current)
+    shown = x[:, 0] + truth["R0"] * current
+    shown += 1e-4 * np.random.default_rng(3).normal(size=len(t))
+    y = np.column_stack([shown, np.full((len(t), 2), np.nan)])
+    data = ph.Measurements.from_arrays(
+        t, y, current, states=["v", "v1", "v2"], inputs=["I"]
+    )
+    starts = (1e6, 2e-3, 30.0, 3e-3, 600.0, 2e-3)
+    guessed = {}
+    for name, start in zip(truth, starts, strict=True):
+        guessed[name] = ph.Parameter(start, lower=0.0)
+    fit = ph.identify(cell(guessed), data)
+    for name, value in truth.items():
+        assert abs(fit.values[name] - value) < 4 * fit.std_errors[name]
+        assert fit.std_errors[name] < 0.05 * value
+
+
+def cell(numbers: Mapping[str, ph.Parameter | float]) -> ph.Model:
+    """A voltage v with two slow parts v1 and v2, seen across an inner resistance."""
+    rates = {}
+    for part in ("1", "2"):
+        own = {name: numbers[name] for name in (f"R{part}", f"tau{part}")}
+        rates[f"v{part}"] = ph.formula(f"(R{part}*I - v{part})/tau{part}", **own)
+    dynamic = {name: number for name, number in numbers.items() if name != "R0"}
+    rates["v"] = ph.formula("I/C + (R1*I - v1)/tau1 + (R2*I - v2)/tau2", **dynamic)
+    return ph.FirstOrder(
+        states=["v", "v1", "v2"],
+        inputs=["I"],
+        F=rates,
+        sensor={"v": ph.formula("R0*I", R0=numbers["R0"])},
+    )
 
 
 @pytest.mark.parametrize("mass", [0.7, 1.0, 1.9])

@@ -12,7 +12,7 @@ import numpy as np
 
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
-from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.likelihood_solve import LikelihoodSolver, likeliest
 from phsi_opt.estimation.multi_start import random_values, with_values
 from phsi_opt.estimation.problem import Progress, silent
 from phsi_opt.estimation.starting_point import StartingPoint
@@ -32,7 +32,7 @@ def best_optimum(solver: LikelihoodSolver, first: StartingPoint) -> LikelihoodEs
     """
     estimates = _optima(solver.problem, first)
     notes = first.notes + _agreement_note(estimates)
-    best = _best(estimates)
+    best = likeliest(estimates)
     return replace(best, notes=notes) if notes else best
 
 
@@ -64,16 +64,11 @@ def _optimum_at(
     return LikelihoodSolver(problem).solve_from(point)
 
 
-def _best(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
-    """The smallest deviance among the optima."""
-    return min(estimates, key=lambda e: (not e.is_success, e.deviance))
-
-
 def _agreement_note(estimates: Sequence[LikelihoodEstimate]) -> tuple[str, ...]:
     """A sentence on how many of several starts agree."""
     if len(estimates) == 1:
         return ()
-    limit = _best(estimates).deviance + SAME_DEVIANCE
+    limit = likeliest(estimates).deviance + SAME_DEVIANCE
     n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
     return (
         f"{n_agreeing} of {len(estimates)} starting points led to the best solution",

@@ -53,15 +53,22 @@ class LikelihoodSolver:
         return self.problem.loss
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
-        """The optimum of the whole record, however far off the start is."""
+        """The optimum of the whole record, however far off the start is.
+
+        Where steps from the start lead to an optimum that leaves more than the scatter
+        of the samples, the likelier of this and of the one along the missing force.
+        """
         start = replace(start, steps=self._steps(start))
         if self.task.settings.thorough and not start.is_optimum:
+            found = []
             if self.task.settings.has_own_steps:
                 near = self.solve(start, most_steps=FIRST_STEPS)
                 if near.is_success and is_at_scatter(near):
                     return near
+                found.append(near)
             there = self.continued(start)
-            return self.solve(start if there is None else there)
+            found.append(self.solve(start if there is None else there))
+            return likeliest(found)
         near = self.solve(start)
         there = None if near.is_success else self.continued(start)
         return near if there is None else self.solve(there)
@@ -174,6 +181,11 @@ class LikelihoodSolver:
         bounds = memory_start_bounds(model, grid, nodes, parameters)
         point = replace(point, x_bounds=bounds)
         return Transcription(self.loss, model, grid, unknown, point, l1, start.sigma)
+
+
+def likeliest(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
+    """The optimum of the smallest deviance; one that is none comes last."""
+    return min(estimates, key=lambda e: (not e.is_success, e.deviance))
 
 
 def _at_nodes(states: Sequence[np.ndarray], steps: Sequence[np.ndarray]) -> np.ndarray:

@@ -26,7 +26,7 @@ from phsi_opt.transcription.sensors import output_slopes, outputs
 
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 NEWTON_STEPS = 10  # of the inversion of a sensor
-LEAST_SIZE = 1e-12  # of a state that is zero all along
+LEAST_SIZE = 1e-12  # of a measured state that is zero all along
 N_RATE_STRETCHES = 200  # of a record, over which rates are taken
 N_SLOPES = 25  # nodes at which the slopes of the model in its states are averaged
 N_SENSOR_SLOPES = 50  # nodes at which those of the sensors are averaged
@@ -57,10 +57,7 @@ def _state_scale(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
 ) -> np.ndarray:
     """Size of each state, (n_states,), of those that were measured by the data."""
-    x_scale = _measured_scale(grid)
-    if np.all(np.isfinite(x_scale)):
-        return x_scale
-    return _with_unmeasured_scale(model, grid, theta, x, x_scale)
+    return _with_unmeasured_scale(model, grid, theta, x, _measured_scale(grid))
 
 
 def point_at(
@@ -82,9 +79,12 @@ def point_at(
         held: parameters that a solve left at their bounds.
     """
     from_data = _measured_scale(invert_sensors(model, grid))
-    from_states = np.maximum(np.std(x, axis=0), LEAST_SIZE)
+    spread = np.std(x, axis=0)
+    from_states = np.where(spread > 0, spread, np.nan)
     x_scale = np.where(grid.measured.any(axis=0), from_data, from_states)
-    sizes = theta_scale(model, grid, unknown.means(theta), x, x_scale, held)
+    means = unknown.means(theta)
+    x_scale = _with_unmeasured_scale(model, grid, means, x, x_scale)
+    sizes = theta_scale(model, grid, means, x, x_scale, held)
     return Point(theta, x, unknown.spread(sizes), x_scale)
 
 
@@ -188,11 +188,13 @@ def _measured_scale(grid: Grid) -> np.ndarray:
 def _with_unmeasured_scale(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, scale: np.ndarray
 ) -> np.ndarray:
-    """Sizes with those of the states that nobody measured.
+    """Sizes with those of the states that nobody measured, where one is NaN.
 
     A state is as large as the measured rates that it drives through the model say; one
     where it drives none.
     """
+    if np.all(np.isfinite(scale)):
+        return scale
     known = np.flatnonzero(np.isfinite(scale))
     rate = _rate_size(grid, x)
     slopes = np.abs(_state_slopes(model, grid, theta, x))
