@@ -78,9 +78,10 @@ def position_of_momentum(model: BaseModel) -> dict[str, str]:
     momentum moves it is the first.
     """
     pairs: dict[str, str] = {}
+    exchange = np.array(model.S) if model.has_energy else None
     for position in model.states:
-        if model.has_energy:
-            momentum = _momentum(model, position)
+        if exchange is not None:
+            momentum = _momentum(model, exchange, position)
         else:
             momentum = _velocity(model, position)
         if momentum and _are_of_one_kind(model, position, momentum):
@@ -88,9 +89,8 @@ def position_of_momentum(model: BaseModel) -> dict[str, str]:
     return pairs
 
 
-def _momentum(model: BaseModel, position: str) -> str:
+def _momentum(model: BaseModel, S: np.ndarray, position: str) -> str:
     """The p of an equation dq/dt = dH/dp; "" where that is not what it says."""
-    S = np.array(model.S)
     row = model.states.index(position)
     (partners,) = np.nonzero(S[row])
     if len(partners) != 1 or not S[row, partners[0]] > 0:
@@ -140,9 +140,13 @@ def kind_of(model: BaseModel, state: str) -> str:
         return str(model.kind[state])
     for pair in position_of_momentum(model).items():
         if state in pair:
-            told = [model.kind[name] for name in pair if name in model.kind]
-            return told[0] if told else MECHANICAL
+            return _kind_of_pair(model, pair)
     return ""
+
+
+def _kind_of_pair(model: BaseModel, pair: tuple[str, str]) -> str:
+    told = [model.kind[name] for name in pair if name in model.kind]
+    return str(told[0]) if told else MECHANICAL
 
 
 def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
@@ -197,12 +201,12 @@ def forced_rows(model: BaseModel) -> tuple[int, ...]:
     These are all but those of an effect's memory and of a body's positions, for which
     dq/dt = dH/dp is kinematics. A capacitor may leak, and so may a chamber.
     """
-    positions = position_of_momentum(model).values()
-    rows = []
-    for row, name in enumerate(model.states):
-        is_kinematic = name in positions and kind_of(model, name) == MECHANICAL
-        if not is_kinematic and name not in model.memory:
-            rows.append(row)
+    kinematic = set(model.memory)
+    for pair in position_of_momentum(model).items():
+        _, position = pair
+        if model.kind.get(position, _kind_of_pair(model, pair)) == MECHANICAL:
+            kinematic.add(position)
+    rows = [row for row, name in enumerate(model.states) if name not in kinematic]
     return tuple(rows)
 
 
