@@ -167,7 +167,10 @@ class _Judge:
         return one.effect.n_unknowns, self.effects.index(one.effect)
 
     def members(self) -> list[Candidate]:
-        """Those that the data do not tell from the first, the likeliest re-fitted."""
+        """Those that the data do not tell from the first, the likeliest re-fitted.
+
+        One that a re-fit presses to a bound or to nothing is none of them.
+        """
         names = [one.name for one in self.tied()]
         places = []
         for place, one in enumerate(self.ranking[1:], start=1):
@@ -175,7 +178,7 @@ class _Judge:
                 places.append(place)
         for place in places[: MOST_REFITTED - 1]:
             self.refit(place)
-        return [self.ranking[place] for place in places]
+        return [self.ranking[place] for place in places if not self.ranking[place].lost]
 
     def second_alone(self, beside: "_Judge") -> Refit | None:
         """The second effect without the first, where that may as well be zero."""

@@ -209,10 +209,12 @@ class Weighing:
             sizes = self._better_sizes(likelihood, problem.disturbances)
             change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes)
-            gain = np.inf if best is None else found.evidence - best.evidence
+            gain = np.inf
+            if best is not None and best.is_valid:
+                gain = found.evidence - best.evidence
             if best is None or found.is_better_than(best):
                 best = found
-            is_settled = change < SETTLED_SIZES or abs(gain) < SETTLED_EVIDENCE
+            is_settled = change < SETTLED_SIZES or gain < SETTLED_EVIDENCE
             if is_settled and joint.has_converged and not are_held:
                 break
             if number + 1 == ROUNDS_TO_REST and not best.is_valid:
