@@ -95,10 +95,6 @@ LEAST_ERROR_EXPLAINED = 0.3
 
 # --- Which of them is named
 
-# Difference in BIC up to which two re-fitted candidates are a tie: "strong" evidence
-# begins at 6 (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
-BIC_TIE = 6.0
-
 # Families of effects, at most, that a class may join.
 MOST_FAMILIES = 2
 
@@ -107,17 +103,11 @@ MOST_FAMILIES = 2
 # Rise of the deviance up to which a sharper corner is taken: friction is sharp, and
 # corners that fall between samples make the likelihood rough.
 SHARPER_CORNER_DEVIANCE = 4.0
-# Number of the stage of sharpening (0, 1, ...) from which the next is tried only after
-# one that was clearly better.
-LAST_CERTAIN_STAGE = 1
-# Factor up to which two widths of a corner are the same.
-SAME_WIDTH = 1.01
 # Widths of a corner within which the steps between samples are finer.
 CORNER_WIDTHS = 4.0
-# Steps between samples there; very sharp friction is stiff, and with steps that are too
-# long a body that sticks trembles.
+# Steps between samples there, and as many more at each sharper width: very sharp
+# friction is stiff, and with steps that are too long a body that sticks trembles.
 STEPS_AT_CORNER = 8
-STEPS_AT_SHARP_CORNER = 24
 # States at all nodes of a model with a memory beyond which its corners stay as they
 # are: a delay has three states, and the steps at the corner are there for each of them.
 # Dry friction beside a delay of the quarter drone, 45,000 states, took 12 s for it.
@@ -138,9 +128,6 @@ THOROUGH_ITERATIONS = 100
 # Intervals of a record beyond which a re-fit that fails is not begun again, and none
 # begins at a sharp corner: on the ball and hoop's 5704 it was sought in vain.
 ONE_ATTEMPT_INTERVALS = 4_000
-# Free-run error over the noise floor up to which a body that sticks is close enough to
-# the truth that its creep shows the width of its corner.
-NEAR_NOISE_ERROR = 2.0
 # Root mean square distance between the states of a fit and its free run, in noise
 # deviations, from which the steps between samples are made finer.
 STRAYED_STATES = 0.1

@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.comparison.compare import compare_record
-from phsi_opt.comparison.model_selection import is_like_noise
 from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.diagnosis import friction_sharpening
-from phsi_opt.diagnosis.candidate import Candidate, Grade
-from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.refit import refit
+from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
@@ -504,30 +500,3 @@ def test_the_memory_that_a_record_begins_with_is_such_as_it_shows_later_on() -> 
             abs(x[0, nearest.model.states.index(nearest.model.memory[0])])
             <= 3.5 * largest
         )
-
-
-def test_a_body_that_creeps_gets_the_width_of_its_corner() -> None:
-    corner = 0.0045
-    data = measured(
-        truth(
-            H="1.7*q**2/2 + p**2/2", R=f"0.05 + 0.25*(dH_dp**4 + {corner}**4)**(-0.25)"
-        ),
-        seed=1,
-    )
-    fit = ph.identify(base(), data)
-    compared = ph.compare(fit, data)
-    work = DiagnosedModel(compared, compared, ph.MaximumLikelihood(), lambda line: None)
-    friction = effect_named(fit.model, "coulomb friction", "p")
-    values = {"coulomb_friction_p": 0.25}
-    found = refit(work, Candidate(friction, 0.25, 0.01, values))
-    assert found is not None
-    corners = friction_sharpening.CornerSharpening(work, work.record.aligned)
-    stuck = corners.at_widths(found.fit, {"coulomb_friction_p.v0": corner / 8}, 8)
-    assert stuck is not None
-    crept = corners.with_estimated_widths(stuck)
-    assert crept is not None
-    trained = compare_record(work.record.refitted(stuck))
-    again = compare_record(work.record.refitted(crept))
-    assert not is_like_noise(trained) and is_like_noise(again)
-    assert crept.values["coulomb_friction_p.v0"] == pytest.approx(corner, rel=0.2)
-    assert crept.names == stuck.names  # the width is as fixed as before

@@ -14,14 +14,10 @@ import numpy as np
 
 from phsi_opt.comparison.model_selection import deviance
 from phsi_opt.criteria import (
-    BIC_TIE,
     CORNER_WIDTHS,
-    LAST_CERTAIN_STAGE,
     MOST_SHARP_STATES,
-    SAME_WIDTH,
     SHARPER_CORNER_DEVIANCE,
     STEPS_AT_CORNER,
-    STEPS_AT_SHARP_CORNER,
 )
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
@@ -52,49 +48,26 @@ class CornerSharpening:
                 found[name] = guess
         return found
 
-    def sharpened(self, fit: Fit, blunt: Model) -> Fit:
+    def sharpened(self, fit: Fit) -> Fit:
         """The fit with its corners as sharp as the record asks for.
 
         Args:
-            fit: with rounded corners, or with corners that were sharpened before:
-                stages that it has behind it are passed over.
-            blunt: the model with the widths from which the stages count.
+            fit: with rounded corners.
         """
-        guesses = self.corners(fit.model)
-        best = fit
+        blunt = fit.model
+        guesses = self.corners(blunt)
         n_stages = max((len(guess.sharper) for guess in guesses.values()), default=0)
-        for stage in range(n_stages):
+        for stage in range(1, n_stages + 1):
             widths = {}
             for name, guess in guesses.items():
-                widths[name] = blunt.values[name] * prod(guess.sharper[: stage + 1])
-            if _are_reached(fit.model, widths):
-                continue
-            sharper = self._next(fit, widths, stage, best)
+                widths[name] = blunt.values[name] * prod(guess.sharper[:stage])
+            sharper = self.at_widths(fit, widths, stage * STEPS_AT_CORNER)
             if sharper is None:
                 break
-            fit = sharper
-            is_better = deviance(fit) < deviance(best) - BIC_TIE
-            if deviance(fit) < deviance(best) + SHARPER_CORNER_DEVIANCE:
-                best = fit
-            if stage >= LAST_CERTAIN_STAGE and not is_better:
+            if deviance(sharper) > deviance(fit) + SHARPER_CORNER_DEVIANCE:
                 break
-        return best
-
-    def _next(
-        self, fit: Fit, widths: dict[str, float], stage: int, best: Fit
-    ) -> Fit | None:
-        """The fit at the widths of a stage, or half way there; None where both fail."""
-        n_steps = STEPS_AT_CORNER
-        if stage > LAST_CERTAIN_STAGE:
-            n_steps = STEPS_AT_SHARP_CORNER
-        sharper = self.at_widths(fit, widths, n_steps)
-        limit = deviance(best) + SHARPER_CORNER_DEVIANCE
-        if sharper is not None and not deviance(sharper) > limit:
-            return sharper
-        half_way = {}
-        for name, width in widths.items():
-            half_way[name] = float(np.sqrt(fit.model.values[name] * width))
-        return self.at_widths(fit, half_way, n_steps) or sharper
+            fit = sharper
+        return fit
 
     def at_widths(self, fit: Fit, widths: dict[str, float], n_steps: int) -> Fit | None:
         """The fit with other widths of its corners; None where it fails.
@@ -122,35 +95,6 @@ class CornerSharpening:
                 model, self.aligned, self.base.loss, start=start, settings=BRIEF
             )
         return None
-
-    def with_estimated_widths(self, fit: Fit) -> Fit | None:
-        """The fit with the widths of its corners estimated once, and held again.
-
-        A body that sticks creeps by a share of the width, which shows where it sticks
-        for long. None where there is nothing to estimate, or it fails.
-        """
-        widths = self.corners(fit.model)
-        if not widths:
-            return None
-        with suppress(PhsiOptError):
-            free = identify_aligned(
-                fit.model.with_free(widths),
-                self.aligned,
-                self.base.loss,
-                start=fit,
-                settings=BRIEF,
-            )
-            held = fit.model.with_values({name: free.values[name] for name in widths})
-            return identify_aligned(
-                held, self.aligned, self.base.loss, start=free, settings=BRIEF
-            )
-        return None
-
-
-def _are_reached(model: Model, widths: dict[str, float]) -> bool:
-    """Whether a model's corners are as sharp as that already."""
-    values = model.values
-    return all(values[name] < SAME_WIDTH * width for name, width in widths.items())
 
 
 def finer_at_corner(

@@ -7,7 +7,6 @@ import numpy as np
 
 from phsi_opt.comparison.compare import Comparison, compare_record
 from phsi_opt.criteria import (
-    NEAR_NOISE_ERROR,
     ONE_ATTEMPT_INTERVALS,
     STRAYED_STATES,
 )
@@ -78,10 +77,8 @@ class _Refitting:
             PhsiOptError: the model cannot be fitted.
         """
         blunt = self.begun()
-        fit = self.sharpening.sharpened(blunt, self.model)
+        fit = self.sharpening.sharpened(blunt)
         trained = self.with_steps_as_fine_as_its_run(fit)
-        if fit is not blunt:
-            trained = self.with_estimated_widths(trained)
         judged = trained
         if self.base.is_held_out:
             judged = compare_record(self.base.judged.record.refitted(trained.fit))
@@ -114,21 +111,6 @@ class _Refitting:
                 settings=THOROUGH,
             )
             again = self.compared(finer)
-            if again.rmse < trained.rmse:
-                return again
-        return trained
-
-    def with_estimated_widths(self, trained: Comparison) -> Comparison:
-        """The same with the widths of its corners estimated, where it is near noise."""
-        limit = NEAR_NOISE_ERROR * trained.noise_floor
-        is_near = not self.base.is_left_with_noise(trained) and trained.rmse < limit
-        if not is_near:
-            return trained
-        fit = self.sharpening.with_estimated_widths(trained.fit)
-        if fit is None:
-            return trained
-        with suppress(PhsiOptError):
-            again = self.compared(fit)
             if again.rmse < trained.rmse:
                 return again
         return trained
