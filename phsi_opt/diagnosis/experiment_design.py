@@ -1,16 +1,16 @@
 """Which experiment would tell two fitted models apart that the record does not.
 
 The first model is taken for the truth. It is simulated in experiments derived from the
-record (`experiments`), and the second model imitates it as well as it can: its
-parameters and starting states are re-fitted to the record and the experiment together
-(`imitation`). What is left, over the noise, is the separation: a difference that
-re-fitting removes does not count. Where the second model imitates the first everywhere
-(it may contain it), the two change places.
+record (`experiments`), and the second model imitates it as well as it can: it is fitted
+to the simulated record and the experiment together (`imitation`). What is left, over
+the noise, is the separation: a difference that re-fitting removes does not count. Where
+the second model imitates the first everywhere (it may contain it), the two change
+places.
 
 Each experiment changes one thing; inputs are not optimised.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -19,9 +19,8 @@ import numpy as np
 from phsi_opt.criteria import SAME_PREDICTION, SEPARATED_MODELS
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.diagnosis.experiment_simulator import ExperimentSimulator
 from phsi_opt.diagnosis.experiments import Experiment, SimulatedRecord, experiments
-from phsi_opt.diagnosis.imitation import Imitation
+from phsi_opt.diagnosis.imitation import FittedModel
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.model import Model
@@ -106,8 +105,8 @@ def separating(
     number = int(np.argmax([run.n_samples for run in data.trajectories]))
     by_state = _noise_of(first.model, data, noise)
     source = _Source(data, data.trajectories[number], by_state)
-    one = ExperimentSimulator(first, data, number)
-    other = ExperimentSimulator(second, data, number)
+    one = FittedModel(first, data, number)
+    other = FittedModel(second, data, number)
     found = _separation(one, other, source)
     return _separation(other, one, source) if found.alike else found
 
@@ -126,7 +125,7 @@ class _Source:
     trajectory: Trajectory
     noise: Mapping[str, float]
 
-    def simulated(self, truth: ExperimentSimulator) -> SimulatedRecord:
+    def simulated(self, truth: FittedModel) -> SimulatedRecord:
         """The record as a model runs along it.
 
         Raises:
@@ -158,35 +157,40 @@ class _Source:
 
 
 def _separation(
-    truth: ExperimentSimulator, imitator: ExperimentSimulator, source: _Source
+    truth: FittedModel, imitator: FittedModel, source: _Source
 ) -> Separation:
     """How well every experiment tells the imitator from the truth."""
     simulated = source.simulated(truth)
-    spread = simulated.spread
-    imitation = Imitation(truth, imitator, source.noise_with(spread), spread)
-    in_record = imitation.in_record(simulated.experiment)
+    record = simulated.experiment
+    noise = source.noise_with(simulated.spread)
+
+    def misfit(experiments: Sequence[Experiment]) -> float | None:
+        shown = truth.measurements(experiments)
+        return None if shown is None else imitator.misfit(shown, noise)
+
+    in_record = misfit([record])
     if in_record is None:
         raise SolveError(_not_simulated(source.trajectory.name, imitator.model))
     rows = []
     for experiment in experiments(simulated):
-        misfit = imitation.misfit_added(experiment, in_record)
-        if misfit is not None:
-            size = np.sqrt(misfit / experiment.n_values)
-            separates = bool(misfit >= SEPARATED_MODELS**2)
-            rows.append((experiment.name, size, separates))
+        in_both = misfit([record, experiment])
+        if in_both is not None:
+            added = max(in_both - in_record, 0.0)
+            size = np.sqrt(added / experiment.n_values)
+            rows.append((experiment.name, size, bool(added >= SEPARATED_MODELS**2)))
     table = printed_table(rows, columns=list(COLUMNS)).sort_values(
         "separation", ascending=False, kind="stable", ignore_index=True
     )
-    n_values = simulated.experiment.n_values
-    size_in_record = float(np.sqrt(in_record.squares / n_values))
+    size_in_record = float(np.sqrt(in_record / record.n_values))
     alike = bool((table["separation"] < SAME_PREDICTION).all())
     return Separation(table, size_in_record, alike)
 
 
 def _not_simulated(trajectory: str, model: Model) -> str:
     return (
-        f"trajectory {trajectory!r} cannot be simulated by explicit steps with the "
-        f"model of {', '.join(model.free)}: it is stiff, or its solution ends; "
+        f"trajectory {trajectory!r} cannot be simulated with the model of "
+        f"{', '.join(model.free)}, or not be imitated by it: it is stiff, or its "
+        "solution ends; "
         "look for the experiment by `simulate` instead."
     )
 

@@ -38,8 +38,8 @@ STARTS = {"k": 1.0, "a": 0.5}  # of the search
 INTRODUCTION = markdown.paragraph(f"""
     Chains of masses with cubic springs, every state measured at {N_SAMPLES} samples
     with noise of {NOISE:g}; three unknown numbers. identify: all of it, standard errors
-    included; solves: all likelihood programs in IPOPT. Processor seconds on one thread;
-    memory is the most that the process has had.
+    included, processor seconds on one thread; solves: seconds of the clock in all of
+    them, by full steps or IPOPT; memory is the most that the process has had.
     Beyond 13 states the noises of all channels are searched by one common factor where
     the standard errors ask what acts beside the model, and so are the sizes of that.
     """)
