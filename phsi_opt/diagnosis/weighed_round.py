@@ -20,21 +20,40 @@ from phsi_opt.screening.weighing import Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.ahead import Ahead
 
+MOST_BASES = 3  # points at which the base is weighed, at most
 FORCE_DOES = "it would explain no more than a force without a law"
 
 
 def weighed_round(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
-) -> list[Candidate]:
+) -> tuple[EvidenceRecord, list[Candidate]]:
     """All candidates, the likeliest first.
 
-    Screening tells which of them may gain anything; these are weighed.
+    Screening tells which of them may gain anything; these are weighed. Where the base
+    is likelier from where the likeliest of them ended, all begins again from there.
 
     Args:
         base: the model that is diagnosed.
         record: beside which models are weighed.
         effects: what may be missing.
+
+    Returns:
+        The record with the base where it is most likely, and the candidates.
     """
+    for _ in range(MOST_BASES):
+        candidates, likeliest = _weighed_beside(base, record, effects)
+        better = None if likeliest is None else record.better_from(likeliest)
+        if better is None:
+            break
+        base.say("the model is likelier from where the likeliest effect was weighed")
+        record = better
+    return record, candidates
+
+
+def _weighed_beside(
+    base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
+) -> tuple[list[Candidate], Weighed | None]:
+    """All candidates beside one weighing of the base, and the likeliest that gains."""
     base.say(f"screening {len(effects)} candidate effects")
     test = ScoreTest(LinearizedRecord.beside_force(record))
     screened = []
@@ -49,23 +68,33 @@ def weighed_round(
     weigh = partial(_weighed, record)
     ahead = Ahead(weigh, cases, base.executor, base.say)
     candidates: list[Candidate] = []
+    likeliest = None
     highest = worth = 0.0
     try:
         for place, one in enumerate(chosen):
             if place >= FEWEST_WEIGHED and one.gain < worth:
                 break
             n_effects = len(screened)
-            candidate = _candidate(base, record, one, ahead, str(place), n_effects)
+            candidate = _expected(base, one)
+            try:
+                weighed = ahead.result(str(place))
+            except SolveError as error:
+                base.say(str(error))
+                lost = "it could not be weighed"
+                candidates.append(replace(candidate, log_bayes=np.nan, lost=lost))
+                continue
+            candidate = _candidate(base, record, one, weighed, n_effects)
             candidates.append(candidate)
-            if candidate.was_weighed and candidate.log_evidence > highest:
+            if candidate.log_evidence > highest:
                 highest = candidate.log_evidence
+                likeliest = weighed
                 worth = FAR_BEHIND * one.gain
     finally:
         ahead.close()
     for one in screened[len(candidates) :]:
         lost = FORCE_DOES if one.gain <= 0 else "it is expected to gain far less"
         candidates.append(replace(_expected(base, one), lost=lost))
-    return _in_order(candidates)
+    return _in_order(candidates), likeliest
 
 
 def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
@@ -88,17 +117,10 @@ def _candidate(
     base: DiagnosedModel,
     record: EvidenceRecord,
     one: Screened,
-    ahead: Ahead[Screened, Weighed],
-    key: str,
+    weighed: Weighed,
     n_effects: int,
 ) -> Candidate:
     """An effect with what it weighs."""
-    expected = _expected(base, one)
-    try:
-        weighed = ahead.result(key)
-    except SolveError as error:
-        base.say(str(error))
-        return replace(expected, log_bayes=np.nan, lost="it could not be weighed")
     alone = record.base
     names = _new(base, one, weighed)
     places = [weighed.names.index(name) for name in names]
@@ -119,7 +141,7 @@ def _candidate(
     if base.is_held_out:
         held_out = weighed.log_held_out - alone.log_held_out
     return replace(
-        expected,
+        _expected(base, one),
         coefficient=size.value,
         std_error=size.std_error,
         values=weighed.model.values,
