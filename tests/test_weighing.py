@@ -75,6 +75,22 @@ def weighed(record: EvidenceRecord, name: str) -> Weighed:
     return record.weighed(one.model, one.values)
 
 
+# --- the base
+
+
+def test_the_base_is_as_likely_as_the_best_point_that_a_larger_model_finds() -> None:
+    record = record_of(LOSSES["quadratic drag"])
+    base = record.base
+    larger = weighed(record, "quadratic drag")
+    assert record.better_from(larger) is None  # it is where it is most likely
+    # A base whose weighing had missed its optimum.
+    off = replace(base, log_evidence=base.log_evidence - 100.0)
+    better = replace(record, known=off).better_from(larger)
+    assert better is not None
+    assert better.base.log_evidence == pytest.approx(base.log_evidence, abs=0.5)
+    assert better.base.names == base.names
+
+
 # --- the evidence
 
 
