@@ -513,7 +513,7 @@ def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
     assert figure["layout"]["xaxis"]["title"]["text"] == "t (days)"
     force = ForceRun("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
     assert "At t = 0.25 days of house" in force_near(house, force, 0.25)
-    *_, line = plotly(force_chart(house, [force]))["data"]
+    *_, line = plotly(force_chart([force], "days"))["data"]
     assert line["name"] == "missing in dTi/dt"
     assert line["y"][0] == 1.0
 

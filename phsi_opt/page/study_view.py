@@ -300,7 +300,7 @@ class StudyView:
             return
         forces = content.forces_along(run)
         if forces:
-            chart = force_chart(content, forces, self._mark(run))
+            chart = force_chart(forces, content.time.unit, self._mark(run))
             label = "Chart: the missing force over time"
             plotted(chart, label, 260).on("plotly_click", self._click)
 

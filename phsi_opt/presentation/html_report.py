@@ -12,7 +12,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 
 from phsi_opt.presentation.charts import (
@@ -33,7 +33,6 @@ from phsi_opt.presentation.content import (
     unestablished_words,
 )
 from phsi_opt.presentation.numbers import (
-    capitalised,
     listed,
     number,
     proper_names,
@@ -41,6 +40,7 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
+from phsi_opt.presentation.sentences import environment
 
 TEMPLATES = "templates"
 MOST_LISTED = 12  # candidates of one diagnosis
@@ -71,12 +71,12 @@ class _Charts:
         for f, diagnosed in enumerate(content.diagnoses):
             for k, force in enumerate(diagnosed.forces):
                 name = f"force-{f}-{k}"
-                along = [force_chart(content, [run]) for run in force.runs]
+                along = [force_chart([run], content.time.unit) for run in force.runs]
                 self.shown[f"{name}-time"] = along[force.shown]
                 self.drawn[f"{name}-time"] = [[plotly(one)] for one in along]
                 self._add(f"{name}-follows", follows_chart(force.follows))
                 if force.map is not None:
-                    self._add(f"{name}-map", map_chart(force.map, force.label))
+                    self._add(f"{name}-map", map_chart(force.map))
 
     def _add(self, name: str, chart: Chart) -> None:
         self.shown[name] = chart
@@ -119,21 +119,13 @@ def _in_markdown(value: Any) -> str:
 
 def _environment(**settings: Any) -> Environment:
     """The templates of reports, with the filters that they use."""
-    found = Environment(
-        loader=PackageLoader("phsi_opt.presentation", TEMPLATES),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-        **settings,
-    )
+    lines = {"trim_blocks": True, "lstrip_blocks": True}
+    found = environment("phsi_opt.presentation", TEMPLATES, **lines, **settings)
     found.filters |= {
-        "number": number,
         "typeset": typeset,
         "said": said,
-        "capital": capitalised,
         "proper": proper_names,
         "listed": listed,
-        "estimate": with_error,
         "interval": interval_words,
         "size": size_words,
         "error_with": _error_with,

@@ -18,14 +18,15 @@ from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.axes import FLOOR, MEASURED, MODEL, axes_of, label
 from phsi_opt.presentation.charts import (
-    FORCE_COLORS,
     POINTS,
+    Chart,
     Curve,
     Panel,
-    draw_panel,
+    draw,
     errors_chart,
+    force_chart,
 )
-from phsi_opt.presentation.content import ErrorStep
+from phsi_opt.presentation.content import TRAINING, ErrorStep, ForceRun
 from phsi_opt.presentation.units import rate_unit
 
 RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
@@ -80,15 +81,17 @@ def plot_free_run(
         scale = 1.0 if is_alone else one.noise or 1.0
         residuals.append(Curve("", t, (one.measured - one.simulated) / scale, color))
     names = ", ".join(channel.name for channel in channels)
-    unit = _common_unit([channel.unit for channel in channels])
-    draw_panel(ax, Panel(label(names, unit), curves))
-    ax.set(xlabel=label("t", t_unit), title=title)
+    units = {channel.unit for channel in channels}
+    unit = units.pop() if len(units) == 1 else ""
+    above = Panel(label(names, unit), curves)
+    noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
+    told = label("residual", unit if is_alone else "noise std.")
+    below = Panel(told, residuals, noise=noise)
+    chart = Chart(label("t", t_unit), (above, below))
+    draw(ax, chart)
+    ax.set_title(title)
     if all(channel.noise for channel in channels):
-        below = _panel_below(ax)
-        noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
-        told = label("residual", unit if is_alone else "noise std.")
-        draw_panel(below, Panel(told, residuals, noise=noise))
-        below.set_xlabel(ax.get_xlabel())
+        draw(_panel_below(ax), chart, place=1)
         ax.tick_params(axis="x", labelbottom=False)
         ax.xaxis.label.set_visible(False)  # it stands below the residuals
     return ax
@@ -126,26 +129,15 @@ def plot_missing_force(
         ax: Axes to draw on; None: a new figure.
     """
     ax = axes_of(ax, (8.0, 3.6))
-    curves = []
-    t = table["t"].to_numpy()
-    for n, state in enumerate(equations):
-        force = table[state].to_numpy()
-        std = 2 * table[f"std_{state}"].to_numpy()
-        color = FORCE_COLORS[n % len(FORCE_COLORS)]
-        curves.append(Curve(f"missing in d{state}/dt", t, force, color, std=std))
     t_unit = units.get("t", "")
-    state_unit = _common_unit([units.get(state, "") for state in equations])
-    unit = rate_unit(state_unit, t_unit)
-    draw_panel(ax, Panel(label("missing force", unit), curves))
-    title = "Where the band leaves zero, a force is surely missing"
-    ax.set(xlabel=label("t", t_unit), title=title)
+    forces = []
+    for state in equations:
+        unit = rate_unit(units.get(state, ""), t_unit)
+        t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
+        forces.append(ForceRun("", TRAINING, state, unit, t, w, std))
+    draw(ax, force_chart(forces, t_unit))
+    ax.set_title("Where the band leaves zero, a force is surely missing")
     return ax
-
-
-def _common_unit(units: Sequence[str]) -> str:
-    """The unit that all have, or "" where they differ."""
-    different = set(units)
-    return different.pop() if len(different) == 1 else ""
 
 
 def plot_profile(
@@ -206,15 +198,10 @@ def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") 
     """
     ax = axes_of(ax, (7.0, 3.8))
     errors = history[["effect", "train_rmse", "held_out_rmse", "noise_floor"]]
-    chart = errors_chart([_error_step(row) for row in errors.to_numpy()], unit)
-    draw_panel(ax, chart.panels[0], chart)
+    steps = [ErrorStep(str(row[0]), *row[1:]) for row in errors.to_numpy()]
+    draw(ax, errors_chart(steps, unit))
     ax.set_title("Free-run error after each added effect")
     return ax
-
-
-def _error_step(row: np.ndarray) -> ErrorStep:
-    train, held_out, floor = (one if np.isfinite(one) else None for one in row[1:])
-    return ErrorStep(str(row[0]), train, held_out, floor)
 
 
 def plot_states(
@@ -234,17 +221,18 @@ def plot_states(
         len(channels), 1, sharex=True, figsize=size, layout="constrained", squeeze=False
     )
     for ax, channel in zip(axes[:, 0], channels, strict=True):
-        draw_state(ax, t, channel)
-    axes[-1, 0].set_xlabel(label("t", t_unit))
+        draw_state(ax, t, channel, t_unit)
+        ax.label_outer()
     figure.suptitle(title)
     return figure
 
 
-def draw_state(ax: Axes, t: np.ndarray, channel: Channel) -> None:
+def draw_state(ax: Axes, t: np.ndarray, channel: Channel, t_unit: str) -> None:
     """Measurements and estimate of one state over (n_samples,) times on axes."""
     curves = [Curve("measured", t, channel.measured, MEASURED, POINTS)]
     name = "estimated"
     if not np.isfinite(channel.measured).any():
         curves, name = [], "estimated (not measured)"
     curves.append(Curve(name, t, channel.simulated, MODEL))
-    draw_panel(ax, Panel(label(channel.name, channel.unit), curves))
+    panel = Panel(label(channel.name, channel.unit), curves)
+    draw(ax, Chart(label("t", t_unit), (panel,)))

@@ -12,6 +12,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.wording import number_of
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_report import equation_lines
+from phsi_opt.force_analysis.pictures import FEWEST_PER_CURVE, MOST_PER_CURVE
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.presentation.content import (
     HELD_OUT,
@@ -21,6 +22,7 @@ from phsi_opt.presentation.content import (
     Diagnosed,
     Equations,
     ErrorStep,
+    Follows,
     ForceRun,
     Glance,
     ParameterRow,
@@ -36,16 +38,16 @@ from phsi_opt.presentation.numbers import (
 )
 from phsi_opt.presentation.thinning import thinned
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
-from phsi_opt.study.answers import nearest_candidate, samples_to_average
-from phsi_opt.study.certainty import NEAR_FLOOR, only_follows
+from phsi_opt.study.answers import (
+    NEAR_FLOOR,
+    nearest_candidate,
+    only_follows,
+    samples_to_average,
+)
 from phsi_opt.study.checks import checks_of
-from phsi_opt.study.fitting import EffectLaw
 from phsi_opt.study.force_content import (
-    FEWEST_PER_CURVE,
-    MOST_PER_CURVE,
     all_forces,
     glance_of,
-    law_of,
     ranking_of,
     sure_forces,
     worst_run,
@@ -81,7 +83,7 @@ FREE_RUNS = (
 
 
 def study_content(
-    study: StudyRecord, laws: Sequence[EffectLaw] = (), *, forces: bool = False
+    study: StudyRecord, laws: tuple[Follows, ...] = (), *, forces: bool = False
 ) -> StudyContent:
     """What is told of a study.
 
@@ -110,7 +112,7 @@ def study_content(
         shown=runs.index(worst_run(judged, 0)),
         runs_told=_runs_told(study, len(steps), len(runs)),
         forces=tuple(_forces(study, time)) if forces else (),
-        laws=tuple(map(law_of, laws)),
+        laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
         is_diagnosed=study.present is not None,
         checks=checks_of(study),

@@ -1,4 +1,6 @@
-"""Since when a missing force is there, in words: from the start, or from a time on."""
+"""Since when a missing force is there: from the start, or from a time on."""
+
+from typing import Any
 
 import numpy as np
 
@@ -7,17 +9,16 @@ from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, rms, window_of
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.durations import (
     date_words,
     dates_words,
-    scale_of_time,
+    time_words,
     times_words,
 )
-from phsi_opt.presentation.numbers import capitalised, lowered
+from phsi_opt.presentation.sentences import say
 from phsi_opt.statistics import TINY
-from phsi_opt.study.certainty import only_follows
+from phsi_opt.study.answers import only_follows
 
 # Share of the strongest run's force from which on another has it as well.
 STRONG_RUN = 0.5
@@ -28,10 +29,6 @@ PARTS = 40  # of a run, among which its beginning is sought
 # A force comes and goes where in so many stretches it is stronger than this share of
 # its strongest one; a record is looked at in so many stretches.
 STRETCHES = 20
-OF_RECORD = " of the training record"
-FOLLOWED = (
-    "All along the data held out; in the training data the parameters make up for it."
-)
 # Share of a window's samples that lack a channel, from which on it is said.
 GAP_IN_WINDOW = 0.1
 STRONG_STRETCH = 1 / 3
@@ -56,77 +53,35 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
     sizes = [rms(force.w[inside]) for inside in runs]
     n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
-    strongest = runs[record.trajectories.index(str(force.where["trajectory"]))]
-    begin = _beginning(force, strongest) if n_strong == 1 else None
-    again = "again and again" if _comes_and_goes(force, strongest) else ""
-    answer = _throughout(force, runs, again)
-    if begin is not None:
-        answer = _since_then(force, begin, again)
-    lead = f"{answer.lead} {_gap_words(diagnosis, force)}".strip()
-    if only_follows(trained, diagnosis.base):
-        return Answer(FOLLOWED, f"The missing force is there: {lowered(lead)}")
-    return Answer(lead, answer.detail)
+    strongest = runs[force.strongest_run]
+    clear = [inside for inside in runs if _is_clear(force, inside)] or runs
+    starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
+    name = record.trajectories[force.strongest_run]
+    facts: dict[str, Any] = {
+        "begin": _beginning(force, strongest) if n_strong == 1 else "",
+        "again": "again and again" if _comes_and_goes(force, strongest) else "",
+        "n_runs": len(runs),
+        "n_clear": len(clear),
+        "is_from_start": all(_is_clear(force, one) for one in starts if len(one)),
+        "window": _window(force),
+        "run": name if len(runs) > 1 else "the training record",
+        "gaps": gaps_of(diagnosis, force),
+        "only_follows": only_follows(trained, diagnosis.base),
+    }
+    return say(__package__, "since", **facts)
 
 
-def _gap_words(diagnosis: Diagnosis, force: EquationForce) -> str:
-    """Which channels lack samples where the force is strongest; "" for none."""
+def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
+    """Which channels lack samples where the force is strongest."""
     window = window_of(str(force.where["time_window"]))
     if window is None:
-        return ""
+        return []
     data = diagnosis.data
     run = data.trajectories[data.trajectory_number(str(force.where["trajectory"]))]
     inside = (run.t >= window[0]) & (run.t <= window[1])
     shares = np.mean(np.isnan(run.x[inside]), axis=0)
-    gaps = [
-        state
-        for state, share in zip(data.states, shares, strict=True)
-        if state in data.measured and share > GAP_IN_WINDOW
-    ]
-    if not gaps:
-        return ""
-    return f"Samples of {' and '.join(gaps)} are missing where it is strongest."
-
-
-def _since_then(force: EquationForce, begin: float, again: str) -> Answer:
-    """From a time on, which has a force before it that is far weaker."""
-    record = force.record
-    name = str(force.where["trajectory"])
-    of_run = OF_RECORD if len(record.trajectories) == 1 else f" of {name}"
-    scale = scale_of_time(float(record.t.max()), record.units.get("t", ""))
-    date = _in_brackets(date_words(begin, record.origin_of(name)))
-    when = f"{begin / scale.size:.3g}{spaced(scale.unit)}{date}"
-    window = _window(force)
-    strongest = f"Strongest at {window}{of_run}." if window else ""
-    lead = ", ".join(filter(None, (f"From about t = {when} on", again)))
-    return Answer(f"{lead}.", strongest)
-
-
-def _throughout(force: EquationForce, runs: list[np.ndarray], again: str) -> Answer:
-    """In which runs, from their start or not known how early, where most clearly."""
-    clear = [inside for inside in runs if _is_clear(force, inside)] or runs
-    starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
-    is_from_start = all(_is_clear(force, start) for start in starts if len(start))
-    n_others = len(runs) - len(clear)
-    begin = "From the start" if is_from_start else "" if again else "All the time"
-    which = ""
-    of_run = OF_RECORD
-    if len(runs) > 1:
-        all_runs = "both" if len(runs) == 2 else f"all {len(runs)}"
-        clear_ones = f"{len(clear)} of {len(runs)}" if n_others else all_runs
-        which = f"in {clear_ones} training runs"
-        of_run = f" of {force.where['trajectory']}"
-    lead = capitalised(", ".join(filter(None, (begin, again, which))))
-    told = []
-    window = _window(force)
-    if window:
-        most = "Strongest" if is_from_start else "Seen most clearly"
-        told.append(f"{most} at {window}{of_run}.")
-    elif not again:
-        told.append("About as strong all the time.")
-    if n_others:
-        others = "one" if n_others == 1 else str(n_others)
-        told.append(f"Not seen clearly in the other {others}.")
-    return Answer(f"{lead}.", " ".join(told))
+    lacking = np.flatnonzero(shares > GAP_IN_WINDOW)
+    return [data.states[k] for k in lacking if data.states[k] in data.measured]
 
 
 def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
@@ -146,9 +101,13 @@ def _window(force: EquationForce) -> str:
     if THROUGHOUT in times:
         return ""
     record = force.record
-    origin = record.origin_of(str(force.where["trajectory"]))
     told = times_words(times, record.units.get("t", ""), float(record.t.max()))
-    return f"t = {told}{_in_brackets(dates_words(times, origin))}"
+    date = dates_words(times, record.origin_of(str(force.where["trajectory"])))
+    return f"t = {told}{_in_brackets(date)}"
+
+
+def _in_brackets(date: str) -> str:
+    return f" ({date})" if date else ""
 
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
@@ -157,12 +116,9 @@ def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
     return rms(force.w[inside]) > CERTAIN_FORCE * typical
 
 
-def _in_brackets(date: str) -> str:
-    return f" ({date})" if date else ""
-
-
-def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:
-    """The time before which the force is far weaker; None: there is none such."""
+def _beginning(force: EquationForce, inside: np.ndarray) -> str:
+    """The time before which the force is far weaker, in words; "": none is such."""
+    record = force.record
     parts = np.array_split(inside, min(PARTS, len(inside)))
     sizes = [rms(force.w[part]) for part in parts]
     for part, size in zip(parts[1:], sizes[1:], strict=True):
@@ -171,5 +127,9 @@ def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:
         after = rms(force.w[first : inside[-1] + 1])
         is_strong = size > STRONG_STRETCH * max(sizes)
         if is_strong and after > BEGINNING * max(before, TINY):
-            return float(force.record.t[first] - force.record.h[first] / 2)
-    return None
+            t = float(record.t[first] - record.h[first] / 2)
+            date = date_words(t, record.origin_of(str(force.where["trajectory"])))
+            longest = float(record.t.max())
+            told = time_words(t, record.units.get("t", ""), longest=longest)
+            return told + _in_brackets(date)
+    return ""
