@@ -71,7 +71,7 @@ from phsi_opt.study.answers import (
     where_answer,
 )
 from phsi_opt.study.content import (
-    _at_floor,
+    _errors,
     ends_within,
     is_just_below,
     study_content,
@@ -923,16 +923,17 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
     assert np.array_equal(thinned([x[:50]], 400), np.arange(50))
 
 
-def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it() -> None:
+def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
+    study: ph.Study,
+) -> None:
     assert is_just_below(0.0423, 0.0424)
     assert not is_just_below(0.0440, 0.0424)
     assert not is_just_below(0.0203, 0.0424)
-    comparison = SimpleNamespace(rmse=0.0423, noise_floor=0.0424)
-    training = SimpleNamespace(rmse=0.0412, noise_floor=0.0424)
-    step = SimpleNamespace(judged=comparison, held_out=comparison, train=training)
-    assert _at_floor(step, 1.0) == (  # type: ignore[arg-type]
-        " 0.0423 and 0.0412 (training) equal the noise floor within its own "
-        "uncertainty."
+    comparison: Any = SimpleNamespace(rmse=0.0423, noise_floor=0.0424, error_unit="m")
+    training: Any = SimpleNamespace(rmse=0.0412, noise_floor=0.0424, error_unit="m")
+    step = replace(study.steps[0], held_out=comparison, train=training)
+    assert _errors(replace(study.record, steps=(step,))).endswith(
+        "0.0423 and 0.0412 (training) equal the noise floor within its own uncertainty."
     )
 
 

@@ -7,7 +7,6 @@ from importlib.resources import files
 from typing import Any
 
 from phsi_opt.page.drafts import ModelDraft
-from phsi_opt.page.study_draft import model_draft
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class BaseModel:
         """A fresh draft; the first of the inputs acts in the driven equations."""
         parameters = {**self.parameters, **(self.driven_parameters if inputs else {})}
         content = {**self.model, "states": list(self.units), "inputs": list(inputs)}
-        draft = model_draft(content, parameters)
+        draft = ModelDraft.of(content, parameters)
         draft.title = self.title
         for one in draft.parameters:
             one.is_assumed = one.is_known

@@ -16,7 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
-from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
+from phsi_opt.page.drafts import (
+    INPUT,
+    ColumnDraft,
+    DataDraft,
+    Drafted,
+    StudyDraft,
+    told_columns,
+)
 from phsi_opt.page.files import (
     MOST_FILES,
     MOST_UPLOADED,
@@ -27,7 +34,6 @@ from phsi_opt.page.files import (
 )
 from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.matching import left_over, match_states
-from phsi_opt.page.study_draft import Drafted, StudyDraft, told_columns
 from phsi_opt.page.table_look import look_at
 from phsi_opt.page.worker import (
     ADD,

@@ -42,6 +42,7 @@ from phsi_opt.presentation.numbers import (
 )
 from phsi_opt.presentation.sentences import environment
 
+ROOM = "phsi_opt.presentation"
 TEMPLATES = "templates"
 MOST_LISTED = 12  # candidates of one diagnosis
 
@@ -91,7 +92,8 @@ class _Charts:
 def html_report(content: StudyContent) -> str:
     """The whole report as the text of an HTML file."""
     charts = _Charts(content)
-    template = _environment(autoescape=True).get_template("report.html.jinja")
+    templates = report_environment(ROOM, TEMPLATES, autoescape=True)
+    template = templates.get_template("report.html.jinja")
     return template.render(
         report=content,
         picture=charts.picture,
@@ -105,8 +107,8 @@ def html_report(content: StudyContent) -> str:
 
 def markdown_report(content: StudyContent) -> str:
     """The same in words and tables, as Markdown."""
-    environment = _environment(finalize=_in_markdown)
-    template = environment.get_template("report.md.jinja")
+    templates = report_environment(ROOM, TEMPLATES, finalize=_in_markdown)
+    template = templates.get_template("report.md.jinja")
     return template.render(report=content, most_listed=MOST_LISTED)
 
 
@@ -117,10 +119,10 @@ def _in_markdown(value: Any) -> str:
     return " ".join(str(value).split()).replace("<", "&lt;").replace("|", "\\|")
 
 
-def _environment(**settings: Any) -> Environment:
-    """The templates of reports, with the filters that they use."""
+def report_environment(package: str, folder: str = "", **settings: Any) -> Environment:
+    """The templates of a package, with the filters that reports use."""
     lines = {"trim_blocks": True, "lstrip_blocks": True}
-    found = environment("phsi_opt.presentation", TEMPLATES, **lines, **settings)
+    found = environment(package, folder, **lines, **settings)
     found.filters |= {
         "typeset": typeset,
         "said": said,

@@ -15,7 +15,8 @@ from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
 
 BEHIND_LEAD = "||"
-BEFORE_STOP = re.compile(r" (?=[.,;:](?:\s|$))")
+# Blanks before a stop or a comma, and inside of brackets.
+UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
 FILTERS = {
     "number": number,
     "estimate": with_error,
@@ -29,6 +30,7 @@ def environment(package: str, folder: str = "", **settings: Any) -> Environment:
     loader = PackageLoader(package, folder)
     found = Environment(loader=loader, undefined=StrictUndefined, **settings)
     found.filters |= FILTERS
+    found.tests["startingwith"] = str.startswith
     return found
 
 
@@ -45,4 +47,4 @@ def say(package: str, name: str, **facts: Any) -> Answer:
 
 
 def _one_line(text: str) -> str:
-    return BEFORE_STOP.sub("", " ".join(text.split()))
+    return UNWANTED.sub("", " ".join(text.split()))

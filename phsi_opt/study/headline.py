@@ -87,12 +87,7 @@ def telling_step(study: StudyRecord) -> int | None:
     return found[0] if found else None
 
 
-def errors_in_words(study: StudyRecord) -> str:
-    """How the error fell, beside the noise floor."""
-    return _said(study, "errors").lead
-
-
-def _said(study: StudyRecord, name: str, **facts: Any) -> Answer:
+def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
     """What ``words.jinja`` says under a name of the study as a whole."""
     size, unit = scale_of_errors(study.unit)
     short = ""
@@ -130,7 +125,7 @@ def _sentence(study: StudyRecord) -> str:
             sure.append(f"{name}{_alternatives(study, effect)}")
     facts = {"sure": sure, "unsure": unsure, "now": now, "lacking": lacking, "ask": ASK}
     added = study.last.added if len(study.steps) > 1 else ()
-    return _said(study, "sentence", present=present, added=added, **facts).lead
+    return said_of(study, "sentence", present=present, added=added, **facts).lead
 
 
 def _alternatives(study: StudyRecord, effect: Effect) -> str:
@@ -149,7 +144,7 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
     place = telling_step(study)
     present = study.present
     if place is None:
-        far = _said(study, "how_far").lead
+        far = said_of(study, "how_far").lead
         what, to_do = ("Not asked yet.", ASK), ("What is wrong", "What to do")
         if present is not None:
             what = ("Nothing that these data show.", "Nothing.")
@@ -192,7 +187,7 @@ def _was_added(study: StudyRecord) -> Answer:
     names = [str(effect) for effect in study.last.added]
     sizes = [known.get(name, name) for name in names]
     clear = {name: evidence[name] for name in names if name in evidence}
-    return _said(study, "was_added", added=names, sizes=sizes, clear=clear)
+    return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)
 
 
 def step_story(study: StudyRecord, place: int) -> str:
