@@ -19,18 +19,16 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.errors import Complaint
 from phsi_opt.force_analysis.localization import THROUGHOUT, window_of
-from phsi_opt.page.complaint_words import complaint_words
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
-from phsi_opt.page.files import MOST_UPLOADED
-from phsi_opt.page.gallery import GALLERY, BaseModel
+from phsi_opt.page.gallery import GALLERY, BaseModel, match_states
 from phsi_opt.page.guards import UploadLimit
-from phsi_opt.page.matching import match_states
 from phsi_opt.page.model_view import unknown_names
-from phsi_opt.page.serve import is_loopback, serve
+from phsi_opt.page.parts import complaint_words
+from phsi_opt.page.serve import MOST_SESSIONS, Sessions, is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
-from phsi_opt.page.sessions import MOST_SESSIONS, Sessions
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import force_near, preview_words
+from phsi_opt.page.table_look import MOST_UPLOADED
 from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
 from phsi_opt.presentation.charts import force_chart, plotly, run_chart
 from phsi_opt.presentation.content import (

@@ -64,9 +64,12 @@ from phsi_opt.presentation.numbers import (
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit, scale_of_errors
 from phsi_opt.study.answers import (
+    _comes_and_goes,
     answer,
     disturbance_word,
+    gaps_of,
     nearest_candidate,
+    since_when,
     undetermined_words,
     where_answer,
 )
@@ -77,7 +80,6 @@ from phsi_opt.study.content import (
     study_content,
 )
 from phsi_opt.study.force_content import glance_of
-from phsi_opt.study.since_when import _comes_and_goes, gaps_of, since_when
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 

@@ -196,21 +196,24 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
 
     The mean of the force is taken off.
     """
+    from phsi_opt.presentation.charts import Chart, Curve, Panel, draw
+
     record = force.record
     found = spectrum(record.t, record.run, force.w - force.w.mean())
     frequencies = found.frequencies
     amplitudes = found.amplitudes / force.scale.size
     level = _level(force) / force.scale.size
-    ax.plot(frequencies, amplitudes, color=MODEL, lw=1.4, label="missing force")
-    text = "what its uncertainty explains"
-    ax.fill_between(frequencies, 0, level, color=MEASURED, alpha=0.35, lw=0, label=text)
+    curves = (
+        Curve("missing force", frequencies, amplitudes, MODEL),
+        Curve("what its uncertainty explains", frequencies, level, MEASURED, "dash"),
+    )
+    top = 1.3 * max(amplitudes.max(), level.max(), TINY)
+    unit = frequency_unit(record.units)
+    panel = Panel(force.force_label("amplitude"), curves, limits=(0.0, top))
+    draw(ax, Chart(f"frequency ({unit})", (panel,)))
     visible = np.flatnonzero(amplitudes > SHOWN_AMPLITUDE * amplitudes.max())
     if len(visible) and len(amplitudes) > 1:
         ax.set_xlim(0, frequencies[min(visible[-1] + 1, len(amplitudes) - 1)])
-    ax.set_ylim(0, 1.3 * max(amplitudes.max(), level.max(), TINY))
-    unit = frequency_unit(record.units)
-    ax.set(xlabel=f"frequency ({unit})", ylabel=force.force_label("amplitude"))
-    ax.legend(frameon=False, loc="upper right")
     constant = is_mostly_constant(force.w)
     what = "mostly constant; what varies" if constant else "the missing force"
     seen = "nowhere above its uncertainty"

@@ -13,6 +13,7 @@ import numpy as np
 
 from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE, OPPOSING_POWER
 from phsi_opt.force_analysis.causes import CAUSES
+from phsi_opt.force_analysis.cross_validation import odd_basis
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import (
@@ -20,7 +21,6 @@ from phsi_opt.force_analysis.localization import (
     StrongRange,
     strong_region,
 )
-from phsi_opt.force_analysis.piecewise_linear import odd_basis
 from phsi_opt.force_analysis.units import frequency_words, spaced
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.kinds import TURN, plain_unit

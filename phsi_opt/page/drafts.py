@@ -87,13 +87,13 @@ def _terms_text(terms: Any) -> str:
 
 
 TEXT = Kind(str, str)
-NUMBER = Kind("{:.12g}".format, number_in)
+REAL = Kind("{:.12g}".format, number_in)
 WHOLE = Kind(str, lambda text: number_in(text, int))
 NAMES = Kind(lambda names: ", ".join(texts(names)), names_in)
 PAIRS = Kind(lambda pairs: ", ".join(map("-".join, pairs)), _pairs_in)
 TERMS = Kind(_terms_text, _terms_in)
 
-COLUMN_FIELDS = {"unit": TEXT, "noise": NUMBER, "hold": TEXT}
+COLUMN_FIELDS = {"unit": TEXT, "noise": REAL, "hold": TEXT}
 SHOWN_OF_ROLE = {TIME: ("unit",), STATE: ("unit", "noise"), INPUT: ("unit", "hold")}
 MODEL_FIELDS = {
     "type": TEXT,
@@ -102,7 +102,7 @@ MODEL_FIELDS = {
     "pairs": PAIRS,
     "H": TERMS,
 }
-PARAMETER_FIELDS = {"lower": NUMBER, "upper": NUMBER, "unit": TEXT}
+PARAMETER_FIELDS = {"lower": REAL, "upper": REAL, "unit": TEXT}
 
 
 def _taken(content: Content, fields: Mapping[str, Kind]) -> dict[str, str]:
@@ -179,7 +179,7 @@ class HeldOutDraft:
         for way, key in HELD_OUT_KEYS.items():
             if key in content:
                 told = content[key]
-                value = list(texts(told)) if key == "runs" else NUMBER.text(told)
+                value = list(texts(told)) if key == "runs" else REAL.text(told)
                 return cls(way, **{key: value})  # type: ignore[arg-type]
         return cls(NOTHING)
 
@@ -283,7 +283,7 @@ class DataDraft:
         if "column" in time:
             by_column[time.pop("column")].take(TIME, time)
             time.pop("unit", None)
-        self.step = _taken(time, {"step": NUMBER}).get("step", "")
+        self.step = _taken(time, {"step": REAL}).get("step", "")
         self.further_of_time = time
         for role, section in CHANNELS.items():
             for name, channel in content.get(section, {}).items():
@@ -333,10 +333,10 @@ class ParameterDraft:
     def of(cls, name: str, content: Any) -> "ParameterDraft":
         """That of an entry of [parameters]."""
         if not isinstance(content, Mapping):
-            return cls(name, NUMBER.text(content), is_known=True)
+            return cls(name, REAL.text(content), is_known=True)
         further = dict(content)
         is_known = "value" in further or bool(further.pop("fixed", False))
-        value = _taken(further, {"value": NUMBER, "start": NUMBER})
+        value = _taken(further, {"value": REAL, "start": REAL})
         shown: dict[str, Any] = _taken(further, PARAMETER_FIELDS)
         text = next(iter(value.values()), "")
         return cls(name, text, is_known, further=further, **shown)

@@ -24,17 +24,16 @@ from phsi_opt.page.drafts import (
     StudyDraft,
     told_columns,
 )
-from phsi_opt.page.files import (
+from phsi_opt.page.gallery import GALLERY, BaseModel, left_over, match_states
+from phsi_opt.page.table_look import (
     MOST_FILES,
     MOST_UPLOADED,
     in_megabytes,
+    look_at,
     name_refusal,
     suffix_of,
     without_path,
 )
-from phsi_opt.page.gallery import GALLERY, BaseModel
-from phsi_opt.page.matching import left_over, match_states
-from phsi_opt.page.table_look import look_at
 from phsi_opt.page.worker import (
     ADD,
     AUTO,

@@ -8,6 +8,8 @@ Pictures of where a missing force acts stand in `force_analysis`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import fill
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,7 +18,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
-from phsi_opt.presentation.axes import FLOOR, MEASURED, MODEL, axes_of, label
+from phsi_opt.presentation.axes import (
+    ATTENTION,
+    BASELINE,
+    FLOOR,
+    MEASURED,
+    MODEL,
+    axes_of,
+    label,
+)
 from phsi_opt.presentation.charts import (
     POINTS,
     Chart,
@@ -170,18 +180,17 @@ def plot_profile(
     signed_root = np.sign(held - value) * np.sqrt(rise)
     root = PchipInterpolator(held, signed_root)
     inside = np.linspace(held[0], held[-1], N_CURVE)
-    ax.plot(inside, root(inside) ** 2, "-", color=MODEL, label="profile")
-    ax.plot(held, rise, "o", color=MODEL, ms=4, label="re-fits")
-
     lower, upper = curvature
-    half_width = (upper - lower) / 2
     wide = np.linspace(min(held[0], lower), max(held[-1], upper), N_CURVE)
-    parabola = threshold * ((wide - value) / half_width) ** 2
-    ax.plot(wide, parabola, "--", color=MEASURED, label="curvature")
-    percent = f"{100 * level:.3g} %"
-    ax.axhline(threshold, color=FLOOR, lw=1.0, ls=":", label=percent)
-    ax.set(ylabel="rise of -2 log likelihood", ylim=(0, 2 * threshold))
-    ax.legend(frameon=False, loc="upper center", ncols=2)
+    parabola = threshold * ((wide - value) / ((upper - lower) / 2)) ** 2
+    curves = (
+        Curve("profile", inside, root(inside) ** 2, MODEL),
+        Curve("re-fits", held, rise, MODEL, POINTS),
+        Curve("curvature", wide, parabola, MEASURED, "dash"),
+        Curve(f"{100 * level:.3g} %", wide, 0 * wide + threshold, FLOOR, "dot"),
+    )
+    told = "rise of -2 log likelihood"
+    draw(ax, Chart("", (Panel(told, curves, limits=(0, 2 * threshold)),)))
     return ax
 
 
@@ -236,3 +245,92 @@ def draw_state(ax: Axes, t: np.ndarray, channel: Channel, t_unit: str) -> None:
     curves.append(Curve(name, t, channel.simulated, MODEL))
     panel = Panel(label(channel.name, channel.unit), curves)
     draw(ax, Chart(label("t", t_unit), (panel,)))
+
+
+# ---- how well every parameter is known -----------------------------------------------
+
+WIDTH = 8.0  # inches of a new figure
+ROW_HEIGHT = 0.32  # inches per parameter: tick labels do not touch
+FRAME_HEIGHT = 1.1  # inches for title and axis below and above the rows
+LEAST_ROWS = 2  # for which a new figure has room
+AXIS_MARGIN = 1.15  # range of the axis over the widest interval that it shows
+
+
+class Look(NamedTuple):
+    """How estimates of a kind are drawn, and what is said of them; "": nothing."""
+
+    said: str
+    marker: str
+    color: str
+    face: str
+
+
+LOOKS = {
+    "open": Look("not told from zero (orange)", "o", ATTENTION, ATTENTION),
+    "unknown": Look("without standard error (circle)", "o", BASELINE, "white"),
+    "held": Look("at a bound (square)", "s", BASELINE, BASELINE),
+    "sure": Look("", "o", MODEL, MODEL),
+}
+
+
+def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) -> Axes:
+    """Every estimate with its interval of confidence, in percent of its absolute value.
+
+    An interval that reaches beyond zero (more than 100 %) leaves even the sign open: it
+    is drawn in another colour, over the whole width. A square marks a parameter that
+    ended at a bound, an open circle one without a standard error.
+
+    Args:
+        table: A row per estimate, from top to bottom: ``name``, ``value``,
+            ``ci_lower`` and ``ci_upper`` (NaN: not known), ``unit``, ``at_bound``.
+        level: Of confidence, between 0 and 1.
+        ax: Axes to draw on; None: a new figure, as high as the table is long.
+    """
+    n = len(table)
+    ax = axes_of(ax, (WIDTH, FRAME_HEIGHT + ROW_HEIGHT * max(n, LEAST_ROWS)))
+    half_width = (table["ci_upper"] - table["ci_lower"]).to_numpy(dtype=float) / 2
+    percent = 100 * half_width / table["value"].abs().to_numpy(dtype=float)
+    is_known = np.isfinite(half_width)
+    cases = [is_known & (percent < 100), is_known, table["at_bound"].to_numpy(bool)]
+    kind = np.select(cases, ["sure", "open", "held"], "unknown")
+    is_sure = kind == "sure"
+    reach = AXIS_MARGIN * float(percent[is_sure].max()) if is_sure.any() else 100.0
+    ax.axvline(0, color=BASELINE, lw=0.8)
+    for name, look in LOOKS.items():
+        rows = np.flatnonzero(kind == name)
+        drawn: Any = {"mfc": look.face, "ms": 6, "capsize": 4, "color": look.color}
+        # What is open goes beyond the edges.
+        width = np.nan_to_num(np.minimum(percent[rows], 2 * reach))
+        ax.errorbar(0 * rows, rows, xerr=width, fmt=look.marker, **drawn)
+    ax.set_yticks(np.arange(n), _row_labels(table, half_width))
+    ax.tick_params(axis="y", length=0)
+    ax.set_ylim(max(n, 1) - 0.5, -0.5)
+    ax.set_xlim(-reach, reach)
+    ax.set_xlabel(f"{100 * level:.3g} % interval around the estimate (% of its size)")
+    doubts = []
+    for name, look in LOOKS.items():
+        n_found = np.count_nonzero(kind == name)
+        if look.said and n_found:
+            doubts.append(f"{n_found} {look.said}")
+    title = f"Of {n} estimates: {', '.join(doubts)}"
+    if not n:
+        title = "No parameter was estimated"
+    elif not doubts:
+        worst = int(np.argmax(percent))
+        name = table["name"].iloc[worst]
+        title = f"{name} is known worst, to {percent[worst]:.2g} % of its size"
+    ax.set_title(fill(title, 60))
+    return ax
+
+
+def _row_labels(table: pd.DataFrame, half_width: np.ndarray) -> list[str]:
+    """Name, value and half width with the unit, or why there is no half width."""
+    labels = []
+    for (_, row), half in zip(table.iterrows(), half_width, strict=True):
+        estimate = f"{row['name']} = {float(row['value']):.4g}"
+        reason = "at its bound" if row["at_bound"] else "no standard error"
+        told = f"{estimate} {row['unit']}".rstrip() + f", {reason}"
+        if np.isfinite(half):
+            told = f"{estimate} \N{PLUS-MINUS SIGN} {half:.2g} {row['unit']}".rstrip()
+        labels.append(told)
+    return labels

@@ -1,8 +1,8 @@
 """Sentences by templates, so that what is said stands in one place, and reads as said.
 
-A template is a file of macros beside the room's code, each an `Answer`: its lead and,
-behind "||", its detail. Lines may be broken and indented as the template's own reader
-likes; in the answer blanks are single, and none stands before a stop or a comma.
+A template is a file of macros beside the room's code, called ``tell_`` and a name. Each
+is an `Answer`: its lead and, behind "||", its detail. Lines may be broken and indented
+at will; in the answer blanks are single, and none stands before a stop or a comma.
 """
 
 import re
@@ -11,7 +11,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from phsi_opt.presentation.content import Answer
+from phsi_opt.presentation.content import Answer, unestablished_words
 from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
 
 BEHIND_LEAD = "||"
@@ -22,6 +22,7 @@ FILTERS = {
     "estimate": with_error,
     "capital": capitalised,
     "lowered": lowered,
+    "unestablished": unestablished_words,
 }
 
 
@@ -35,15 +36,27 @@ def environment(package: str, folder: str = "", **settings: Any) -> Environment:
 
 
 @cache
-def _words(package: str) -> Template:
-    return environment(package).get_template("words.jinja")
+def _template(package: str, name: str, is_by_lines: bool) -> Template:
+    by_lines: dict[str, Any] = {
+        "trim_blocks": is_by_lines,
+        "lstrip_blocks": is_by_lines,
+    }
+    return environment(package, **by_lines).get_template(name)
 
 
 def say(package: str, name: str, **facts: Any) -> Answer:
     """What the macro of a name in the package's ``words.jinja`` says of facts."""
-    macro = getattr(_words(package).make_module(facts), name)
+    words = _template(package, "words.jinja", is_by_lines=False)
+    macro = getattr(words.make_module(facts), f"tell_{name}")
     lead, _, detail = macro().partition(BEHIND_LEAD)
     return Answer(_one_line(lead), _one_line(detail))
+
+
+def lines(package: str, name: str, **facts: Any) -> str:
+    """What the macro of a name in ``answers.jinja`` says, whose lines are kept."""
+    answers = _template(package, "answers.jinja", is_by_lines=True)
+    macro = getattr(answers.make_module(facts), f"tell_{name}")
+    return str(macro()).rstrip("\n")
 
 
 def _one_line(text: str) -> str:

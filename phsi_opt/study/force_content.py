@@ -21,7 +21,7 @@ from phsi_opt.presentation.content import (
     Run,
 )
 from phsi_opt.presentation.durations import TimeScale
-from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study.answers import evidence_words
 
@@ -29,7 +29,6 @@ MOST_FORCES = 4  # equations whose missing force is drawn
 # Times the training data's error, beside its movement, from which on the data held out
 # show better what is wrong: the model follows what it was fitted to.
 FOLLOWED_TIMES = 2.0
-FAILS_HERE = "The model's parameters follow the training data, and fail here."
 SURE = 2.0  # standard deviations beyond which a force counts as sure at one time
 
 
@@ -109,31 +108,34 @@ def glance_of(
     training = [run for run in runs if run.part == TRAINING and run.name == name]
     if not training:
         return None
-    strongest = worst_run(training, model)
-    others = [run for run in runs if run.part != TRAINING]
-    if others:
-        judged = worst_run(others, model)
-        share = worst_channel(strongest, model).share_off(model)
-        if worst_channel(judged, model).share_off(model) > FOLLOWED_TIMES * share:
-            channel = worst_channel(judged, model)
-            said = f"{_called(judged, channel, model)}. {FAILS_HERE}"
-            off = np.abs(channel.measured - channel.models[model])
-            t = float(channel.t[np.nanargmax(off)])
-            place = judged.channels.index(channel)
-            return Glance(runs.index(judged), place, said, t=t)
-    channel = worst_channel(strongest, model)
-    said = (
-        f"{_called(strongest, channel, model)}; below, what is missing in "
-        f"d{force.equation}/dt, with two standard deviations."
+    run = worst_run(training, model)
+    judged = worst_run([one for one in runs if one.part != TRAINING] or [run], model)
+    shares = [worst_channel(one, model).share_off(model) for one in (run, judged)]
+    along = window = None
+    if shares[1] > FOLLOWED_TIMES * shares[0]:
+        run = judged
+        channel = worst_channel(run, model)
+        off = np.abs(channel.measured - channel.models[model])
+        t = float(channel.t[np.nanargmax(off)])
+    else:
+        channel = worst_channel(run, model)
+        found = window_of(str(force.where["time_window"]))
+        if found is not None:
+            window = (found[0] / time.size, found[1] / time.size)
+        along = force_runs(force, TRAINING, time)[force.strongest_run]
+        t = worst_moment(along, channel, model, window)
+    said = say(
+        __package__,
+        "glance",
+        run=run,
+        channel=channel,
+        error=channel.errors[model],
+        unit=spaced(channel.unit),
+        force=along,
+        window=window,
     )
-    window = window_of(str(force.where["time_window"]))
-    if window is not None:
-        window = (window[0] / time.size, window[1] / time.size)
-        said += " Shaded: where that is strongest."
-    along = force_runs(force, TRAINING, time)[force.strongest_run]
-    t = worst_moment(along, channel, model, window)
-    place = strongest.channels.index(channel)
-    return Glance(runs.index(strongest), place, said, along, window, t)
+    places = (runs.index(run), run.channels.index(channel))
+    return Glance(*places, said.lead, along, window, t)
 
 
 def worst_run(runs: list[Run], model: int) -> Run:
@@ -167,12 +169,3 @@ def worst_moment(
     off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))
     found = np.where(is_sure, np.interp(force.t, channel.t, off), -1.0)
     return float(force.t[np.argmax(found)])
-
-
-def _called(run: Run, channel: Channel, model: int) -> str:
-    """The channel of a run, with how far off a model is in it."""
-    error = channel.errors[model]
-    off = "" if error is None else f", off by {number(error, 3)}{spaced(channel.unit)}"
-    part = "training data" if run.part == TRAINING else "data held out"
-    simulated = "simulated from a start that the whole run gives"
-    return f"{channel.name} of {run.name} ({part}), measured and {simulated}{off}"

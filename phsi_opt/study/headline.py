@@ -14,11 +14,11 @@ from phsi_opt.study.answers import (
     disturbance_word,
     evidence_words,
     finding_words,
+    since_when,
     undetermined_words,
     where_answer,
 )
 from phsi_opt.study.record import StudyRecord
-from phsi_opt.study.since_when import since_when
 
 NOT_ASKED = "not diagnosed yet"
 ASK = "Call study.diagnose() or study.auto()."
@@ -44,6 +44,17 @@ NOT_ESTABLISHED = "with an effect that is not established"
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
 UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
+# Where no diagnosis was asked for, or none found anything; "" for how far off it is.
+NOT_YET = (
+    ("What is wrong", "Not asked yet."),
+    ("How far off", ""),
+    ("What to do", ASK),
+)
+NOTHING_FOUND = (
+    ("What is wrong", "Nothing that these data show."),
+    ("How far off", ""),
+    ("What to add", "Nothing."),
+)
 PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 
 
@@ -145,20 +156,12 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
     present = study.present
     if place is None:
         far = said_of(study, "how_far").lead
-        what, to_do = ("Not asked yet.", ASK), ("What is wrong", "What to do")
-        if present is not None:
-            what = ("Nothing that these data show.", "Nothing.")
-            to_do = ("What is wrong", "What to add")
-        return (
-            Answer(what[0], question=to_do[0]),
-            Answer(far, question="How far off"),
-            Answer(what[1], question=to_do[1]),
-        )
+        told = NOT_YET if present is None else NOTHING_FOUND
+        return tuple(Answer(lead or far, question=asked) for asked, lead in told)
     diagnosis = study.diagnoses[place]
     step = study.steps[place]
     is_held_out = study.held_out is not None
     is_past = diagnosis is not present
-    questions = PRESENT if diagnosis.findings else UNNAMED
     if is_past:
         questions = PAST
         whose = "the base model's"
@@ -167,6 +170,7 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
         what_is = answer("was_wrong", diagnosis, is_held_out, whose=whose)
         what_to_do = _was_added(study)
     else:
+        questions = PRESENT if diagnosis.findings else UNNAMED
         what_is = answer("wrong", diagnosis, is_held_out)
         what_to_do = answer("to_do", diagnosis, is_held_out)
     where = where_answer(diagnosis, is_past)
