@@ -47,7 +47,7 @@ ABOUT = (
 # What the server is told of files that the browser does not even send.
 TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
-DATA_KEYS = ("data", "held_out")
+DATA_SECTIONS = ("data", "held_out")
 UNIT_FIELD = Field("unit", "unit of {name}", "8em", "m")
 NAME_FIELD = Field("name", "name of {name}", "9em", "as in formulas")
 NOISE_FIELD = Field("noise", "noise of {name}", "14em", "estimated")
@@ -138,8 +138,9 @@ class DataView:
         if self._session.draft.data is None:
             return
         with card():
-            found = self._session.complaints_about(*DATA_KEYS)
-            complaints(found, "The data can be used.")
+            found = self._session.complaints
+            of_data = [one for one in found if one.key.split(".")[0] in DATA_SECTIONS]
+            complaints(of_data, "The data can be used.")
             button("Next: the model", self._go_on)
 
     @ui.refreshable_method

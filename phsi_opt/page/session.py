@@ -355,15 +355,6 @@ class Session:
             return (Complaint("model", "", str(error)),)
         return ()
 
-    def complaints_about(self, *keys: str) -> list[Complaint]:
-        """What is wrong at these keys of a study file, or below them."""
-        found = []
-        for complaint in self.complaints:
-            for key in keys:
-                if complaint.key == key or complaint.key.startswith(below(key)):
-                    found.append(complaint)
-        return found
-
     @property
     def is_stale(self) -> bool:
         """Whether the draft has changed since it was fitted."""
@@ -590,8 +581,3 @@ def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:
         if one not in known:
             columns.append(ColumnDraft(one))
     return columns
-
-
-def below(key: str) -> tuple[str, str]:
-    """How the keys below a key of a study file begin."""
-    return f"{key}.", f"{key}["
