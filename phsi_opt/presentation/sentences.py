@@ -7,12 +7,13 @@ at will; in the answer blanks are single, and none stands before a stop or a com
 
 import re
 from functools import cache
-from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from typing import TYPE_CHECKING, Any
 
 from phsi_opt.presentation.content import Answer, unestablished_words
 from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
+
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
 
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
@@ -26,8 +27,10 @@ FILTERS = {
 }
 
 
-def environment(package: str, folder: str = "", **settings: Any) -> Environment:
+def environment(package: str, folder: str = "", **settings: Any) -> "Environment":
     """The templates of a package, with the filters that all of them use."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to load
+
     loader = PackageLoader(package, folder)
     found = Environment(loader=loader, undefined=StrictUndefined, **settings)
     found.filters |= FILTERS
@@ -36,7 +39,7 @@ def environment(package: str, folder: str = "", **settings: Any) -> Environment:
 
 
 @cache
-def _template(package: str, name: str, is_by_lines: bool) -> Template:
+def _template(package: str, name: str, is_by_lines: bool) -> "Template":
     by_lines: dict[str, Any] = {
         "trim_blocks": is_by_lines,
         "lstrip_blocks": is_by_lines,

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from markupsafe import Markup
-
 from phsi_opt.presentation.tables import (
     html_of_table,
     html_shown,
@@ -20,6 +18,7 @@ from phsi_opt.presentation.tables import (
 
 if TYPE_CHECKING:
     import pandas as pd
+    from markupsafe import Markup
     from rich.console import Console, ConsoleOptions, RenderableType
 
 
@@ -90,7 +89,9 @@ def html_of_summary(summary: Summary) -> str:
     return html_shown("summary", summary, _html_of_whole)
 
 
-def _html_of_whole(table: "pd.DataFrame") -> Markup:
+def _html_of_whole(table: "pd.DataFrame") -> "Markup":
+    from markupsafe import Markup
+
     return Markup(html_of_table(table, most_rows=len(table)))
 
 

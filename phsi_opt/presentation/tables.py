@@ -9,6 +9,7 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -204,9 +205,13 @@ def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
 
 def html_shown(name: str, *facts: Any) -> str:
     """What a macro of ``shown.html.jinja`` makes of facts."""
+    return str(getattr(_shown(), name)(*facts)).strip()
+
+
+@cache
+def _shown() -> Any:
     from jinja2 import Environment, PackageLoader  # slow to load
 
     loader = PackageLoader("phsi_opt.presentation")
     environment = Environment(loader=loader, autoescape=True, trim_blocks=True)
-    template = environment.get_template("shown.html.jinja")
-    return str(getattr(template.module, name)(*facts)).strip()
+    return environment.get_template("shown.html.jinja").module
