@@ -604,7 +604,7 @@ def test_the_exported_script_reproduces_every_step(
     (tmp_path / "spring.csv").write_bytes(spring_table())
     script = tmp_path / "study.py"
     shown = "print(*(step.judged.rmse for step in study.steps))"
-    script.write_text(f"{studied.script()}\n{shown}\n")
+    script.write_text(f"{studied.study_file().script()}\n{shown}\n")
     root = Path(__file__).resolve().parents[1]
     ran = subprocess.run(
         [sys.executable, script],
@@ -619,7 +619,7 @@ def test_the_exported_script_reproduces_every_step(
     # On the page the re-fit begins where the diagnosis ended: the same optimum, found
     # from elsewhere.
     assert errors == pytest.approx(expected, rel=1e-3)
-    (tmp_path / "study.toml").write_text(studied.study_text())
+    (tmp_path / "study.toml").write_text(studied.study_file().text())
     assert ph.StudyFile.read(tmp_path / "study.toml").steps.added == (
         "coulomb friction on p",
     )
@@ -736,7 +736,7 @@ def test_what_cannot_be_done_is_told(session: Session) -> None:
     wait_for(lambda: session.job is None)
     assert session.message == "Nothing has been fitted yet; press Fit first."
     with pytest.raises(ph.DataError, match="nothing has been fitted yet"):
-        session.script()
+        session.study_file()
 
 
 PARENT = """

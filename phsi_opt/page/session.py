@@ -538,22 +538,6 @@ class Session:
         further = [one for one in self.content.added if one not in file.steps.added]
         return file.with_added(*further)
 
-    def study_text(self) -> str:
-        """The study file, with comments.
-
-        Raises:
-            DataError: nothing was fitted yet.
-        """
-        return self.study_file().text()
-
-    def script(self) -> str:
-        """The Python script that does the same, effect by effect.
-
-        Raises:
-            DataError: nothing was fitted yet.
-        """
-        return self.study_file().script()
-
     def close(self) -> None:
         """End the worker and remove the files."""
         self.is_closed = True

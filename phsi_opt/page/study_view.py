@@ -315,9 +315,10 @@ class StudyView:
             heading("Take it away")
             with ui.row():
                 self._begins("Report", self._report, False, redraws=False)
+                made = self._session.study_file
                 for label, text, name in (
-                    ("Study file", self._session.study_text, "study.toml"),
-                    ("Python script", self._session.script, "study.py"),
+                    ("Study file", lambda: made().text(), "study.toml"),
+                    ("Python script", lambda: made().script(), "study.py"),
                 ):
                     button(label, partial(self._send, text, name), quiet=True)
             ui.label(
