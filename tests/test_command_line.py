@@ -33,7 +33,7 @@ from phsi_opt.command_line.job import (
 )
 from phsi_opt.command_line.jobs import plain
 from phsi_opt.command_line.jobs import run as run_job
-from phsi_opt.command_line.worker import answer_to
+from phsi_opt.command_line.supervision import answer_to
 from phsi_opt.presentation.forecast import (
     ADDING,
     FITTING,

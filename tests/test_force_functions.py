@@ -8,8 +8,6 @@ from phsi_opt.force_analysis.cross_validation import (
     explained_share,
     fold_numbers,
     left_out_error,
-)
-from phsi_opt.force_analysis.piecewise_linear import (
     odd_basis,
     piecewise_linear_basis,
     product_basis,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.page.study_draft import StudyDraft
+from phsi_opt.page.drafts import StudyDraft
 from phsi_opt.page.table_look import look_at
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.study_file.toml_text import toml_tables

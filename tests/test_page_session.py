@@ -19,18 +19,16 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.errors import Complaint
 from phsi_opt.force_analysis.localization import THROUGHOUT, window_of
-from phsi_opt.page.complaint_words import complaint_words
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
-from phsi_opt.page.files import MOST_UPLOADED
-from phsi_opt.page.gallery import GALLERY, BaseModel
+from phsi_opt.page.gallery import GALLERY, BaseModel, match_states
 from phsi_opt.page.guards import UploadLimit
-from phsi_opt.page.matching import match_states
 from phsi_opt.page.model_view import unknown_names
-from phsi_opt.page.serve import is_loopback, serve
+from phsi_opt.page.parts import complaint_words
+from phsi_opt.page.serve import MOST_SESSIONS, Sessions, is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
-from phsi_opt.page.sessions import MOST_SESSIONS, Sessions
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import force_near, preview_words
+from phsi_opt.page.table_look import MOST_UPLOADED
 from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
 from phsi_opt.presentation.charts import force_chart, plotly, run_chart
 from phsi_opt.presentation.content import (
@@ -513,7 +511,7 @@ def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
     assert figure["layout"]["xaxis"]["title"]["text"] == "t (days)"
     force = ForceRun("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
     assert "At t = 0.25 days of house" in force_near(house, force, 0.25)
-    *_, line = plotly(force_chart(house, [force]))["data"]
+    *_, line = plotly(force_chart([force], "days"))["data"]
     assert line["name"] == "missing in dTi/dt"
     assert line["y"][0] == 1.0
 
@@ -606,7 +604,7 @@ def test_the_exported_script_reproduces_every_step(
     (tmp_path / "spring.csv").write_bytes(spring_table())
     script = tmp_path / "study.py"
     shown = "print(*(step.judged.rmse for step in study.steps))"
-    script.write_text(f"{studied.script()}\n{shown}\n")
+    script.write_text(f"{studied.study_file().script()}\n{shown}\n")
     root = Path(__file__).resolve().parents[1]
     ran = subprocess.run(
         [sys.executable, script],
@@ -621,7 +619,7 @@ def test_the_exported_script_reproduces_every_step(
     # On the page the re-fit begins where the diagnosis ended: the same optimum, found
     # from elsewhere.
     assert errors == pytest.approx(expected, rel=1e-3)
-    (tmp_path / "study.toml").write_text(studied.study_text())
+    (tmp_path / "study.toml").write_text(studied.study_file().text())
     assert ph.StudyFile.read(tmp_path / "study.toml").steps.added == (
         "coulomb friction on p",
     )
@@ -738,7 +736,7 @@ def test_what_cannot_be_done_is_told(session: Session) -> None:
     wait_for(lambda: session.job is None)
     assert session.message == "Nothing has been fitted yet; press Fit first."
     with pytest.raises(ph.DataError, match="nothing has been fitted yet"):
-        session.script()
+        session.study_file()
 
 
 PARENT = """

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from functools import cache
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -11,7 +10,7 @@ from scipy.integrate import solve_ivp
 import phsi_opt as ph
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.next_step import step_without_name
-from phsi_opt.force_analysis.state_plots import draw_dependence
+from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.force_analysis.words import place_answer
 from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
@@ -128,12 +127,9 @@ def test_the_picture_is_folded_to_the_period() -> None:
     analysis = analysed(cogging)
     force = analysis.force_in("p")
     assert force.wave is not None
-    _, ax = plt.subplots()
-    draw_dependence(ax, force)
-    assert "folded to the period of 1.0" in ax.get_xlabel()
-    dots = ax.lines[0].get_xdata()
-    assert np.ptp(np.asarray(dots, dtype=float)) <= force.wave.period
-    plt.close("all")
+    found = follows_of(force)
+    assert "folded to the period of 1.0" in found.x_label
+    assert np.ptp(found.x) <= force.wave.period
 
 
 def test_the_report_says_what_it_repeats_along() -> None:

@@ -64,24 +64,22 @@ from phsi_opt.presentation.numbers import (
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit, scale_of_errors
 from phsi_opt.study.answers import (
-    missing_answer,
+    _comes_and_goes,
+    answer,
+    disturbance_word,
+    gaps_of,
     nearest_candidate,
-    to_do_answer,
+    since_when,
+    undetermined_words,
     where_answer,
 )
-from phsi_opt.study.certainty import (
-    certainty_words,
-    disturbance_word,
-    undetermined_words,
-)
 from phsi_opt.study.content import (
-    _at_floor,
+    _errors,
     ends_within,
     is_just_below,
     study_content,
 )
 from phsi_opt.study.force_content import glance_of
-from phsi_opt.study.since_when import _comes_and_goes, _gap_words, since_when
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 
@@ -90,6 +88,10 @@ ORDER = ["verdict", "errors", "equations", "runs", "where", "ranked", "checks"]
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$\\x$ {{7*7}}"
 # Colours of texts on the page and on cards, by name in the style sheet.
 TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad"]
+
+
+def certainty_words(diagnosis: ph.Diagnosis) -> str:
+    return answer("certainty", diagnosis, is_held_out=True).lead
 
 
 def measurements(runs: int, friction: float = 2.0) -> ph.Measurements:
@@ -262,8 +264,8 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     # The pair predicts a tenth better than p alone, give or take.
     assert re.search(r"a term of your own in dp/dt that depends on (q and )?p\.", do)
     (diagnosed,) = content.diagnoses
-    for answer in answers.values():
-        assert answer.strip() in diagnosed.told
+    for told in answers.values():
+        assert told.strip() in diagnosed.told
 
 
 def test_one_line_says_how_sure_it_is(
@@ -283,10 +285,10 @@ def test_one_line_says_how_sure_it_is(
     assert certainty_words(unknown).startswith(begin)
     # That it follows the velocity is no suspicion of a thing outside.
     assert "The cause is not known." in certainty_words(unknown)
-    monkeypatch.setattr("phsi_opt.study.certainty.likely_cause", lambda *_: "Heat")
+    monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
     assert "The cause is suspected, not proven." in certainty_words(unknown)
     monkeypatch.setattr(
-        "phsi_opt.study.certainty.disturbance_word", lambda *_: "fast disturbance"
+        "phsi_opt.study.answers.disturbance_word", lambda *_: "fast disturbance"
     )
     assert "It is a fast disturbance; its source is not found" in certainty_words(
         unknown
@@ -326,9 +328,9 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     assert "The held-out error falls from" in facts["What to add"]
     assert facts["What to add"].endswith("what is left is more than noise.")
     above = with_errors(partly, after=0.4)
-    add = to_do_answer(above, is_held_out=True).detail
+    add = answer("to_do", above, is_held_out=True).detail
     assert add.endswith("Then diagnose again: what is left is 10 times the noise.")
-    assert missing_answer(above, is_held_out=True).detail == (
+    assert answer("missing", above, is_held_out=True).detail == (
         "With it, the held-out error falls by 60 %; what else is missing is not known "
         "yet."
     )
@@ -345,12 +347,12 @@ def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
         proposed=(),
         base=base,
     )
-    monkeypatch.setattr("phsi_opt.study.certainty.likely_cause", lambda *_: "Heat")
+    monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
     monkeypatch.setattr(EquationForce, "is_uncertain", True)
     begin = "The residuals are as small as noise, but not as random"
     said = certainty_words(unknown)
     assert said.startswith(f"{begin}. The cause is not known.")
-    lead = missing_answer(unknown, is_held_out=True).lead
+    lead = answer("missing", unknown, is_held_out=True).lead
     assert lead.startswith(f"{begin}; no missing force is sure; ")
 
 
@@ -372,7 +374,7 @@ def test_the_nearest_effect_is_told_where_there_is_evidence_of_it(
     )
     (first, *_) = unknown.ranking
     assert nearest_candidate(unknown) is first
-    told = to_do_answer(unknown, is_held_out=True).detail
+    told = answer("to_do", unknown, is_held_out=True).detail
     assert re.search(
         r"Nearest of the catalogue is coulomb friction on p \(decisive, log evidence "
         r"[\d.]+\): 60 % less error, but not proven\.",
@@ -383,7 +385,7 @@ def test_the_nearest_effect_is_told_where_there_is_evidence_of_it(
     unweighed = replace(first, was_weighed=False)
     assert nearest_candidate(replace(unknown, ranking=(unweighed,))) is None
     worse = with_errors(unknown, after=1.1)
-    assert "less error" not in to_do_answer(worse, is_held_out=True).detail
+    assert "less error" not in answer("to_do", worse, is_held_out=True).detail
     assert nearest_candidate(named) is None
 
 
@@ -395,7 +397,7 @@ def test_a_further_storage_that_helps_is_what_to_try(
         named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
     )
     monkeypatch.setattr("phsi_opt.study.answers.is_second_storage", lambda _: True)
-    told = to_do_answer(unknown, is_held_out=True)
+    told = answer("to_do", unknown, is_held_out=True)
     assert told.lead == "Try coulomb friction on p: 60 % less error, but not proven."
 
 
@@ -433,8 +435,7 @@ def test_samples_that_are_missing_where_it_is_strongest_are_told(
         measured=named.data.measured,
     )
     force = named.analysis.force_in()
-    told = _gap_words(SimpleNamespace(data=data), force)  # type: ignore[arg-type]
-    assert told == "Samples of q are missing where it is strongest."
+    assert gaps_of(SimpleNamespace(data=data), force) == ["q"]  # type: ignore[arg-type]
 
 
 def test_what_the_parameters_make_up_for_shows_in_the_data_held_out(
@@ -804,7 +805,7 @@ def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None
     forces = []
     for force in diagnosed.forces:
         parts = tuple(replace(run, run=HOSTILE) for run in force.runs)
-        forces.append(replace(force, equation=HOSTILE, label=HOSTILE, runs=parts))
+        forces.append(replace(force, equation=HOSTILE, runs=parts))
     text = HOSTILE
     ranked = Ranked(text, 1.0, 0.1, text, text, 0.5, 1.0, None, (text,), text)
     told = replace(diagnosed, forces=tuple(forces), ranking=(ranked,))
@@ -924,16 +925,17 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
     assert np.array_equal(thinned([x[:50]], 400), np.arange(50))
 
 
-def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it() -> None:
+def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
+    study: ph.Study,
+) -> None:
     assert is_just_below(0.0423, 0.0424)
     assert not is_just_below(0.0440, 0.0424)
     assert not is_just_below(0.0203, 0.0424)
-    comparison = SimpleNamespace(rmse=0.0423, noise_floor=0.0424)
-    training = SimpleNamespace(rmse=0.0412, noise_floor=0.0424)
-    step = SimpleNamespace(judged=comparison, held_out=comparison, train=training)
-    assert _at_floor(step, 1.0) == (  # type: ignore[arg-type]
-        " 0.0423 and 0.0412 (training) equal the noise floor within its own "
-        "uncertainty."
+    comparison: Any = SimpleNamespace(rmse=0.0423, noise_floor=0.0424, error_unit="m")
+    training: Any = SimpleNamespace(rmse=0.0412, noise_floor=0.0424, error_unit="m")
+    step = replace(study.steps[0], held_out=comparison, train=training)
+    assert _errors(replace(study.record, steps=(step,))).endswith(
+        "0.0423 and 0.0412 (training) equal the noise floor within its own uncertainty."
     )
 
 

@@ -4,10 +4,12 @@ from importlib.resources import files
 from pathlib import Path
 
 from phsi_opt.command_line.job import Answer
-from phsi_opt.command_line.worker import answer_to
+from phsi_opt.command_line.supervision import answer_to
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
 from phsi_opt.model.catalogue import catalogue
+from phsi_opt.presentation.sentences import lines
 from phsi_opt.reading import file_bytes
 from phsi_opt.study_file.adding import add_effects
 from phsi_opt.study_file.effects import ON
@@ -41,17 +43,14 @@ def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
         StudyFile.read(study)
     except StudyFileError as error:
         needs = error.complaints
-    lines = [f"{study} is written, for {table.n_lines} lines of {tables[0]}:"]
-    lines += [f"  {line}" for line in _seen(table, study)]
-    lines += ["", "It needs:", *[f"  {need}" for need in needs]]
-    lines += ["", f"Then: phsi-opt check {study}"]
+    facts = {"table": table, "study": study, "path": tables[0], "needs": needs}
     content = {
         "study_file": str(study),
         "columns": [column.content for column in table.columns],
         "further": [vars(variable) for variable in table.table.further],
         "needs": [vars(need) for need in needs],
     }
-    return Answer("\n".join(lines), content)
+    return Answer(lines(__package__, "first_study", **facts), content)
 
 
 def _check_alike(first: TableSurvey, other: TableSurvey) -> None:
@@ -65,27 +64,6 @@ def _check_alike(first: TableSurvey, other: TableSurvey) -> None:
             "stand in one of them alone. Files of one study are runs of the same "
             "machine with the same columns; give one kind of file, or rename them."
         )
-
-
-def _seen(table: TableSurvey, study: Path) -> list[str]:
-    """What was seen in the table, a line for each column."""
-    lines = []
-    if len(table.sheets) > 1:
-        first, *others = table.sheets
-        lines.append(f"(of its sheet {first}; there are {', '.join(others)} too)")
-    if table.table.remark:
-        lines.append(f"({table.table.remark})")
-    for column in table.columns:
-        if column.column:
-            unit = f" [{column.unit}]" if column.unit else ""
-            name = " ".join(column.column.split())  # a header may have lines
-            lines.append(f"{name}{unit}: {column.part}; {column.remark}")
-    for variable in table.table.further:
-        lines.append(f"{variable.name}: left out; {variable.said}")
-    if table.is_long:
-        keys = "between" if table.thinning == 1 else "between and thinned"
-        lines.append(f"So many lines take long: see {keys} in {study}.")
-    return lines
 
 
 def checked(path: Path) -> Answer:
@@ -106,12 +84,9 @@ def checked(path: Path) -> Answer:
     except ModelError as error:
         wrong = StudyFileError(path, [Complaint("model", "", str(error))])
         answer = answer_to(wrong)
-    lines = [answer.text]
-    if empty:
-        lines += ["", "Also empty; fill in what applies:"]
-        lines += [f"  {one}" for one in empty]
+    text = lines(__package__, "checked", text=answer.text, empty=empty)
     content = {**answer.content, "empty": list(empty)}
-    return Answer("\n".join(lines), content, answer.code)
+    return Answer(text, content, answer.code)
 
 
 def _summary(path: Path, file: StudyFile) -> Answer:
@@ -119,22 +94,20 @@ def _summary(path: Path, file: StudyFile) -> Answer:
     train, held_out = file.split()
     model = file.model()
     notes = AlignedData.of(model, train).notes
-    n_effects = len(catalogue(model, file.data.units))
-    judged = "nothing is held out: the training data judge"
-    if held_out is not None:
-        n_runs = number_of(held_out.n_trajectories, "run")
-        judged = f"held out: {n_runs}, {held_out.n_samples} samples"
-    text = [
-        f"{path} can be used.",
-        str(file.measurements()),
-        f"to fit: {number_of(train.n_trajectories, 'run')}, {train.n_samples} samples; "
-        f"{judged}",
-        f"model: {type(model).__name__} with states {', '.join(model.states)}",
-        f"unknown parameters: {', '.join(model.free) or 'none, all values are known'}",
-        f"effects added: {', '.join(file.steps.added) or 'none'}; "
-        f"{n_effects} more in the catalogue",
-        *notes,
-    ]
+    text = lines(
+        __package__,
+        "summary",
+        path=path,
+        measurements=file.measurements(),
+        train=train,
+        held_out=held_out,
+        runs=_runs,
+        model=model,
+        kind=type(model).__name__,
+        added=file.steps.added,
+        n_effects=len(catalogue(model, file.data.units)),
+        notes=notes,
+    )
     content = {
         "states": list(model.states),
         "inputs": list(model.inputs),
@@ -146,7 +119,11 @@ def _summary(path: Path, file: StudyFile) -> Answer:
         "n_held_out": 0 if held_out is None else held_out.n_samples,
         "warnings": list(notes),
     }
-    return Answer("\n".join(text), content)
+    return Answer(text, content)
+
+
+def _runs(data: Measurements) -> str:
+    return f"{number_of(data.n_trajectories, 'run')}, {data.n_samples} samples"
 
 
 def add_effect(path: Path, name: str, equation: str | None) -> Answer:
@@ -166,17 +143,14 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
     larger = model.add(effect)
     backup = add_effects(path, [str(effect)])
     free = [one for one in larger.free if one not in model.entries]
-    text = (
-        f"{effect} is in {path} now, with the unknown {', '.join(free)}.\n"
-        f"The file as it was: {backup}\nNext: phsi-opt study {path}"
-    )
+    facts = {"effect": effect, "path": path, "free": free, "backup": backup}
     content = {
         "added": str(effect),
         "unknowns": free,
         "study_file": str(path),
         "backup": str(backup),
     }
-    return Answer(text, content)
+    return Answer(lines(__package__, "added", **facts), content)
 
 
 def written_demonstration(folder: Path) -> Path:

@@ -17,7 +17,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.presentation.content import unestablished_words
+from phsi_opt.presentation.sentences import lines
 from phsi_opt.study import Study
 from phsi_opt.study_file.study_file import StudyFile
 
@@ -142,7 +142,6 @@ def _compare_answer(comparison: Comparison) -> Answer:
 
 
 def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
-    sentences = "\n".join(f"- {sentence}" for sentence in found.sentences)
     content = {
         "verdict": str(found.verdict),
         "reason": found.reason,
@@ -151,7 +150,7 @@ def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
         "next": str(found.next_step),
         "candidates": table_content(found.candidates),
     }
-    text = f"{found}\n\n{sentences}"
+    text = lines(__package__, "diagnosis", found=found)
     return Answer(text, plain(content), _code(found, job))
 
 
@@ -181,15 +180,8 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         "equations": study.fit.equations(),
         "unit": study.unit,
     }
-    unit = f" ({study.unit})" if study.unit else ""
-    text = [f"Errors of the free run{unit}, step by step:", str(study.history), ""]
-    text += [str(study.fit), "", *study.fit.equations(), "", content.headline.sentence]
-    if content.present is not None:
-        text += [f"{question}: {answer}" for question, answer in told.items()]
-    text += filter(None, (study.stopped, unestablished_words(content.unestablished)))
-    if advice:
-        text.append(f"next: {advice}")
-    return Answer("\n".join(text), plain(listed), code)
+    text = lines(__package__, "study", study=study, content=content, advice=advice)
+    return Answer(text, plain(listed), code)
 
 
 # ---- tables and numbers --------------------------------------------------------------

@@ -14,8 +14,7 @@ from typing import Any, NoReturn, TextIO
 import typer
 
 from phsi_opt.command_line.job import Answer, ExitCode, Job
-from phsi_opt.command_line.supervision import Supervised, supervise
-from phsi_opt.command_line.worker import answer_to
+from phsi_opt.command_line.supervision import Supervised, answer_to, supervise
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.study_file.adding import add_effects
 

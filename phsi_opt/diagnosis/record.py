@@ -304,7 +304,7 @@ class Diagnosis(Summarised):
         Raises:
             ModelError: no force was estimated in that equation.
         """
-        from phsi_opt.force_analysis.force_plots import plot_where
+        from phsi_opt.force_analysis.pictures import plot_where
 
         return plot_where(self.analysis, equation)
 

@@ -106,7 +106,7 @@ class Fit(FitRecord, Summarised):
         Returns:
             The axes; ``fit.plot().figure.savefig("fit.png")`` stores the picture.
         """
-        from phsi_opt.presentation.estimates import plot_estimates
+        from phsi_opt.presentation.pictures import plot_estimates
 
         return plot_estimates(self._estimates_table(PLOTTED_LEVEL), PLOTTED_LEVEL, ax)
 

@@ -39,8 +39,7 @@ def states_picture(
     title = f"Measured and estimated states of {run.name}"
     if ax is None:
         return plot_states(run.t, channels, t_unit=t_unit, title=title).axes[0]
-    draw_state(ax, run.t, channels[_number(data, state)])
-    ax.set_xlabel(f"t ({t_unit})" if t_unit else "t")
+    draw_state(ax, run.t, channels[_number(data, state)], t_unit)
     ax.set_title(title)
     return ax
 

@@ -19,14 +19,14 @@ from phsi_opt.criteria import (
     SECOND_CAUSE,
     TIED_CAUSES,
 )
-from phsi_opt.force_analysis.cross_validation import explained_share
-from phsi_opt.force_analysis.dependence import PARAMETERS
-from phsi_opt.force_analysis.force_record import Force
-from phsi_opt.force_analysis.piecewise_linear import (
+from phsi_opt.force_analysis.cross_validation import (
+    explained_share,
     odd_basis,
     piecewise_linear_basis,
     product_basis,
 )
+from phsi_opt.force_analysis.dependence import PARAMETERS
+from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import exchange_partners

@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phsi_opt.criteria import MONOTONE_RANK_CORRELATION, NAMED_CAUSE
-from phsi_opt.force_analysis.cross_validation import explained_share
-from phsi_opt.force_analysis.force_record import Force, ForceRecord
-from phsi_opt.force_analysis.piecewise_linear import (
+from phsi_opt.force_analysis.cross_validation import (
+    explained_share,
     piecewise_linear_basis,
     product_basis,
 )
+from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
 from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.statistics import TINY, mean_ranks

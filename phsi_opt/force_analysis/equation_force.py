@@ -144,8 +144,13 @@ class EquationForce(Force):
         return scale_of_rate(self.equation, self.record.units, longest)
 
     def force_label(self, quantity: str = "missing force") -> str:
-        """Label of an axis for the force, with its unit."""
-        return label(quantity, force_unit(self.equation, self.record.units))
+        """Label of an axis for the force, with the unit in which it is told."""
+        return label(quantity, self.scale.unit)
+
+    @property
+    def strongest_run(self) -> int:
+        """Number of the trajectory in which the force is strongest."""
+        return self.record.trajectories.index(str(self.where["trajectory"]))
 
     @property
     def position(self) -> str:

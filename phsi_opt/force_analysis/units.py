@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from phsi_opt.presentation.durations import SECONDS, scale_of_time, time_words
-from phsi_opt.presentation.units import NAMED, rate_unit
+from phsi_opt.presentation.units import NAMED_RATES, rate_unit
 
 HOUR = 3600.0  # s
 
@@ -47,7 +47,7 @@ def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Ra
     """
     unit = force_unit(equation, units)
     in_seconds = scale_of_time(longest, units.get("t", "")).size >= HOUR
-    if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED:
+    if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED_RATES:
         return RateScale(unit)
     return RateScale(rate_unit(units[equation], "h"), 1 / HOUR)
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
+from phsi_opt.force_analysis.cross_validation import piecewise_linear_basis
 from phsi_opt.force_analysis.force_record import Force
-from phsi_opt.force_analysis.piecewise_linear import piecewise_linear_basis
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.model.structure import exchange_partners
 from phsi_opt.statistics import TINY, local_maxima

@@ -10,6 +10,7 @@ from phsi_opt.data.wording import number_of
 from phsi_opt.page.drafts import (
     AFTER,
     HELD_OUT_WAYS,
+    INPUT,
     NOT_USED,
     ROLES,
     RUN,
@@ -20,17 +21,23 @@ from phsi_opt.page.drafts import (
     ColumnDraft,
     DataDraft,
 )
-from phsi_opt.page.files import MOST_FILES, MOST_UPLOADED, TABLE_KINDS, in_megabytes
 from phsi_opt.page.parts import (
+    Field,
     alert,
     button,
     card,
     choice,
     complaints,
     heading,
-    text_field,
+    text_fields,
 )
 from phsi_opt.page.session import Session
+from phsi_opt.page.table_look import (
+    MOST_FILES,
+    MOST_UPLOADED,
+    TABLE_KINDS,
+    in_megabytes,
+)
 
 ABOUT = (
     "A table as CSV, text or Excel workbook: one line per sample below a header. At "
@@ -40,7 +47,23 @@ ABOUT = (
 # What the server is told of files that the browser does not even send.
 TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
-DATA_KEYS = ("data", "held_out")
+DATA_SECTIONS = ("data", "held_out")
+UNIT_FIELD = Field("unit", "unit of {name}", "8em", "m")
+NAME_FIELD = Field("name", "name of {name}", "9em", "as in formulas")
+NOISE_FIELD = Field("noise", "noise of {name}", "14em", "estimated")
+FIELDS_OF_ROLE = {
+    TIME: (UNIT_FIELD,),
+    STATE: (NAME_FIELD, UNIT_FIELD, NOISE_FIELD),
+    INPUT: (NAME_FIELD, UNIT_FIELD),
+}
+DATA_FIELDS = (
+    Field("step", "time between lines", "14em", "no column has the times"),
+    Field("averaged", "samples that become their mean", "17em", "each by itself"),
+)
+HELD_OUT_FIELDS = {
+    SHARE: (Field("share", "share", "8em", "0.3"),),
+    AFTER: (Field("after", "from the time", "8em", "10"),),
+}
 
 
 class DataView:
@@ -115,8 +138,9 @@ class DataView:
         if self._session.draft.data is None:
             return
         with card():
-            found = self._session.complaints_about(*DATA_KEYS)
-            complaints(found, "The data can be used.")
+            found = self._session.complaints
+            of_data = [one for one in found if one.key.split(".")[0] in DATA_SECTIONS]
+            complaints(of_data, "The data can be used.")
             button("Next: the model", self._go_on)
 
     @ui.refreshable_method
@@ -133,11 +157,8 @@ class DataView:
             self._files(data)
             for column in data.columns:
                 self._column(column)
-            if not data.with_role(TIME):
-                label = "time between lines"
-                self._field(data, "step", label, "14em", "no column has the times")
-            label = "samples that become their mean"
-            self._field(data, "averaged", label, "17em", "each sample by itself")
+            has_times = bool(data.with_role(TIME))
+            text_fields(data, DATA_FIELDS[has_times:], self._checked)
         with card():
             heading("Held out")
             ui.label("Kept from fitting, to judge by.").classes("faint")
@@ -166,20 +187,8 @@ class DataView:
                 lambda role: self._set_role(column, role),
                 width="10em",
             )
-            if column.role not in (RUN, NOT_USED):
-                self._channel(column)
-
-    def _channel(self, column: ColumnDraft) -> None:
-        label = str(column.column)
-        if column.role != TIME:
-            self._field(column, "name", f"name of {label}", "9em", "as in formulas")
-        self._field(column, "unit", f"unit of {label}", "8em", "m")
-        if column.role == STATE:
-            hint = "estimated"
-            self._field(column, "noise", f"noise of {label}", "14em", hint)
-
-    def _field(self, owner: Any, name: str, label: str, width: str, hint: str) -> None:
-        text_field(owner, name, label, self._checked, width=width, hint=hint)
+            fields = FIELDS_OF_ROLE.get(column.role, ())
+            text_fields(column, fields, self._checked, str(column.column))
 
     async def _set_role(self, column: ColumnDraft, role: str) -> None:
         data = self._session.draft.data
@@ -205,12 +214,10 @@ class DataView:
 
         with ui.element("div").classes("fields"):
             choice("what is held out", HELD_OUT_WAYS, held_out.way, set_way)
-            if held_out.way == SHARE:
-                self._field(held_out, "share", "share", "8em", "0.3")
-            elif held_out.way == AFTER:
-                self._field(held_out, "after", "from the time", "8em", "10")
-            elif held_out.way == RUNS:
+            if held_out.way == RUNS:
                 self._runs(data)
+            fields = HELD_OUT_FIELDS.get(held_out.way, ())
+            text_fields(held_out, fields, self._checked)
 
     def _runs(self, data: DataDraft) -> None:
         async def changed(e: events.ValueChangeEventArguments) -> None:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
-from phsi_opt.page.drafts import ModelDraft
-from phsi_opt.page.study_draft import model_draft
+from phsi_opt.model.kinds import LENGTHS, plain_unit
+from phsi_opt.page.drafts import NOT_USED, STATE, DataDraft, ModelDraft
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class BaseModel:
         """A fresh draft; the first of the inputs acts in the driven equations."""
         parameters = {**self.parameters, **(self.driven_parameters if inputs else {})}
         content = {**self.model, "states": list(self.units), "inputs": list(inputs)}
-        draft = model_draft(content, parameters)
+        draft = ModelDraft.of(content, parameters)
         draft.title = self.title
         for one in draft.parameters:
             one.is_assumed = one.is_known
@@ -52,3 +52,69 @@ def _entries() -> dict[str, BaseModel]:
 
 
 GALLERY = _entries()
+
+
+# ---- which column is which state -----------------------------------------------------
+
+
+def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
+    """Give the columns of states the names that the model has.
+
+    First where the units agree, then in order where one of them is unknown. A column
+    that fits no state is not used, until a base model is chosen that it fits; a state
+    without a column counts as not measured.
+
+    Args:
+        data: its columns are changed.
+        units: of the model's states, by name.
+    """
+    for column in data.columns:
+        if column.fits_no_state and column.role == NOT_USED:
+            column.role = STATE
+        column.fits_no_state = False
+    free = dict(units)
+    left = data.with_role(STATE)
+    for agrees in (is_same_unit, _is_open):
+        columns = left
+        left = []
+        for column in columns:
+            fitting = [name for name, unit in free.items() if agrees(column.unit, unit)]
+            if fitting:
+                column.name = fitting[0]
+                del free[column.name]
+            else:
+                left.append(column)
+    for column in left:
+        column.role = NOT_USED
+        column.fits_no_state = True
+    data.unmeasured = free
+
+
+def left_over(data: DataDraft, title: str, units: Mapping[str, str]) -> str:
+    """Which columns fit no state of a model, in a sentence; "" where all do."""
+    left = [one for one in data.columns if one.fits_no_state]
+    if not left:
+        return ""
+    columns = [_with_unit(str(one.column), one.unit) for one in left]
+    states = [_with_unit(name, unit) for name, unit in units.items()]
+    verb = "fits" if len(left) == 1 else "fit"
+    return (
+        f"{', '.join(columns)} {verb} no state of {title} ({', '.join(states)}) by "
+        "its unit and is not used; part 1 can say otherwise."
+    )
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} in {unit}" if unit else name
+
+
+def is_same_unit(one: str, other: str) -> bool:
+    """Whether two units are of one quantity: m and mm are."""
+    if not one or not other:
+        return False
+    are_lengths = one in LENGTHS and other in LENGTHS
+    return are_lengths or plain_unit(one) == plain_unit(other)
+
+
+def _is_open(one: str, other: str) -> bool:
+    return not one or not other

@@ -19,7 +19,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from phsi_opt.page.files import MOST_UPLOADED, in_megabytes
+from phsi_opt.page.table_look import MOST_UPLOADED, in_megabytes
 
 UPLOAD_OVERHEAD = 100_000  # bytes of a request beside the file: names, boundaries
 FORBIDDEN = 403

@@ -19,7 +19,7 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.parts import (
-    Then,
+    Field,
     alert,
     button,
     card,
@@ -27,7 +27,7 @@ from phsi_opt.page.parts import (
     complaints,
     heading,
     strong,
-    text_field,
+    text_fields,
 )
 from phsi_opt.page.session import Session
 
@@ -36,6 +36,24 @@ NOT_MEASURED = "not measured"
 FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 # A remark that goes leaves its place, so that no button moves from under a click.
 STAYING_PLACE = "min-height: 1.5em"
+NAME_FIELDS = (
+    Field("states", "states", hint="q, p", is_formula=True),
+    Field("inputs", "inputs", hint="u", is_formula=True),
+)
+ENERGY_FIELDS = (
+    Field("pairs", "pairs: dq/dt = dH/dp", hint="q-p", is_formula=True),
+    Field("H", "energy H", "100%", "k*q**2/2 + p**2/(2*m)", is_formula=True),
+)
+LOSS_FIELD = Field("", "loss R of {name}", "15em", "c", is_formula=True)
+FORCE_FIELD = Field("", "force F on {name}", "15em", "u", is_formula=True)
+PARAMETER_NAME_FIELD = Field("name", "name", "8em", "k")
+START_FIELD = Field("value", "start of {name}", "10em", "found in data")
+KNOWN_FIELD = Field("value", "known value of {name}", "10em", "found in data")
+LIMIT_FIELDS = (
+    Field("lower", "least {name}", "8em", "none"),
+    Field("upper", "largest {name}", "8em", "none"),
+    Field("unit", "unit of {name}", "8em", "N/m"),
+)
 MODEL_TYPES = {
     ENERGY: "energy: dx/dt = (S - R) grad H + F",
     FIRST_ORDER: "first order: dx/dt = F",
@@ -127,22 +145,13 @@ class ModelView:
                     self._set_type,
                     width="20em",
                 )
-                self._field("states", "states", "q, p", self._named)
-                self._field("inputs", "inputs", "u", self._named)
+                text_fields(draft, NAME_FIELDS, self._named)
                 if draft.type == ENERGY:
-                    self._field("pairs", "pairs: dq/dt = dH/dp", "q-p", self._checked)
-            if draft.type == ENERGY:
-                hint = "k*q**2/2 + p**2/(2*m)"
-                self._field("H", "energy H", hint, self._checked, width="100%")
+                    text_fields(draft, ENERGY_FIELDS, self._checked)
             self.by_state()
         with card():
             heading("Parameters")
             self.parameters()
-
-    def _field(self, name: str, label: str, hint: str, then: Then, **look: str) -> None:
-        width = look.get("width", "14em")
-        draft = self._draft
-        text_field(draft, name, label, then, width=width, hint=hint, is_formula=True)
 
     async def _set_type(self, value: str) -> None:
         self._draft.type = value
@@ -161,13 +170,9 @@ class ModelView:
         for name in draft.state_names:
             with ui.element("div").classes("fields candidate"):
                 ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
-                slots = [(draft.F, f"force F on {name}", "u")]
                 if draft.type == ENERGY:
-                    slots.insert(0, (draft.R, f"loss R of {name}", "c"))
-                for formulas, label, hint in slots:
-                    look = {"width": "15em", "hint": hint}
-                    then = self._checked
-                    text_field(formulas, name, label, then, is_formula=True, **look)
+                    text_fields(draft.R, [LOSS_FIELD], self._checked, name)
+                text_fields(draft.F, [FORCE_FIELD], self._checked, name)
                 self._column(STATE, name)
         for name in draft.input_names:
             with ui.element("div").classes("fields candidate"):
@@ -204,16 +209,10 @@ class ModelView:
     def _parameter(self, one: ParameterDraft) -> None:
         name = one.name or "new parameter"
         with ui.element("div").classes("fields candidate"):
-            start = "known value" if one.is_known else "start"
-            for key, label, width, hint in (
-                ("name", "name", "8em", "k"),
-                ("value", f"{start} of {name}", "10em", "found in data"),
-                ("lower", f"least {name}", "8em", "none"),
-                ("upper", f"largest {name}", "8em", "none"),
-                ("unit", f"unit of {name}", "8em", "N/m"),
-            ):
-                then = partial(self._given, one) if key == "value" else self._checked
-                text_field(one, key, label, then, width=width, hint=hint)
+            value = KNOWN_FIELD if one.is_known else START_FIELD
+            text_fields(one, [PARAMETER_NAME_FIELD], self._checked)
+            text_fields(one, [value], partial(self._given, one), name)
+            text_fields(one, LIMIT_FIELDS, self._checked, name)
             known = ui.checkbox("known", value=one.is_known)
             known.on_value_change(lambda e: self._set_known(one, bool(e.value)))
             remove = ui.button("Remove", on_click=lambda: self._remove(one))

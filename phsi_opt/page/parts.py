@@ -1,13 +1,13 @@
 """Small parts that all views are made of."""
 
+import re
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from nicegui import events, ui
 from nicegui.elements.mixins.text_element import TextElement
 
 from phsi_opt.errors import Complaint
-from phsi_opt.page.complaint_words import complaint_words
 
 DEBOUNCE = "debounce=400"  # ms without a key before a text is checked
 Then = Callable[[], Awaitable[None]]
@@ -28,41 +28,51 @@ def card() -> ui.element:
     return ui.column().classes("card gap-3")
 
 
-def text_field(
-    owner: Any,
-    name: str,
-    label: str,
-    then: Then,
-    *,
-    width: str = "12em",
-    hint: str = "",
-    is_formula: bool = False,
-) -> ui.input:
-    """A text of a draft, told while it is typed.
+class Field(NamedTuple):
+    """A text of a draft: its name there, its label, its width, what an empty one shows.
+
+    The label may have ``{name}`` in it, for what the draft is of.
+    """
+
+    key: str
+    label: str
+    width: str = "14em"
+    hint: str = ""
+    is_formula: bool = False
+
+
+def text_fields(
+    owner: Any, fields: Iterable[Field], then: Then, name: str = ""
+) -> None:
+    """Texts of a draft, told while they are typed.
 
     Args:
-        owner: a record or a dictionary; ``name``: of the text in it.
-        label: of the field.
+        owner: a record or a dictionary that has them.
+        fields: which ones.
         then: called after every change.
-        width: of the field; ``hint``: what an empty one shows.
-        is_formula: whether it is written in letters of one width.
+        name: of the owner, in labels and keys.
     """
+    for field in fields:
+        _text_field(owner, field, then, name)
+
+
+def _text_field(owner: Any, field: Field, then: Then, name: str) -> None:
     is_table = isinstance(owner, dict)
-    value = owner.get(name, "") if is_table else getattr(owner, name)
+    key = field.key or name
+    value = owner.get(key, "") if is_table else getattr(owner, key)
 
     async def changed(e: events.ValueChangeEventArguments) -> None:
         text = (e.value or "").strip()
         if is_table:
-            owner[name] = text
+            owner[key] = text
         else:
-            setattr(owner, name, text)
+            setattr(owner, key, text)
         await then()
 
-    field = ui.input(label, value=value, on_change=changed)
-    field.props("dense outlined").props(DEBOUNCE).props["placeholder"] = hint
-    return field.style(f"width: {width}; max-width: 100%").classes(
-        "formula" if is_formula else ""
-    )
+    made = ui.input(field.label.format(name=name), value=value, on_change=changed)
+    made.props("dense outlined").props(DEBOUNCE).props["placeholder"] = field.hint
+    made.style(f"width: {field.width}; max-width: 100%")
+    made.classes("formula" if field.is_formula else "")
 
 
 def choice(
@@ -108,3 +118,66 @@ def button(label: str, then: Callable[[], Any], quiet: bool = False) -> ui.butto
     """A button: filled, or quiet beside one that is."""
     made = ui.button(label, on_click=then)
     return made.props("outline" if quiet else "text-color=onprimary")
+
+
+# ---- complaints in the words of the fields -------------------------------------------
+
+# Keys of a study file, as patterns, and what the page calls their fields.
+FIELD_NAMES = (
+    (r"data\.time.*", "Time column"),
+    (r"data\.(states|inputs)\.([^.]+).*", r"Column of \2"),
+    (r"data\.trajectory", "Column of runs"),
+    (r"data.*", "Measurements"),
+    (r"held_out.*", "Held out"),
+    (r"model\.H.*", "Energy H"),
+    (r"model\.R\.([^.\[]+).*", r"Loss R of \1"),
+    (r"model\.F\.([^.\[]+).*", r"Force F on \1"),
+    (r"model\.(states|inputs|pairs)", r"Field \1"),
+    (r"model.*", "Model"),
+    (r"parameters\.([^.]+)\.(.+)", r"Parameter \1, \2"),
+    (r"parameters\.([^.]+)", r"Parameter \1"),
+)
+# Advice of the study file's reader that names its sections, and the page's own.
+ADVICE = (
+    (
+        r"A parameter stands in the section \[parameters\]: .*",
+        "Correct the name, or make it a parameter below.",
+    ),
+    (
+        r"the model has it: give \{ column = \"\.\.\.\" \}.*?measured = false \}\.",
+        "the model has it: choose a column for it, or that it is not measured.",
+    ),
+    (
+        r"the model has it: give \{ column = \"\.\.\.\" \}\.",
+        "the model has it: choose a column for it.",
+    ),
+    (
+        r"a fixed parameter needs a value: .*",
+        "a value that is known needs its number, such as 2.5.",
+    ),
+    (
+        r"the names of the (states|inputs), such as \[\"(.+?)\", \"(.+?)\"\]\.",
+        r"the names of the \1, such as \2, \3.",
+    ),
+)
+
+
+def complaint_words(complaint: Complaint) -> str:
+    """Where it is, what stands there, what to do."""
+    said = complaint.said
+    for pattern, words in ADVICE:
+        said = re.sub(pattern, words, said)
+    if not complaint.key:
+        return said
+    value = complaint.value
+    is_field = bool(value) and not value.startswith("{")  # a section's text is no field
+    written = f" ({value})" if is_field else ""
+    return f"{place_words(complaint.key)}{written}: {said}"
+
+
+def place_words(key: str) -> str:
+    """What the page calls the field of a key."""
+    for pattern, words in FIELD_NAMES:
+        if re.fullmatch(pattern, key):
+            return re.sub(f"^{pattern}$", words, key)
+    return key

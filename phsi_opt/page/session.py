@@ -16,19 +16,24 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
-from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
-from phsi_opt.page.files import (
+from phsi_opt.page.drafts import (
+    INPUT,
+    ColumnDraft,
+    DataDraft,
+    Drafted,
+    StudyDraft,
+    told_columns,
+)
+from phsi_opt.page.gallery import GALLERY, BaseModel, left_over, match_states
+from phsi_opt.page.table_look import (
     MOST_FILES,
     MOST_UPLOADED,
     in_megabytes,
+    look_at,
     name_refusal,
     suffix_of,
     without_path,
 )
-from phsi_opt.page.gallery import GALLERY, BaseModel
-from phsi_opt.page.matching import left_over, match_states
-from phsi_opt.page.study_draft import Drafted, StudyDraft, told_columns
-from phsi_opt.page.table_look import look_at
 from phsi_opt.page.worker import (
     ADD,
     AUTO,
@@ -350,15 +355,6 @@ class Session:
             return (Complaint("model", "", str(error)),)
         return ()
 
-    def complaints_about(self, *keys: str) -> list[Complaint]:
-        """What is wrong at these keys of a study file, or below them."""
-        found = []
-        for complaint in self.complaints:
-            for key in keys:
-                if complaint.key == key or complaint.key.startswith(below(key)):
-                    found.append(complaint)
-        return found
-
     @property
     def is_stale(self) -> bool:
         """Whether the draft has changed since it was fitted."""
@@ -542,22 +538,6 @@ class Session:
         further = [one for one in self.content.added if one not in file.steps.added]
         return file.with_added(*further)
 
-    def study_text(self) -> str:
-        """The study file, with comments.
-
-        Raises:
-            DataError: nothing was fitted yet.
-        """
-        return self.study_file().text()
-
-    def script(self) -> str:
-        """The Python script that does the same, effect by effect.
-
-        Raises:
-            DataError: nothing was fitted yet.
-        """
-        return self.study_file().script()
-
     def close(self) -> None:
         """End the worker and remove the files."""
         self.is_closed = True
@@ -585,8 +565,3 @@ def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:
         if one not in known:
             columns.append(ColumnDraft(one))
     return columns
-
-
-def below(key: str) -> tuple[str, str]:
-    """How the keys below a key of a study file begin."""
-    return f"{key}.", f"{key}["

@@ -1,12 +1,12 @@
 """The third part of the page: the verdict, the charts, the ranking, the exports.
 
-All of it is drawn from the content of the study. A click into a chart marks a time; the
-missing force at that time is told. The field for the time does the same for those who
-use no mouse.
+All of it is drawn from the content of the study; texts are those of
+``study.html.jinja``. A click into a chart marks a time; the missing force at that time
+is told. The field for the time does the same for those who use no mouse.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from nicegui import events, ui
 from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.page.parts import alert, button, card, choice, heading, strong
+from phsi_opt.page.parts import alert, button, card, choice, heading
 from phsi_opt.page.session import Look, Session
 from phsi_opt.presentation.charts import (
     Chart,
@@ -26,24 +26,15 @@ from phsi_opt.presentation.charts import (
     run_chart,
 )
 from phsi_opt.presentation.content import (
-    Answer,
     Diagnosed,
     ForceRun,
     Ranked,
     Run,
     StudyContent,
-    unestablished_words,
 )
 from phsi_opt.presentation.durations import date_words
-from phsi_opt.presentation.html_report import interval_words, size_words
-from phsi_opt.presentation.numbers import (
-    listed,
-    number,
-    proper_names,
-    said,
-    typeset,
-    with_error,
-)
+from phsi_opt.presentation.html_report import report_environment
+from phsi_opt.presentation.numbers import number, proper_names, with_error
 
 N_SHOWN = 5  # candidates that are shown at once
 SURE = 2.0  # standard deviations beyond which a force counts as sure at one time
@@ -61,6 +52,10 @@ BAR = (
 HOW_TO_LOOK = (
     "Click into a chart to see the missing force there; drag to zoom, double-click to "
     "see all."
+)
+STALE = (
+    "Data or model have changed since this was fitted. What follows is of the model as "
+    "it was."
 )
 # Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
 # chosen: nested lists in the configuration make plotly's ``react`` draw without end.
@@ -106,28 +101,30 @@ class StudyView:
     def build(self) -> None:
         """Draw it all."""
         self._resting.clear()
-        content = self._session.content
+        session = self._session
+        content = session.content
         if content is None:
             self._nothing_yet()
             return
-        if self._session.failure:
-            alert(self._session.failure)
-        if self._session.is_stale:
+        if session.failure:
+            alert(session.failure)
+        if session.is_stale:
             with card():
-                ui.label(
-                    "Data or model have changed since this was fitted. What follows "
-                    "is of the model as it was."
-                )
-                self._begins("Fit again", self._session.fit, quiet=False)
-        self._verdict(content)
+                ui.label(STALE)
+                self._begins("Fit again", session.fit, quiet=False)
+        verdict = card().props('role="region" aria-label="Verdict"')
+        with verdict.props('id="verdict" tabindex="-1"'):
+            self._verdict(content)
         with ui.element("div").classes("two w-full"):
             with ui.column().classes("gap-3").style("min-width: 0"):
                 self._measured(content)
-                self._model(content)
+                with card().classes("last"):
+                    said_by("model", content)
                 self._exports()
             with ui.column().classes("gap-3").style("min-width: 0"):
                 self._errors(content)
-                self._ranking(content)
+                if content.present is not None:
+                    self._ranking(content, content.present)
 
     def _nothing_yet(self) -> None:
         with card():
@@ -141,51 +138,15 @@ class StudyView:
             else:
                 ui.label("Data and model can be used: press Fit, below.")
 
-    # ---- the first screen ------------------------------------------------------------
-
     def _verdict(self, content: StudyContent) -> None:
-        told = content.headline
-        verdict = card().props('role="region" aria-label="Verdict"')
-        with verdict.props('id="verdict" tabindex="-1"'):
-            if content.present is None:
-                self._not_asked(content)
-                return
-            with ui.row().classes("w-full items-center gap-2"):
-                ui.label(told.status).classes(f"badge {told.severity}")
-                open_ = unestablished_words(content.unestablished)
-                for beside in filter(None, (told.beside, open_)):
-                    ui.label(beside).classes("badge look")
-            ui.label(said(told.sentence)).classes("sentence")
-            ui.label(said(told.certainty))
-            with ui.element("div").classes("facts w-full"):
-                for answer in told.answers:
-                    with ui.element("div"):
-                        self._answer(answer)
-                        if answer is told.answers[-1]:
-                            self._next(content.present)
-            if told.caution:
-                ui.label(said(told.caution))
-            if content.warning:
-                alert(content.warning)
-
-    @staticmethod
-    def _answer(answer: Answer) -> None:
-        heading(answer.question, 3).classes("faint")
-        strong(said(answer.lead))
-        if answer.detail:
-            ui.label(said(answer.detail)).classes("faint")
-
-    def _not_asked(self, content: StudyContent) -> None:
-        error = content.steps[-1]
-        heading("Fitted; what is missing is not known yet")
-        ui.label(
-            f"The error is {error_words(content, error.judged)}; noise alone would "
-            f"leave {error_words(content, error.floor)}."
-        )
-        self._begins("Look for what is missing", self._session.diagnose, False)
-
-    def _next(self, diagnosed: Diagnosed) -> None:
-        """A button for what the page can do next."""
+        diagnosed = content.present
+        if diagnosed is None:
+            said_by("not_asked", content.steps[-1], content.unit)
+            self._begins("Look for what is missing", self._session.diagnose, False)
+            return
+        said_by("verdict", content)
+        if content.warning:
+            alert(content.warning)
         if self._session.is_stale:
             return
         if diagnosed.averaged:
@@ -197,20 +158,15 @@ class StudyView:
         elif diagnosed.nearest:
             self._add_button("Try", diagnosed.nearest, quiet=True)
 
-    def _add_button(self, verb: str, effect: str, quiet: bool) -> ui.button:
+    def _add_button(self, verb: str, effect: str, quiet: bool) -> None:
         label = f"{verb} {proper_names(effect)}"
-        return self._begins(label, lambda: self._session.add(effect), quiet)
+        self._begins(label, lambda: self._session.add(effect), quiet)
 
     # ---- measured and model, and the force that is missing ---------------------------
 
     @property
     def _look(self) -> Look:
         return self._session.look
-
-    @property
-    def _run(self) -> Run | None:
-        content = self._session.content
-        return None if content is None else content.runs[self._look.run]
 
     def _measured(self, content: StudyContent) -> None:
         with card():
@@ -224,11 +180,10 @@ class StudyView:
                     now = self._look.channel
                     choice("channel", channels, now, self._set_channel)
                 unit = content.time.unit
+                t = self._look.t
                 self._field = ui.number(
                     f"look at the time ({unit})" if unit else "look at the time",
-                    value=None
-                    if self._look.t is None
-                    else float(f"{self._look.t:.6g}"),
+                    value=None if t is None else float(f"{t:.6g}"),
                     on_change=lambda e: self._look_at(e.value),
                 )
                 self._field.props("dense outlined debounce=400").style("width: 12em")
@@ -268,10 +223,10 @@ class StudyView:
     @ui.refreshable_method
     def overlay(self) -> None:
         """Measured and free runs, with the residuals; what is missing at the mark."""
-        run = self._run
         content = self._session.content
-        if run is None or content is None:
+        if content is None:
             return
+        run = content.runs[self._look.run]
         chart = run_chart(content, run, self._look.channel, self._mark(run))
         name = run.channels[self._look.channel].name
         label = f"Chart: {name} of {run.title}, measured and model"
@@ -280,31 +235,31 @@ class StudyView:
         if t is None:
             return
         with ui.element("div").props('role="status"'):
-            if not run.holds(t):
-                begin, end = run.channels[0].t[[0, -1]]
-                unit = spaced(content.time.unit)
-                ui.label(
-                    f"{run.name} was measured from t = {number(begin)} to "
-                    f"{number(end)}{unit}; there is nothing at {number(t)}{unit}."
-                ).classes("bad")
+            if run.holds(t):
+                forces = content.forces_along(run)
+                said_by("at_time", [force_near(content, one, t) for one in forces])
                 return
-            for force in content.forces_along(run):
-                strong(said(force_near(content, force, t)))
+            begin, end = run.channels[0].t[[0, -1]]
+            unit = spaced(content.time.unit)
+            ui.label(
+                f"{run.name} was measured from t = {number(begin)} to "
+                f"{number(end)}{unit}; there is nothing at {number(t)}{unit}."
+            ).classes("bad")
 
     @ui.refreshable_method
     def force(self) -> None:
         """What the model lacks along this run."""
-        run = self._run
         content = self._session.content
-        if run is None or content is None:
+        if content is None:
             return
+        run = content.runs[self._look.run]
         forces = content.forces_along(run)
         if forces:
-            chart = force_chart(content, forces, self._mark(run))
+            chart = force_chart(forces, content.time.unit, self._mark(run))
             label = "Chart: the missing force over time"
             plotted(chart, label, 260).on("plotly_click", self._click)
 
-    # ---- errors and ranking ----------------------------------------------------------
+    # ---- errors, ranking and exports -------------------------------------------------
 
     def _errors(self, content: StudyContent) -> None:
         with card():
@@ -318,41 +273,33 @@ class StudyView:
                 if content.present is None or content.present.proposed:
                     self._begins(ADD_ALL, self._session.auto, True)
 
-    def _ranking(self, content: StudyContent) -> None:
-        if content.present is None:
-            return
+    def _ranking(self, content: StudyContent, diagnosed: Diagnosed) -> None:
+        is_good = diagnosed.verdict == "nothing missing"
+        title = "Tried, none needed" if is_good else "Tried, none accepted"
         with card():
-            heading(_title_of_ranking(content))
+            heading("Effects, best first" if diagnosed.proposed else title)
             ui.label(BAR).classes("faint")
-            ranking = content.present.ranking
+            ranking = diagnosed.ranking
             for row in ranking[:N_SHOWN]:
-                self._candidate(content, row)
+                self._candidate(content, row, row.effect in diagnosed.proposed)
             if ranking[N_SHOWN:]:
-                title = f"{len(ranking) - N_SHOWN} more"
-                with ui.expansion(title).classes("w-full"):
+                more = ui.expansion(f"{len(ranking) - N_SHOWN} more").classes("w-full")
+                with more:
                     for row in ranking[N_SHOWN:]:
-                        self._candidate(content, row)
+                        self._candidate(content, row, row.effect in diagnosed.proposed)
 
-    def _candidate(self, content: StudyContent, row: Ranked) -> None:
-        assert content.present is not None
-        is_proposed = row.effect in content.present.proposed
+    def _candidate(self, content: StudyContent, row: Ranked, is_proposed: bool) -> None:
         with ui.column().classes("candidate gap-1"):
-            size = f": {size_words(row)}" if np.isfinite(row.std_error) else ""
             with ui.row().classes("w-full items-center no-wrap justify-between"):
-                proposed = " (proposed)" if is_proposed else ""
-                strong(proper_names(typeset(f"{row.effect}{size}{proposed}")))
+                said_by("ranked", row, is_proposed)
                 if not self._session.is_stale:
                     self._add_of_ranking(row, is_proposed)
-            left, floor = share_left(content, row)
-            with ui.element("div").classes("track").props('aria-hidden="true"'):
-                ui.element("div").style(f"width: {100 * left:.1f}%")
-                ui.element("i").style(f"left: {100 * floor:.1f}%")
-            ui.label(said(f"Evidence: {row.evidence}. {preview_words(content, row)}"))
-            if row.lost:
-                ui.label(f"Not proposed: {said(row.lost)}.").classes("faint")
-            if row.confused_with:
-                others = proper_names(listed(row.confused_with))
-                ui.label(f"The data do not tell it from {others}.").classes("faint")
+            _, before, after = errors_with(content, row)
+            left, floor = 1.0, 0.0
+            if before and after is not None:
+                left = min(after / before, 1.0)
+                floor = min((content.steps[-1].floor or 0.0) / before, 1.0)
+            said_by("candidate", row, preview_words(content, row), left, floor)
 
     def _add_of_ranking(self, row: Ranked, is_proposed: bool) -> None:
         """The button of a candidate; flat where something speaks against it."""
@@ -363,39 +310,15 @@ class StudyView:
         if not is_proposed:
             add.props("flat").props(remove="outline")
 
-    # ---- the model and the exports ---------------------------------------------------
-
-    def _model(self, content: StudyContent) -> None:
-        model = content.models[-1]
-        with card().classes("last"):
-            heading("The model now")
-            for equation in model.lines:
-                ui.label(typeset(equation)).classes("formula")
-            with ui.expansion("Parameters").classes("w-full"):
-                for row in model.parameters:
-                    value = f"{row.name} = {with_error(row.value, row.std_error)}"
-                    text = f"{value} {row.unit}".rstrip()
-                    known = interval_words(row)
-                    ui.label(typeset(f"{text} ({known})")).classes("formula")
-            if content.present is not None:
-                with ui.expansion("What the diagnosis says").classes("w-full"):
-                    strong(content.present.verdict)
-                    for sentence in (
-                        content.present.reason,
-                        *content.present.sentences,
-                    ):
-                        ui.label(said(sentence))
-            if content.stopped:
-                ui.label(f"The automatic study stopped: {content.stopped}")
-
     def _exports(self) -> None:
         with card().classes("last"):
             heading("Take it away")
             with ui.row():
                 self._begins("Report", self._report, False, redraws=False)
+                made = self._session.study_file
                 for label, text, name in (
-                    ("Study file", self._session.study_text, "study.toml"),
-                    ("Python script", self._session.script, "study.py"),
+                    ("Study file", lambda: made().text(), "study.toml"),
+                    ("Python script", lambda: made().script(), "study.py"),
                 ):
                     button(label, partial(self._send, text, name), quiet=True)
             ui.label(
@@ -425,6 +348,17 @@ class StudyView:
         self._session.version += 1
 
 
+@cache
+def _texts() -> Any:
+    environment = report_environment("phsi_opt.page", autoescape=True)
+    return environment.get_template("study.html.jinja").module
+
+
+def said_by(name: str, *facts: Any) -> None:
+    """What a macro of ``study.html.jinja`` says; names in it mean nothing in HTML."""
+    ui.html(getattr(_texts(), name)(*facts), sanitize=False).classes("told w-full")
+
+
 def plotted(chart: Chart, told: str, height: int) -> ui.plotly:
     """A chart; ``told`` to screen readers, ``height`` in pixels."""
     config = {
@@ -438,23 +372,10 @@ def plotted(chart: Chart, told: str, height: int) -> ui.plotly:
     return plot
 
 
-def _title_of_ranking(content: StudyContent) -> str:
-    """What the list of effects is: none of them may be what is missing."""
-    assert content.present is not None
-    if content.present.proposed:
-        return "Effects, best first"
-    is_good = content.present.verdict == "nothing missing"
-    return "Tried, none needed" if is_good else "Tried, none accepted"
+Errors = tuple[str, float | None, float | None]
 
 
-def error_words(content: StudyContent, value: float | None) -> str:
-    """An error with its unit."""
-    return f"{number(value, 3)} {content.unit}".rstrip()
-
-
-def errors_with(
-    content: StudyContent, row: Ranked
-) -> tuple[str, float | None, float | None]:
+def errors_with(content: StudyContent, row: Ranked) -> Errors:
     """The data that judge a candidate, the present error on them and that with it."""
     now = content.steps[-1]
     if now.held_out is not None and row.held_out is not None:
@@ -475,17 +396,9 @@ def preview_words(content: StudyContent, row: Ranked) -> str:
     floor = FAILING_ERROR * (now.floor or 0.0)
     if before == now.judged and after <= floor < before:
         trend += ", at the noise floor"
-    errors = [error_words(content, one) for one in (before, after)]
-    return f"{which} error {' → '.join(errors)} ({trend})"
-
-
-def share_left(content: StudyContent, row: Ranked) -> Sequence[float]:
-    """The error that would be left, and the noise floor, as shares of the present."""
-    _, before, after = errors_with(content, row)
-    if not before or after is None:
-        return 1.0, 0.0
-    floor = content.steps[-1].floor or 0.0
-    return min(after / before, 1.0), min(floor / before, 1.0)
+    unit = spaced(content.unit)
+    errors = f"{number(before, 3)}{unit} → {number(after, 3)}{unit}"
+    return f"{which} error {errors} ({trend})"
 
 
 def force_near(content: StudyContent, force: ForceRun, t: float) -> str:

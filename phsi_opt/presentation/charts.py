@@ -1,16 +1,18 @@
 """The charts of a study, made once: as figures of plotly, as SVG, and on axes.
 
 A `Chart` says what is drawn; the page and the report's browser draw it by plotly
-(`plotly`), paper and browsers without scripts by matplotlib (`svg`). Names are never
-read as formulas or markup. Colours stand out 3:1 from white and from a dark ground.
+(`plotly`), paper, notebooks and browsers without scripts by matplotlib (`svg`, `draw`).
+Names are never read as formulas or markup. Colours stand out 3:1 from white and from a
+dark ground.
 """
 
 import datetime as dt
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from html import escape
 from importlib.resources import files
 from itertools import pairwise
 from textwrap import wrap
@@ -33,6 +35,7 @@ from phsi_opt.presentation.axes import (
     label,
 )
 from phsi_opt.presentation.content import (
+    Channel,
     ErrorStep,
     Follows,
     ForceMap,
@@ -54,7 +57,10 @@ MODEL_LOOKS = (
 MATPLOTLIB_LINES = {"solid": "-", "dash": "--", "dot": ":"}
 POINTS = "points"
 STEPS = "steps"
+MARKERS = {POINTS: (".", 3), STEPS: ("o", 5)}  # of matplotlib, with their sizes
+LEVEL_MARKER = ("_", 30)  # of a level with texts
 TWO_DEVIATIONS = "two standard deviations"
+DEVIATION = "std. deviation"
 BAND_OPACITY = 0.22
 DIGITS_OF_TIME = 6  # over the range of a record: a zoomed curve has no steps
 ASIDE = 0.05  # of a step, by which training and held-out error stand aside
@@ -62,8 +68,8 @@ BEHIND = 0.8  # of a step, that the axis goes on: room for the number of the flo
 FAR_ABOVE = 2.0  # times the noise floor: there is room above the floor's number
 LOW_SHARE = 0.2  # of the largest error, below which there is no room below a number
 DECADE = 10  # ratio of errors from which on their axis is logarithmic
-LETTERS_PER_INCH = 9.5  # of a tick label in matplotlib's default font
-TICK_LETTERS = 16  # in a line of a step's label
+LETTERS_OF_TICKS = 60  # of all labels of steps, side by side
+TICK_LETTERS = (8, 16)  # in a line of a step's label, at least and at most
 MOST_LETTERS = 44  # of a name in a chart; the text has it whole
 PANEL_GAP = 0.1  # of the height, between two panels
 PAPER_WIDTH = 7.2  # inches: the width of a page of paper
@@ -76,6 +82,7 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+Mark = tuple[float, str]  # a time, with what it is called
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +133,8 @@ class Chart:
     """Panels one below the other, or a map.
 
     Attributes:
-        ticks: of the first axis, in place of numbers.
-        mark: a place on it, with what it is called.
+        ticks: lines of text on the first axis, in place of numbers.
+        mark: a place on it.
         window: a part of it to look at.
         map: in place of panels.
     """
@@ -135,11 +142,10 @@ class Chart:
     x_label: str
     panels: tuple[Panel, ...] = ()
     title: str = ""
-    ticks: tuple[str, ...] = ()
-    mark: tuple[float, str] | None = None
+    ticks: tuple[list[str], ...] = ()
+    mark: Mark | None = None
     window: tuple[float, float] | None = None
     map: ForceMap | None = None
-    map_label: str = ""
 
 
 # ---- what is drawn -------------------------------------------------------------------
@@ -147,31 +153,32 @@ class Chart:
 
 def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     """The errors step by step, with their values, down to the noise floor."""
-    x = np.arange(len(steps), dtype=float)
-    train = _known([step.train for step in steps])
-    held_out = _known([step.held_out for step in steps])
-    floor = _known([step.floor for step in steps])
-    has_held_out = bool(np.isfinite(held_out).any())
-    aside = ASIDE if has_held_out else 0.0  # so that equal errors do not hide another
-    judged = held_out if has_held_out else train
+    n = len(steps)
+    x = np.arange(n, dtype=float)
+    columns = [(step.train, step.held_out, step.floor) for step in steps]
+    train, held_out, floor = np.array(columns, dtype=float).T
+    right = ("top right",) * n
     curves = []
-    if has_held_out:
+    judged, name, aside = train, "training", 0.0
+    if np.isfinite(held_out).any():
+        # Aside of each other, so that of two equal errors none is hidden.
+        aside = ASIDE
         sides = _free_sides(train)
-        curves.append(_steps("training", x - aside, train, MEASURED, sides))
-    right = ("top right",) * len(x)
-    name = "held out" if has_held_out else "training"
+        curves.append(_steps(name, x - aside, train, MEASURED, sides))
+        judged = held_out
+        name = "held out"
     curves.append(_steps(name, x + aside, judged, MODEL, right))
     is_low = judged[-1] > FAR_ABOVE * floor[-1]
     lowest = f"floor {number(floor[-1], 3)}" if np.isfinite(floor[-1]) else ""
-    texts = ("",) * (len(x) - 1) + (lowest,)
-    sides = ("top right" if is_low else "bottom right",) * len(x)
-    curves.append(
-        Curve("noise floor", x, floor, FLOOR, "dot", texts=texts, sides=sides)
-    )
-    limits, is_log = _error_axis(np.concatenate([train, held_out, floor]), len(x))
+    texts = ("",) * (n - 1) + (lowest,)
+    sides = right if is_low else ("bottom right",) * n
+    level = Curve("noise floor", x, floor, FLOOR, "dot", texts=texts, sides=sides)
+    curves.append(level)
+    limits, is_log = _error_axis(np.concatenate([train, held_out, floor]), n)
     panel = Panel(label("error", unit), curves, limits=limits, is_log=is_log)
-    ticks = tuple(proper_names(step.change(k)) for k, step in enumerate(steps))
-    return Chart("", (panel,), ticks=ticks)
+    n_letters = int(np.clip(LETTERS_OF_TICKS / n, *TICK_LETTERS))
+    changes = [proper_names(step.change(k)) for k, step in enumerate(steps)]
+    return Chart("", (panel,), ticks=tuple(wrap(one, n_letters) for one in changes))
 
 
 def _steps(
@@ -204,10 +211,7 @@ def _error_axis(
 
 
 def run_chart(
-    content: StudyContent,
-    run: Run,
-    channel: int,
-    mark: tuple[float, str] | None = None,
+    content: StudyContent, run: Run, channel: int, mark: Mark | None = None
 ) -> Chart:
     """One channel measured and simulated, with the residuals below.
 
@@ -217,32 +221,31 @@ def run_chart(
         mark: a time, with what it is called.
     """
     one = run.channels[channel]
-    looks = MODEL_LOOKS[len(content.names) - 1]
-    residuals = []
+    residuals = [one.measured - model for model in one.models]
+    curves = _of_models(("",) * len(residuals), one.t, residuals)
+    noise = None if one.noise is None else 2 * one.noise
+    below = Panel(label("residual", one.unit), curves, noise=noise, height=0.5)
+    above = _measured_panel(content, one)
+    x_label = time_label(content.time.unit, run.origin)
+    return Chart(x_label, (above, below), run.title, mark=mark)
+
+
+def _of_models(
+    names: Sequence[str], t: np.ndarray, values: Sequence[np.ndarray]
+) -> list[Curve]:
+    """A curve for each model; the first and the last are shown."""
+    looks = MODEL_LOOKS[len(values) - 1]
+    ends = (0, len(values) - 1)
+    curves = []
     for k, (color, look) in enumerate(looks):
-        off = one.measured - one.models[k]
-        shown = k in (0, len(looks) - 1)
-        residuals.append(Curve("", one.t, off, color, look, is_shown=shown))
-    label_below = label("residual", one.unit)
-    below = Panel(label_below, residuals, noise=_twice(one.noise), height=0.5)
-    above = _measured_panel(content, run, channel)
-    return Chart(_time(content, run.origin), (above, below), run.title, mark=mark)
+        curve = Curve(names[k], t, values[k], color, look, is_shown=k in ends)
+        curves.append(curve)
+    return curves
 
 
-def _twice(noise: float | None) -> float | None:
-    return None if noise is None else 2 * noise
-
-
-def _measured_panel(content: StudyContent, run: Run, channel: int) -> Panel:
-    one = run.channels[channel]
-    curves = [Curve("measured", one.t, one.measured, MEASURED, POINTS)]
-    looks = MODEL_LOOKS[len(content.names) - 1]
-    for k, (color, look) in enumerate(looks):
-        shown = k in (0, len(looks) - 1)
-        values = one.models[k]
-        curves.append(
-            Curve(content.names[k], one.t, values, color, look, is_shown=shown)
-        )
+def _measured_panel(content: StudyContent, one: Channel) -> Panel:
+    measured = Curve("measured", one.t, one.measured, MEASURED, POINTS)
+    curves = [measured, *_of_models(content.names, one.t, one.models)]
     return Panel(label(one.name, one.unit), curves)
 
 
@@ -251,25 +254,24 @@ def glance_chart(content: StudyContent) -> Chart:
     place = content.glance
     assert place is not None, "there is nothing to show"
     run = content.runs[place.run]
-    panels = [_measured_panel(content, run, place.channel)]
+    panels = [_measured_panel(content, run.channels[place.channel])]
     if place.force is not None:
         name = f"missing in d{place.force.equation}/dt"
         panels.append(_force_panel([place.force], label(name, place.force.unit), 0.8))
-    x_label = _time(content, run.origin)
+    x_label = time_label(content.time.unit, run.origin)
     return Chart(x_label, tuple(panels), run.title, window=place.window)
 
 
 def force_chart(
-    content: StudyContent,
-    forces: Sequence[ForceRun],
-    mark: tuple[float, str] | None = None,
+    forces: Sequence[ForceRun], unit_of_time: str, mark: Mark | None = None
 ) -> Chart:
     """The missing forces of one run with two standard deviations each."""
     units = {one.unit for one in forces}
     unit = units.pop() if len(units) == 1 else ""
     panel = _force_panel(forces, label("missing force", unit), 1.0)
-    x_label = _time(content, forces[0].origin)
-    return Chart(x_label, (panel,), forces[0].run, mark=mark)
+    first = forces[0]
+    x_label = time_label(unit_of_time, first.origin)
+    return Chart(x_label, (panel,), first.run, mark=mark)
 
 
 def _force_panel(forces: Sequence[ForceRun], y_label: str, height: float) -> Panel:
@@ -281,35 +283,23 @@ def _force_panel(forces: Sequence[ForceRun], y_label: str, height: float) -> Pan
     return Panel(y_label, curves, height=height)
 
 
-def follows_chart(content: Follows) -> Chart:
+def follows_chart(found: Follows) -> Chart:
     """A missing force against what it follows."""
-    dots = Curve("force", content.x, content.force, MEASURED, POINTS)
-    mean = Curve(
-        "mean in bins",
-        content.centre,
-        content.mean,
-        MODEL,
-        STEPS,
-        content.std,
-        "spread",
-    )
-    return Chart(content.x_label, (Panel(content.y_label, (dots, mean)),))
+    dots = Curve("force", found.x, found.force, MEASURED, POINTS)
+    binned = (found.centre, found.mean, MODEL, STEPS, found.std, DEVIATION)
+    curves = (dots, Curve("mean in bins", *binned))
+    return Chart(found.x_label, (Panel(found.y_label, curves),))
 
 
-def map_chart(content: ForceMap, force_label: str) -> Chart:
+def map_chart(found: ForceMap) -> Chart:
     """The mean missing force over two variables."""
-    return Chart(content.x_label, map=content, map_label=f"mean {force_label}")
+    return Chart(found.x_label, map=found)
 
 
-def _time(content: StudyContent, origin: dt.datetime | None) -> str:
+def time_label(unit: str, origin: dt.datetime | None = None) -> str:
     """The label of an axis of time, with the date at which the time is 0."""
     date = date_words(0.0, origin)
-    text = label("t", content.time.unit)
-    return f"{text} since {date}" if date else text
-
-
-def _known(numbers: Sequence[float | None]) -> np.ndarray:
-    return np.array([np.nan if one is None else one for one in numbers], dtype=float)
+    return label("t", unit) + (f" since {date}" if date else "")
 
 
 def _short(name: str) -> str:
@@ -332,42 +322,44 @@ def plotly(chart: Chart) -> dict[str, Any]:
     shapes: list[dict[str, Any]] = []
     notes: list[dict[str, Any]] = []
     bottom = f"y{len(chart.panels) or 1}"
-    place = {"anchor": bottom, "zeroline": False}
-    axes = {"xaxis": {**_plotly_axis(chart.x_label), **place}}
+    x_axis = {**_plotly_axis(chart.x_label), "anchor": bottom, "zeroline": False}
+    axes = {"xaxis": x_axis}
     if chart.map is not None:
         axes["yaxis1"] = _plotly_axis(chart.map.y_label)
-        data.append(_plotly_map(chart.map, chart.map_label))
-    domains = _domains([panel.height for panel in chart.panels])
-    for k, (panel, domain) in enumerate(zip(chart.panels, domains, strict=True)):
-        axis = {**_plotly_axis(panel.label), "domain": domain}
+        data.append(_plotly_map(chart.map))
+    top = 1.0
+    room = 1 - PANEL_GAP * (len(chart.panels) - 1)
+    heights = sum(panel.height for panel in chart.panels)
+    for k, panel in enumerate(chart.panels):
+        end = top - room * panel.height / heights
+        axis = {**_plotly_axis(panel.label), "domain": [max(end, 0.0), top]}
         if panel.limits is not None:
             ends = np.log10(panel.limits) if panel.is_log else np.array(panel.limits)
             axis["type"] = "log" if panel.is_log else "linear"
             axis["range"] = ends.tolist()
+        name = f"y{k + 1}"
         axes[f"yaxis{k + 1}"] = axis
         for curve in panel.curves:
-            data += _plotly_curve(curve, f"y{k + 1}")
+            data += _plotly_curve(curve, name)
         if panel.noise is not None:
-            band = {"yref": f"y{k + 1}", "y0": -panel.noise, "y1": panel.noise}
-            color = {"fillcolor": _faint(FLOOR)}
-            shapes.append({**look["band"], **look["across"], **band, **color})
-            notes.append({**look["note"], **look["noise"], "y": domain[1]})
+            band = {"yref": name, "y0": -panel.noise, "y1": panel.noise}
+            shapes.append({**look["noise band"], **band, "fillcolor": _faint(FLOOR)})
+            notes.append({**look["noise"], "y": top})
+        top = end - PANEL_GAP
     if chart.ticks:
-        broken = [map(_escaped, wrap(one, TICK_LETTERS)) for one in chart.ticks]
-        axes["xaxis"]["ticktext"] = ["<br>".join(lines) for lines in broken]
-        axes["xaxis"]["tickvals"] = list(range(len(broken)))
-        axes["xaxis"]["range"] = [-0.5, max(len(broken) - 1 + BEHIND, 1.5)]
-    along = {**look["band"], **look["along"]}
+        lines = [[escape(line, quote=False) for line in one] for one in chart.ticks]
+        x_axis["ticktext"] = ["<br>".join(one) for one in lines]
+        x_axis["tickvals"] = list(range(len(lines)))
+        x_axis["range"] = [-0.5, max(len(lines) - 1 + BEHIND, 1.5)]
     if chart.window is not None:
         begin, end = chart.window
-        shapes.append({**along, "x0": begin, "x1": end, "fillcolor": _faint(ATTENTION)})
+        place = {**look["along"], "x0": begin, "x1": end}
+        shapes.append({**place, "fillcolor": _faint(ATTENTION)})
     if chart.mark is not None:
         t, text = chart.mark
         line = {"color": MARK, "width": 2, "dash": "dash"}
-        shapes.append({**along, "type": "line", "x0": t, "x1": t, "line": line})
-        notes.append(
-            {**look["note"], "text": _escaped(text), "xref": "x", "x": t, "y": 1}
-        )
+        shapes.append({**look["along"], "type": "line", "x0": t, "x1": t, "line": line})
+        notes.append({**look["mark"], "text": escape(text, quote=False), "x": t})
     layout = {**look["layout"], **axes, "shapes": shapes, "annotations": notes}
     return {"data": data, "layout": layout}
 
@@ -380,20 +372,8 @@ def _looks() -> dict[str, Any]:
     return found
 
 
-def _domains(heights: Sequence[float]) -> list[list[float]]:
-    """Bottom and top of each panel, the first one at the top."""
-    room = 1 - PANEL_GAP * (len(heights) - 1)
-    top = 1.0
-    found = []
-    for height in heights:
-        share = room * height / sum(heights)
-        found.append([max(top - share, 0.0), top])
-        top -= share + PANEL_GAP
-    return found
-
-
 def _plotly_axis(title: str) -> dict[str, Any]:
-    text = {"text": _escaped(title), "font": {"size": 13}}
+    text = {"text": escape(title, quote=False), "font": {"size": 13}}
     return {**_looks()["axis"], "title": text}
 
 
@@ -402,12 +382,11 @@ def _plotly_curve(curve: Curve, axis: str) -> list[dict[str, Any]]:
     look = _looks()
     x = rounded(curve.x, DIGITS_OF_TIME)
     dash = curve.look if curve.look in MATPLOTLIB_LINES else "solid"
+    place = {"type": "scatter", "x": x, "yaxis": axis}
     trace: dict[str, Any] = {
-        "type": "scatter",
-        "x": x,
+        **place,
         "y": rounded(curve.y),
-        "name": _escaped(_short(curve.name)),
-        "yaxis": axis,
+        "name": escape(_short(curve.name), quote=False),
         "line": {"color": curve.color, "width": 2, "dash": dash},
         "hovertemplate": "%{y:.4g}",
         "showlegend": bool(curve.name),
@@ -421,41 +400,29 @@ def _plotly_curve(curve: Curve, axis: str) -> list[dict[str, Any]]:
         trace |= {"mode": "lines+markers+text", "cliponaxis": False, **texts}
     if curve.std is None:
         return [trace]
-    edges = []
-    for sign in (1, -1):
-        y = rounded(curve.y + sign * curve.std)
-        edge = {"type": "scatter", "x": x, "y": y, "yaxis": axis, **look["edge"]}
-        edges.append({**edge, "showlegend": sign < 0, "name": curve.band})
-    edges[1] |= {"fill": "tonexty", "fillcolor": _faint(curve.color)}
-    return [*edges, trace]
+    upper = {**place, **look["edge"], "y": rounded(curve.y + curve.std)}
+    lower = {**place, **look["edge"], "y": rounded(curve.y - curve.std)}
+    filled = {"fill": "tonexty", "fillcolor": _faint(curve.color)}
+    lower |= {**filled, "showlegend": True, "name": curve.band}
+    return [upper, lower, trace]
 
 
-def _plotly_map(content: ForceMap, name: str) -> dict[str, Any]:
-    limit = _largest(content.force)
+def _plotly_map(found: ForceMap) -> dict[str, Any]:
+    title = {"text": escape(found.label, quote=False), "side": "right"}
     return {
         **_looks()["map"],
-        "x": rounded(content.x),
-        "y": rounded(content.y),
-        "z": [rounded(row) for row in content.force],
-        "zmin": -limit,
-        "zmax": limit,
-        "colorbar": {"title": {"text": _escaped(name), "side": "right"}},
+        "x": rounded(found.x),
+        "y": rounded(found.y),
+        "z": [rounded(row) for row in found.force],
+        "zmin": -found.largest,
+        "zmax": found.largest,
+        "colorbar": {"title": title},
     }
 
 
-def _largest(force: np.ndarray) -> float:
-    known = force[np.isfinite(force)]
-    return float(np.abs(known).max()) if len(known) else 1.0
-
-
 def _faint(color: str) -> str:
-    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+    red, green, blue = bytes.fromhex(color[1:])
     return f"rgba({red},{green},{blue},{BAND_OPACITY})"
-
-
-def _escaped(text: str) -> str:
-    """A text in which nothing is markup: plotly reads some tags in labels."""
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
 # ---- by matplotlib -------------------------------------------------------------------
@@ -464,39 +431,34 @@ def _escaped(text: str) -> str:
 def svg(chart: Chart) -> str:
     """A chart as the text of an SVG file."""
     heights = [panel.height for panel in chart.panels] or [1.0]
-
-    def draw(figure: Figure) -> None:
-        panels = figure.subplots(
-            len(heights), 1, sharex=True, squeeze=False, height_ratios=heights
-        )
-        if chart.map is not None:
-            _draw_map(figure, panels[0, 0], chart.map, chart.map_label)
-        for ax, panel in zip(panels[:, 0], chart.panels, strict=False):
-            draw_panel(ax, panel, chart)
-        panels[-1, 0].set_xlabel(_short(chart.x_label))
-        panels[0, 0].set_title(_short(chart.title), loc="left", fontsize=10)
-
-    return _svg(draw, 1.0 + 2.4 * sum(heights))
-
-
-def _svg(draw: Callable[[Figure], None], height: float) -> str:
     with rc_context(STYLE):
-        figure = Figure(figsize=(PAPER_WIDTH, height), layout="constrained")
+        size = (PAPER_WIDTH, 1.0 + 2.4 * sum(heights))
+        figure = Figure(figsize=size, layout="constrained")
         FigureCanvasSVG(figure)
-        draw(figure)
+        layout: Any = {"sharex": True, "squeeze": False, "height_ratios": heights}
+        axes = figure.subplots(len(heights), 1, **layout)[:, 0]
+        for place, ax in enumerate(axes):
+            draw(ax, chart, place)
+            ax.label_outer()
+        axes[0].set_title(_short(chart.title), loc="left", fontsize=10)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     return text.getvalue()
 
 
-def draw_panel(ax: Axes, panel: Panel, chart: Chart | None = None) -> None:
-    """The curves of a panel on axes, as a part of a chart where one is given."""
+def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
+    """Draw one panel of a chart, the first unless another is given, or its map."""
+    ax.set_xlabel(_short(chart.x_label))
+    if chart.map is not None:
+        _draw_map(ax, chart.map)
+        return
+    panel = chart.panels[place]
     for curve in panel.curves:
         _draw_curve(ax, curve)
     if panel.noise is not None:
-        half = panel.noise
+        band: Any = {"color": FLOOR, "alpha": 0.2, "lw": 0}
         text = "noise, two standard deviations"
-        ax.axhspan(-half, half, color=FLOOR, alpha=0.2, lw=0, label=text)
+        ax.axhspan(-panel.noise, panel.noise, label=text, **band)
     ax.set_ylabel(_short(panel.label))
     ax.margins(y=0.25)
     if panel.limits is not None:
@@ -504,20 +466,13 @@ def draw_panel(ax: Axes, panel: Panel, chart: Chart | None = None) -> None:
         ax.set_ylim(panel.limits)
     else:
         ax.axhline(0, color=BASELINE, lw=0.6)
-    if chart is not None and chart.window is not None:
+    if chart.window is not None:
         ax.axvspan(*chart.window, color=ATTENTION, alpha=0.15, lw=0)
-    if chart is not None and chart.ticks:
+    if chart.ticks:
         ax.set_xlim(-0.5, len(chart.ticks) - 1 + BEHIND)
-        ax.set_xticks(range(len(chart.ticks)), _broken_ticks(ax, chart.ticks))
+        ax.set_xticks(range(len(chart.ticks)), map("\n".join, chart.ticks))
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=4)
-
-
-def _broken_ticks(ax: Axes, ticks: Sequence[str]) -> list[str]:
-    """Labels in lines so short that neighbours do not touch."""
-    inches = ax.get_window_extent().width / ax.figure.dpi
-    n_letters = max(int(LETTERS_PER_INCH * inches / (len(ticks) + BEHIND)), 8)
-    return ["\n".join(wrap(one, n_letters)) for one in ticks]
 
 
 def _draw_curve(ax: Axes, curve: Curve) -> None:
@@ -525,36 +480,32 @@ def _draw_curve(ax: Axes, curve: Curve) -> None:
         lower, upper = curve.y - curve.std, curve.y + curve.std
         look: Any = {"color": curve.color, "alpha": 0.2, "lw": 0}
         ax.fill_between(curve.x, lower, upper, label=curve.band, **look)
-    dots = {POINTS: ".", STEPS: "o"}.get(curve.look, "_" if curve.texts else "")
-    ax.plot(
-        curve.x,
-        curve.y,
-        marker=dots,
-        ms={"": 0, ".": 3, "o": 5, "_": 30}[dots],
-        ls="none" if curve.look == POINTS else MATPLOTLIB_LINES.get(curve.look, "-"),
-        lw=1.3,
-        color=curve.color,
-        label=_short(curve.name) or None,
-    )
-    for x, y, text, side in zip(
-        curve.x, curve.y, curve.texts, curve.sides, strict=False
-    ):
-        if text and np.isfinite(y):
-            is_left = side.endswith("left")
+    marker, size = LEVEL_MARKER if curve.texts else ("", 0)
+    marker, size = MARKERS.get(curve.look, (marker, size))
+    look = {"marker": marker, "ms": size, "lw": 1.3, "color": curve.color}
+    line = "none" if curve.look == POINTS else MATPLOTLIB_LINES.get(curve.look, "-")
+    ax.plot(curve.x, curve.y, ls=line, label=_short(curve.name) or None, **look)
+    if not curve.texts:
+        return
+    for place, text in enumerate(curve.texts):
+        at = (curve.x[place], curve.y[place])
+        if text and np.isfinite(at[1]):
+            is_left = curve.sides[place].endswith("left")
+            is_top = curve.sides[place].startswith("top")
             ax.annotate(
                 text,
-                (x, y),
-                xytext=(-6 if is_left else 6, 5 if side.startswith("top") else -14),
+                at,
+                xytext=(-6 if is_left else 6, 5 if is_top else -14),
                 textcoords="offset points",
                 ha="right" if is_left else "left",
                 color=curve.color,
             )
 
 
-def _draw_map(figure: Figure, ax: Axes, content: ForceMap, name: str) -> None:
-    limit = _largest(content.force)
-    mean = np.ma.masked_invalid(content.force)
-    look: Any = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "shading": "nearest"}
-    mesh = ax.pcolormesh(content.x, content.y, mean, **look)
-    figure.colorbar(mesh, ax=ax, label=_short(name))
-    ax.set_ylabel(_short(content.y_label))
+def _draw_map(ax: Axes, found: ForceMap) -> None:
+    """Mean force in cells of two variables; red is positive, blue negative."""
+    look: Any = {"cmap": "RdBu_r", "vmin": -found.largest, "vmax": found.largest}
+    mean = np.ma.masked_invalid(found.force)
+    mesh = ax.pcolormesh(found.x, found.y, mean, shading="nearest", **look)
+    ax.figure.colorbar(mesh, ax=ax, label=_short(found.label))
+    ax.set_ylabel(_short(found.y_label))

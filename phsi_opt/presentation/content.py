@@ -183,10 +183,17 @@ class ForceMap:
 
     x_label: str
     y_label: str
+    label: str
     x: np.ndarray
     y: np.ndarray
     force: np.ndarray
     sentence: str
+
+    @property
+    def largest(self) -> float:
+        """The largest size of a value; 1 where none is known."""
+        known = np.abs(self.force[np.isfinite(self.force)])
+        return float(known.max(initial=0.0)) or 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,15 +216,13 @@ class Force:
     """The missing force of one equation.
 
     Attributes:
-        equation: such as "dp/dt"; ``label``: of the force's axis, with the unit.
-        sentence: what is said of the force.
+        equation: such as "dp/dt"; ``sentence``: what is said of the force.
         runs: along the training runs; ``shown``: number of the one shown first.
         map: over the states; None where there is only one.
         follows: against what predicts it best.
     """
 
     equation: str
-    label: str
     sentence: str
     runs: tuple[ForceRun, ...]
     shown: int

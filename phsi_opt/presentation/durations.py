@@ -41,9 +41,16 @@ def scale_of_time(longest: float, unit: str) -> TimeScale:
     return TimeScale(unit, 1.0)
 
 
-def time_words(t: float, unit: str, digits: int = 3) -> str:
-    """A time or a period with its unit, such as "23.9 h" for 86 200 s."""
-    scale = scale_of_time(t, unit)
+def time_words(t: float, unit: str, longest: float = 0.0, digits: int = 3) -> str:
+    """A time or a period with its unit, such as "23.9 h" for 86 200 s.
+
+    Args:
+        t: in the user's unit, as is ``longest``, a time that is told in the same unit.
+        unit: the user's.
+        longest: such as the end of the record.
+        digits: of the time.
+    """
+    scale = scale_of_time(max(abs(t), longest), unit)
     return f"{t / scale.size:.{digits}g} {scale.unit}".rstrip()
 
 

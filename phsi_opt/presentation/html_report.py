@@ -8,11 +8,12 @@ place of the charts.
 import base64
 import gzip
 import json
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from markupsafe import Markup
 
 from phsi_opt.presentation.charts import (
@@ -30,10 +31,8 @@ from phsi_opt.presentation.content import (
     ParameterRow,
     Ranked,
     StudyContent,
-    unestablished_words,
 )
 from phsi_opt.presentation.numbers import (
-    capitalised,
     listed,
     number,
     proper_names,
@@ -41,63 +40,70 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
+from phsi_opt.presentation.sentences import environment
 
+PRESENTATION = "phsi_opt.presentation"
 TEMPLATES = "templates"
 MOST_LISTED = 12  # candidates of one diagnosis
 
 
-class _Charts:
-    """The charts of a report, by the names that their places have.
+@dataclass(frozen=True)
+class _Place:
+    """What a place of the report shows: one chart, or one of a run and a channel.
 
-    Attributes:
-        drawn: what the browser draws: a figure, or those that one chooses among.
-        shown: the chart of each place that is drawn on paper.
+    ``shown`` is the number of the run that is drawn on paper; None: there is no choice.
     """
 
-    def __init__(self, content: StudyContent) -> None:
-        self.drawn: dict[str, Any] = {}
-        self.shown: dict[str, Chart] = {}
-        self._add("staircase", errors_chart(content.steps, content.unit))
-        if content.glance is not None:
-            self._add("glance", glance_chart(content))
-        of_runs = []
-        for run in content.runs:
-            channels = range(len(run.channels))
-            of_runs.append([run_chart(content, run, k) for k in channels])
-        self.shown["measured"] = of_runs[content.shown][0]
-        self.drawn["measured"] = [[plotly(one) for one in run] for run in of_runs]
-        for k, law in enumerate(content.laws):
-            self._add(f"law-{k}", follows_chart(law))
-        for f, diagnosed in enumerate(content.diagnoses):
-            for k, force in enumerate(diagnosed.forces):
-                name = f"force-{f}-{k}"
-                along = [force_chart(content, [run]) for run in force.runs]
-                self.shown[f"{name}-time"] = along[force.shown]
-                self.drawn[f"{name}-time"] = [[plotly(one)] for one in along]
-                self._add(f"{name}-follows", follows_chart(force.follows))
-                if force.map is not None:
-                    self._add(f"{name}-map", map_chart(force.map, force.label))
+    charts: list[list[Chart]]
+    shown: int | None = None
 
-    def _add(self, name: str, chart: Chart) -> None:
-        self.shown[name] = chart
-        self.drawn[name] = plotly(chart)
+    @property
+    def drawn(self) -> Any:
+        """The figures, or the figure, for the browser."""
+        figures = [[plotly(chart) for chart in of_run] for of_run in self.charts]
+        return figures[0][0] if self.shown is None else figures
 
-    def picture(self, name: str) -> str:
-        """The chart of a place as an address that holds its picture."""
-        picture = base64.b64encode(svg(self.shown[name]).encode()).decode()
-        return f"data:image/svg+xml;base64,{picture}"
+    @property
+    def picture(self) -> str:
+        """An address that holds the picture for paper."""
+        drawn = svg(self.charts[self.shown or 0][0])
+        return f"data:image/svg+xml;base64,{base64.b64encode(drawn.encode()).decode()}"
+
+
+def _places(content: StudyContent) -> dict[str, _Place]:
+    """The charts of a report, by the names that their places have."""
+    runs = []
+    for run in content.runs:
+        runs.append([run_chart(content, run, k) for k in range(len(run.channels))])
+    places = {"measured": _Place(runs, content.shown)}
+    charts = {"staircase": errors_chart(content.steps, content.unit)}
+    if content.glance is not None:
+        charts["glance"] = glance_chart(content)
+    for k, law in enumerate(content.laws):
+        charts[f"law-{k}"] = follows_chart(law)
+    for f, diagnosed in enumerate(content.diagnoses):
+        for k, force in enumerate(diagnosed.forces):
+            name = f"force-{f}-{k}"
+            along = [[force_chart([run], content.time.unit)] for run in force.runs]
+            places[f"{name}-time"] = _Place(along, force.shown)
+            charts[f"{name}-follows"] = follows_chart(force.follows)
+            if force.map is not None:
+                charts[f"{name}-map"] = map_chart(force.map)
+    return places | {name: _Place([[chart]]) for name, chart in charts.items()}
 
 
 def html_report(content: StudyContent) -> str:
     """The whole report as the text of an HTML file."""
-    charts = _Charts(content)
-    template = _environment(autoescape=True).get_template("report.html.jinja")
+    places = _places(content)
+    drawn = {name: place.drawn for name, place in places.items()}
+    templates = report_environment(PRESENTATION, TEMPLATES, autoescape=True)
+    template = templates.get_template("report.html.jinja")
     return template.render(
         report=content,
-        picture=charts.picture,
+        picture=lambda name: places[name].picture,
         style=_own_file("report.css"),
         script=_own_file("report.js"),
-        data=packed(json.dumps(charts.drawn, allow_nan=False)),
+        data=packed(json.dumps(drawn, allow_nan=False)),
         library=_library(),
         most_listed=MOST_LISTED,
     )
@@ -105,8 +111,8 @@ def html_report(content: StudyContent) -> str:
 
 def markdown_report(content: StudyContent) -> str:
     """The same in words and tables, as Markdown."""
-    environment = _environment(finalize=_in_markdown)
-    template = environment.get_template("report.md.jinja")
+    templates = report_environment(PRESENTATION, TEMPLATES, finalize=_in_markdown)
+    template = templates.get_template("report.md.jinja")
     return template.render(report=content, most_listed=MOST_LISTED)
 
 
@@ -117,27 +123,18 @@ def _in_markdown(value: Any) -> str:
     return " ".join(str(value).split()).replace("<", "&lt;").replace("|", "\\|")
 
 
-def _environment(**settings: Any) -> Environment:
-    """The templates of reports, with the filters that they use."""
-    found = Environment(
-        loader=PackageLoader("phsi_opt.presentation", TEMPLATES),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-        **settings,
-    )
+def report_environment(package: str, folder: str = "", **settings: Any) -> Environment:
+    """The templates of a package, with the filters that reports use."""
+    lines = {"trim_blocks": True, "lstrip_blocks": True}
+    found = environment(package, folder, **lines, **settings)
     found.filters |= {
-        "number": number,
         "typeset": typeset,
         "said": said,
-        "capital": capitalised,
         "proper": proper_names,
         "listed": listed,
-        "estimate": with_error,
         "interval": interval_words,
         "size": size_words,
         "error_with": _error_with,
-        "unestablished": unestablished_words,
         "code": lambda line: Markup(" ".join(line.splitlines())),
     }
     return found

@@ -8,6 +8,8 @@ Pictures of where a missing force acts stand in `force_analysis`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import fill
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,16 +18,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
-from phsi_opt.presentation.axes import FLOOR, MEASURED, MODEL, axes_of, label
+from phsi_opt.presentation.axes import (
+    ATTENTION,
+    BASELINE,
+    FLOOR,
+    MEASURED,
+    MODEL,
+    axes_of,
+    label,
+)
 from phsi_opt.presentation.charts import (
-    FORCE_COLORS,
     POINTS,
+    Chart,
     Curve,
     Panel,
-    draw_panel,
+    draw,
     errors_chart,
+    force_chart,
 )
-from phsi_opt.presentation.content import ErrorStep
+from phsi_opt.presentation.content import TRAINING, ErrorStep, ForceRun
 from phsi_opt.presentation.units import rate_unit
 
 RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
@@ -80,15 +91,17 @@ def plot_free_run(
         scale = 1.0 if is_alone else one.noise or 1.0
         residuals.append(Curve("", t, (one.measured - one.simulated) / scale, color))
     names = ", ".join(channel.name for channel in channels)
-    unit = _common_unit([channel.unit for channel in channels])
-    draw_panel(ax, Panel(label(names, unit), curves))
-    ax.set(xlabel=label("t", t_unit), title=title)
+    units = {channel.unit for channel in channels}
+    unit = units.pop() if len(units) == 1 else ""
+    above = Panel(label(names, unit), curves)
+    noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
+    told = label("residual", unit if is_alone else "noise std.")
+    below = Panel(told, residuals, noise=noise)
+    chart = Chart(label("t", t_unit), (above, below))
+    draw(ax, chart)
+    ax.set_title(title)
     if all(channel.noise for channel in channels):
-        below = _panel_below(ax)
-        noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
-        told = label("residual", unit if is_alone else "noise std.")
-        draw_panel(below, Panel(told, residuals, noise=noise))
-        below.set_xlabel(ax.get_xlabel())
+        draw(_panel_below(ax), chart, place=1)
         ax.tick_params(axis="x", labelbottom=False)
         ax.xaxis.label.set_visible(False)  # it stands below the residuals
     return ax
@@ -126,26 +139,15 @@ def plot_missing_force(
         ax: Axes to draw on; None: a new figure.
     """
     ax = axes_of(ax, (8.0, 3.6))
-    curves = []
-    t = table["t"].to_numpy()
-    for n, state in enumerate(equations):
-        force = table[state].to_numpy()
-        std = 2 * table[f"std_{state}"].to_numpy()
-        color = FORCE_COLORS[n % len(FORCE_COLORS)]
-        curves.append(Curve(f"missing in d{state}/dt", t, force, color, std=std))
     t_unit = units.get("t", "")
-    state_unit = _common_unit([units.get(state, "") for state in equations])
-    unit = rate_unit(state_unit, t_unit)
-    draw_panel(ax, Panel(label("missing force", unit), curves))
-    title = "Where the band leaves zero, a force is surely missing"
-    ax.set(xlabel=label("t", t_unit), title=title)
+    forces = []
+    for state in equations:
+        unit = rate_unit(units.get(state, ""), t_unit)
+        t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
+        forces.append(ForceRun("", TRAINING, state, unit, t, w, std))
+    draw(ax, force_chart(forces, t_unit))
+    ax.set_title("Where the band leaves zero, a force is surely missing")
     return ax
-
-
-def _common_unit(units: Sequence[str]) -> str:
-    """The unit that all have, or "" where they differ."""
-    different = set(units)
-    return different.pop() if len(different) == 1 else ""
 
 
 def plot_profile(
@@ -178,18 +180,17 @@ def plot_profile(
     signed_root = np.sign(held - value) * np.sqrt(rise)
     root = PchipInterpolator(held, signed_root)
     inside = np.linspace(held[0], held[-1], N_CURVE)
-    ax.plot(inside, root(inside) ** 2, "-", color=MODEL, label="profile")
-    ax.plot(held, rise, "o", color=MODEL, ms=4, label="re-fits")
-
     lower, upper = curvature
-    half_width = (upper - lower) / 2
     wide = np.linspace(min(held[0], lower), max(held[-1], upper), N_CURVE)
-    parabola = threshold * ((wide - value) / half_width) ** 2
-    ax.plot(wide, parabola, "--", color=MEASURED, label="curvature")
-    percent = f"{100 * level:.3g} %"
-    ax.axhline(threshold, color=FLOOR, lw=1.0, ls=":", label=percent)
-    ax.set(ylabel="rise of -2 log likelihood", ylim=(0, 2 * threshold))
-    ax.legend(frameon=False, loc="upper center", ncols=2)
+    parabola = threshold * ((wide - value) / ((upper - lower) / 2)) ** 2
+    curves = (
+        Curve("profile", inside, root(inside) ** 2, MODEL),
+        Curve("re-fits", held, rise, MODEL, POINTS),
+        Curve("curvature", wide, parabola, MEASURED, "dash"),
+        Curve(f"{100 * level:.3g} %", wide, 0 * wide + threshold, FLOOR, "dot"),
+    )
+    told = "rise of -2 log likelihood"
+    draw(ax, Chart("", (Panel(told, curves, limits=(0, 2 * threshold)),)))
     return ax
 
 
@@ -206,15 +207,10 @@ def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") 
     """
     ax = axes_of(ax, (7.0, 3.8))
     errors = history[["effect", "train_rmse", "held_out_rmse", "noise_floor"]]
-    chart = errors_chart([_error_step(row) for row in errors.to_numpy()], unit)
-    draw_panel(ax, chart.panels[0], chart)
+    steps = [ErrorStep(str(row[0]), *row[1:]) for row in errors.to_numpy()]
+    draw(ax, errors_chart(steps, unit))
     ax.set_title("Free-run error after each added effect")
     return ax
-
-
-def _error_step(row: np.ndarray) -> ErrorStep:
-    train, held_out, floor = (one if np.isfinite(one) else None for one in row[1:])
-    return ErrorStep(str(row[0]), train, held_out, floor)
 
 
 def plot_states(
@@ -234,17 +230,107 @@ def plot_states(
         len(channels), 1, sharex=True, figsize=size, layout="constrained", squeeze=False
     )
     for ax, channel in zip(axes[:, 0], channels, strict=True):
-        draw_state(ax, t, channel)
-    axes[-1, 0].set_xlabel(label("t", t_unit))
+        draw_state(ax, t, channel, t_unit)
+        ax.label_outer()
     figure.suptitle(title)
     return figure
 
 
-def draw_state(ax: Axes, t: np.ndarray, channel: Channel) -> None:
+def draw_state(ax: Axes, t: np.ndarray, channel: Channel, t_unit: str) -> None:
     """Measurements and estimate of one state over (n_samples,) times on axes."""
     curves = [Curve("measured", t, channel.measured, MEASURED, POINTS)]
     name = "estimated"
     if not np.isfinite(channel.measured).any():
         curves, name = [], "estimated (not measured)"
     curves.append(Curve(name, t, channel.simulated, MODEL))
-    draw_panel(ax, Panel(label(channel.name, channel.unit), curves))
+    panel = Panel(label(channel.name, channel.unit), curves)
+    draw(ax, Chart(label("t", t_unit), (panel,)))
+
+
+# ---- how well every parameter is known -----------------------------------------------
+
+WIDTH = 8.0  # inches of a new figure
+ROW_HEIGHT = 0.32  # inches per parameter: tick labels do not touch
+FRAME_HEIGHT = 1.1  # inches for title and axis below and above the rows
+LEAST_ROWS = 2  # for which a new figure has room
+AXIS_MARGIN = 1.15  # range of the axis over the widest interval that it shows
+
+
+class Look(NamedTuple):
+    """How estimates of a kind are drawn, and what is said of them; "": nothing."""
+
+    said: str
+    marker: str
+    color: str
+    face: str
+
+
+LOOKS = {
+    "open": Look("not told from zero (orange)", "o", ATTENTION, ATTENTION),
+    "unknown": Look("without standard error (circle)", "o", BASELINE, "white"),
+    "held": Look("at a bound (square)", "s", BASELINE, BASELINE),
+    "sure": Look("", "o", MODEL, MODEL),
+}
+
+
+def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) -> Axes:
+    """Every estimate with its interval of confidence, in percent of its absolute value.
+
+    An interval that reaches beyond zero (more than 100 %) leaves even the sign open: it
+    is drawn in another colour, over the whole width. A square marks a parameter that
+    ended at a bound, an open circle one without a standard error.
+
+    Args:
+        table: A row per estimate, from top to bottom: ``name``, ``value``,
+            ``ci_lower`` and ``ci_upper`` (NaN: not known), ``unit``, ``at_bound``.
+        level: Of confidence, between 0 and 1.
+        ax: Axes to draw on; None: a new figure, as high as the table is long.
+    """
+    n = len(table)
+    ax = axes_of(ax, (WIDTH, FRAME_HEIGHT + ROW_HEIGHT * max(n, LEAST_ROWS)))
+    half_width = (table["ci_upper"] - table["ci_lower"]).to_numpy(dtype=float) / 2
+    percent = 100 * half_width / table["value"].abs().to_numpy(dtype=float)
+    is_known = np.isfinite(half_width)
+    cases = [is_known & (percent < 100), is_known, table["at_bound"].to_numpy(bool)]
+    kind = np.select(cases, ["sure", "open", "held"], "unknown")
+    is_sure = kind == "sure"
+    reach = AXIS_MARGIN * float(percent[is_sure].max()) if is_sure.any() else 100.0
+    ax.axvline(0, color=BASELINE, lw=0.8)
+    for name, look in LOOKS.items():
+        rows = np.flatnonzero(kind == name)
+        drawn: Any = {"mfc": look.face, "ms": 6, "capsize": 4, "color": look.color}
+        # What is open goes beyond the edges.
+        width = np.nan_to_num(np.minimum(percent[rows], 2 * reach))
+        ax.errorbar(0 * rows, rows, xerr=width, fmt=look.marker, **drawn)
+    ax.set_yticks(np.arange(n), _row_labels(table, half_width))
+    ax.tick_params(axis="y", length=0)
+    ax.set_ylim(max(n, 1) - 0.5, -0.5)
+    ax.set_xlim(-reach, reach)
+    ax.set_xlabel(f"{100 * level:.3g} % interval around the estimate (% of its size)")
+    doubts = []
+    for name, look in LOOKS.items():
+        n_found = np.count_nonzero(kind == name)
+        if look.said and n_found:
+            doubts.append(f"{n_found} {look.said}")
+    title = f"Of {n} estimates: {', '.join(doubts)}"
+    if not n:
+        title = "No parameter was estimated"
+    elif not doubts:
+        worst = int(np.argmax(percent))
+        name = table["name"].iloc[worst]
+        title = f"{name} is known worst, to {percent[worst]:.2g} % of its size"
+    ax.set_title(fill(title, 60))
+    return ax
+
+
+def _row_labels(table: pd.DataFrame, half_width: np.ndarray) -> list[str]:
+    """Name, value and half width with the unit, or why there is no half width."""
+    labels = []
+    for (_, row), half in zip(table.iterrows(), half_width, strict=True):
+        estimate = f"{row['name']} = {float(row['value']):.4g}"
+        reason = "at its bound" if row["at_bound"] else "no standard error"
+        told = f"{estimate} {row['unit']}".rstrip() + f", {reason}"
+        if np.isfinite(half):
+            told = f"{estimate} \N{PLUS-MINUS SIGN} {half:.2g} {row['unit']}".rstrip()
+        labels.append(told)
+    return labels

@@ -5,19 +5,20 @@ the same for all. Whatever stands in a name is shown as it is: in HTML it is esc
 and rich's markup has no meaning in it.
 """
 
-import html
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from phsi_opt.presentation.tables import (
     html_of_table,
+    html_shown,
     rich_of_table,
     text_of_table,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
+    from markupsafe import Markup
     from rich.console import Console, ConsoleOptions, RenderableType
 
 
@@ -85,21 +86,13 @@ def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
 
 def html_of_summary(summary: Summary) -> str:
     """The summary as HTML; its colours are those of the page around it."""
-    blocks = [f"<p><strong>{html.escape(summary.title)}</strong></p>"]
-    for part in summary.parts:
-        if part.heading:
-            blocks.append(f"<p><em>{html.escape(part.heading)}</em></p>")
-        if part.text:
-            lines = map(html.escape, part.text.split("\n"))
-            blocks.append(f"<p>{'<br>'.join(lines)}</p>")
-        if part.code:
-            code = html.escape(part.code)
-            blocks.append(f'<pre style="white-space: pre-wrap">{code}</pre>')
-        if part.table is not None:
-            table = html_of_table(part.table, most_rows=len(part.table))
-            blocks.append(f'<div style="overflow-x: auto">\n{table}\n</div>')
-    body = "\n".join(blocks)
-    return f'<div class="phsi-opt">\n{body}\n</div>'
+    return html_shown("summary", summary, _html_of_whole)
+
+
+def _html_of_whole(table: "pd.DataFrame") -> "Markup":
+    from markupsafe import Markup
+
+    return Markup(html_of_table(table, most_rows=len(table)))
 
 
 def rich_of_summary(summary: Summary, width: int) -> "Iterator[RenderableType]":

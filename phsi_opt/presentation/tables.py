@@ -5,11 +5,11 @@ of several lines, and is then cut into blocks, one below the other, in which the
 columns come again. No column is left out.
 """
 
-import html
 import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +27,6 @@ KEY_SHARE = 0.5  # of the line that the first columns may take in every block
 HEADER_PIECE = re.compile(r"[^_\s]+_?|_")
 CUT = "..."
 UNKNOWN = "-"  # in place of NaN
-CELL_STYLE = "padding: 0.15em 0.7em; vertical-align: top"
 
 
 @dataclass(frozen=True)
@@ -45,30 +44,34 @@ class Column:
     is_number: bool
 
     @property
+    def side(self) -> str:
+        """Where its cells stand, in the words of a style sheet."""
+        return "right; white-space: nowrap" if self.is_number else "left"
+
+    @property
     def width(self) -> int:
         """Characters that it takes where nothing is broken into lines."""
-        return max([len(self.header), *map(len, self.cells)])
+        return max(map(len, (self.header, *self.cells)))
 
     @property
     def least_width(self) -> int:
         """Characters that it takes where all is broken that may be."""
-        longest = max([1, *map(len, self.cells)])
+        longest = max(map(len, ("", *self.cells)))
         if not self.is_number:
             longest = min(longest, LEAST_TEXT)
-        return max([longest, *map(len, HEADER_PIECE.findall(self.header))])
+        return max(longest, 1, *map(len, HEADER_PIECE.findall(self.header)))
 
     @property
     def broken_header(self) -> str:
         """Its name in lines, broken at blanks and behind underscores."""
         lines = [""]
-        for word in self.header.split():
-            for place, piece in enumerate(HEADER_PIECE.findall(word)):
-                joint = " " if lines[-1] and place == 0 else ""
-                joined = f"{lines[-1]}{joint}{piece}"
-                if len(joined) <= self.least_width or not lines[-1]:
-                    lines[-1] = joined
-                else:
-                    lines.append(piece)
+        for piece in HEADER_PIECE.findall(self.header):
+            joint = "" if lines[-1].endswith("_") or not lines[-1] else " "
+            joined = f"{lines[-1]}{joint}{piece}"
+            if len(joined) <= self.least_width or not lines[-1]:
+                lines[-1] = joined
+            else:
+                lines.append(piece)
         return "\n".join(lines)
 
 
@@ -77,7 +80,6 @@ def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column
     import pandas as pd
 
     half = most_rows // 2
-    is_cut = len(table) > most_rows
     columns = []
     series = [table.iloc[:, number] for number in range(len(table.columns))]
     if not pd.api.types.is_integer_dtype(table.index):
@@ -86,10 +88,9 @@ def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column
         is_bool = pd.api.types.is_bool_dtype(values)
         is_number = pd.api.types.is_numeric_dtype(values) and not is_bool
         cells = list(map(text_of_cell, values.tolist()))
-        if is_cut:
-            cells = [*cells[:half], CUT, *cells[-half:]]
-        name = "" if values.name is None else str(values.name)
-        columns.append(Column(" ".join(name.split()), tuple(cells), is_number))
+        if len(table) > most_rows:
+            cells[half:-half] = [CUT]
+        columns.append(Column(text_of_cell(values.name), tuple(cells), is_number))
     return columns
 
 
@@ -119,11 +120,8 @@ def text_of_table(
 
     printed = io.StringIO()
     console = Console(file=printed, width=width, color_system=None)
-    for number, block in enumerate(_blocks(columns_of(table, most_rows), width)):
-        console.print("\n" * min(number, 1), end="")
-        console.print(_table(block, width))
-    lines = [line.rstrip() for line in printed.getvalue().splitlines()]
-    return "\n".join([*lines, *_remarks(table, most_rows)])
+    console.print(*rich_of_table(table, width, most_rows), sep="\n")
+    return "\n".join(line.rstrip() for line in printed.getvalue().splitlines())
 
 
 def rich_of_table(
@@ -142,15 +140,16 @@ def rich_of_table(
         if number:
             yield Text("")
         yield _table(block, width)
-    for remark in _remarks(table, most_rows):
+    remark = _remark(table, most_rows)
+    if remark:
         yield Text(remark)
 
 
-def _remarks(table: "pd.DataFrame", most_rows: int) -> list[str]:
+def _remark(table: "pd.DataFrame", most_rows: int) -> str:
     """How many rows there are, where they are not all to be seen."""
     if not len(table):
-        return ["(no rows)"]
-    return [f"({len(table)} rows)"] if len(table) > most_rows else []
+        return "(no rows)"
+    return f"({len(table)} rows)" if len(table) > most_rows else ""
 
 
 def _table(columns: list[Column], width: int) -> "Table":
@@ -158,14 +157,13 @@ def _table(columns: list[Column], width: int) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    is_wide = _total([column.width for column in columns]) > width
+    is_wide = sum(column.width + COLUMN_GAP for column in columns) > width + COLUMN_GAP
     shown = Table(box=None, padding=(0, COLUMN_GAP, 0, 0), pad_edge=False)
     for column in columns:
-        least = min(column.least_width, width)
         shown.add_column(
             Text(column.broken_header if is_wide else column.header),
             justify="right" if column.is_number else "left",
-            min_width=least,
+            min_width=min(column.least_width, width),
             overflow="fold",
         )
     for cells in zip(*(column.cells for column in columns), strict=True):
@@ -174,54 +172,46 @@ def _table(columns: list[Column], width: int) -> "Table":
 
 
 def _blocks(columns: list[Column], width: int) -> Iterator[list[Column]]:
-    """The columns, cut where they do not fit; the first ones come again."""
-    key = _key_columns(columns, width)
+    """The columns, cut where they do not fit; those up to the first texts come again.
+
+    The first texts tell the rows apart; where they take too much of the line, nothing
+    comes again.
+    """
+    texts = [k for k, column in enumerate(columns) if not column.is_number]
+    key = columns[: texts[0] + 1] if texts else []
+    if _least(key) > KEY_SHARE * width:
+        key = []
     block: list[Column] = []
     for column in columns:
-        larger = [*block, column]
-        if len(block) > len(key) and _least(larger) > width:
+        if len(block) > len(key) and _least([*block, column]) > width:
             yield block
-            larger = [*key, column]
-        block = larger
+            block = list(key)
+        block.append(column)
     if block:
         yield block
 
 
-def _key_columns(columns: list[Column], width: int) -> list[Column]:
-    """The columns up to the first texts, which tell the rows apart; or none."""
-    for number, column in enumerate(columns):
-        if not column.is_number:
-            key = columns[: number + 1]
-            return key if _least(key) <= KEY_SHARE * width else []
-    return []
-
-
 def _least(columns: list[Column]) -> int:
-    return _total([column.least_width for column in columns])
-
-
-def _total(widths: list[int]) -> int:
-    return sum(widths) + COLUMN_GAP * (len(widths) - 1)
+    """Characters that columns take at least, with the gaps between them."""
+    return sum(column.least_width + COLUMN_GAP for column in columns) - COLUMN_GAP
 
 
 def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
     """A table as HTML, with names and cells escaped; numbers stand at the right."""
     columns = columns_of(table, most_rows)
-    head = [_cell("th", column, column.header, ' scope="col"') for column in columns]
-    rows = []
-    for cells in zip(*(column.cells for column in columns), strict=True):
-        pairs = zip(columns, cells, strict=True)
-        row = "".join(_cell("td", column, cell) for column, cell in pairs)
-        rows.append(f"<tr>{row}</tr>")
-    body = "\n".join(rows)
-    shown = (
-        f"<table>\n<thead><tr>{''.join(head)}</tr></thead>\n<tbody>\n{body}\n</tbody>\n"
-        "</table>"
-    )
-    return "\n".join([shown, *(f"<p>{one}</p>" for one in _remarks(table, most_rows))])
+    n_rows = len(columns[0].cells) if columns else 0
+    return html_shown("table", columns, n_rows, _remark(table, most_rows))
 
 
-def _cell(tag: str, column: Column, text: str, attributes: str = "") -> str:
-    side = "right; white-space: nowrap" if column.is_number else "left"
-    style = f"text-align: {side}; {CELL_STYLE}"
-    return f'<{tag}{attributes} style="{style}">{html.escape(text)}</{tag}>'
+def html_shown(name: str, *facts: Any) -> str:
+    """What a macro of ``shown.html.jinja`` makes of facts."""
+    return str(getattr(_shown(), name)(*facts)).strip()
+
+
+@cache
+def _shown() -> Any:
+    from jinja2 import Environment, PackageLoader  # slow to load
+
+    loader = PackageLoader("phsi_opt.presentation")
+    environment = Environment(loader=loader, autoescape=True, trim_blocks=True)
+    return environment.get_template("shown.html.jinja").module

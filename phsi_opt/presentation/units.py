@@ -12,41 +12,23 @@ from collections.abc import Mapping, Sequence
 Powers = Mapping[str, float]
 RADIAN = "rad"
 STANDARD_DEVIATIONS = "standard deviations"  # unit of errors in several channels
-# Units in powers of the base units.
-KNOWN: Mapping[str, Mapping[str, int]] = {
-    "kg": {"kg": 1},
-    "m": {"m": 1},
-    "s": {"s": 1},
-    "A": {"A": 1},
-    "K": {"K": 1},
-    "rad": {"rad": 1},
-    "Hz": {"s": -1},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "Pa": {"kg": 1, "m": -1, "s": -2},
-    "J": {"kg": 1, "m": 2, "s": -2},
-    "W": {"kg": 1, "m": 2, "s": -3},
-    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
-    "Wb": {"kg": 1, "m": 2, "s": -2, "A": -1},
-    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+BASE_UNITS = ("kg", "m", "s", "A", "K", RADIAN)
+# What others are in these.
+DERIVED = {
+    "Hz": "1/s",
+    "N": "kg m/s^2",
+    "Pa": "kg/(m s^2)",
+    "J": "kg m^2/s^2",
+    "W": "kg m^2/s^3",
+    "V": "kg m^2/(A s^3)",
+    "Wb": "kg m^2/(A s^2)",
+    "Ohm": "kg m^2/(A^2 s^3)",
 }
-# What a rate is called where its powers are these.
-NAMED: Mapping[str, Mapping[str, int]] = {
-    "N": KNOWN["N"],
-    "N m": {"kg": 1, "m": 2, "s": -2},
-    "N m/rad": {"kg": 1, "m": 2, "s": -2, "rad": -1},
-    "N/s": {"kg": 1, "m": 1, "s": -3},
-    "W": KNOWN["W"],
-    "V": KNOWN["V"],
-    "A": {"A": 1},
-    "m/s": {"m": 1, "s": -1},
-    "m/s^2": {"m": 1, "s": -2},
-    "m^3/s": {"m": 3, "s": -1},
-    "kg/s": {"kg": 1, "s": -1},
-    "K/s": {"K": 1, "s": -1},
-    "rad/s": {"rad": 1, "s": -1},
-    "rad/s^2": {"rad": 1, "s": -2},
-    "1/s": {"s": -1},
-}
+# What a rate is called where it has the powers of one of these.
+NAMED_RATES = (
+    *("N", "N m", "N m/rad", "N/s", "W", "V", "A", "m/s", "m/s^2", "m^3/s", "kg/s"),
+    *("K/s", "rad/s", "rad/s^2", "1/s"),
+)
 OF_MECHANICS = frozenset({"kg", "m", "s", RADIAN})
 # A unit of any name with its power, such as "m", "s^2", "m2" or "s**-1"; between two,
 # blanks, "*", "." or "·".
@@ -74,8 +56,8 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
         powers = _quotient(written, below)
         if set(powers) <= set(KNOWN):
             basic = _in_base_units(powers)
-            for name, known in NAMED.items():
-                if basic == known:
+            for name in NAMED_RATES:
+                if basic == powers_in_base_units(name):
                     return name
         return _written(powers)
     if " " in unit or "/" in unit:
@@ -103,6 +85,12 @@ def powers_as_written(unit: str) -> Powers | None:
                 return None
             powers[found[1]] += sign * int(found[2] or 1)
     return {name: power for name, power in powers.items() if power}
+
+
+KNOWN: Mapping[str, Powers] = {
+    **{name: {name: 1.0} for name in BASE_UNITS},
+    **{name: powers_as_written(unit) or {} for name, unit in DERIVED.items()},
+}
 
 
 def powers_in_base_units(unit: str) -> Powers | None:

@@ -1,162 +1,88 @@
 """The answers to what is wrong, where, and what to do, of one diagnosis.
 
 Report and page tell them on their first screens; a report's paragraph on each step has
-them too. Each begins with what is to be understood at once; the numbers come behind.
+them too. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import FAILING_ERROR
+from phsi_opt.criteria import CERTAIN_FORCE, FAILING_ERROR
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, rms, window_of
 from phsi_opt.force_analysis.next_step import likely_cause
-from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
 from phsi_opt.model.laws import is_second_storage
-from phsi_opt.model.model import Model
-from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.content import Answer
-from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
-from phsi_opt.presentation.units import scale_of_errors
-from phsi_opt.study.certainty import (
-    disturbance_word,
-    evidence_words,
-    judged_words,
-    no_noise_words,
-    off_words,
+from phsi_opt.presentation.durations import (
+    date_words,
+    dates_words,
+    time_words,
+    times_words,
 )
+from phsi_opt.presentation.numbers import listed, number, with_error
+from phsi_opt.presentation.sentences import say
+from phsi_opt.presentation.units import scale_of_errors
+from phsi_opt.statistics import TINY
 
-QUADRATIC_INPUT = "quadratic input"
+# Times the noise floor from which an error alone says that something is missing.
+SURE_ERROR = 1.5
+AT_NOISE = 1.05  # times the noise floor up to which an error is that of the noise
+FAST_DISTURBANCE = "fast disturbance"
+MOST_CHANNELS = 3  # that are told, the worst first
+# Errors over the noise floor: of training data that are fitted to the noise, and of
+# data held out that are not foretold.
+NEAR_FLOOR = 1.1
+FAR_ABOVE_FLOOR = 2.0
+PERCENT = 100.0  # of a whole
 
 
-# ---- what is missing
+def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> Answer:
+    """What ``words.jinja`` says under a name of a diagnosis.
 
-
-def missing_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
-    """What is missing, and how far that explains the error.
-
-    What has no name is told by its likely cause, a force that shakes by its speed.
+    Args:
+        name: such as "missing", "wrong", "to_do" or "certainty".
+        diagnosis: of a model.
+        is_held_out: whether data held out judge.
+        **more: facts beside those of the diagnosis.
     """
-    if diagnosis.findings:
-        return Answer(_missing_words(diagnosis), _gain_words(diagnosis, is_held_out))
     force = diagnosis.analysis.force_in()
-    if force.is_uncertain:
-        lead = f"{no_noise_words(diagnosis)}; no missing force is sure"
-    elif force.pace.is_vibration:
-        return Answer(f"Something swings {_speed(force)}: {VIBRATION_WORDS}.")
-    else:
-        cause = likely_cause(force.record.units, force)
-        lead = cause or "Something is missing"
-    return Answer(f"{'; '.join(filter(None, (lead, _tried_words(diagnosis))))}.")
-
-
-def _tried_words(diagnosis: Diagnosis) -> str:
-    """That nothing that was tried is it; "" where nothing was."""
-    n_tried = len(diagnosis.ranking)
-    nearest = nearest_candidate(diagnosis)
-    fall = 0.0 if nearest is None else _fall_with(diagnosis, nearest)
-    if fall > 0 and n_tried > 1:
-        percent = number(100 * fall, 2)
-        return f"the nearest of {n_tried} effects takes away {percent} % of the error"
-    if n_tried == 1:
-        return "the one effect tried does not explain it"
-    return f"none of the {n_tried} effects tried explains it" if n_tried else ""
-
-
-def _missing_words(diagnosis: Diagnosis) -> str:
-    """The names of what is missing, in a sentence."""
-    model = diagnosis.base.model
-    told = [
-        _plainly(finding, model) or class_of(finding) for finding in diagnosis.findings
-    ]
-    names = capitalised(" and ".join(told))
-    return f"{names} {'is' if len(told) == 1 else 'are'} missing."
-
-
-def _gain_words(diagnosis: Diagnosis, is_held_out: bool) -> str:
-    """By how much the error falls with what is named, and whether more is missing."""
-    found = diagnosis.ranking[0].comparison
-    rest = "what else is missing is not known yet"
-    is_all = diagnosis.verdict == Verdict.NAMED
-    if found is None:
-        return "" if is_all else f"{capitalised(rest)}."
-    with_them = "With them"
-    if len(diagnosis.findings) == 1:
-        with_them = "With it" if diagnosis.findings[0].is_name else "With the first"
-    which = "held-out" if is_held_out else "training"
-    if _is_at_floor(found):
-        return f"{with_them}, the {which} error falls to the noise."
-    percent = number(100 * (1 - found.rmse / diagnosis.base.rmse), 2)
-    said = f"{with_them}, the {which} error falls by {percent} %"
-    return f"{said}." if is_all else f"{said}; {rest}."
-
-
-def _plainly(finding: Finding, model: Model) -> str:
-    """What an effect is where its name alone says little; "" for others."""
-    effect = finding.effects[0]
-    if not finding.is_name or not effect.name.startswith(QUADRATIC_INPUT):
-        return ""
-    (term,) = effect.term
-    is_force = effect.equation in position_of_momentum(model)
-    what = "a force" if is_force else "something"
-    law = term.body.replace("**", "^")
-    return f"{effect} ({what} in proportion to {law})"
-
-
-def _speed(force: EquationForce) -> str:
-    pace: Pace = force.pace
-    return pace.speed_words(force.record.units)
-
-
-# ---- what is wrong
-
-
-def wrong_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
-    """How far the simulated model is off, and how large the missing force is."""
-    worst, *others = off_words(diagnosis.base)
-    force = diagnosis.analysis.force_in()
-    told = f"Simulated on {judged_words(is_held_out)}"
-    told += f"; it also misses {' and '.join(others)}." if others else "."
-    lacking = "" if force.is_uncertain else _lacking(force)
-    return Answer(f"The model misses {worst}.", f"{told} {lacking}".strip())
-
-
-def _lacking(force: EquationForce) -> str:
-    """Size of the missing force, alone and beside the rate that the model has."""
-    beside = force.pace.size_words(f"d{force.equation}/dt")
-    said = f"The model's d{force.equation}/dt is off by {strength_words(force)}"
-    return f"{said}, {beside}." if beside else f"{said}."
-
-
-def was_wrong_words(diagnosis: Diagnosis, whose: str) -> str:
-    """What a model lacked, and how much of it, told when it was added."""
-    force = diagnosis.analysis.force_in()
-    size = strength_words(force)
-    if force.is_uncertain:
-        return f"The residuals showed it; no missing force was sure: {size}."
-    names = " and ".join(map(class_of, diagnosis.findings))
-    verb = "was" if len(diagnosis.findings) == 1 else "were"
-    begin = f"{names} {verb} missing: " if names else ""
-    return capitalised(f"{begin}{whose} d{force.equation}/dt was off by {size}.")
-
-
-def strength_words(force: EquationForce) -> str:
-    """Root mean square of a missing force with its unit."""
-    scale = force.scale
-    strength = float(force.where["strength"]) / scale.size
-    return f"{number(strength, 3)}{spaced(scale.unit)} (rms)"
-
-
-def class_of(finding: Finding) -> str:
-    """What was found, with the others of its class."""
-    return " or ".join(str(effect) for effect in finding.effects)
-
-
-# ---- where
+    facts = {
+        "d": diagnosis,
+        "force": force,
+        "units": diagnosis.record.data.units,
+        "which": "held-out" if is_held_out else "training",
+        "judged": "data not used for fitting" if is_held_out else "the training data",
+        "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
+        "at_noise": AT_NOISE,
+        "sure_error": SURE_ERROR,
+        "strength": strength_words(force),
+        "classes": [class_of(finding) for finding in diagnosis.findings],
+        "has_class": not all(finding.is_name for finding in diagnosis.findings),
+        "disturbance": disturbance_word(diagnosis),
+        "nearest": nearest_candidate(diagnosis),
+        "vibration": VIBRATION_WORDS,
+        "experiment": PROPOSED_EXPERIMENT,
+        "fall_with": lambda candidate: PERCENT * _fall_with(diagnosis, candidate),
+        "is_at_floor": _is_at_floor,
+        "off_words": off_words,
+        "evidence_words": evidence_words,
+        "found": [finding_words(finding) for finding in diagnosis.findings],
+        "likely_cause": likely_cause,
+        "is_second_storage": is_second_storage,
+        "scale_of_errors": scale_of_errors,
+        "spaced": spaced,
+    }
+    return say(__package__, name, **facts, **more)
 
 
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
@@ -167,15 +93,11 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     """
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
-        return Answer("No equation, time or region stands out.")
+        return answer("where", diagnosis, is_held_out=True)
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
-    is_named = is_past or bool(diagnosis.findings)
-    answer = place_answer(force, is_named, is_known)
+    place = place_answer(force, is_past or bool(diagnosis.findings), is_known)
     places = _open_places(diagnosis)
-    if len(places) < 2:
-        return answer
-    lead = f"Either {' or '.join(places)}: the data do not tell."
-    return Answer(lead, f"As a force it shows {lowered(str(answer))}")
+    return answer("where", diagnosis, is_held_out=True, place=place, places=places)
 
 
 def _open_places(diagnosis: Diagnosis) -> list[str]:
@@ -190,36 +112,35 @@ def _open_places(diagnosis: Diagnosis) -> list[str]:
     return list(dict.fromkeys(places))
 
 
-# ---- what to do
+# ---- facts ---------------------------------------------------------------------------
 
 
-def to_do_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
-    """What to add, with what that leaves; or what to do where nothing is named."""
-    if diagnosis.findings:
-        return _addition(diagnosis, is_held_out)
-    advice = diagnosis.next_step
-    nearest = nearest_candidate(diagnosis)
-    if nearest is None:
-        return advice
-    told = f"{nearest.name} ({evidence_words(nearest)})"
-    against = ""
-    if nearest.grade == Grade.DECISIVE:  # else the grade says it
-        against, _, _ = nearest.lost.partition(" (")
-    reason = f"; {against}" if against else ""
-    fall = _fall_with(diagnosis, nearest)
-    less = f": {number(100 * fall, 2)} % less error" if fall > 0 else ""
-    if is_second_storage(nearest.effect):
-        lead = f"Try {nearest.name}{less}, but not proven."
-        return Answer(lead, f"{told}{reason}. {advice.detail}")
-    told = f"Nearest of the catalogue is {told}{less}, but not proven{reason}."
-    return Answer(advice.lead, f"{advice.detail} {told}".strip())
+def strength_words(force: EquationForce) -> str:
+    """Root mean square of a missing force with its unit."""
+    strength = float(force.where["strength"]) / force.scale.size
+    return f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)"
 
 
-def samples_to_average(diagnosis: Diagnosis) -> int:
-    """How many samples hide a force that shakes in their mean; 0 where none does."""
-    if not disturbance_word(diagnosis):
-        return 0
-    return diagnosis.analysis.force_in().pace.samples_per_cycle
+def class_of(finding: Finding) -> str:
+    """What was found, with the others of its class."""
+    return " or ".join(map(str, finding.effects))
+
+
+def finding_words(finding: Finding) -> str:
+    """An effect with its size, and the others of its class."""
+    first, *others = map(str, finding.effects)
+    size = with_error(finding.coefficient, finding.std_error)
+    told = f"{first}, {size}{spaced(finding.unit)}"
+    if not others:
+        return told
+    return f"{told} (or {', '.join(others)}: the data do not tell)"
+
+
+def evidence_words(candidate: Candidate) -> str:
+    """How clearly an effect is there, such as "decisive, log evidence 95"."""
+    if not candidate.was_weighed:
+        return "not weighed"
+    return f"{candidate.grade}, log evidence {number(candidate.log_evidence, 2)}"
 
 
 def nearest_candidate(diagnosis: Diagnosis) -> Candidate | None:
@@ -233,48 +154,6 @@ def nearest_candidate(diagnosis: Diagnosis) -> Candidate | None:
     return None if first.grade == Grade.NONE else first
 
 
-def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
-    told = capitalised("; ".join(map(finding_words, diagnosis.findings)))
-    outcome = _outcome(diagnosis, is_held_out)
-    if diagnosis.verdict != Verdict.NAMED:
-        outcome += f" Then diagnose again: what is left is {_left_words(diagnosis)}."
-    if any(not finding.is_name for finding in diagnosis.findings):
-        outcome += f" Which of them, an experiment tells; {PROPOSED_EXPERIMENT}."
-    return Answer(f"{told}.", outcome.strip())
-
-
-def _left_words(diagnosis: Diagnosis) -> str:
-    """How much is left with what is proposed, beside the noise."""
-    found = diagnosis.ranking[0].comparison
-    if found is None or _is_at_floor(found):
-        return "more than noise"
-    return f"{number(found.rmse / found.noise_floor, 2)} times the noise"
-
-
-def finding_words(finding: Finding) -> str:
-    """An effect with its size, and the others of its class."""
-    size = with_error(finding.coefficient, finding.std_error)
-    text = f"{finding.effects[0]}, {size}{spaced(finding.unit)}"
-    if finding.is_name:
-        return text
-    others = ", ".join(str(other) for other in finding.effects[1:])
-    return f"{text} (or {others}: the data do not tell)"
-
-
-def _outcome(diagnosis: Diagnosis, is_held_out: bool) -> str:
-    """To what the error falls with what is proposed, where that is known."""
-    found = diagnosis.ranking[0].comparison
-    if found is None:
-        return ""
-    size, unit = scale_of_errors(found.error_unit)
-    which = "held-out" if is_held_out else "training"
-    before = number(size * diagnosis.base.rmse, 3)
-    after = f"{number(size * found.rmse, 3)}{spaced(unit)}"
-    floor = f"noise floor {number(size * found.noise_floor, 3)}"
-    at = "at the " if _is_at_floor(found) else ""
-    return f"The {which} error falls from {before} to {after} ({at}{floor})."
-
-
 def _fall_with(diagnosis: Diagnosis, candidate: Candidate) -> float:
     """The share of the error that it takes away; 0 where that is not known."""
     found = candidate.comparison
@@ -283,3 +162,183 @@ def _fall_with(diagnosis: Diagnosis, candidate: Candidate) -> float:
 
 def _is_at_floor(found: Comparison) -> bool:
     return found.rmse <= FAILING_ERROR * found.noise_floor
+
+
+def disturbance_word(diagnosis: Diagnosis) -> str:
+    """What stands beside a verdict whose force shakes; "" for others."""
+    force = diagnosis.analysis.force_in()
+    is_open = not diagnosis.findings and not force.is_uncertain
+    is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
+    is_fast = is_missing and is_open and force.pace.is_vibration
+    return FAST_DISTURBANCE if is_fast else ""
+
+
+def samples_to_average(diagnosis: Diagnosis) -> int:
+    """How many samples hide a force that shakes in their mean; 0 where none does."""
+    if not disturbance_word(diagnosis):
+        return 0
+    return diagnosis.analysis.force_in().pace.samples_per_cycle
+
+
+def undetermined_words(parameters: pd.DataFrame) -> str:
+    """The parameters whose standard error exceeds their value; "" for none.
+
+    Args:
+        parameters: of a fit: name, value, std_error.
+    """
+    value = parameters["value"].to_numpy(dtype=float)
+    error = parameters["std_error"].to_numpy(dtype=float)
+    is_open = np.isfinite(error) & (error > np.abs(value))
+    names = [str(name) for name in parameters["name"][is_open]]
+    if not names:
+        return ""
+    return (
+        f"Parameters that these data do not determine: {listed(names)} "
+        "(standard error above the value); do not rely on them."
+    )
+
+
+def off_words(judged: Comparison) -> list[str]:
+    """Such as "q by 0.122 rad (6.7 % of its movement; noise alone 0.1 %)".
+
+    Each of the channels that are farthest off, the worst first.
+    """
+    table = judged.table
+    shares = PERCENT - table["fit_percent"].to_numpy(dtype=float)
+    worst = np.argsort(-np.nan_to_num(shares), kind="stable")[:MOST_CHANNELS]
+    return [_channel_words(table.iloc[k]) for k in worst.tolist()]
+
+
+def _channel_words(row: pd.Series) -> str:
+    rmse = float(row["rmse"])
+    share = PERCENT - float(row["fit_percent"])
+    noise = share * float(row["noise_floor"]) / max(rmse, TINY)
+    size = f"{number(rmse, 3)}{spaced(str(row['unit']))}"
+    beside = f"{number(share, 2)} % of its movement"
+    if share >= PERCENT:
+        beside = f"{number(share, 3)} % of its movement: a constant would do better"
+    return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
+
+
+def only_follows(trained: Comparison, judged: Comparison) -> bool:
+    """Whether a model fits its training data to the noise, and no other data."""
+    floor = judged.noise_floor
+    is_fitted = trained.rmse < NEAR_FLOOR * floor
+    return is_fitted and judged.rmse > FAR_ABOVE_FLOOR * floor
+
+
+# ---- since when ----------------------------------------------------------------------
+
+# Share of the strongest run's force from which on another has it as well.
+STRONG_RUN = 0.5
+# Times that a force is stronger behind its beginning than before; where it follows a
+# motion that decays or grows, parts of a run differ by less.
+BEGINNING = 3.0
+PARTS = 40  # of a run, among which its beginning is sought
+# A force comes and goes where in so many stretches it is stronger than this share of
+# its strongest one; a record is looked at in so many stretches.
+STRETCHES = 20
+# Share of a window's samples that lack a channel, from which on it is said.
+GAP_IN_WINDOW = 0.1
+STRONG_STRETCH = 1 / 3
+FEWEST_BURSTS = 3
+
+
+def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
+    """Since when the surest missing force is there, in which runs, where most clearly.
+
+    A beginning is told where one run alone has the force, which is several times weaker
+    before it; the start only where the force is clear in the first tenth of every run
+    that has it.
+
+    Args:
+        diagnosis: of a model.
+        trained: the model on its training data.
+    """
+    force = diagnosis.analysis.force_in()
+    if force.is_uncertain:
+        return Answer("At no time surely.")
+    record = force.record
+    runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
+    sizes = [rms(force.w[inside]) for inside in runs]
+    n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
+    strongest = runs[force.strongest_run]
+    clear = [inside for inside in runs if _is_clear(force, inside)] or runs
+    starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
+    name = record.trajectories[force.strongest_run]
+    facts: dict[str, Any] = {
+        "begin": _beginning(force, strongest) if n_strong == 1 else "",
+        "again": "again and again" if _comes_and_goes(force, strongest) else "",
+        "n_runs": len(runs),
+        "n_clear": len(clear),
+        "is_from_start": all(_is_clear(force, one) for one in starts if len(one)),
+        "window": _window(force),
+        "run": name if len(runs) > 1 else "the training record",
+        "gaps": gaps_of(diagnosis, force),
+        "only_follows": only_follows(trained, diagnosis.base),
+    }
+    return say(__package__, "since", **facts)
+
+
+def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
+    """Which channels lack samples where the force is strongest."""
+    window = window_of(str(force.where["time_window"]))
+    if window is None:
+        return []
+    data = diagnosis.data
+    run = data.trajectories[data.trajectory_number(str(force.where["trajectory"]))]
+    inside = (run.t >= window[0]) & (run.t <= window[1])
+    shares = np.mean(np.isnan(run.x[inside]), axis=0)
+    lacking = np.flatnonzero(shares > GAP_IN_WINDOW)
+    return [data.states[k] for k in lacking if data.states[k] in data.measured]
+
+
+def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
+    """Whether a run has several stretches of a clear force, and weak ones between."""
+    stretches = np.array_split(inside, min(STRETCHES, len(inside)))
+    sizes = np.array([rms(force.w[stretch]) for stretch in stretches])
+    least = STRONG_STRETCH * np.max(sizes)
+    if least < float(np.median(force.deviation[inside])):
+        return False
+    is_strong = (sizes > least).astype(int)
+    return int(np.sum(np.diff(is_strong, prepend=0) > 0)) >= FEWEST_BURSTS
+
+
+def _window(force: EquationForce) -> str:
+    """The times at which the force is strongest; "" where none stand out."""
+    times = str(force.where["time_window"])
+    if THROUGHOUT in times:
+        return ""
+    record = force.record
+    told = times_words(times, record.units.get("t", ""), float(record.t.max()))
+    date = dates_words(times, record.origin_of(str(force.where["trajectory"])))
+    return f"t = {told}{_in_brackets(date)}"
+
+
+def _in_brackets(date: str) -> str:
+    return f" ({date})" if date else ""
+
+
+def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
+    """Whether a part of the force exceeds its standard deviation."""
+    typical = float(np.median(force.deviation[inside]))
+    return rms(force.w[inside]) > CERTAIN_FORCE * typical
+
+
+def _beginning(force: EquationForce, inside: np.ndarray) -> str:
+    """The time before which the force is far weaker, in words; "": none is such."""
+    record = force.record
+    parts = np.array_split(inside, min(PARTS, len(inside)))
+    sizes = [rms(force.w[part]) for part in parts]
+    for part, size in zip(parts[1:], sizes[1:], strict=True):
+        first = part[0]
+        before = rms(force.w[inside[0] : first])
+        after = rms(force.w[first : inside[-1] + 1])
+        is_strong = size > STRONG_STRETCH * max(sizes)
+        if is_strong and after > BEGINNING * max(before, TINY):
+            t = float(record.t[first] - record.h[first] / 2)
+            date = date_words(t, record.origin_of(str(force.where["trajectory"])))
+            longest = float(record.t.max())
+            told = time_words(t, record.units.get("t", ""), longest=longest)
+            return told + _in_brackets(date)
+    return ""

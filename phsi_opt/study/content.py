@@ -3,15 +3,17 @@
 import platform
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.wording import number_of
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_report import equation_lines
+from phsi_opt.force_analysis.localization import rms
+from phsi_opt.force_analysis.pictures import FEWEST_PER_CURVE, MOST_PER_CURVE
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.presentation.content import (
     HELD_OUT,
@@ -21,6 +23,7 @@ from phsi_opt.presentation.content import (
     Diagnosed,
     Equations,
     ErrorStep,
+    Follows,
     ForceRun,
     Glance,
     ParameterRow,
@@ -29,40 +32,35 @@ from phsi_opt.presentation.content import (
 )
 from phsi_opt.presentation.durations import TimeScale, scale_of_time
 from phsi_opt.presentation.numbers import (
-    capitalised,
     number,
     proper_names,
     short_constants,
 )
 from phsi_opt.presentation.thinning import thinned
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
-from phsi_opt.study.answers import nearest_candidate, samples_to_average
-from phsi_opt.study.certainty import NEAR_FLOOR, only_follows
+from phsi_opt.study.answers import (
+    NEAR_FLOOR,
+    nearest_candidate,
+    only_follows,
+    samples_to_average,
+)
 from phsi_opt.study.checks import checks_of
-from phsi_opt.study.fitting import EffectLaw
 from phsi_opt.study.force_content import (
-    FEWEST_PER_CURVE,
-    MOST_PER_CURVE,
     all_forces,
     glance_of,
-    law_of,
     ranking_of,
     sure_forces,
     worst_run,
 )
 from phsi_opt.study.headline import (
-    errors_in_words,
     headline_of,
+    said_of,
     step_story,
     telling_step,
 )
 from phsi_opt.study.record import Step, StudyRecord
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 Ends = tuple[float | None, float | None]
-ENDED_AT_BOUND = "at its bound"
 LEVEL = 0.95  # of the intervals: the convention of most tables
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
@@ -73,15 +71,10 @@ LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 # Together in all trajectories and channels: two megabytes of text.
 MOST_DRAWN_SAMPLES = 60_000
 MOST_DRAWN_RUNS = 200  # trajectories that are drawn
-FREE_RUNS = (
-    "Free runs: each begins at a starting state estimated from the whole record of its "
-    "run and never looks at the measurements again. Residuals (measured less model) "
-    "that stay within the noise band are what noise leaves."
-)
 
 
 def study_content(
-    study: StudyRecord, laws: Sequence[EffectLaw] = (), *, forces: bool = False
+    study: StudyRecord, laws: tuple[Follows, ...] = (), *, forces: bool = False
 ) -> StudyContent:
     """What is told of a study.
 
@@ -101,16 +94,16 @@ def study_content(
         headline=headline_of(study),
         steps=tuple(_error_step(step, size) for step in study.steps),
         unit=unit,
-        errors=_errors(study, size),
+        errors=_errors(study),
         glance=_glance(study, runs, time),
         models=tuple(_models(study)),
         time=time,
         names=tuple(_name(step, k) for k, step in steps.items()),
         runs=runs,
         shown=runs.index(worst_run(judged, 0)),
-        runs_told=_runs_told(study, len(steps), len(runs)),
+        runs_told=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
         forces=tuple(_forces(study, time)) if forces else (),
-        laws=tuple(map(law_of, laws)),
+        laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
         is_diagnosed=study.present is not None,
         checks=checks_of(study),
@@ -132,38 +125,21 @@ def _error_step(step: Step, size: float) -> ErrorStep:
     return ErrorStep(step.label, size * step.train.rmse, held_out, floor, step.fit.bic)
 
 
-def _errors(study: StudyRecord, size: float) -> str:
+def _errors(study: StudyRecord) -> str:
     """Where the errors have got, and what that means."""
-    said = f"{capitalised(errors_in_words(study))}."
-    if only_follows(study.last.train, study.last.judged):
-        said += (
-            " The model fits the training data to the noise, but not the data held "
-            "out: it follows what it was fitted to."
-        )
-    else:
-        said += _at_floor(study.last, size)
-    if study.unit == STANDARD_DEVIATIONS:
-        said += (
-            " The movement of a channel is the standard deviation of its measurements."
-        )
-    return said
-
-
-def _at_floor(step: Step, size: float) -> str:
-    """What errors just below the noise floor mean; ``size``: factor on errors."""
-    floor = step.judged.noise_floor
-    errors = {"": step.judged.rmse}
-    if step.held_out is not None:
-        errors[" (training)"] = step.train.rmse
-    told = []
+    last = study.last
+    errors = {"": last.judged.rmse}
+    if last.held_out is not None:
+        errors[" (training)"] = last.train.rmse
+    size, _ = scale_of_errors(study.unit)
+    floor = last.judged.noise_floor
+    at_floor = []
     for which, error in errors.items():
         if is_just_below(error, floor):
-            told.append(f"{number(size * error, 3)}{which}")
-    if not told:
-        return ""
-    verb = "equals" if len(told) == 1 else "equal"
-    listed = " and ".join(told)
-    return f" {listed} {verb} the noise floor within its own uncertainty."
+            at_floor.append(f"{number(size * error, 3)}{which}")
+    facts = {"at_floor": at_floor, "of_channels": study.unit == STANDARD_DEVIATIONS}
+    follows = only_follows(last.train, last.judged)
+    return said_of(study, "how_errors_stand", follows=follows, **facts).lead
 
 
 def is_just_below(error: float, floor: float) -> bool:
@@ -190,23 +166,25 @@ def _model(heading: str, fit: Fit) -> Equations:
     return Equations(proper_names(heading), lines, tuple(rows))
 
 
-def _parameter(fit: Fit, row: "pd.Series", intervals: "pd.DataFrame") -> ParameterRow:
+def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRow:
     """A parameter, its interval as far as its bounds let it go."""
     name = str(row["name"])
     value = float(row["value"])
-    remark = "fixed" if row["fixed"] else ""
+    std_error = float(row["std_error"])
+    parameter = fit.entry(name).parameter
     ends: Ends = (None, None)
-    if name in fit.outcome.at_bounds:
-        remark = ENDED_AT_BOUND
-        value = fit.entry(name).parameter.nearest_bound(value)
+    cut = ""
     if name in intervals.index:
-        found = tuple(map(float, intervals.loc[name, ["ci_lower", "ci_upper"]]))
-        ends = ends_within(fit.entry(name).parameter, *found)
-        if ends not in (found, (None, None)):
-            remark = remark or "cut at its bound"
-    if ends == (None, None) and not remark:
-        remark = "no standard error"
-    std_error = np.nan if remark == ENDED_AT_BOUND else float(row["std_error"])
+        lower, upper = map(float, intervals.loc[name, ["ci_lower", "ci_upper"]])
+        ends = ends_within(parameter, lower, upper)
+        cut = "" if ends == (lower, upper) else "cut at its bound"
+    remark = cut if None not in ends else "no standard error"
+    if name in fit.outcome.at_bounds:
+        remark = "at its bound"
+        value = parameter.nearest_bound(value)
+        std_error = np.nan
+    elif row["fixed"]:
+        remark = "fixed"
     return ParameterRow(name, value, std_error, *ends, remark, str(row["unit"]))
 
 
@@ -259,55 +237,33 @@ def _run(
     part: str, comparisons: list[Comparison], place: int, most: int, time: TimeScale
 ) -> Run:
     """One trajectory with the free runs of all models."""
-    first, last = comparisons[0], comparisons[-1]
-    run = first.data.trajectories[place]
+    data = comparisons[0].data
+    run = data.trajectories[place]
     channels = []
-    for k, name in enumerate(first.model.states):
-        if name in last.noise:
-            # A state with a memory comes behind those of the base model.
-            shown = [one.shown[place][:, k] for one in comparisons]
-            unit = first.data.units.get(name, "")
-            t = run.t / time.size
-            channels.append(
-                _channel(name, unit, last.noise[name], t, run.x[:, k], shown, most)
-            )
+    for name, noise in comparisons[-1].noise.items():
+        # A state with a memory comes behind those of the base model.
+        k = data.states.index(name)
+        measured = run.x[:, k]
+        shown = [one.shown[place][:, k] for one in comparisons]
+        kept = thinned([measured, *shown], most)
+        channel = Channel(
+            name,
+            data.units.get(name, ""),
+            noise,
+            run.t[kept] / time.size,
+            measured[kept],
+            tuple(one[kept] for one in shown),
+            tuple(_known_rms(measured - one) for one in shown),
+            float(np.nan_to_num(pd.Series(measured).std(ddof=0))),
+        )
+        channels.append(channel)
     return Run(run.name, part, tuple(channels), run.origin)
 
 
-def _channel(
-    name: str,
-    unit: str,
-    noise: float,
-    t: np.ndarray,
-    measured: np.ndarray,
-    shown: list[np.ndarray],
-    most: int,
-) -> Channel:
-    errors: list[float | None] = []
-    for one in shown:
-        off = (measured - one)[np.isfinite(measured - one)]
-        errors.append(float(np.sqrt(np.mean(off**2))) if len(off) else None)
-    known = measured[np.isfinite(measured)]
-    movement = float(np.std(known)) if len(known) else 0.0
-    kept = thinned([measured, *shown], most)
-    models = tuple(one[kept] for one in shown)
-    return Channel(
-        name, unit, noise, t[kept], measured[kept], models, tuple(errors), movement
-    )
-
-
-def _runs_told(study: StudyRecord, n_models: int, n_drawn: int) -> str:
-    """What the reader should look for, and which runs are not drawn."""
-    said = [FREE_RUNS]
-    if n_models > 1:
-        said.append("Base model and present model are shown one over the other.")
-    n_runs = len(study.train)
-    if study.held_out is not None:
-        n_runs += len(study.held_out)
-        said.append("Data held out were used for starting states alone, not to fit.")
-    if n_runs > n_drawn:
-        said.append(f"The first {n_drawn} of {n_runs} runs are drawn.")
-    return " ".join(said)
+def _known_rms(values: np.ndarray) -> float | None:
+    """Of those that are known; None where none is."""
+    known = values[np.isfinite(values)]
+    return rms(known) if len(known) else None
 
 
 # ---- what is missing -----------------------------------------------------------------

@@ -15,41 +15,16 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.state_plots import Dependence
+from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.presentation.content import Follows
+from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.study.record import Step
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 MOST_LAWS = 3  # effects whose law a report shows: each is an estimate of its own
-
-
-@dataclass(frozen=True, eq=False)
-class EffectLaw:
-    """The force that is missing where an effect is left out.
-
-    Attributes:
-        effect: that was left out.
-        force: the missing force of its equation.
-        variable: that it is shown against: the effort for a loss, else what predicts
-            it best.
-    """
-
-    effect: Effect
-    force: EquationForce
-    variable: str
-
-    @property
-    def dependence(self) -> Dependence:
-        """The force beside the variable."""
-        return Dependence.of(self.force, self.variable)
-
-    @property
-    def title(self) -> str:
-        """What is drawn, in a sentence."""
-        return f"Force that is missing without {self.effect}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +118,10 @@ class StudyFitting:
         known = {name: one for name, one in values.items() if name in model.entries}
         return model.with_values(known)
 
-    def law(self, fit: Fit, added: tuple[Effect, ...], effect: Effect) -> EffectLaw:
+    def law(self, fit: Fit, added: tuple[Effect, ...], effect: Effect) -> Follows:
         """What the model of a fit lacks without one of the effects added.
+
+        A loss is shown against its effort, others against what predicts them best.
 
         A base model that was fitted without the effect imitates it: its damping stands
         in for a friction, and the missing force is the difference. Here the values are
@@ -164,12 +141,19 @@ class StudyFitting:
         found = identify_aligned(frozen, self.train, MaximumLikelihood())
         analysis = ForceAnalysis.of(Record.of_aligned(found, self.train))
         force = analysis.force_in(effect.equation)
-        variable = force.single_variable
-        if effect.slot == "R":
-            variable = frozen.efforts[frozen.states.index(effect.equation)]
-        return EffectLaw(effect, force, variable)
+        effort = frozen.efforts[frozen.states.index(effect.equation)]
+        said = (
+            f"The law that was added: what d{effect.equation}/dt lacks where {effect} "
+            "is left out of the present model and all other values stay"
+        )
+        return follows_of(
+            force,
+            effort if effect.slot == "R" else "",
+            proper_names(f"Force that is missing without {effect}"),
+            proper_names(said),
+        )
 
-    def laws(self, fit: Fit, added: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
+    def laws(self, fit: Fit, added: tuple[Effect, ...]) -> tuple[Follows, ...]:
         """The laws of the effects added first, as far as they can be shown."""
         found = []
         for effect in added[:MOST_LAWS]:

@@ -8,40 +8,27 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import window_of
-from phsi_opt.force_analysis.state_plots import Bins, Dependence
-from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
+from phsi_opt.force_analysis.pictures import force_of, force_runs
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
-from phsi_opt.presentation.axes import label
 from phsi_opt.presentation.content import (
     TRAINING,
     Channel,
-    Follows,
     Force,
-    ForceMap,
     ForceRun,
     Glance,
     Ranked,
     Run,
 )
 from phsi_opt.presentation.durations import TimeScale
-from phsi_opt.presentation.numbers import number, proper_names
-from phsi_opt.presentation.thinning import thinned
+from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors
-from phsi_opt.study.certainty import evidence_words
-from phsi_opt.study.fitting import EffectLaw
+from phsi_opt.study.answers import evidence_words
 
-MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
-MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
-FEWEST_PER_CURVE = 120
-MOST_DRAWN_DOTS = 1_500  # of a force against what it follows
 MOST_FORCES = 4  # equations whose missing force is drawn
 # Times the training data's error, beside its movement, from which on the data held out
 # show better what is wrong: the model follows what it was fitted to.
 FOLLOWED_TIMES = 2.0
-FAILS_HERE = "The model's parameters follow the training data, and fail here."
 SURE = 2.0  # standard deviations beyond which a force counts as sure at one time
 
 
@@ -52,23 +39,7 @@ def sure_forces(diagnosis: Diagnosis, time: TimeScale) -> tuple[Force, ...]:
     """The missing forces that are surely there, the strongest first."""
     found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
     sure = [force for force in found if not force.is_uncertain]
-    return tuple(_force(force, time) for force in sure[:MOST_FORCES])
-
-
-def _force(force: EquationForce, time: TimeScale) -> Force:
-    variable = force.single_variable
-    follows = _follows(
-        Dependence.of(force, variable), force, "", dependence_title(force, variable)
-    )
-    return Force(
-        f"d{force.equation}/dt",
-        follows.y_label,
-        sentence(force),
-        force_runs(force, TRAINING, time),
-        force.record.trajectories.index(str(force.where["trajectory"])),
-        _map(force),
-        follows,
-    )
+    return tuple(force_of(force, time) for force in sure[:MOST_FORCES])
 
 
 def all_forces(record: Record, part: str, time: TimeScale) -> tuple[ForceRun, ...]:
@@ -77,64 +48,6 @@ def all_forces(record: Record, part: str, time: TimeScale) -> tuple[ForceRun, ..
     for force in ForceAnalysis.of(record).forces:
         found += force_runs(force, part, time)
     return found
-
-
-def force_runs(
-    force: EquationForce, part: str, time: TimeScale
-) -> tuple[ForceRun, ...]:
-    """A force along each trajectory of its part of the data."""
-    record = force.record
-    deviation = force.deviation
-    share = MOST_FORCE_SAMPLES / len(record.trajectories)
-    most = int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
-    scale = force.scale
-    runs = []
-    for place, name in enumerate(record.trajectories):
-        inside = np.flatnonzero(record.run == place)
-        kept = inside[thinned([force.w[inside]], most)]
-        t = record.t[kept] / time.size
-        w = force.w[kept] / scale.size
-        std = deviation[kept] / scale.size
-        origin = record.origin_of(name)
-        runs.append(ForceRun(name, part, force.equation, scale.unit, t, w, std, origin))
-    return tuple(runs)
-
-
-def _map(force: EquationForce) -> ForceMap | None:
-    names = force.map_variables
-    if len(names) < 2:
-        return None
-    found = MeanForce.of(force, names)
-    return ForceMap(
-        force.variable_label(names[0]),
-        force.variable_label(names[1]),
-        (found.edges_a[:-1] + found.edges_a[1:]) / 2,
-        (found.edges_b[:-1] + found.edges_b[1:]) / 2,
-        found.mean.T.filled(np.nan) / force.scale.size,
-        map_title(force, names),
-    )
-
-
-def law_of(law: EffectLaw) -> Follows:
-    """The law of an effect, to be drawn against what it follows."""
-    said = (
-        f"The law that was added: what d{law.force.equation}/dt lacks where "
-        f"{law.effect} is left out of the present model and all other values stay"
-    )
-    title = proper_names(law.title)
-    return _follows(law.dependence, law.force, title, proper_names(said))
-
-
-def _follows(
-    found: Dependence, force: EquationForce, heading: str, said: str
-) -> Follows:
-    w = found.w / force.scale.size
-    bins = Bins.of(found.z, w)
-    step = max(1, len(found.z) // MOST_DRAWN_DOTS)
-    y_label = label("missing force", force.scale.unit)
-    dots = (found.z[::step], w[::step])
-    binned = (bins.centre, bins.mean, bins.std)
-    return Follows(heading, found.label, y_label, *dots, *binned, said)
 
 
 # ---- candidates ----------------------------------------------------------------------
@@ -195,31 +108,34 @@ def glance_of(
     training = [run for run in runs if run.part == TRAINING and run.name == name]
     if not training:
         return None
-    strongest = worst_run(training, model)
-    others = [run for run in runs if run.part != TRAINING]
-    if others:
-        judged = worst_run(others, model)
-        share = worst_channel(strongest, model).share_off(model)
-        if worst_channel(judged, model).share_off(model) > FOLLOWED_TIMES * share:
-            channel = worst_channel(judged, model)
-            said = f"{_called(judged, channel, model)}. {FAILS_HERE}"
-            off = np.abs(channel.measured - channel.models[model])
-            t = float(channel.t[np.nanargmax(off)])
-            place = judged.channels.index(channel)
-            return Glance(runs.index(judged), place, said, t=t)
-    channel = worst_channel(strongest, model)
-    said = (
-        f"{_called(strongest, channel, model)}; below, what is missing in "
-        f"d{force.equation}/dt, with two standard deviations."
+    run = worst_run(training, model)
+    judged = worst_run([one for one in runs if one.part != TRAINING] or [run], model)
+    shares = [worst_channel(one, model).share_off(model) for one in (run, judged)]
+    along = window = None
+    if shares[1] > FOLLOWED_TIMES * shares[0]:
+        run = judged
+        channel = worst_channel(run, model)
+        off = np.abs(channel.measured - channel.models[model])
+        t = float(channel.t[np.nanargmax(off)])
+    else:
+        channel = worst_channel(run, model)
+        found = window_of(str(force.where["time_window"]))
+        if found is not None:
+            window = (found[0] / time.size, found[1] / time.size)
+        along = force_runs(force, TRAINING, time)[force.strongest_run]
+        t = worst_moment(along, channel, model, window)
+    said = say(
+        __package__,
+        "glance",
+        run=run,
+        channel=channel,
+        error=channel.errors[model],
+        unit=spaced(channel.unit),
+        force=along,
+        window=window,
     )
-    window = window_of(str(force.where["time_window"]))
-    if window is not None:
-        window = (window[0] / time.size, window[1] / time.size)
-        said += " Shaded: where that is strongest."
-    along = force_runs(force, TRAINING, time)[force.record.trajectories.index(name)]
-    t = worst_moment(along, channel, model, window)
-    place = strongest.channels.index(channel)
-    return Glance(runs.index(strongest), place, said, along, window, t)
+    places = (runs.index(run), run.channels.index(channel))
+    return Glance(*places, said.lead, along, window, t)
 
 
 def worst_run(runs: list[Run], model: int) -> Run:
@@ -253,12 +169,3 @@ def worst_moment(
     off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))
     found = np.where(is_sure, np.interp(force.t, channel.t, off), -1.0)
     return float(force.t[np.argmax(found)])
-
-
-def _called(run: Run, channel: Channel, model: int) -> str:
-    """The channel of a run, with how far off a model is in it."""
-    error = channel.errors[model]
-    off = "" if error is None else f", off by {number(error, 3)}{spaced(channel.unit)}"
-    part = "training data" if run.part == TRAINING else "data held out"
-    simulated = "simulated from a start that the whole run gives"
-    return f"{channel.name} of {run.name} ({part}), measured and {simulated}{off}"

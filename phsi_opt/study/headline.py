@@ -1,30 +1,24 @@
 """The verdict on a study: the first screen, and each diagnosis in a paragraph."""
 
-from phsi_opt.diagnosis.record import Diagnosis
+from typing import Any
+
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
-from phsi_opt.presentation.numbers import capitalised, number
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS
+from phsi_opt.presentation.numbers import capitalised
+from phsi_opt.presentation.sentences import say
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
 from phsi_opt.study.answers import (
-    finding_words,
-    missing_answer,
-    to_do_answer,
-    was_wrong_words,
-    where_answer,
-    wrong_answer,
-)
-from phsi_opt.study.certainty import (
-    certainty_words,
+    answer,
     disturbance_word,
     evidence_words,
-    judged_words,
-    off_words,
+    finding_words,
+    since_when,
     undetermined_words,
+    where_answer,
 )
 from phsi_opt.study.record import StudyRecord
-from phsi_opt.study.since_when import since_when
 
 NOT_ASKED = "not diagnosed yet"
 ASK = "Call study.diagnose() or study.auto()."
@@ -50,6 +44,17 @@ NOT_ESTABLISHED = "with an effect that is not established"
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
 UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
+# Where no diagnosis was asked for, or none found anything; "" for how far off it is.
+NOT_YET = (
+    ("What is wrong", "Not asked yet."),
+    ("How far off", ""),
+    ("What to do", ASK),
+)
+NOTHING_FOUND = (
+    ("What is wrong", "Nothing that these data show."),
+    ("How far off", ""),
+    ("What to add", "Nothing."),
+)
 PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 
 
@@ -62,13 +67,16 @@ def headline_of(study: StudyRecord) -> Headline:
     if study.unestablished and not beside:
         beside = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
+    certainty = ""
+    if present is not None:
+        certainty = str(answer("certainty", present, is_held_out=True))
     return Headline(
         status,
         severity,
-        _sentence(study, present),
-        _answers(study, present),
+        _sentence(study),
+        _answers(study),
         beside=beside,
-        certainty="" if present is None else certainty_words(present),
+        certainty=certainty,
         caution=undetermined_words(study.last.fit.parameters),
     )
 
@@ -90,61 +98,45 @@ def telling_step(study: StudyRecord) -> int | None:
     return found[0] if found else None
 
 
-def errors_in_words(study: StudyRecord) -> str:
-    """How the error fell, beside the noise floor."""
-    first = study.steps[0].judged
-    last = study.last.judged
-    which = "held-out" if study.last.held_out is not None else "training"
-    size, unit, short = 1.0, spaced(study.unit), ""
-    of_floor = unit
+def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
+    """What ``words.jinja`` says under a name of the study as a whole."""
+    size, unit = scale_of_errors(study.unit)
+    short = ""
     if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
-        size, unit, short = 0.01, " % of the measured movement", " %"
-        of_floor = short
-    floor = f"noise floor {number(last.noise_floor / size, 3)}{of_floor}"
-    after = f"{number(last.rmse / size, 3)}{unit}"
-    if len(study.steps) == 1:
-        return f"{which} error {after}, {floor}"
-    verb = "fell" if last.rmse < first.rmse else "went"
-    before = f"{number(first.rmse / size, 3)}{short}"
-    return f"{which} error {verb} from {before} to {after} ({floor})"
+        unit, short = "% of the measured movement", " %"
+    return say(
+        __package__,
+        name,
+        study=study,
+        which="training" if study.last.held_out is None else "held-out",
+        size=size,
+        unit=spaced(unit),
+        short=short,
+        **facts,
+    )
 
 
-def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
-    errors = errors_in_words(study)
-    if len(study.steps) > 1 and study.last.added:
-        said = _said_of_added(study, errors)
-        if present is None:
-            return said
+def _sentence(study: StudyRecord) -> str:
+    present = study.present
+    now = lacking = ""
+    if present is not None:
         is_silent = present.verdict == Verdict.NOTHING_MISSING
         now = NOT_SEEN if is_silent and study.unestablished else NOW[present.verdict]
-        return f"{said} {now}"
-    if present is None and study.stopped:
-        return f"What the model lacks is not known: {study.stopped}. So far: {errors}."
-    if present is None:
-        return f"What the model lacks has not been asked yet: {errors}. {ASK}"
-    if present.verdict == Verdict.NOTHING_MISSING:
-        return f"Nothing is missing: {present.reason}."
-    return str(missing_answer(present, study.held_out is not None))
-
-
-def _said_of_added(study: StudyRecord, errors: str) -> str:
-    """What was added, with how sure it is, and what that did to the errors."""
+        if not is_silent:
+            is_held_out = study.held_out is not None
+            lacking = str(answer("missing", present, is_held_out))
     open_ = {one.name: evidence_words(one) for one in study.unestablished}
-    sure: list[str] = []
-    unsure: list[str] = []
+    sure = []
+    unsure = []
     for effect in study.last.added:
         name = str(effect)
         if name in open_:
             unsure.append(f"{name} ({open_[name]})")
         else:
             sure.append(f"{name}{_alternatives(study, effect)}")
-    said = []
-    if sure:
-        said.append(f"The base model lacked {' and '.join(sure)}.")
-    if unsure:
-        said.append(f"Added, but not established: {' and '.join(unsure)}.")
-    with_them = "With it" if len(study.last.added) == 1 else "With them"
-    return f"{' '.join(said)} {with_them}, the {errors}."
+    facts = {"sure": sure, "unsure": unsure, "now": now, "lacking": lacking, "ask": ASK}
+    added = study.last.added if len(study.steps) > 1 else ()
+    return said_of(study, "sentence", present=present, added=added, **facts).lead
 
 
 def _alternatives(study: StudyRecord, effect: Effect) -> str:
@@ -158,30 +150,33 @@ def _alternatives(study: StudyRecord, effect: Effect) -> str:
     return ""
 
 
-def _answers(study: StudyRecord, present: Diagnosis | None) -> tuple[Answer, ...]:
+def _answers(study: StudyRecord) -> tuple[Answer, ...]:
     """The four answers of the diagnosis that is told; fewer where none found a lack."""
     place = telling_step(study)
+    present = study.present
     if place is None:
-        return _without(study, present)
+        far = said_of(study, "how_far").lead
+        told = NOT_YET if present is None else NOTHING_FOUND
+        return tuple(Answer(lead or far, question=asked) for asked, lead in told)
     diagnosis = study.diagnoses[place]
     step = study.steps[place]
-    since = since_when(diagnosis, step.train)
     is_held_out = study.held_out is not None
-    if diagnosis is present:
-        questions = PRESENT if diagnosis.findings else UNNAMED
-        what = wrong_answer(diagnosis, is_held_out)
-        where = where_answer(diagnosis)
-        what_to_do = to_do_answer(diagnosis, is_held_out)
-    else:
+    is_past = diagnosis is not present
+    if is_past:
         questions = PAST
         whose = "the base model's"
         if step.added:
             whose = f"with {' and '.join(map(str, step.added))}, the model's"
-        what = Answer(was_wrong_words(diagnosis, whose))
-        where = where_answer(diagnosis, is_past=True)
+        what_is = answer("was_wrong", diagnosis, is_held_out, whose=whose)
         what_to_do = _was_added(study)
-    answers = zip(questions, (what, where, since, what_to_do), strict=True)
-    return tuple(Answer(one.lead, one.detail, asked) for asked, one in answers)
+    else:
+        questions = PRESENT if diagnosis.findings else UNNAMED
+        what_is = answer("wrong", diagnosis, is_held_out)
+        what_to_do = answer("to_do", diagnosis, is_held_out)
+    where = where_answer(diagnosis, is_past)
+    answers = (what_is, where, since_when(diagnosis, step.train), what_to_do)
+    asked = zip(questions, answers, strict=True)
+    return tuple(Answer(one.lead, one.detail, question) for question, one in asked)
 
 
 def _was_added(study: StudyRecord) -> Answer:
@@ -194,30 +189,9 @@ def _was_added(study: StudyRecord) -> Answer:
             known[name] = finding_words(finding)
             evidence[name] = evidence_words(diagnosis.ranking[0])
     names = [str(effect) for effect in study.last.added]
-    told = "; ".join(known.get(name, name) for name in names)
-    clear = "; ".join(f"{n}: {evidence[n]}" for n in names if n in evidence)
-    if len(names) == 1 and clear:
-        clear = f"Evidence: {evidence[names[0]]}"
-    detail = f"{capitalised(clear)}." if clear else ""
-    return Answer(f"{capitalised(told or 'nothing')}.", detail)
-
-
-def _without(study: StudyRecord, present: Diagnosis | None) -> tuple[Answer, ...]:
-    """The answers where no diagnosis has found anything missing."""
-    judged = study.last.judged
-    ratio = f"{number(judged.rmse / judged.noise_floor, 3)} times the noise floor"
-    error = f"{capitalised(errors_in_words(study))}: {ratio}."
-    if present is None:
-        return (
-            Answer("Not asked yet.", question="What is wrong"),
-            Answer(error, question="How far off"),
-            Answer(ASK, question="What to do"),
-        )
-    return (
-        Answer("Nothing that these data show.", question="What is wrong"),
-        Answer(error, question="How far off"),
-        Answer("Nothing.", question="What to add"),
-    )
+    sizes = [known.get(name, name) for name in names]
+    clear = {name: evidence[name] for name in names if name in evidence}
+    return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)
 
 
 def step_story(study: StudyRecord, place: int) -> str:
@@ -230,18 +204,13 @@ def step_story(study: StudyRecord, place: int) -> str:
     diagnosis = study.diagnoses[place]
     is_held_out = study.held_out is not None
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
-        off = " and ".join(off_words(diagnosis.base))
-        return (
-            f"Simulated on {judged_words(is_held_out)}, the model is off: {off}. "
-            "That is what noise leaves: no force is evident beside the model, and no "
-            "effect is decisive."
-        )
+        return answer("noise_alone", diagnosis, is_held_out).lead
     told = [
-        missing_answer(diagnosis, is_held_out),
-        wrong_answer(diagnosis, is_held_out),
+        answer("missing", diagnosis, is_held_out),
+        answer("wrong", diagnosis, is_held_out),
         where_answer(diagnosis),
         since_when(diagnosis, study.steps[place].train),
-        to_do_answer(diagnosis, is_held_out),
+        answer("to_do", diagnosis, is_held_out),
     ]
     if place + 1 < len(study.steps):
         label = capitalised(study.steps[place + 1].label)

@@ -366,15 +366,14 @@ class Study(Summarised):
             ModelError: not exactly one such effect was added, or it is a sensor's.
             SolveError: the model without the effect does not reach the measurements.
         """
-        from phsi_opt.force_analysis.state_plots import draw_beside
         from phsi_opt.presentation.axes import axes_of
+        from phsi_opt.presentation.charts import draw, follows_chart
 
         known = self._added_effect(effect, equation)
         law = self._fitting.law(self.fit, self.added, known)
         ax = axes_of(ax, (7.0, 3.8))
-        draw_beside(ax, law.dependence)
-        ax.set_ylabel(law.force.force_label())
-        ax.set_title(law.title)
+        draw(ax, follows_chart(law))
+        ax.set_title(law.heading)
         return ax
 
     @property

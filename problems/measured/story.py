@@ -15,8 +15,7 @@ import numpy as np
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.candidate import Grade
-from phsi_opt.study.answers import nearest_candidate
-from phsi_opt.study.certainty import evidence_words
+from phsi_opt.study.answers import evidence_words, nearest_candidate
 from problems.tools import markdown
 from problems.tools.pictures import plt, save
 

@@ -1,0 +1,239 @@
+"""Pictures of a missing force: over time, over states, against what it follows.
+
+Each is a record that page, report and axes draw alike; `plot_where` has them all in one
+figure, with the frequencies of the force. Titles say what to see.
+"""
+
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phsi_opt.criteria import CLEAR_PATTERN, SPECTRUM_LEVEL, SURE_DEVIATIONS
+from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
+from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.pace import is_mostly_constant
+from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
+from phsi_opt.force_analysis.units import frequency_unit
+from phsi_opt.force_analysis.waves import period_of
+from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
+from phsi_opt.presentation.axes import MEASURED, MODEL
+from phsi_opt.presentation.content import TRAINING, Follows, Force, ForceMap, ForceRun
+from phsi_opt.presentation.durations import TimeScale, scale_of_time
+from phsi_opt.presentation.thinning import thinned
+from phsi_opt.statistics import TINY
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
+MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
+FEWEST_PER_CURVE = 120
+MOST_DRAWN_DOTS = 1_500  # of a force against what it follows
+N_SHOWN_BINS = 16  # of a variable in which mean and spread are shown
+FEWEST_IN_BIN = 3  # intervals in a bin that is shown
+N_CELLS = 14  # of a map, along each axis
+PANEL_TITLE_LETTERS = 62  # in a line of the title over a single panel
+SENTENCE_LETTERS = 120  # in a line of the sentence over four panels
+# Share of the largest amplitude beyond whose last frequency the spectrum is cut off.
+SHOWN_AMPLITUDE = 0.02
+# Frequencies of the running mean over a level that is taken from few draws.
+N_SMOOTHED = 9
+
+
+# ---- as records ----------------------------------------------------------------------
+
+
+def force_of(force: EquationForce, time: TimeScale) -> Force:
+    """All that is drawn of a missing force; ``time`` is the unit of its times."""
+    return Force(
+        f"d{force.equation}/dt",
+        sentence(force),
+        force_runs(force, TRAINING, time),
+        force.strongest_run,
+        map_of(force),
+        follows_of(force),
+    )
+
+
+def force_runs(
+    force: EquationForce, part: str, time: TimeScale
+) -> tuple[ForceRun, ...]:
+    """A force along each trajectory of its part of the data."""
+    record = force.record
+    scale = force.scale
+    share = MOST_FORCE_SAMPLES / len(record.trajectories)
+    most = int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    runs = []
+    for place, name in enumerate(record.trajectories):
+        inside = np.flatnonzero(record.run == place)
+        kept = inside[thinned([force.w[inside]], most)]
+        t = record.t[kept] / time.size
+        w = force.w[kept] / scale.size
+        std = force.deviation[kept] / scale.size
+        origin = record.origin_of(name)
+        runs.append(ForceRun(name, part, force.equation, scale.unit, t, w, std, origin))
+    return tuple(runs)
+
+
+def map_of(force: EquationForce) -> ForceMap | None:
+    """The mean force over the two variables of its map; None where there is one."""
+    names = force.map_variables
+    if len(names) < 2:
+        return None
+    from scipy.stats import binned_statistic_2d  # slow to load
+
+    values = [force.record.variable(name) for name in names[:2]]
+    found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", N_CELLS)
+    return ForceMap(
+        force.variable_label(names[0]),
+        force.variable_label(names[1]),
+        force.force_label("mean missing force"),
+        (found.x_edge[:-1] + found.x_edge[1:]) / 2,
+        (found.y_edge[:-1] + found.y_edge[1:]) / 2,
+        found.statistic.T,
+        map_title(force, names),
+    )
+
+
+def follows_of(
+    force: EquationForce, variable: str = "", heading: str = "", said: str = ""
+) -> Follows:
+    """A force against a variable, the one that predicts it best unless one is given.
+
+    Where the force repeats along the variable, this is folded to the period. What other
+    values of the parameters explain is taken off (see `without_parameters`), but not
+    against time.
+    """
+    from scipy.stats import binned_statistic  # slow to load
+
+    variable = variable or force.single_variable
+    z = force.record.variable(variable)
+    x_label = force.variable_label(variable)
+    period = _folding_period(force, variable)
+    w = force.w
+    if variable != TIME_NAME:
+        w = without_parameters(force, variable, force.wave)
+    if period is not None:
+        z = (z - force.record.t[0] if variable == TIME_NAME else z) % period
+        x_label = f"{x_label}, folded to the period of {period:.3g}"
+    w = w / force.scale.size
+    binned = [binned_statistic(z, w, one, N_SHOWN_BINS) for one in ("mean", "std")]
+    count, edges = np.histogram(z, binned[0].bin_edges)
+    columns = ((edges[:-1] + edges[1:]) / 2, *(one.statistic for one in binned))
+    centre, mean, std = (one[count >= FEWEST_IN_BIN] for one in columns)
+    step = max(1, len(z) // MOST_DRAWN_DOTS)
+    said = said or dependence_title(force, variable)
+    labels = (x_label, force.force_label())
+    return Follows(heading, *labels, z[::step], w[::step], centre, mean, std, said)
+
+
+def _folding_period(force: EquationForce, variable: str) -> float | None:
+    """Period of a force that follows a variable as a wave."""
+    if variable == TIME_NAME:
+        is_clear = force.share_of(TIME_NAME) >= CLEAR_PATTERN
+        return period_of(force) if is_clear else None
+    wave = force.wave
+    return None if wave is None or wave.position != variable else wave.period
+
+
+# ---- on axes -------------------------------------------------------------------------
+
+
+def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure":
+    """Force over time, over the states, against what it follows, and its frequencies.
+
+    The sentence above says what it is. Of the equation whose missing force is surest,
+    unless another is given.
+
+    Raises:
+        ModelError: the equation has no missing force.
+    """
+    import matplotlib.pyplot as plt
+
+    from phsi_opt.presentation.charts import draw, follows_chart, force_chart, map_chart
+
+    force = analysis.force_in(equation)
+    time = scale_of_time(float(force.record.t.max()), force.record.units.get("t", ""))
+    run = force_runs(force, TRAINING, time)[force.strongest_run]
+    found = map_of(force)
+    over_states = follows_chart(follows_of(force, force.map_variables[0]))
+    if found is not None:
+        over_states = map_chart(found)
+    variable = force.single_variable
+    panels = (
+        (force_chart([run], time.unit), _sure_title(force)),
+        (over_states, map_title(force, force.map_variables)),
+        (follows_chart(follows_of(force)), dependence_title(force, variable)),
+    )
+    figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")
+    for ax, (chart, title) in zip(axes.flat, panels, strict=False):
+        draw(ax, chart)
+        _draw_title(ax, title)
+    draw_spectrum(axes[1, 1], force)
+    figure.suptitle(fill(sentence(force), SENTENCE_LETTERS), fontsize=11)
+    return figure
+
+
+def _draw_title(ax: "Axes", text: str) -> None:
+    """The title, in lines that are as long as a panel is wide."""
+    ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
+
+
+def _sure_title(force: EquationForce) -> str:
+    """During how much of its strongest run a force is sure, in a sentence."""
+    is_inside = force.record.run == force.strongest_run
+    is_sure = np.abs(force.w) > SURE_DEVIATIONS * force.deviation
+    percent = f"{100 * np.mean(is_sure[is_inside]):.0f} %"
+    begin = f"{force.where['trajectory']}: d{force.equation}/dt"
+    return f"{begin} surely lacks a force during {percent} of the time"
+
+
+def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
+    """Amplitude of the force by frequency, and what its uncertainty explains.
+
+    The mean of the force is taken off.
+    """
+    from phsi_opt.presentation.charts import Chart, Curve, Panel, draw
+
+    record = force.record
+    found = spectrum(record.t, record.run, force.w - force.w.mean())
+    frequencies = found.frequencies
+    amplitudes = found.amplitudes / force.scale.size
+    level = _level(force) / force.scale.size
+    curves = (
+        Curve("missing force", frequencies, amplitudes, MODEL),
+        Curve("what its uncertainty explains", frequencies, level, MEASURED, "dash"),
+    )
+    top = 1.3 * max(amplitudes.max(), level.max(), TINY)
+    unit = frequency_unit(record.units)
+    panel = Panel(force.force_label("amplitude"), curves, limits=(0.0, top))
+    draw(ax, Chart(f"frequency ({unit})", (panel,)))
+    visible = np.flatnonzero(amplitudes > SHOWN_AMPLITUDE * amplitudes.max())
+    if len(visible) and len(amplitudes) > 1:
+        ax.set_xlim(0, frequencies[min(visible[-1] + 1, len(amplitudes) - 1)])
+    constant = is_mostly_constant(force.w)
+    what = "mostly constant; what varies" if constant else "the missing force"
+    seen = "nowhere above its uncertainty"
+    is_above = amplitudes > level
+    if is_above.any():
+        above = Spectrum(frequencies[is_above], amplitudes[is_above])
+        seen = f"strongest at {above.peak:.3g} {unit}"
+    _draw_title(ax, f"d{force.equation}/dt: {what} is {seen}")
+
+
+def _level(force: EquationForce) -> np.ndarray:
+    """Amplitude that the errors of the estimate reach, (n_frequencies,).
+
+    A quantile of few draws is rough, the level itself is smooth: so it is averaged over
+    neighbouring frequencies.
+    """
+    from scipy.ndimage import uniform_filter1d
+
+    record = force.record
+    draws = record.estimate.posterior.error_draws()[:, force.number]
+    of_draws = spectrum(record.t, record.run, draws).amplitudes
+    rough = np.quantile(of_draws, SPECTRUM_LEVEL, axis=1)
+    return np.asarray(uniform_filter1d(rough, N_SMOOTHED, mode="nearest"))

@@ -1,0 +1,66 @@
+"""Sentences by templates, so that what is said stands in one place, and reads as said.
+
+A template is a file of macros beside the room's code, called ``tell_`` and a name. Each
+is an `Answer`: its lead and, behind "||", its detail. Lines may be broken and indented
+at will; in the answer blanks are single, and none stands before a stop or a comma.
+"""
+
+import re
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from phsi_opt.presentation.content import Answer, unestablished_words
+from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
+
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
+
+BEHIND_LEAD = "||"
+# Blanks before a stop or a comma, and inside of brackets.
+UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
+FILTERS = {
+    "number": number,
+    "estimate": with_error,
+    "capital": capitalised,
+    "lowered": lowered,
+    "unestablished": unestablished_words,
+}
+
+
+def environment(package: str, folder: str = "", **settings: Any) -> "Environment":
+    """The templates of a package, with the filters that all of them use."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to load
+
+    loader = PackageLoader(package, folder)
+    found = Environment(loader=loader, undefined=StrictUndefined, **settings)
+    found.filters |= FILTERS
+    found.tests["startingwith"] = str.startswith
+    return found
+
+
+@cache
+def _template(package: str, name: str, is_by_lines: bool) -> "Template":
+    by_lines: dict[str, Any] = {
+        "trim_blocks": is_by_lines,
+        "lstrip_blocks": is_by_lines,
+    }
+    return environment(package, **by_lines).get_template(name)
+
+
+def say(package: str, name: str, **facts: Any) -> Answer:
+    """What the macro of a name in the package's ``words.jinja`` says of facts."""
+    words = _template(package, "words.jinja", is_by_lines=False)
+    macro = getattr(words.make_module(facts), f"tell_{name}")
+    lead, _, detail = macro().partition(BEHIND_LEAD)
+    return Answer(_one_line(lead), _one_line(detail))
+
+
+def lines(package: str, name: str, **facts: Any) -> str:
+    """What the macro of a name in ``answers.jinja`` says, whose lines are kept."""
+    answers = _template(package, "answers.jinja", is_by_lines=True)
+    macro = getattr(answers.make_module(facts), f"tell_{name}")
+    return str(macro()).rstrip("\n")
+
+
+def _one_line(text: str) -> str:
+    return UNWANTED.sub("", " ".join(text.split()))
