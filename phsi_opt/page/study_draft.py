@@ -27,7 +27,7 @@ from phsi_opt.page.drafts import (
     ModelDraft,
     ParameterDraft,
 )
-from phsi_opt.study_file.complaints import texts
+from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.study_text import text_of
 from phsi_opt.study_file.toml_text import toml_tables, toml_value
 
@@ -78,7 +78,7 @@ class StudyDraft:
         _take_data(content["data"], data)
         data.held_out = _held_out_draft(content.get("held_out", {}))
         study = dict(content.get("study", {}))
-        added = list(texts(study.pop("added", ())))
+        added = list(listed(study.pop("added", ())))
         kept = {name: content[name] for name in KEPT if name in content}
         if study:
             kept["study"] = study
@@ -213,7 +213,7 @@ def _held_out_draft(content: Mapping[str, Any]) -> HeldOutDraft:
     for way, key in HELD_OUT_KEYS.items():
         if key in content:
             told = content[key]
-            value: Any = list(texts(told)) if key == "runs" else _written(told)
+            value: Any = list(listed(told)) if key == "runs" else _written(told)
             return HeldOutDraft(way, **{key: value})
     return HeldOutDraft(NOTHING)
 
@@ -245,8 +245,8 @@ def model_draft(
     further = dict(content)
     return ModelDraft(
         type=further.pop("type", ModelDraft.type),
-        states=", ".join(texts(further.pop("states"))),
-        inputs=", ".join(texts(further.pop("inputs", ()))),
+        states=", ".join(listed(further.pop("states"))),
+        inputs=", ".join(listed(further.pop("inputs", ()))),
         pairs=", ".join("-".join(pair) for pair in further.pop("pairs", [])),
         H=_terms_text(further.pop("H", "")),
         R={name: _terms_text(one) for name, one in further.pop("R", {}).items()},

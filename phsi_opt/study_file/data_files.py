@@ -18,11 +18,11 @@ from phsi_opt.data.tables import Table, numbers_in, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
 from phsi_opt.data.times import Times, clock_of
 from phsi_opt.errors import DataError, did_you_mean
-from phsi_opt.study_file.complaints import Complaints, Part
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut, reader_of
+from phsi_opt.study_file.complaints import Complaints, Place
+from phsi_opt.study_file.sections import DataSection, HeldOut, reader_of
 
-TIME_KEY = "data.time.column"
-RUN_KEY = "data.trajectory"
+TIME_PLACE = ("time", "column")
+RUN_PLACE = ("trajectory",)
 
 
 def table_at(
@@ -40,7 +40,7 @@ def table_at(
     Raises:
         DataError: it cannot be read as such a table.
     """
-    told = section or DataSection((), Channel(None), {})
+    told = section or DataSection()
     separator = None if reader_of(path) == "from_excel" else told.separator
     form = TextFormat(told.columns, separator, told.decimal)
     if reader_of(path) == "from_csv":
@@ -76,76 +76,75 @@ def rows_of_runs(names: pd.Series) -> list[np.ndarray]:
 
 
 def check_measurements(
-    section: DataSection, folder: Path, complaints: Complaints
+    section: DataSection, folder: Path, found: Complaints
 ) -> Measurements | None:
     """The measurements; None, and what is wrong noted, where they cannot be read."""
-    if complaints.about("data"):
+    if found.about("data"):
         return None
-    is_one = len(section.files) == 1
     for number, path in enumerate(section.paths(folder)):
-        key = "data.files" if is_one else f"data.files[{number}]"
-        _check_file(section, path, section.files[number], key, complaints)
-    if any(one.key.startswith("data") for one in complaints.listed):
+        numbers = () if len(section.files) == 1 else (number,)
+        _check_file(section, path, ("data", "files", *numbers), found)
+    if found.about("data"):
         return None
     try:
         return section.measurements(folder)
     except DataError as error:
-        complaints.add("data", error)
+        found.add(error, "data", value="")
         return None
 
 
 def _check_file(
-    section: DataSection, path: DataFile, name: str, key: str, complaints: Complaints
+    section: DataSection, path: DataFile, place: Place, found: Complaints
 ) -> None:
     """Look at each column by itself, for the first wrong cell of each."""
+    wanted = _wanted(section)
     if not path.exists():
-        said = "there is no such file; paths are relative to the study file."
-        complaints.add(key, said, name)
+        found.add(
+            "there is no such file; paths are relative to the study file.", *place
+        )
         return
     if reader_of(path) != section.reader:
         suffix = Path(section.files[0]).suffix.lower()
-        said = f"the first file is {suffix}; give files of one kind."
-        complaints.add(key, said, name)
+        found.add(f"the first file is {suffix}; give files of one kind.", *place)
         return
-    wanted = _wanted(section)
     try:
         table = table_at(path, wanted.values(), section)
     except DataError as error:
-        complaints.add(key, error, name)
+        found.add(error, *place)
         return
     for where, column in wanted.items():
         try:
             _check_column(table, where, column, section)
         except DataError as error:
-            complaints.add(where, error, column)
+            found.add(error, "data", *where)
 
 
-def _wanted(section: DataSection) -> dict[str, str | int]:
-    """The columns that are asked for, by their keys."""
-    columns = {TIME_KEY: section.time.column, RUN_KEY: section.trajectory}
-    for what, named in (("states", section.states), ("inputs", section.inputs)):
-        for name, channel in named.items():
-            columns[f"data.{what}.{name}.column"] = channel.column
-    return {key: column for key, column in columns.items() if column is not None}
+def _wanted(section: DataSection) -> dict[tuple[str, ...], str | int]:
+    """The columns that are asked for, by their places in [data]."""
+    columns = {TIME_PLACE: section.time.column, RUN_PLACE: section.trajectory}
+    for what in ("states", "inputs"):
+        for name, channel in getattr(section, what).items():
+            columns[what, name, "column"] = channel.column
+    return {place: column for place, column in columns.items() if column is not None}
 
 
 def _check_column(
-    table: Table, key: str, column: str | int, section: DataSection
+    table: Table, place: tuple[str, ...], column: str | int, section: DataSection
 ) -> None:
-    found = table.frame.columns.tolist()
-    if column not in found:
+    known = table.frame.columns.tolist()
+    if column not in known:
         raise DataError(
-            f"{table.title} has no such column; it has {', '.join(map(str, found))}."
-            f"{did_you_mean(column, found)}"
+            f"{table.title} has no such column; it has {', '.join(map(str, known))}."
+            f"{did_you_mean(column, known)}"
         )
-    if found.count(column) > 1 or key == RUN_KEY:
+    if known.count(column) > 1 or place == RUN_PLACE:
         return  # told where the table is read as a whole
-    if key == TIME_KEY:
-        times = Times(column, None, section.start, section.date_format)
+    if place == TIME_PLACE:
+        time = section.time
+        times = Times(column, None, time.start or None, time.date_format)
         clock_of(table, times, _rows(table, section.trajectory))
     else:
-        is_state = key.startswith("data.states.")
-        numbers_in(table, column, may_be_missing=is_state)
+        numbers_in(table, column, may_be_missing=place[0] == "states")
 
 
 def _rows(table: Table, column: str | None) -> list[np.ndarray]:
@@ -156,16 +155,16 @@ def _rows(table: Table, column: str | None) -> list[np.ndarray]:
     return rows_of_runs(table.frame[column]) if is_usable else []
 
 
-def check_held_out(held_out: HeldOut, data: Measurements, file: Part) -> None:
+def check_held_out(held_out: HeldOut, data: Measurements, found: Complaints) -> None:
     """Note what is held out and is not there, or leaves nothing to fit."""
     for run in held_out.runs or ():
         try:
             data.trajectory_number(run)
         except DataError as error:
-            file.complaints.add("held_out.runs", error, run)
-    if file.complaints.about("held_out"):
+            found.add(error, "held_out", "runs", value=run)
+    if found.about("held_out"):
         return
     try:
         held_out.split(data)
     except DataError as error:
-        file.complain("held_out", error)
+        found.add(error, "held_out")

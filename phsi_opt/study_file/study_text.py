@@ -5,6 +5,7 @@ tables, and what a study file has no form for is refused by name.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
-from phsi_opt.study_file.sections import OF_TIME, Channel, DataSection, Sections, told
+from phsi_opt.study_file.sections import Sections, told
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 Content = dict[str, Any]
@@ -100,45 +101,25 @@ def _content(study: Sections) -> Content:
             "of a study file; give it to the channels, and leave it out of the loss."
         )
     parameters = shared_parameters(study.base, study.own_effects)
+    data = replace(study.data, places={})
     return {
-        "data": _data(study.data),
-        "held_out": _plain(told(study.held_out)) if study.held_out else {},
+        "data": {"time": {}, **_plain(data)},
+        "held_out": _plain(study.held_out) if study.held_out else {},
         "model": _model(study.base),
         "parameters": {name: _parameter(one) for name, one in parameters.items()},
         "effects": [_effect(effect) for effect in study.own_effects],
-        "study": {"added": [], **_plain(told(study.steps))},
+        "study": {"added": [], **_plain(study.steps)},
         "loss": told(study.loss),
     }
 
 
-def _plain(content: Content) -> Content:
-    """Tuples as lists."""
-    listed = {}
-    for name, value in content.items():
-        listed[name] = list(value) if isinstance(value, tuple) else value
-    return listed
-
-
-def _data(data: DataSection) -> Content:
-    content = _plain(told(data))
-    content.pop("places", None)
-    if data.inputs:
-        content["hold"] = data.hold
-    time = {} if data.time.column is None else {"column": data.time.column}
-    for name, value in (*told(data.time).items(), *content.items()):
-        if name in ("unit", *OF_TIME):
-            time[name] = value
-    content = {name: one for name, one in content.items() if name not in OF_TIME}
-    content["time"] = time
-    for what in ("states", "inputs"):
-        channels = getattr(data, what)
-        content[what] = {name: _channel(one) for name, one in channels.items()}
-    return content
-
-
-def _channel(channel: Channel) -> Content:
-    column = {"measured": False} if channel.column is None else {}
-    return {**column, **told(channel)}
+def _plain(value: Any) -> Any:
+    """What is told of a record as tables and lists."""
+    if is_dataclass(value):
+        return _plain(told(value))
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
+    return list(map(_plain, value)) if isinstance(value, tuple) else value
 
 
 def _parameter(parameter: Parameter) -> Content | float:
@@ -146,7 +127,7 @@ def _parameter(parameter: Parameter) -> Content | float:
     content = told(parameter)
     guess = content.get("guess")
     if guess is not None:
-        content["guess"] = {"kind": type(guess).__name__, **_plain(told(guess))}
+        content["guess"] = {"kind": type(guess).__name__, **_plain(guess)}
     if "value" in content and not content.pop("fixed", False):
         content = {"start": content.pop("value"), **content}
     return content["value"] if list(content) == ["value"] else content

@@ -9,7 +9,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 from phsi_opt.reading import file_text
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+from phsi_opt.study_file.sections import Channel, DataSection, HeldOut, Times
 from phsi_opt.writing import write_whole
 
 RUN_COLUMN = "trajectory"  # as in `Measurements.to_dataframe`
@@ -21,19 +21,23 @@ def section_of(data: Measurements, file: str) -> DataSection:
     noise = data.noise or {}
     states = {}
     for name in data.states:
-        column = name if name in data.measured else None
-        states[name] = Channel(column, data.units[name], noise.get(name))
+        is_measured = name in data.measured
+        column = name if is_measured else None
+        unit = data.units[name]
+        sigma = noise.get(name)
+        states[name] = Channel(column, unit, sigma, measured=is_measured)
+    hold = data.hold
     inputs = {}
     for name in data.inputs:
-        hold = None if isinstance(data.hold, str) else data.hold[name]
-        inputs[name] = Channel(name, data.units[name], hold=hold)
+        own = None if isinstance(hold, str) else hold[name]
+        inputs[name] = Channel(name, data.units[name], hold=own)
     return DataSection(
         files=(file,),
-        time=Channel(TIME_COLUMN, data.units["t"]),
+        time=Times(TIME_COLUMN, data.units["t"]),
         states=states,
         inputs=inputs,
         trajectory=RUN_COLUMN,
-        hold=data.hold if isinstance(data.hold, str) else "linear",
+        hold=hold if isinstance(hold, str) else "linear",
     )
 
 
