@@ -458,9 +458,9 @@ def test_vectors_matrices_and_structs_of_matlab_are_columns(
                 "c": np.array([X, "a"], object),
             },
             r"no column 't'. The file holds: 'time' \(4 numbers\), 'X' \(4 x 2 numbers\), "
-            r"'gain' \(one number\), 'name' \(text\), 'c' \(cells",
+            r"'gain' \(the number 3\), 'name' \(text\), 'c' \(cells",
         ),
-        ({"t": T, "q": X}, r"'q' is a matrix of 4 x 2 numbers; .* 'q\(:,1\)'"),
+        ({"t": T, "q": X}, r"'q' is a matrix of 4 x 2 numbers, .* 'q\(:,1\)'"),
         ({"t": T, "q": T[:3]}, r"differ in length: {'t': 4, 'q': 3}.*The file holds"),
         ({"t": T, "q": 3.0}, r"differ in length: {'t': 4, 'q': 1}"),
         ({"t": T, "q": "text"}, "'q' is text. The file holds"),
