@@ -358,7 +358,7 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ("measured = false", "measured = 1", "data.states.p.measured", "true or false"),
         ("share = 0.4", "share = 40", "held_out.share", "between 0 and 1"),
         ("share = 0.4", 'runs = ["run 11"]', "held_out.runs", "Did you mean 'run 1'?"),
-        ("share = 0.4", "after = 99", "held_out", "expected at least 2 of each"),
+        ("share = 0.4", "after = 99", "held_out", "0 samples between 99 and inf; expected at least 2"),
         ("share = 0.4", "", "held_out", "found none"),
         ('H = "k', 'H = ""  #', "model.H", "expected the energy as a formula"),
         ('"k*q**2/2', '"k*q^2/2', "model.H", "Write a power as **"),

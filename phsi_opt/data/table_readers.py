@@ -5,29 +5,65 @@ columns whose names they share; a state mapped to None was not measured. A colum
 file is its header, or an integer, its position counted from 0.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Self
+import datetime as dt
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
+
+import numpy as np
 
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.excel_tables import table_of_excel
-from phsi_opt.data.file_opening import (
-    BinarySource,
-    Source,
-    binary_files,
-    text_files,
-)
-from phsi_opt.data.layout import (
-    ColumnMap,
-    Layout,
-    table_layout,
-    trajectories_in,
-)
+from phsi_opt.data.file_opening import BinarySource, Source, binary_files, text_files
+from phsi_opt.data.layout import ColumnMap, Layout
 from phsi_opt.data.matlab_tables import table_of_mat
-from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
+from phsi_opt.data.tables import (
+    Table,
+    numbers_in,
+    rows_of_runs,
+    table_of_csv,
+    table_of_frame,
+)
 from phsi_opt.data.text_cells import TextFormat
+from phsi_opt.data.times import clock_of
+from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+class TableWords(TypedDict, total=False):
+    """What every reader is told of a table, by these names.
+
+    Attributes:
+        time: The column of the times: numbers, dates as in ISO 8601
+            ("2021-11-22 09:15:00", with "Z" or "+01:00" where the offset is known), or
+            times of day; left out: they are counted by ``step``.
+        states: Maps names to columns (or lists columns whose names they share); a state
+            mapped to None was not measured. A column is its header, or its position as
+            an integer from 0; in MATLAB files its name there, in data frames its label.
+        inputs: The same for the inputs, which must be measured.
+        trajectory: The column that names each line's trajectory. The lines of one
+            trajectory need not be contiguous but keep their order.
+        step: The time between lines, where no column tells it.
+        start: Where times are dates: the moment at which t is 0, such as "2021-11-22";
+            left out: the first sample of each trajectory. Dates are read in seconds.
+        date_format: Dates written otherwise, in the signs of strptime, such as
+            "%d.%m.%Y %H:%M", or "%Y%m%d" for 20210131. "": the times are numbers, even
+            where these look like such dates.
+        hold, units, noise: As the attributes of `Measurements`.
+    """
+
+    time: Any
+    states: Required[ColumnMap]
+    inputs: ColumnMap | None
+    trajectory: str | None
+    step: float | None
+    start: Any
+    date_format: str | None
+    hold: Hold
+    units: Mapping[str, str] | None
+    noise: Mapping[str, float] | None
 
 
 class TableReaders:
@@ -38,19 +74,10 @@ class TableReaders:
         cls,
         source: Source | Iterable[Source],
         *,
-        time: str | int | None = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
         columns: Sequence[str] | None = None,
         separator: str | None = None,
         decimal: str | None = None,
+        **told: Unpack[TableWords],
     ) -> Self:
         """Read text tables.
 
@@ -61,59 +88,32 @@ class TableReaders:
         Args:
             source: A path, an open text file, or several of them: then each file is a
                 trajectory of its own.
-            time: The column of the times: numbers, dates as in ISO 8601
-                ("2021-11-22 09:15:00", with "Z" or "+01:00" where the offset is known),
-                or times of day; None: they are counted by ``step``.
-            states: Maps names to columns (or lists columns whose names they share); a
-                state mapped to None was not measured. A column is its header, or its
-                position as an integer from 0.
-            inputs: The same for the inputs, which must be measured.
-            trajectory: The column that names each line's trajectory. The lines of one
-                trajectory need not be contiguous but keep their order.
-            hold, units, noise: As the attributes of `Measurements`.
-            step: The time between lines, where no column tells it.
-            start: Where times are dates: the moment at which t is 0, such as
-                "2021-11-22"; None: the first sample of each trajectory. Dates are
-                read in seconds.
-            date_format: Dates written otherwise, in the signs of strptime, such as
-                "%d.%m.%Y %H:%M", or "%Y%m%d" for 20210131. "": the times are numbers,
-                even where these look like such dates.
             columns: The names of the columns of a table without a header; None: "0",
                 "1", ...
             separator: The sign between cells, " " for any number of blanks.
             decimal: The sign before decimals, "." or ",".
+            **told: time, states, inputs, trajectory, step, start, date_format, hold,
+                units, noise: see `TableWords`.
 
         Raises:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
-        text_format = TextFormat(columns, separator, decimal)
-        tables = []
-        for file in text_files(source):
-            tables.append(table_of_csv(file, layout.columns, text_format))
-        return cls._from_tables(tables, layout, units, hold, noise)
+        layout = _layout(told)
+        form = TextFormat(columns, separator, decimal)
+        files = text_files(source)
+        tables = [table_of_csv(file, layout.columns, form) for file in files]
+        return cls._from_tables(tables, layout, told)
 
     @classmethod
     def from_excel(
         cls,
         source: BinarySource | Iterable[BinarySource],
         *,
-        time: str | int | None = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
         sheet: str | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
         columns: Sequence[str] | None = None,
         decimal: str | None = None,
+        **told: Unpack[TableWords],
     ) -> Self:
         """Read sheets of Excel workbooks (.xlsx); otherwise as `from_csv`.
 
@@ -123,37 +123,23 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them.
             sheet: The sheet; None: the only one that is not empty.
-            time, states, inputs, trajectory: As in `from_csv`.
-            step, start, date_format, columns, decimal: As in `from_csv`.
-            hold, units, noise: As the attributes of `Measurements`.
+            columns, decimal: As in `from_csv`.
+            **told: time, states, inputs, ...: see `TableWords`.
 
         Raises:
             DataError: Something cannot be used; with file, sheet, column and row.
         """
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
-        text_format = TextFormat(columns, None, decimal)
-        tables = []
-        for file in binary_files(source):
-            tables.append(table_of_excel(file, layout.columns, sheet, text_format))
-        return cls._from_tables(tables, layout, units, hold, noise)
+        layout = _layout(told)
+        form = TextFormat(columns, None, decimal)
+        files = binary_files(source)
+        tables = [table_of_excel(file, layout.columns, sheet, form) for file in files]
+        return cls._from_tables(tables, layout, told)
 
     @classmethod
     def from_mat(
         cls,
         source: BinarySource | Iterable[BinarySource],
-        *,
-        time: str | None = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
+        **told: Unpack[TableWords],
     ) -> Self:
         """Read MATLAB files of version 4 to 7.
 
@@ -164,75 +150,134 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them: then
                 each file is a trajectory of its own.
-            time: The column of the times; None: they are counted by ``step``.
-            states: Maps names to columns (or lists columns whose names they share); a
-                state mapped to None was not measured.
-            inputs: The same for the inputs, which must be measured.
-            trajectory: A column whose value names each sample's trajectory.
-            hold, units, noise: As the attributes of `Measurements`.
-            step: The time between samples, where no column tells it.
-            start, date_format: As in `from_csv`, for numbers such as 20210131.
+            **told: time, states, inputs, ...: see `TableWords`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
                 what the file holds where a column is not found.
         """
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
+        layout = _layout(told)
         tables = [table_of_mat(file, layout.columns) for file in binary_files(source)]
-        return cls._from_tables(tables, layout, units, hold, noise)
+        return cls._from_tables(tables, layout, told)
 
     @classmethod
-    def from_dataframe(
-        cls,
-        frame: "pd.DataFrame",
-        *,
-        time: Any = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
-    ) -> Self:
+    def from_dataframe(cls, frame: "pd.DataFrame", **told: Unpack[TableWords]) -> Self:
         """Read a data frame, which is not changed; columns are its labels.
 
         Args:
             frame: The table.
-            time, states, inputs, trajectory: As in `from_csv`.
-            step, start, date_format: As in `from_csv`.
-            hold, units, noise: As the attributes of `Measurements`.
+            **told: time, states, inputs, ...: see `TableWords`.
 
         Raises:
             DataError: Something cannot be used; with the row's label in the index.
         """
-        table = table_of_frame(frame)
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
-        return cls._from_tables([table], layout, units, hold, noise)
+        return cls._from_tables([table_of_frame(frame)], _layout(told), told)
 
     @classmethod
     def _from_tables(
-        cls,
-        tables: Sequence[Table],
-        layout: Layout,
-        units: Mapping[str, str] | None,
-        hold: Hold,
-        noise: Mapping[str, float] | None,
+        cls, tables: Sequence[Table], layout: Layout, told: TableWords
     ) -> Self:
+        """From tables, whose trajectories are in the order in which they begin.
+
+        Where several tables have a column that names the trajectory, the table's own
+        name comes first: "bench/run 3". Times that are dates have the unit s.
+        """
+        trajectories = []
+        are_dates = False
+        for table in tables:
+            _check_columns(table, layout)
+            rows_by_name = _rows_by_name(table, layout.trajectory)
+            clock = clock_of(table, layout, list(rows_by_name.values()))
+            x = _values(table, layout.states.values(), may_be_missing=True)
+            u = _values(table, layout.inputs.values(), may_be_missing=False)
+            is_named = layout.trajectory is not None
+            prefix = f"{table.run}/" if is_named and len(tables) > 1 else ""
+            for number, (name, rows) in enumerate(rows_by_name.items()):
+                origin = clock.origins[number] if clock.origins else None
+                moment = origin if isinstance(origin, dt.datetime) else None
+                run = Trajectory(prefix + name, clock.t[rows], x[rows], u[rows], moment)
+                trajectories.append(run)
+            are_dates = are_dates or bool(clock.origins)
+        units = told.get("units")
         make: Any = cls  # a `Measurements`, which names its fields
-        trajectories, all_units = trajectories_in(tables, layout, units)
         made: Self = make(
-            trajectories,
+            tuple(trajectories),
             states=tuple(layout.states),
             inputs=tuple(layout.inputs),
-            units=all_units,
-            hold=hold,
-            noise=noise,
+            units=_with_seconds({} if units is None else units, are_dates),
+            hold=told.get("hold", "linear"),
+            noise=told.get("noise"),
         )
         return made
+
+
+def _layout(told: TableWords) -> Layout:
+    words: dict[str, Any] = dict(told)
+    for name in ("hold", "units", "noise"):
+        words.pop(name, None)
+    return Layout(**words)
+
+
+def _values(table: Table, columns: Collection[Any], may_be_missing: bool) -> np.ndarray:
+    """The values of columns, (n_rows, n_columns); NaN where there is no column."""
+    values = np.full((len(table.frame), len(columns)), np.nan)
+    for i, column in enumerate(columns):
+        if column is not None:
+            values[:, i] = numbers_in(table, column, may_be_missing)
+    return values
+
+
+def _with_seconds(units: Any, are_dates: bool) -> Any:
+    """The units, with seconds as that of the time where times are dates."""
+    if not are_dates or not isinstance(units, Mapping):
+        return units  # what is no mapping is refused by `checked_by_name`
+    unit = units.get("t", "s")
+    if unit != "s":
+        raise DataError(
+            f"units: the time 't' has the unit {unit!r}, and times that are dates are "
+            "read in seconds; expected 's'. Leave 't' out of units."
+        )
+    return {**units, "t": "s"}
+
+
+def _check_columns(table: Table, layout: Layout) -> None:
+    found = table.frame.columns.tolist()
+    wanted = layout.columns
+    for column in wanted:
+        n_found = found.count(column)
+        if n_found == 0:
+            raise DataError(
+                f"{table.title} has no column {column!r}; expected one of its columns "
+                f"{found}.{did_you_mean(column, found)}"
+            )
+        if n_found > 1:
+            raise DataError(
+                f"{table.title} has {n_found} columns called {column!r}; expected one. "
+                "Rename them so that it is clear which one is meant."
+            )
+        if wanted.count(column) > 1:
+            raise DataError(
+                f"{table.title}: the column {column!r} is asked for twice; "
+                "expected one column per name."
+            )
+    if table.frame.empty:
+        raise DataError(
+            f"{table.title} has no samples; "
+            "expected at least 2 rows of numbers below the header."
+        )
+
+
+def _rows_by_name(table: Table, column: str | None) -> dict[str, np.ndarray]:
+    """Row numbers of each trajectory, in the order in which the trajectories begin."""
+    if column is None:
+        return {table.run: np.arange(len(table.frame))}
+    cells = table.frame[column]
+    names = cells.astype(str).str.strip()
+    is_missing = (cells.isna() | (names == "")).to_numpy()
+    if is_missing.any():
+        place = table.place(column, int(np.argmax(is_missing)))
+        raise DataError(
+            f"{place} the trajectory's name is missing; "
+            "every sample must name its trajectory."
+        )
+    return rows_of_runs(names)

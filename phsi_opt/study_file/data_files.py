@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
 from phsi_opt.data.file_opening import DataFile, binary_files, text_files
+from phsi_opt.data.layout import Layout
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.tables import Table, numbers_in, table_of_csv
+from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
-from phsi_opt.data.times import Times, clock_of
+from phsi_opt.data.times import clock_of
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.study_file.complaints import Complaints, Place
 from phsi_opt.study_file.sections import DataSection, HeldOut, reader_of
@@ -63,16 +63,6 @@ def sheets_in(path: DataFile) -> list[str]:
         return []
     (file,) = binary_files(path)
     return filled_sheets(file)
-
-
-def rows_of_runs(names: pd.Series) -> list[np.ndarray]:
-    """The row numbers of each run, (n_samples,) each, by what names them in each line.
-
-    Args:
-        names: (n_lines,) of the runs.
-    """
-    numbers, _ = pd.factorize(names.astype(str).str.strip())
-    return [np.flatnonzero(numbers == n) for n in range(numbers.max() + 1)]
 
 
 def check_measurements(
@@ -141,8 +131,11 @@ def _check_column(
         return  # told where the table is read as a whole
     if place == TIME_PLACE:
         time = section.time
-        times = Times(column, None, time.start or None, time.date_format)
-        clock_of(table, times, _rows(table, section.trajectory))
+        start = time.start or None
+        layout = Layout(
+            states={}, time=column, start=start, date_format=time.date_format
+        )
+        clock_of(table, layout, _rows(table, section.trajectory))
     else:
         numbers_in(table, column, may_be_missing=place[0] == "states")
 
@@ -152,7 +145,7 @@ def _rows(table: Table, column: str | None) -> list[np.ndarray]:
     if column is None:
         return [np.arange(len(table.frame))]
     is_usable = table.frame.columns.tolist().count(column) == 1
-    return rows_of_runs(table.frame[column]) if is_usable else []
+    return list(rows_of_runs(table.frame[column]).values()) if is_usable else []
 
 
 def check_held_out(held_out: HeldOut, data: Measurements, found: Complaints) -> None:

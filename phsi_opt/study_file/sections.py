@@ -9,10 +9,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.file_opening import DataFile, NamedFile
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import Trajectory, part_of
+from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -219,7 +221,9 @@ class HeldOut:
         if self.runs is not None:
             train, held_out = _by_runs(data, self.runs)
         elif self.after is not None:
-            train, held_out = _by_time(data, self.after)
+            before = float(np.nextafter(self.after, -np.inf))
+            train = data.between(None, before)
+            held_out = data.between(self.after, None)
         else:
             train, held_out = data.split(self.training_share)
         check_can_judge(train, held_out)
@@ -242,25 +246,6 @@ def _by_runs(
     return (
         replace(data, trajectories=tuple(kept)),
         replace(data, trajectories=tuple(judging)),
-    )
-
-
-def _by_time(data: Measurements, after: float) -> tuple[Measurements, Measurements]:
-    before = []
-    later = []
-    for run in data.trajectories:
-        n_before = int((run.t < after).sum())
-        if n_before < 2 or run.n_samples - n_before < 2:
-            raise DataError(
-                f"run {run.name!r} goes from t = {run.t[0]:g} to {run.t[-1]:g}; after "
-                f"= {after:g} leaves {n_before} samples before and "
-                f"{run.n_samples - n_before} after; expected at least 2 of each."
-            )
-        before.append(part_of(run, slice(n_before)))
-        later.append(part_of(run, slice(n_before, None)))
-    return (
-        replace(data, trajectories=tuple(before)),
-        replace(data, trajectories=tuple(later)),
     )
 
 
