@@ -93,27 +93,28 @@ def joined_pairs(
         )
     first = np.asarray(t[0]).flat[0] if np.size(t[0]) else None
     t = (from_first(t[0], first), from_first(t[1], first))
-    starts = {}
-    ends = {}
-    for label, (start, end) in {"x": x, "t": t, "u": u}.items():
-        n_axes = 1 if label == "t" else 2
-        starts[label] = read_only_floats(start, n_axes, f"{label}_start")
-        ends[label] = read_only_floats(end, n_axes, f"{label}_end")
+    starts: dict[str, np.ndarray] = {}
+    ends: dict[str, np.ndarray] = {}
+    for label, both in {"x": x, "t": t, "u": u}.items():
+        for arrays, place, values in (
+            (starts, "start", both[0]),
+            (ends, "end", both[1]),
+        ):
+            n_axes = 1 if label == "t" else 2
+            arrays[label] = read_only_floats(values, n_axes, f"{label}_{place}")
     _check_pairs(starts, ends)
-    meets = {}
-    for label in starts:
-        start, end = starts[label][1:], ends[label][:-1]
-        meets[label] = (start == end) | (np.isnan(start) & np.isnan(end))
-    continues = meets["t"] & np.all(meets["x"], axis=1)
+    start, end = (np.column_stack(list(one.values())) for one in (starts, ends))
+    same = (start[1:] == end[:-1]) | (np.isnan(start[1:]) & np.isnan(end[:-1]))
     if n_inputs == len(names):  # else refused with the names
-        continues &= np.all(meets["u"] | is_held, axis=1)
-    runs = np.split(np.arange(len(starts["t"])), np.flatnonzero(~continues) + 1)
-
-    def joined(label: str) -> list[np.ndarray]:
-        start, end = starts[label], ends[label]
-        return [np.concatenate([start[rows], end[rows[-1:]]]) for rows in runs]
-
-    return joined("t"), joined("x"), joined("u")
+        same[:, same.shape[1] - n_inputs :] |= is_held
+    runs = np.split(np.arange(len(start)), np.flatnonzero(~same.all(axis=1)) + 1)
+    samples = [np.vstack([start[rows], end[rows[-1:]]]) for rows in runs]
+    k = starts["x"].shape[1]
+    return (
+        [one[:, k] for one in samples],
+        [one[:, :k] for one in samples],
+        [one[:, k + 1 :] for one in samples],
+    )
 
 
 def _check_pairs(

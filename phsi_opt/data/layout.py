@@ -12,6 +12,10 @@ from phsi_opt.errors import DataError
 # name -> column, or a list of names which are columns
 ColumnMap = Mapping[str, Any] | Sequence[str]
 
+Part = tuple[str, ...]  # that a column plays, as a study file names it below [data]
+RUN_PART: Part = ("trajectory",)
+TIME_PART: Part = ("time", "column")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
@@ -78,7 +82,15 @@ class Layout:
             )
 
     @property
+    def parts(self) -> dict[Part, Any]:
+        """The column of each part, None where it has none."""
+        parts: dict[Part, Any] = {RUN_PART: self.trajectory, TIME_PART: self.time}
+        for what in ("states", "inputs"):
+            for name, column in getattr(self, what).items():
+                parts[what, name, "column"] = column
+        return parts
+
+    @property
     def columns(self) -> list[Any]:
-        """The columns that are asked for, in the order of the parts."""
-        columns = [self.time, *self.states.values(), *self.inputs.values()]
-        return [one for one in (*columns, self.trajectory) if one is not None]
+        """The columns that are asked for."""
+        return [column for column in self.parts.values() if column is not None]

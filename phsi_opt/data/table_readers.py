@@ -6,7 +6,7 @@ file is its header, or an integer, its position counted from 0.
 """
 
 import datetime as dt
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, binary_files, text_files
-from phsi_opt.data.layout import ColumnMap, Layout
+from phsi_opt.data.layout import RUN_PART, TIME_PART, ColumnMap, Layout, Part
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import (
     Table,
@@ -24,12 +24,15 @@ from phsi_opt.data.tables import (
     table_of_frame,
 )
 from phsi_opt.data.text_cells import TextFormat
-from phsi_opt.data.times import clock_of
+from phsi_opt.data.times import Clock, clock_of
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+NO_CLOCK = Clock(np.empty(0))
 
 
 class TableWords(TypedDict, total=False):
@@ -66,6 +69,19 @@ class TableWords(TypedDict, total=False):
     noise: Mapping[str, float] | None
 
 
+class TableError(DataError):
+    """Columns of a table cannot be used; the message is about the first.
+
+    Attributes:
+        by_part: The fault of each part: ``("time", "column")``, ``("trajectory",)``,
+            ``("states", name, "column")`` or ``("inputs", name, "column")``.
+    """
+
+    def __init__(self, by_part: Mapping[Part, DataError]) -> None:
+        super().__init__(str(next(iter(by_part.values()))))
+        self.by_part = by_part
+
+
 class TableReaders:
     """The readers of `Measurements`, each of which makes one."""
 
@@ -99,11 +115,10 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
-        layout = _layout(told)
+        wanted = _layout(told).columns
         form = TextFormat(columns, separator, decimal)
-        files = text_files(source)
-        tables = [table_of_csv(file, layout.columns, form) for file in files]
-        return cls._from_tables(tables, layout, told)
+        tables = [table_of_csv(file, wanted, form) for file in text_files(source)]
+        return cls.from_tables(tables, **told)
 
     @classmethod
     def from_excel(
@@ -129,11 +144,11 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, sheet, column and row.
         """
-        layout = _layout(told)
+        wanted = _layout(told).columns
         form = TextFormat(columns, None, decimal)
         files = binary_files(source)
-        tables = [table_of_excel(file, layout.columns, sheet, form) for file in files]
-        return cls._from_tables(tables, layout, told)
+        tables = [table_of_excel(file, wanted, sheet, form) for file in files]
+        return cls.from_tables(tables, **told)
 
     @classmethod
     def from_mat(
@@ -156,9 +171,9 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and row, and with
                 what the file holds where a column is not found.
         """
-        layout = _layout(told)
-        tables = [table_of_mat(file, layout.columns) for file in binary_files(source)]
-        return cls._from_tables(tables, layout, told)
+        wanted = _layout(told).columns
+        tables = [table_of_mat(file, wanted) for file in binary_files(source)]
+        return cls.from_tables(tables, **told)
 
     @classmethod
     def from_dataframe(cls, frame: "pd.DataFrame", **told: Unpack[TableWords]) -> Self:
@@ -171,33 +186,34 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with the row's label in the index.
         """
-        return cls._from_tables([table_of_frame(frame)], _layout(told), told)
+        return cls.from_tables([table_of_frame(frame)], **told)
 
     @classmethod
-    def _from_tables(
-        cls, tables: Sequence[Table], layout: Layout, told: TableWords
-    ) -> Self:
+    def from_tables(cls, tables: Sequence[Table], **told: Unpack[TableWords]) -> Self:
         """From tables, whose trajectories are in the order in which they begin.
 
         Where several tables have a column that names the trajectory, the table's own
         name comes first: "bench/run 3". Times that are dates have the unit s.
+
+        Args:
+            tables: At least one, as a file or a data frame has it.
+            **told: time, states, inputs, ...: see `TableWords`.
+
+        Raises:
+            TableError: Columns cannot be used.
+            DataError: Something else cannot be used.
         """
-        trajectories = []
+        layout = _layout(told)
+        trajectories: list[Trajectory] = []
+        faults: dict[Part, DataError] = {}
         are_dates = False
         for table in tables:
-            _check_columns(table, layout)
-            rows_by_name = _rows_by_name(table, layout.trajectory)
-            clock = clock_of(table, layout, list(rows_by_name.values()))
-            x = _values(table, layout.states.values(), may_be_missing=True)
-            u = _values(table, layout.inputs.values(), may_be_missing=False)
-            is_named = layout.trajectory is not None
-            prefix = f"{table.run}/" if is_named and len(tables) > 1 else ""
-            for number, (name, rows) in enumerate(rows_by_name.items()):
-                origin = clock.origins[number] if clock.origins else None
-                moment = origin if isinstance(origin, dt.datetime) else None
-                run = Trajectory(prefix + name, clock.t[rows], x[rows], u[rows], moment)
-                trajectories.append(run)
+            named = table.run if len(tables) > 1 and layout.trajectory else ""
+            runs, clock = _runs_in(table, layout, f"{named}/" if named else "", faults)
+            trajectories += runs
             are_dates = are_dates or bool(clock.origins)
+        if faults:
+            raise TableError(faults)
         units = told.get("units")
         make: Any = cls  # a `Measurements`, which names its fields
         made: Self = make(
@@ -211,6 +227,41 @@ class TableReaders:
         return made
 
 
+def _runs_in(
+    table: Table, layout: Layout, prefix: str, faults: dict[Part, DataError]
+) -> tuple[list[Trajectory], Clock]:
+    """The trajectories of a table; none, and the faults noted, where it has some."""
+    rows: dict[str, np.ndarray] = {}
+    clock = NO_CLOCK
+    values = {what: [np.empty((len(table.frame), 0))] for what in ("states", "inputs")}
+    for part, column in layout.parts.items():
+        try:
+            _check_column(table, column, layout)
+            if part == RUN_PART:
+                rows = _rows_by_name(table, column)
+            elif part == TIME_PART:
+                clock = clock_of(table, layout, list(rows.values()))
+            else:
+                may_be_missing = part[0] == "states"
+                values[part[0]].append(_values(table, column, may_be_missing))
+        except DataError as error:
+            faults.setdefault(part, error)
+    if faults:
+        return [], clock
+    if table.frame.empty:
+        raise DataError(
+            f"{table.title} has no samples; "
+            "expected at least 2 rows of numbers below the header."
+        )
+    x, u = (np.column_stack(columns) for columns in values.values())
+    runs = []
+    origins: Sequence[Any] = clock.origins or [None] * len(rows)
+    for (name, own), origin in zip(rows.items(), origins, strict=True):
+        moment = origin if isinstance(origin, dt.datetime) else None
+        runs.append(Trajectory(prefix + name, clock.t[own], x[own], u[own], moment))
+    return runs, clock
+
+
 def _layout(told: TableWords) -> Layout:
     words: dict[str, Any] = dict(told)
     for name in ("hold", "units", "noise"):
@@ -218,13 +269,11 @@ def _layout(told: TableWords) -> Layout:
     return Layout(**words)
 
 
-def _values(table: Table, columns: Collection[Any], may_be_missing: bool) -> np.ndarray:
-    """The values of columns, (n_rows, n_columns); NaN where there is no column."""
-    values = np.full((len(table.frame), len(columns)), np.nan)
-    for i, column in enumerate(columns):
-        if column is not None:
-            values[:, i] = numbers_in(table, column, may_be_missing)
-    return values
+def _values(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
+    """The values of a column, (n_rows,); NaN where there is none."""
+    if column is None:
+        return np.full(len(table.frame), np.nan)
+    return numbers_in(table, column, may_be_missing)
 
 
 def _with_seconds(units: Any, are_dates: bool) -> Any:
@@ -240,34 +289,29 @@ def _with_seconds(units: Any, are_dates: bool) -> Any:
     return {**units, "t": "s"}
 
 
-def _check_columns(table: Table, layout: Layout) -> None:
+def _check_column(table: Table, column: Any, layout: Layout) -> None:
+    if column is None:
+        return
     found = table.frame.columns.tolist()
-    wanted = layout.columns
-    for column in wanted:
-        n_found = found.count(column)
-        if n_found == 0:
-            raise DataError(
-                f"{table.title} has no column {column!r}; expected one of its columns "
-                f"{found}.{did_you_mean(column, found)}"
-            )
-        if n_found > 1:
-            raise DataError(
-                f"{table.title} has {n_found} columns called {column!r}; expected one. "
-                "Rename them so that it is clear which one is meant."
-            )
-        if wanted.count(column) > 1:
-            raise DataError(
-                f"{table.title}: the column {column!r} is asked for twice; "
-                "expected one column per name."
-            )
-    if table.frame.empty:
+    n_found = found.count(column)
+    if n_found == 0:
         raise DataError(
-            f"{table.title} has no samples; "
-            "expected at least 2 rows of numbers below the header."
+            f"{table.title} has no column {column!r}; expected one of its columns "
+            f"{found}.{did_you_mean(column, found)}"
+        )
+    if n_found > 1:
+        raise DataError(
+            f"{table.title} has {n_found} columns called {column!r}; expected one. "
+            "Rename them so that it is clear which one is meant."
+        )
+    if layout.columns.count(column) > 1:
+        raise DataError(
+            f"{table.title}: the column {column!r} is asked for twice; "
+            "expected one column per name."
         )
 
 
-def _rows_by_name(table: Table, column: str | None) -> dict[str, np.ndarray]:
+def _rows_by_name(table: Table, column: Any) -> dict[str, np.ndarray]:
     """Row numbers of each trajectory, in the order in which the trajectories begin."""
     if column is None:
         return {table.run: np.arange(len(table.frame))}

@@ -1,28 +1,19 @@
-"""Whether the data files bear out what a study file says of them.
-
-Every column of every file is looked at, so that one look tells all that is wrong.
-"""
+"""The data files of a study file, with all that is wrong in them."""
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
 from phsi_opt.data.file_opening import DataFile, binary_files, text_files
-from phsi_opt.data.layout import Layout
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_csv
+from phsi_opt.data.table_readers import TableError
+from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
-from phsi_opt.data.times import clock_of
-from phsi_opt.errors import DataError, did_you_mean
-from phsi_opt.study_file.complaints import Complaints, Place
+from phsi_opt.errors import DataError
+from phsi_opt.study_file.complaints import Complaints
 from phsi_opt.study_file.sections import DataSection, HeldOut, reader_of
-
-TIME_PLACE = ("time", "column")
-RUN_PLACE = ("trajectory",)
 
 
 def table_at(
@@ -71,81 +62,31 @@ def check_measurements(
     """The measurements; None, and what is wrong noted, where they cannot be read."""
     if found.about("data"):
         return None
+    wanted = section.wanted
+    tables = []
     for number, path in enumerate(section.paths(folder)):
         numbers = () if len(section.files) == 1 else (number,)
-        _check_file(section, path, ("data", "files", *numbers), found)
-    if found.about("data"):
-        return None
+        said: object = ""
+        if not path.exists():
+            said = "there is no such file; paths are relative to the study file."
+        elif reader_of(path) != section.reader:
+            suffix = Path(section.files[0]).suffix.lower()
+            said = f"the first file is {suffix}; give files of one kind."
+        else:
+            try:
+                tables.append(table_at(path, wanted, section))
+            except DataError as error:
+                said = error
+        if said:
+            found.add(said, "data", "files", *numbers)
     try:
-        return section.measurements(folder)
+        return section.measured(tables) if tables else None
+    except TableError as error:
+        for part, fault in error.by_part.items():
+            found.add(fault, "data", *part)
     except DataError as error:
         found.add(error, "data", value="")
-        return None
-
-
-def _check_file(
-    section: DataSection, path: DataFile, place: Place, found: Complaints
-) -> None:
-    """Look at each column by itself, for the first wrong cell of each."""
-    wanted = _wanted(section)
-    if not path.exists():
-        found.add(
-            "there is no such file; paths are relative to the study file.", *place
-        )
-        return
-    if reader_of(path) != section.reader:
-        suffix = Path(section.files[0]).suffix.lower()
-        found.add(f"the first file is {suffix}; give files of one kind.", *place)
-        return
-    try:
-        table = table_at(path, wanted.values(), section)
-    except DataError as error:
-        found.add(error, *place)
-        return
-    for where, column in wanted.items():
-        try:
-            _check_column(table, where, column, section)
-        except DataError as error:
-            found.add(error, "data", *where)
-
-
-def _wanted(section: DataSection) -> dict[tuple[str, ...], str | int]:
-    """The columns that are asked for, by their places in [data]."""
-    columns = {TIME_PLACE: section.time.column, RUN_PLACE: section.trajectory}
-    for what in ("states", "inputs"):
-        for name, channel in getattr(section, what).items():
-            columns[what, name, "column"] = channel.column
-    return {place: column for place, column in columns.items() if column is not None}
-
-
-def _check_column(
-    table: Table, place: tuple[str, ...], column: str | int, section: DataSection
-) -> None:
-    known = table.frame.columns.tolist()
-    if column not in known:
-        raise DataError(
-            f"{table.title} has no such column; it has {', '.join(map(str, known))}."
-            f"{did_you_mean(column, known)}"
-        )
-    if known.count(column) > 1 or place == RUN_PLACE:
-        return  # told where the table is read as a whole
-    if place == TIME_PLACE:
-        time = section.time
-        start = time.start or None
-        layout = Layout(
-            states={}, time=column, start=start, date_format=time.date_format
-        )
-        clock_of(table, layout, _rows(table, section.trajectory))
-    else:
-        numbers_in(table, column, may_be_missing=place[0] == "states")
-
-
-def _rows(table: Table, column: str | None) -> list[np.ndarray]:
-    """The row numbers of each run; none where their column cannot be used."""
-    if column is None:
-        return [np.arange(len(table.frame))]
-    is_usable = table.frame.columns.tolist().count(column) == 1
-    return list(rows_of_runs(table.frame[column]).values()) if is_usable else []
+    return None
 
 
 def check_held_out(held_out: HeldOut, data: Measurements, found: Complaints) -> None:

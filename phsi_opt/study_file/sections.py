@@ -14,6 +14,7 @@ import numpy as np
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.file_opening import DataFile, NamedFile
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.tables import Table
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 from phsi_opt.model.effect import Effect
@@ -24,7 +25,8 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 TEXT_READER = "from_csv"
 READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
 # Settings that readers know by the names that they have here.
-OF_TABLE = ("trajectory", "sheet", "columns", "separator", "decimal")
+
+OF_FILES = ("sheet", "columns", "separator", "decimal")  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 SHARE_DIGITS = 12  # of 1 - share, so that 1 - 0.4 reads 0.6
 
@@ -163,7 +165,8 @@ class DataSection:
             "time": self.time.column,
             "inputs": {name: one.column for name, one in self.inputs.items()},
             "hold": ways.pop() if len(ways) == 1 else hold,
-            **{name: getattr(self, name) for name in OF_TABLE},
+            "trajectory": self.trajectory,
+            **{name: getattr(self, name) for name in OF_FILES},
             "step": self.time.step,
             "start": self.time.start or None,
             "date_format": self.time.date_format,
@@ -174,6 +177,25 @@ class DataSection:
         }
         return {name: one for name, one in arguments.items() if one not in (None, {})}
 
+    @property
+    def wanted(self) -> list[Any]:
+        """The columns that are asked for."""
+        columns: list[Any] = [self.time.column, self.trajectory]
+        columns += [one.column for one in self.states.values()]
+        columns += [one.column for one in self.inputs.values()]
+        return [column for column in columns if column is not None]
+
+    def measured(self, tables: list[Table]) -> Measurements:
+        """The measurements of tables that have been read.
+
+        Raises:
+            DataError: something in them cannot be used; with file, column and line.
+        """
+        arguments = self.reader_arguments()
+        for name in OF_FILES:
+            arguments.pop(name, None)
+        return self._used(Measurements.from_tables(tables, **arguments))
+
     def measurements(self, folder: Path) -> Measurements:
         """Read the files.
 
@@ -183,10 +205,10 @@ class DataSection:
         Raises:
             DataError: something in them cannot be used; with file, column and line.
         """
-        paths = self.paths(folder)
         read = getattr(Measurements, self.reader)
-        arguments = self.reader_arguments()
-        data: Measurements = read(paths if len(paths) > 1 else paths[0], **arguments)
+        return self._used(read(self.paths(folder), **self.reader_arguments()))
+
+    def _used(self, data: Measurements) -> Measurements:
         if self.between is not None:
             data = data.between(*self.between)
         return data if self.thinned is None else data.thinned(self.thinned)
