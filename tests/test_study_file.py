@@ -690,3 +690,23 @@ def test_guesses_are_those_of_the_parameters() -> None:
     from phsi_opt.estimation.model_content import GUESSES
 
     assert set(GUESSES.values()) == set(kinds)
+
+
+def test_files_of_one_name_in_two_folders_keep_apart_and_all_faults_are_told(
+    spring: Path,
+) -> None:
+    files = ["a/run.csv", "b/run.csv"]
+    for file in files:
+        path = spring.parent / file
+        path.parent.mkdir()
+        path.write_text("t_s,position_m\n0,1\n1,2\n2,1\n3,2\n")
+    changes = (
+        ('["spring.csv"]\ntrajectory = "run"', f"{files!r}"),
+        ("share = 0.4", "share = 0.5"),
+    )
+    changed(spring, *changes)
+    runs = ph.StudyFile.read(spring).measurements()
+    assert [run.name for run in runs] == [str(spring.parent / file) for file in files]
+    (spring.parent / "a/run.csv").write_text("")
+    (spring.parent / "b/run.csv").write_text("t_s,position_m\n0,1\n1,fast\n2,1\n")
+    assert set(complaints(spring)) == {"data.files[0]", "data.states.q.column"}

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt import reading
-from phsi_opt.data.file_opening import BinaryFile
+from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.tables import Table, Variable
 from phsi_opt.errors import DataError, did_you_mean
 
@@ -31,7 +31,7 @@ WORKER = Path(__file__).with_name("matlab_worker.py")
 TIME_LIMIT = 120.0  # seconds; a file of 500 MB takes about 5
 
 
-def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
+def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
     """The columns that are looked for, in the order in which they are.
 
     Args:
@@ -53,7 +53,7 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
     return _table(file, columns)
 
 
-def table_of_vectors(file: BinaryFile) -> Table:
+def table_of_vectors(file: OpenedFile) -> Table:
     """All vectors of the commonest length, where nobody said which are looked for.
 
     Raises:
@@ -83,7 +83,7 @@ def table_of_vectors(file: BinaryFile) -> Table:
 
 
 def _table(
-    file: BinaryFile, columns: dict[Any, np.ndarray], further: tuple[Variable, ...] = ()
+    file: OpenedFile, columns: dict[Any, np.ndarray], further: tuple[Variable, ...] = ()
 ) -> Table:
     import pandas as pd
 
@@ -155,7 +155,7 @@ def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.nd
     return Variable(name, f"the number {values.item():g}", number), vectors
 
 
-def _variables(file: BinaryFile) -> Vectors:
+def _variables(file: OpenedFile) -> Vectors:
     """The variables of a file, in its order; fields of structs as "struct.field"."""
     try:
         with TemporaryFile() as content, TemporaryFile() as arrays:

@@ -36,37 +36,18 @@ NO_CLOCK = Clock(np.empty(0))
 
 
 class TableWords(TypedDict, total=False):
-    """What every reader is told of a table, by these names.
-
-    Attributes:
-        time: The column of the times: numbers, dates as in ISO 8601
-            ("2021-11-22 09:15:00", with "Z" or "+01:00" where the offset is known), or
-            times of day; left out: they are counted by ``step``.
-        states: Maps names to columns (or lists columns whose names they share); a state
-            mapped to None was not measured. A column is its header, or its position as
-            an integer from 0; in MATLAB files its name there, in data frames its label.
-        inputs: The same for the inputs, which must be measured.
-        trajectory: The column that names each line's trajectory. The lines of one
-            trajectory need not be contiguous but keep their order.
-        step: The time between lines, where no column tells it.
-        start: Where times are dates: the moment at which t is 0, such as "2021-11-22";
-            left out: the first sample of each trajectory. Dates are read in seconds.
-        date_format: Dates written otherwise, in the signs of strptime, such as
-            "%d.%m.%Y %H:%M", or "%Y%m%d" for 20210131. "": the times are numbers, even
-            where these look like such dates.
-        hold, units, noise: As the attributes of `Measurements`.
-    """
+    """What every reader is told of a table, by the names that `from_csv` explains."""
 
     time: Any
     states: Required[ColumnMap]
     inputs: ColumnMap | None
+    hold: Hold
     trajectory: str | None
+    units: Mapping[str, str] | None
+    noise: Mapping[str, float] | None
     step: float | None
     start: Any
     date_format: str | None
-    hold: Hold
-    units: Mapping[str, str] | None
-    noise: Mapping[str, float] | None
 
 
 class TableError(DataError):
@@ -90,10 +71,19 @@ class TableReaders:
         cls,
         source: Source | Iterable[Source],
         *,
+        time: str | int | None = None,
+        states: ColumnMap,
+        inputs: ColumnMap | None = None,
+        hold: Hold = "linear",
+        trajectory: str | None = None,
+        units: Mapping[str, str] | None = None,
+        noise: Mapping[str, float] | None = None,
+        step: float | None = None,
+        start: Any = None,
+        date_format: str | None = None,
         columns: Sequence[str] | None = None,
         separator: str | None = None,
         decimal: str | None = None,
-        **told: Unpack[TableWords],
     ) -> Self:
         """Read text tables.
 
@@ -104,17 +94,44 @@ class TableReaders:
         Args:
             source: A path, an open text file, or several of them: then each file is a
                 trajectory of its own.
+            time: The column of the times: numbers, dates as in ISO 8601
+                ("2021-11-22 09:15:00", with "Z" or "+01:00" where the offset is known),
+                or times of day; None: they are counted by ``step``.
+            states: Maps names to columns (or lists columns whose names they share); a
+                state mapped to None was not measured. A column is its header, or its
+                position as an integer from 0.
+            inputs: The same for the inputs, which must be measured.
+            trajectory: The column that names each line's trajectory. The lines of one
+                trajectory need not be contiguous but keep their order.
+            hold, units, noise: As the attributes of `Measurements`.
+            step: The time between lines, where no column tells it.
+            start: Where times are dates: the moment at which t is 0, such as
+                "2021-11-22"; None: the first sample of each trajectory. Dates are
+                read in seconds.
+            date_format: Dates written otherwise, in the signs of strptime, such as
+                "%d.%m.%Y %H:%M", or "%Y%m%d" for 20210131. "": the times are numbers,
+                even where these look like such dates.
             columns: The names of the columns of a table without a header; None: "0",
                 "1", ...
             separator: The sign between cells, " " for any number of blanks.
             decimal: The sign before decimals, "." or ",".
-            **told: time, states, inputs, trajectory, step, start, date_format, hold,
-                units, noise: see `TableWords`.
 
         Raises:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
+        told: TableWords = {
+            "time": time,
+            "states": states,
+            "inputs": inputs,
+            "hold": hold,
+            "trajectory": trajectory,
+            "units": units,
+            "noise": noise,
+            "step": step,
+            "start": start,
+            "date_format": date_format,
+        }
         wanted = _layout(told).columns
         form = TextFormat(columns, separator, decimal)
         tables = [table_of_csv(file, wanted, form) for file in text_files(source)]
@@ -139,7 +156,8 @@ class TableReaders:
             source: A path, a file opened for reading bytes, or several of them.
             sheet: The sheet; None: the only one that is not empty.
             columns, decimal: As in `from_csv`.
-            **told: time, states, inputs, ...: see `TableWords`.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with file, sheet, column and row.
@@ -165,7 +183,8 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them: then
                 each file is a trajectory of its own.
-            **told: time, states, inputs, ...: see `TableWords`.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
@@ -181,7 +200,8 @@ class TableReaders:
 
         Args:
             frame: The table.
-            **told: time, states, inputs, ...: see `TableWords`.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with the row's label in the index.
@@ -197,7 +217,8 @@ class TableReaders:
 
         Args:
             tables: At least one, as a file or a data frame has it.
-            **told: time, states, inputs, ...: see `TableWords`.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
 
         Raises:
             TableError: Columns cannot be used.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phsi_opt.data.checks import check_values
-from phsi_opt.data.file_opening import OpenedFile, TextFile
+from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.text_cells import (
     DECIMAL_COMMA,
     DECIMAL_POINT,
@@ -102,7 +102,7 @@ def table_of_frame(frame: Any) -> Table:
 
 
 def table_of_csv(
-    file: TextFile, wanted: Iterable[Any], text_format: TextFormat | None = None
+    file: OpenedFile, wanted: Iterable[Any], text_format: TextFormat | None = None
 ) -> Table:
     """The cells of a text table, as text; empty lines are skipped.
 
@@ -129,7 +129,7 @@ def table_of_csv(
 
 
 def table_of_rows(
-    file: OpenedFile[Any],
+    file: OpenedFile,
     title: str,
     row_word: str,
     rows: Rows,

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from phsi_opt.data.file_opening import TextFile
+from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.errors import DataError
 
 BLANKS = " "  # one blank or several, tabs among them
@@ -77,7 +77,7 @@ class TextFormat:
             )
 
 
-def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
+def filled_lines(file: OpenedFile, separator: str) -> Iterator[Line]:
     """The lines with at least one cell that is not empty, without blanks around cells.
 
     Raises:
@@ -99,7 +99,7 @@ def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
         ) from error
 
 
-def separator_of(file: TextFile, wanted_names: set[str]) -> str:
+def separator_of(file: OpenedFile, wanted_names: set[str]) -> str:
     """The separator under which a text looks most like a table.
 
     First comes the one with which the first line shows most of the wanted columns;

@@ -4,11 +4,12 @@ What cannot be used is noted and left out, and reading goes on. A place in the f
 the names and numbers that lead to it from the top, as in ``("data", "states", "q")``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from phsi_opt.errors import Complaint
+from phsi_opt.errors import Complaint, DataError, ModelError
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 SHOWN_CHARACTERS = 60  # of a value, in a message
@@ -90,6 +91,14 @@ class Complaints:
         """Note that nothing stands at a place, where nothing else is wrong with it."""
         if value in (None, "", (), ("",), {}) and not self.about(*place):
             self.add(said, *place)
+
+    @contextmanager
+    def noting(self, *place: str | int, value: Any = None) -> Iterator[None]:
+        """Note an error as one of a place; what stands behind it is not done."""
+        try:
+            yield
+        except (DataError, ModelError) as error:
+            self.add(error, *place, value=value)
 
     def about(self, *place: str | int) -> bool:
         """Whether something is wrong at a place, or below it."""

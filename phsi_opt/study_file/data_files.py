@@ -1,17 +1,17 @@
 """The data files of a study file, with all that is wrong in them."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
-from phsi_opt.data.file_opening import DataFile, binary_files, text_files
+from phsi_opt.data.file_opening import DataFile, binary_files, run_names, text_files
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.table_readers import TableError
 from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
-from phsi_opt.errors import DataError
 from phsi_opt.study_file.complaints import Complaints
 from phsi_opt.study_file.sections import DataSection, HeldOut, reader_of
 
@@ -63,42 +63,39 @@ def check_measurements(
     if found.about("data"):
         return None
     wanted = section.wanted
+    paths = section.paths(folder)
+    names: list[str] = []
+    with found.noting("data", "files"):
+        names = run_names(paths)
     tables = []
-    for number, path in enumerate(section.paths(folder)):
+    for number, (path, name) in enumerate(zip(paths, names, strict=False)):
         numbers = () if len(section.files) == 1 else (number,)
-        said: object = ""
+        place = ("data", "files", *numbers)
         if not path.exists():
             said = "there is no such file; paths are relative to the study file."
+            found.add(said, *place)
         elif reader_of(path) != section.reader:
             suffix = Path(section.files[0]).suffix.lower()
-            said = f"the first file is {suffix}; give files of one kind."
+            found.add(f"the first file is {suffix}; give files of one kind.", *place)
         else:
-            try:
-                tables.append(table_at(path, wanted, section))
-            except DataError as error:
-                said = error
-        if said:
-            found.add(said, "data", "files", *numbers)
-    try:
-        return section.measured(tables) if tables else None
-    except TableError as error:
-        for part, fault in error.by_part.items():
-            found.add(fault, "data", *part)
-    except DataError as error:
-        found.add(error, "data", value="")
+            with found.noting(*place):
+                tables.append(replace(table_at(path, wanted, section), run=name))
+    if not tables:
+        return None
+    with found.noting("data", value=""):
+        try:
+            return section.measured(tables)
+        except TableError as error:
+            for part, fault in error.by_part.items():
+                found.add(fault, "data", *part)
     return None
 
 
 def check_held_out(held_out: HeldOut, data: Measurements, found: Complaints) -> None:
     """Note what is held out and is not there, or leaves nothing to fit."""
     for run in held_out.runs or ():
-        try:
+        with found.noting("held_out", "runs", value=run):
             data.trajectory_number(run)
-        except DataError as error:
-            found.add(error, "held_out", "runs", value=run)
-    if found.about("held_out"):
-        return
-    try:
-        held_out.split(data)
-    except DataError as error:
-        found.add(error, "held_out")
+    if not found.about("held_out"):
+        with found.noting("held_out"):
+            held_out.split(data)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 
-from phsi_opt.errors import ModelError
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.choice import EffectChoice
 from phsi_opt.model.effect import Effect
@@ -45,14 +44,10 @@ def check_effects(
     """Note every name of the section [study] that stands for no effect."""
     larger = model
     for name in steps.added:
-        try:
+        with found.noting("study", "added", value=name):
             larger = larger.add(meant_effect(larger, name, own, units))
-        except ModelError as error:
-            found.add(error, "study", "added", value=name)
     for key in ("effects", "without"):
         for name in getattr(steps, key) or ():
-            try:
-                if own_effect(name, own) is None:
+            if own_effect(name, own) is None:
+                with found.noting("study", key, value=name):
                     EffectChoice(**{key: (name,)}).checked(model, units)
-            except ModelError as error:
-                found.add(error, "study", key, value=name)

@@ -16,7 +16,7 @@ from phsi_opt.study_file.columns import (
     UNUSED,
     Column,
 )
-from phsi_opt.study_file.survey import Span, TableSurvey
+from phsi_opt.study_file.survey import TableSurvey
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 TEMPLATE = Path(__file__).with_name("templates") / "first_study.toml.jinja"
@@ -85,10 +85,10 @@ def _parts(table: TableSurvey) -> dict[str, Any]:
     }
 
 
-def _unit_asked(span: Span | None) -> str:
+def _unit_asked(span: tuple[float, float] | None) -> str:
     """A question for the unit of times that tell none, with what they look like."""
     for what, (unit, first, last) in CLOCKS.items():
-        if span is not None and first <= span.begin < span.end <= last:
+        if span is not None and first <= span[0] < span[1] <= last:
             return f'are they {what}? add unit = "{unit}", or the right one'
     return 'in seconds? add unit = "s"'
 

@@ -5,13 +5,13 @@ a study file is ever run as code. A formula's names are states, inputs, the time
 efforts, or parameters of the section [parameters].
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.errors import did_you_mean
 from phsi_opt.estimation.model_content import GUESSES, KINDS
 from phsi_opt.model.checks import checked_names
 from phsi_opt.model.effect import Effect
@@ -23,7 +23,7 @@ from phsi_opt.model.terms import Dictionary, Term, polynomials, trigonometric
 from phsi_opt.model.variables import Variables
 from phsi_opt.study_file.complaints import Complaints, Place, shown
 from phsi_opt.study_file.keys import is_number, listed
-from phsi_opt.study_file.sections import Channel, DataSection
+from phsi_opt.study_file.sections import DataSection
 
 WITH_ENERGY, WITHOUT_ENERGY = KINDS  # the types of models
 OF_ENERGY = ("H", "pairs", "S")
@@ -72,15 +72,13 @@ class ModelReader:
     def _names(self, what: str) -> tuple[str, ...]:
         names: list[str] = []
         for name in self.section.get(what, ()):
-            try:
-                checked_names([name], what)
-            except ModelError as error:
-                self.found.add(error, "model", what)
-                continue
             if name in names:
                 self.found.add(f"{name!r} stands there twice.", "model", what)
-            names.append(name)
-        return tuple(dict.fromkeys(names))
+                continue
+            with self.found.noting("model", what):
+                checked_names([name], what)
+                names.append(name)
+        return tuple(names)
 
     def _parameter(self, content: Any, *place: str | int) -> Parameter | None:
         """The parameter; None, and what is wrong noted, where it is none."""
@@ -97,11 +95,9 @@ class ModelReader:
             if "value" in settings:
                 settings["fixed"] = True
             settings.setdefault("value", start)
-        try:
+        with self.found.noting(*place):
             return Parameter(**settings)
-        except ModelError as error:
-            self.found.add(error, *place)
-            return None
+        return None
 
     def _guess(self, parameter: Content, *place: str | int) -> Any:
         told = dict(parameter.get("guess", {}))
@@ -144,11 +140,9 @@ class ModelReader:
         self._check_parameters_are_used()
         if self.found.about("model") or self.found.about("parameters"):
             return None
-        try:
+        with self.found.noting("model", value=""):
             return KINDS[kind](**parts)
-        except ModelError as error:
-            self.found.add(error, "model", value="")
-            return None
+        return None
 
     def _slot(self, slot: str) -> dict[str, Dictionary]:
         sums = {}
@@ -192,18 +186,14 @@ class ModelReader:
         """The terms at a place; ``slot`` decides which names they may have."""
         terms: list[Term] = []
         for number, one in enumerate(listed(content)):
-            try:
+            with self.found.noting(*place, value=one):
                 if isinstance(one, dict):
                     terms += self._table(one, *place, number)
                 else:
                     terms += self._formula(str(one), slot, place)
-            except ModelError as error:
-                self.found.add(error, *place, value=one)
-        try:
+        with self.found.noting(*place):
             return Dictionary(tuple(terms))
-        except ModelError as error:
-            self.found.add(error, *place)
-            return Dictionary()
+        return Dictionary()
 
     def _formula(self, text: str, slot: str, place: Place) -> Dictionary:
         variables = Variables(self.states, self._names("inputs"))
@@ -271,36 +261,27 @@ class ModelReader:
         for state, rate in rates.items():
             memory[state] = larger._terms(rate, "F", *place, "memory", state)
         term = larger._terms(content["term"], content["slot"], *place, "term")
-        try:
+        with self.found.noting(*place, value=""):
             return Effect(**{**content, "term": term, "memory": memory})
-        except ModelError as error:
-            self.found.add(error, *place, value="")
-            return None
+        return None
 
 
 def check_channels(model: Model, data: DataSection, found: Complaints) -> None:
     """Note where the sections [model] and [data] name different states or inputs."""
     measurable = [name for name in model.states if name not in model.memory]
-    otherwise = ", or { measured = false }"
-    _check_told("states", measurable, data.states, otherwise, found)
-    _check_told("inputs", model.inputs, data.inputs, "", found)
-
-
-def _check_told(
-    what: str,
-    wanted: Sequence[str],
-    channels: Mapping[str, Channel],
-    otherwise: str,
-    found: Complaints,
-) -> None:
-    missing = [name for name in wanted if name not in channels]
-    further = [name for name in channels if name not in wanted]
-    for name in missing:
-        said = f'the model has it: give {{ column = "..." }}{otherwise}.'
-        found.add(said + did_you_mean(name, further), "data", what, name)
-    for name in further:
-        said = (
-            f"it is not among model.{what}, {shown(list(wanted))}; name it there too, "
-            f"or leave it out here.{did_you_mean(name, missing)}"
-        )
-        found.add(said, "data", what, name)
+    for what, wanted, otherwise in (
+        ("states", measurable, ", or { measured = false }"),
+        ("inputs", model.inputs, ""),
+    ):
+        told = getattr(data, what)
+        missing = [name for name in wanted if name not in told]
+        further = [name for name in told if name not in wanted]
+        for name in missing:
+            said = f'the model has it: give {{ column = "..." }}{otherwise}.'
+            found.add(said + did_you_mean(name, further), "data", what, name)
+        for name in further:
+            said = (
+                f"it is not among model.{what}, {shown(list(wanted))}; name it there "
+                f"too, or leave it out here.{did_you_mean(name, missing)}"
+            )
+            found.add(said, "data", what, name)

@@ -13,7 +13,7 @@ from typing import Any
 
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.reading import file_text, why_not_read
 from phsi_opt.study_file.complaints import Complaints, TooManyComplaintsError
 from phsi_opt.study_file.data_files import check_held_out, check_measurements
@@ -157,10 +157,8 @@ def _check_data(data: DataSection, found: Complaints) -> None:
 
 def _check_channel(channel: Channel, what: str, name: str, found: Complaints) -> None:
     place = ("data", what, name)
-    try:
+    with found.noting(*place, value=""):
         checked_names([name], what)
-    except DataError as error:
-        found.add(error, *place, value="")
     if channel.measured:
         otherwise = " (or measured = false)" if what == "states" else ""
         said = f"expected the name of a column{otherwise}."
@@ -174,13 +172,9 @@ def _check_channel(channel: Channel, what: str, name: str, found: Complaints) ->
 def _loss(settings: Mapping[str, Any], found: Complaints) -> MaximumLikelihood:
     """The loss; what is wrong is noted, and the default taken."""
     for name, value in settings.items():
-        try:  # each by itself: it may be out of its range whatever the others are
+        with found.noting("loss", name):  # whatever the others are
             MaximumLikelihood(**{name: value})
-        except ModelError as error:
-            found.add(error, "loss", name)
-    try:
-        return MaximumLikelihood(**settings)
-    except ModelError as error:  # settings that do not go together
-        if not found.about("loss"):
-            found.add(error, "loss")
-        return MaximumLikelihood()
+    if not found.about("loss"):
+        with found.noting("loss"):  # settings that do not go together
+            return MaximumLikelihood(**settings)
+    return MaximumLikelihood()

@@ -127,10 +127,9 @@ def _data_lines(data: DataSection, source: Source) -> list[str]:
     reader = f"ph.Measurements.{data.reader}"
     lines = [f"data = {source.call(reader, first, **data.reader_arguments())}"]
     if data.between is not None:
-        begin, end = data.between
-        lines.append(f"data = data.between({begin!r}, {end!r})")
+        lines.append(f"data = {source.call('data.between', *data.between)}")
     if data.thinned is not None:
-        lines.append(f"data = data.thinned({data.thinned})")
+        lines.append(f"data = {source.call('data.thinned', data.thinned)}")
     return lines
 
 
@@ -148,15 +147,14 @@ def _model_lines(model: Model, own: Sequence[Effect], source: Source) -> list[st
     if shared:
         table = {name: _short(one) for name, one in shared.items()}
         lines = [f"{IN_SCRIPT} = {source.call('dict', **table)}"]
-    arguments: dict[str, Any] = {"states": list(model.states)}
-    if model.has_energy:
-        arguments |= {"S": np.array(model.S).tolist(), "H": model.H}
+    energy = {"S": np.array(model.S).tolist(), "H": model.H} if model.has_energy else {}
+    arguments: dict[str, Any] = {"states": list(model.states), **energy}
     for name in ("inputs", *BY_EQUATION, "memory", "kind"):
         value = getattr(model, name)
         if value or (name == "F" and not model.has_energy):
             arguments[name] = list(value) if isinstance(value, tuple) else value
-    kind = type(model).__name__
-    lines.append(f"model = {source.call(f'ph.{kind}', **arguments)}\n")
+    call = source.call(f"ph.{type(model).__name__}", **arguments)
+    lines.append(f"model = {call}\n")
     if own:
         lines.append(f"own = {source.of({str(effect): effect for effect in own})}\n")
     return lines
@@ -173,20 +171,20 @@ def _study_lines(study: Sections, source: Source) -> list[str]:
         effect = own_effect(name, study.own_effects)
         return Code(f"own[{source.of(str(effect))}]") if effect else name
 
-    arguments: dict[str, Any] = {"held_out": Code("held_out")}
+    steps = study.steps
     lines = []
-    if study.steps.effects is not None:
-        arguments["effects"] = [named(name) for name in study.steps.effects]
-    elif study.own_effects:
+    effects: Any = None if steps.effects is None else [*map(named, steps.effects)]
+    if effects is None and study.own_effects:
         lines.append("catalogue = map(str, ph.catalogue(model, data.units))")
-        arguments["effects"] = Code("[*catalogue, *own.values()]")
-    if study.steps.without:
-        arguments["without"] = list(study.steps.without)
-    if told(study.loss):
-        arguments["loss"] = study.loss
-    arguments["progress"] = Code("print")
-    call = source.call("ph.Study", Code("model"), Code("train"), **arguments)
+        effects = Code("[*catalogue, *own.values()]")
+    arguments = {
+        "held_out": Code("held_out"),
+        "effects": effects,
+        "without": list(steps.without) or None,
+        "loss": study.loss if told(study.loss) else None,
+        "progress": Code("print"),
+    }
+    given = {name: one for name, one in arguments.items() if one is not None}
+    call = source.call("ph.Study", Code("model"), Code("train"), **given)
     lines.append(f"study = {call}")
-    for name in study.steps.added:
-        lines.append(source.call("study.add", named(name)))
-    return lines
+    return [*lines, *[source.call("study.add", named(name)) for name in steps.added]]

@@ -32,34 +32,43 @@ def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
     states = model.get("states", ())
     inputs = model.get("inputs", ())
     state = states[-1] if states else "p"
-    said = []
-    if not file.get("parameters") and not model.get("H"):
-        said.append(
-            "parameters: none yet; every name in a formula that is no state, input or "
-            'effort needs one, such as k = { start = 10.0, lower = 0, unit = "N/m" }'
-        )
-    if not model.get("R") and model.get("type") != "FirstOrder":
-        said.append(f'model.R: no losses, such as R = {{ {state} = "c" }}')
-    if not model.get("F"):
-        force = inputs[0] if inputs else "u"
-        said.append(f'model.F: no forces, such as F = {{ {state} = "{force}" }}')
-    if model.get("pairs") == () and len(states) > 1:
-        said.append(
-            "model.pairs: no state is driven by another's energy; a body has pairs = "
-            f"{toml_value([list(states[:2])])}, position first"
-        )
+    has_formulas = bool(model.get("H") or model.get("F"))
     formulas = [model.get(name) for name in ("H", "R", "F", "sensor")]
     words = re.findall(r"\w+", str([*formulas, file.get("effects")]))
     idle = [name for name in inputs if name not in words]
-    if idle and (model.get("H") or model.get("F")):
-        said.append(f"model.inputs: no formula has {', '.join(idle)}")
     without = _without_unit(DataSection.of(file.get("data", {})), has_dates)
-    if without:
-        said.append(
+    pairs = toml_value([list(states[:2])])
+    force = inputs[0] if inputs else "u"
+    told = [
+        (
+            not file.get("parameters") and not model.get("H"),
+            "parameters: none yet; every name in a formula that is no state, input or "
+            'effort needs one, such as k = { start = 10.0, lower = 0, unit = "N/m" }',
+        ),
+        (
+            not model.get("R") and model.get("type") != "FirstOrder",
+            f'model.R: no losses, such as R = {{ {state} = "c" }}',
+        ),
+        (
+            not model.get("F"),
+            f'model.F: no forces, such as F = {{ {state} = "{force}" }}',
+        ),
+        (
+            model.get("pairs") == () and len(states) > 1,
+            "model.pairs: no state is driven by another's energy; a body has pairs = "
+            f"{pairs}, position first",
+        ),
+        (
+            idle and has_formulas,
+            f"model.inputs: no formula has {', '.join(idle)}",
+        ),
+        (
+            without,
             f'units: none is given for {", ".join(without)}, such as unit = "m"; sizes '
-            "are told without it"
-        )
-    return tuple(said)
+            "are told without it",
+        ),
+    ]
+    return tuple(said for applies, said in told if applies)
 
 
 def _without_unit(data: DataSection, has_dates: bool) -> list[str]:
