@@ -68,7 +68,8 @@ def check_measurements(
     with found.noting("data", "files"):
         names = run_names(paths)
     tables = []
-    for number, (path, name) in enumerate(zip(paths, names, strict=False)):
+    for number, name in enumerate(names):
+        path = paths[number]
         numbers = () if len(section.files) == 1 else (number,)
         place = ("data", "files", *numbers)
         if not path.exists():
