@@ -710,3 +710,10 @@ def test_files_of_one_name_in_two_folders_keep_apart_and_all_faults_are_told(
     (spring.parent / "a/run.csv").write_text("")
     (spring.parent / "b/run.csv").write_text("t_s,position_m\n0,1\n1,fast\n2,1\n")
     assert set(complaints(spring)) == {"data.files[0]", "data.states.q.column"}
+
+
+def test_a_channel_without_a_column_is_written_as_not_measured(spring: Path) -> None:
+    file = ph.StudyFile.read(spring)
+    states = {"q": file.data.states["q"], "p": ph.Channel(None, "kg m/s")}
+    by_hand = replace(file, data=replace(file.data, states=states))
+    assert by_hand.text() == file.text()

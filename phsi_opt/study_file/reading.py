@@ -21,7 +21,6 @@ from phsi_opt.study_file.effects import check_effects
 from phsi_opt.study_file.keys import usable
 from phsi_opt.study_file.model_reading import ModelReader, check_channels
 from phsi_opt.study_file.sections import (
-    Channel,
     DataSection,
     HeldOut,
     Sections,
@@ -61,8 +60,8 @@ def _sections(
 ) -> tuple[Sections, Measurements] | None:
     file = usable(found.content, found)
     reader = ModelReader.of(file, found)
+    _check_data(file.get("data", {}), found)
     data = DataSection.of(file.get("data", {}), places)
-    _check_data(data, found)
     held_out = HeldOut(**file.get("held_out", {})) if "held_out" in file else None
     if held_out is not None:
         found.exactly_one(file["held_out"], ("runs", "share", "after"), "held_out")
@@ -132,41 +131,38 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
 # ---- rules that need more than one key -----------------------------------------------
 
 
-def _check_data(data: DataSection, found: Complaints) -> None:
+def _check_data(data: Mapping[str, Any], found: Complaints) -> None:
     if not found.content.get("data"):
         said = "there is no section [data]; it names files and columns."
         found.need(said, None, "data")
         return
     said = 'expected the data file(s), such as ["bench.csv"].'
-    found.need(said, data.files, "data", "files")
+    found.need(said, data.get("files"), "data", "files")
     said = 'expected a table for each state, such as q = { column = "q", unit = "m" }.'
-    found.need(said, data.states, "data", "states")
+    found.need(said, data.get("states"), "data", "states")
     place = ("data", "time")
-    if data.time.step is None and not found.about(*place, "step"):
+    time = data.get("time", {})
+    if "step" not in time and not found.about(*place, "step"):
         said = (
             'expected the column of the times, such as "t_s"; where no column has '
             "them, the time between lines: time = { step = 0.01 }."
         )
-        found.need(said, data.time.column, *place, "column")
-    elif data.time.column not in (None, ""):
+        found.need(said, time.get("column"), *place, "column")
+    elif time.get("column", "") != "":
         found.add("there is a column too; keep one of the two.", *place, "step")
-    for what in ("states", "inputs"):
-        for name, channel in getattr(data, what).items():
-            _check_channel(channel, what, name, found)
-
-
-def _check_channel(channel: Channel, what: str, name: str, found: Complaints) -> None:
-    place = ("data", what, name)
-    with found.noting(*place, value=""):
-        checked_names([name], what)
-    if channel.measured:
-        otherwise = " (or measured = false)" if what == "states" else ""
-        said = f"expected the name of a column{otherwise}."
-        if not found.about(*place, "measured"):
-            found.need(said, channel.column, *place, "column")
-    elif channel.column is not None:
-        said = "there is a column too; keep one of the two."
-        found.add(said, *place, "measured")
+    for what, otherwise in (("states", " (or measured = false)"), ("inputs", "")):
+        for name, channel in data.get(what, {}).items():
+            channel_place = ("data", what, name)
+            column = channel.get("column")
+            with found.noting(*channel_place, value=""):
+                checked_names([name], what)
+            if not channel.get("measured", True) and column is not None:
+                said = "there is a column too; keep one of the two."
+                found.add(said, *channel_place, "measured")
+            is_told = found.about(*channel_place, "measured")
+            if channel.get("measured", True) and not is_told:
+                said = f"expected the name of a column{otherwise}."
+                found.need(said, column, *channel_place, "column")
 
 
 def _loss(settings: Mapping[str, Any], found: Complaints) -> MaximumLikelihood:

@@ -55,6 +55,10 @@ class Channel:
     hold: str | None = None
     measured: bool = True
 
+    def __post_init__(self) -> None:
+        if self.column is None:
+            object.__setattr__(self, "measured", False)
+
 
 @dataclass(frozen=True)
 class Times:
@@ -171,9 +175,7 @@ class DataSection:
             "start": self.time.start or None,
             "date_format": self.time.date_format,
             "units": self.units,
-            "noise": {
-                name: one.noise for name, one in self.states.items() if one.noise
-            },
+            "noise": {name: one.noise for name, one in states if one.noise},
         }
         return {name: one for name, one in arguments.items() if one not in (None, {})}
 

@@ -21,11 +21,8 @@ def section_of(data: Measurements, file: str) -> DataSection:
     noise = data.noise or {}
     states = {}
     for name in data.states:
-        is_measured = name in data.measured
-        column = name if is_measured else None
-        unit = data.units[name]
-        sigma = noise.get(name)
-        states[name] = Channel(column, unit, sigma, measured=is_measured)
+        column = name if name in data.measured else None
+        states[name] = Channel(column, data.units[name], noise.get(name))
     hold = data.hold
     inputs = {}
     for name in data.inputs:
