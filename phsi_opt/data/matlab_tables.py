@@ -64,7 +64,7 @@ def table_of_vectors(file: OpenedFile) -> Table:
     lengths: list[int] = []
     for vectors in variables.values():
         if len(vectors) <= MOST_VECTORS:
-            lengths += map(len, vectors.values())
+            lengths += [one.size for one in vectors.values()]
     n_rows = max(lengths, key=lambda n: (n > 1, lengths.count(n), n), default=0)
     if n_rows < 2:
         raise DataError(
@@ -74,7 +74,7 @@ def table_of_vectors(file: OpenedFile) -> Table:
     columns: dict[str, np.ndarray] = {}
     further = []
     for variable, vectors in variables.items():
-        fitting = {name: one for name, one in vectors.items() if len(one) == n_rows}
+        fitting = {k: one.ravel() for k, one in vectors.items() if one.size == n_rows}
         if fitting and len(vectors) <= MOST_VECTORS:
             columns |= fitting
         else:
@@ -98,10 +98,13 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
     vectors: dict[str, np.ndarray] = {}
     for of_variable in variables.values():
         vectors |= of_variable
-    found = [one for one in vectors if one.endswith(f".{wanted}")]
-    found = [wanted] if wanted in vectors else found
+    found = _fitting(wanted, vectors)
+    axis = {"(:,1)": 1, "(1,:)": 0}.get(wanted[-5:])
+    if not found and axis is not None:  # all of a vector, written as of a matrix
+        whole = _fitting(wanted[:-5], vectors)
+        found = [one for one in whole if vectors[one].shape[axis] == 1]
     if len(found) == 1:
-        return vectors[found[0]]
+        return vectors[found[0]].ravel()
     said = f"{title} has no column {name!r}"
     if found:
         said = f"{title}: {name!r} is a field of several structs; say which one of "
@@ -119,6 +122,13 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
     raise DataError(f"{said}. {_listing(variables)}{hint}")
 
 
+def _fitting(wanted: str, vectors: Iterable[str]) -> list[str]:
+    """The vector of this name, or the fields of structs that are called so."""
+    if wanted in vectors:
+        return [wanted]
+    return [one for one in vectors if one.endswith(f".{wanted}")]
+
+
 def _listing(variables: Vectors) -> str:
     """What a file holds, as a sentence."""
     listed = [f"{one.name!r} ({one.said})" for one in variables]
@@ -130,8 +140,8 @@ def _vectors_of(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
     Of a matrix these are its columns, or its rows where it is wider than high.
     """
-    if values.ndim < 2:
-        return {name: np.atleast_1d(values)}
+    if 1 in values.shape:
+        return {name: values}
     is_high = values.shape[0] >= values.shape[1]
     place = "(:,{})" if is_high else "({},:)"
     vectors = values.T if is_high else values
@@ -149,7 +159,7 @@ def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.nd
         return Variable(name, said), {}
     vectors = _vectors_of(name, values)
     if values.size > 1:
-        sizes = " x ".join(map(str, values.shape))
+        sizes = " x ".join(str(n) for n in values.shape if n > 1)
         return Variable(name, f"{sizes} numbers"), vectors
     number = None if np.iscomplexobj(values) else float(values.item())
     return Variable(name, f"the number {values.item():g}", number), vectors

@@ -31,7 +31,7 @@ def main(most: int) -> None:
     lost = 'Duplicate variable name "(?!None")|Unreadable variable'
     warnings.filterwarnings("error", lost)
     try:
-        loaded = loadmat(sys.stdin.buffer, squeeze_me=True)
+        loaded = loadmat(sys.stdin.buffer)
         variables = dict(_named(loaded))
     except NotImplementedError:
         sys.exit("it is a MATLAB file of version 7.3 (HDF5), which is not read")

@@ -90,7 +90,7 @@ class Complaints:
     def need(self, said: str, value: Any, *place: str | int) -> None:
         """Note that nothing stands at a place, where nothing else is wrong with it."""
         if value in (None, "", (), ("",), {}) and not self.about(*place):
-            self.add(said, *place)
+            self.add(said, *place, value="")
 
     @contextmanager
     def noting(self, *place: str | int, value: Any = None) -> Iterator[None]:
