@@ -358,7 +358,7 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ("measured = false", "measured = 1", "data.states.p.measured", "true or false"),
         ("share = 0.4", "share = 40", "held_out.share", "between 0 and 1"),
         ("share = 0.4", 'runs = ["run 11"]', "held_out.runs", "Did you mean 'run 1'?"),
-        ("share = 0.4", "after = 99", "held_out", "expected at least 2 of each"),
+        ("share = 0.4", "after = 99", "held_out", "0 samples between 99 and inf; expected at least 2"),
         ("share = 0.4", "", "held_out", "found none"),
         ('H = "k', 'H = ""  #', "model.H", "expected the energy as a formula"),
         ('"k*q**2/2', '"k*q^2/2', "model.H", "Write a power as **"),
@@ -690,3 +690,30 @@ def test_guesses_are_those_of_the_parameters() -> None:
     from phsi_opt.estimation.model_content import GUESSES
 
     assert set(GUESSES.values()) == set(kinds)
+
+
+def test_files_of_one_name_in_two_folders_keep_apart_and_all_faults_are_told(
+    spring: Path,
+) -> None:
+    files = ["a/run.csv", "b/run.csv"]
+    for file in files:
+        path = spring.parent / file
+        path.parent.mkdir()
+        path.write_text("t_s,position_m\n0,1\n1,2\n2,1\n3,2\n")
+    changes = (
+        ('["spring.csv"]\ntrajectory = "run"', f"{files!r}"),
+        ("share = 0.4", "share = 0.5"),
+    )
+    changed(spring, *changes)
+    runs = ph.StudyFile.read(spring).measurements()
+    assert [run.name for run in runs] == [str(spring.parent / file) for file in files]
+    (spring.parent / "a/run.csv").write_text("")
+    (spring.parent / "b/run.csv").write_text("t_s,position_m\n0,1\n1,fast\n2,1\n")
+    assert set(complaints(spring)) == {"data.files[0]", "data.states.q.column"}
+
+
+def test_a_channel_without_a_column_is_written_as_not_measured(spring: Path) -> None:
+    file = ph.StudyFile.read(spring)
+    states = {"q": file.data.states["q"], "p": ph.Channel(None, "kg m/s")}
+    by_hand = replace(file, data=replace(file.data, states=states))
+    assert by_hand.text() == file.text()

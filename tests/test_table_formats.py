@@ -458,9 +458,9 @@ def test_vectors_matrices_and_structs_of_matlab_are_columns(
                 "c": np.array([X, "a"], object),
             },
             r"no column 't'. The file holds: 'time' \(4 numbers\), 'X' \(4 x 2 numbers\), "
-            r"'gain' \(one number\), 'name' \(text\), 'c' \(cells",
+            r"'gain' \(the number 3\), 'name' \(text\), 'c' \(cells",
         ),
-        ({"t": T, "q": X}, r"'q' is a matrix of 4 x 2 numbers; .* 'q\(:,1\)'"),
+        ({"t": T, "q": X}, r"'q' is a matrix of 4 x 2 numbers, .* 'q\(:,1\)'"),
         ({"t": T, "q": T[:3]}, r"differ in length: {'t': 4, 'q': 3}.*The file holds"),
         ({"t": T, "q": 3.0}, r"differ in length: {'t': 4, 'q': 1}"),
         ({"t": T, "q": "text"}, "'q' is text. The file holds"),
@@ -499,3 +499,12 @@ def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do() -> None:
     file = io.BytesIO(header + version_and_order + bytes(384) + b"\x89HDF\r\n\x1a\n")
     with pytest.raises(DataError, match=r"version 7\.3 .*save\(name, '-v7'\)"):
         Measurements.from_mat(file, time="t", states=["q"])
+
+
+def test_a_vector_may_be_written_as_a_column_of_a_matrix_and_as_no_other() -> None:
+    data = Measurements.from_mat(
+        mat({"log": {"X": X[:, :1]}}), step=1, states={"q": "log.X(:,1)"}
+    )
+    assert data.trajectories[0].x[:, 0].tolist() == (T**2).tolist()
+    with pytest.raises(DataError, match=r"has no column 'X\(1,:\)'"):
+        Measurements.from_mat(mat({"X": X[:, :1]}), step=1, states={"q": "X(1,:)"})

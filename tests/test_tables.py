@@ -410,3 +410,16 @@ def test_what_is_no_data_frame_is_refused() -> None:
         DataError, match=r"frame is a dict; expected a pandas\.DataFrame"
     ):
         Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("cell", ["1_000", "1_0.5"])
+def test_digits_with_a_sign_between_them_are_no_number(cell: str) -> None:
+    with pytest.raises(DataError, match=f"line 3: '{cell}' is not a real number"):
+        read(f"t,q\n0,1\n1,{cell}\n")
+
+
+@pytest.mark.parametrize("cell", [np.complex64(2j), 10**400, 1 + 0j])
+def test_a_cell_that_no_float_holds_is_refused(cell: Any) -> None:
+    table = frame(q=pd.Series([1.0, cell, 2.0], dtype=object))
+    with pytest.raises(DataError, match=r"row 1: .* is not a real number"):
+        Measurements.from_dataframe(table, time="t", states=["q"])

@@ -4,8 +4,8 @@ Some sources hand over steps, each with its own start and end, instead of record
 that continue each other become one trajectory.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -56,34 +56,22 @@ def trajectories_in_arrays(
     return tuple(trajectories)
 
 
-class Ends(NamedTuple):
-    """One quantity at both ends of every pair: (n_pairs,), or (n_pairs, n_channels)."""
-
-    start: Any
-    end: Any
-
-
-class JoinedPairs(NamedTuple):
-    """Samples by trajectory: times (n_samples,), states and inputs (n_samples, ...)."""
-
-    t: list[np.ndarray]
-    x: list[np.ndarray]
-    u: list[np.ndarray]
+Both = tuple[Any, Any]  # one quantity at the starts and at the ends of all pairs
 
 
 def joined_pairs(
-    t: Ends, x: Ends, u: Ends, inputs: Sequence[str] | None, hold: Hold
-) -> JoinedPairs:
-    """The samples of the trajectories that pairs make, in the order of the pairs.
+    t: Both, x: Both, u: Both, inputs: Sequence[str] | None, hold: Hold
+) -> tuple[list[np.ndarray], ...]:
+    """Times, states and inputs of the trajectories that pairs make, in their order.
 
     A pair continues the pair before it if it starts at the same time, state and input;
     two values that were not measured are the same. A held input ("zero") acts on
     nothing at the end of a pair: it is not compared, and may be None if all are held.
 
     Args:
-        t: Times.
-        x: States; a single one may be (n_pairs,).
-        u: Inputs; None at both ends: there are none.
+        t: Times, (n_pairs,).
+        x: States, (n_pairs, n_states); a single one may be (n_pairs,).
+        u: Inputs likewise; None at both ends: there are none.
         inputs: Their names; None: "u1", "u2", ...
         hold: What they do between samples.
 
@@ -91,68 +79,66 @@ def joined_pairs(
         DataError: There are no pairs, the shapes differ, an array cannot be used, or a
             pair does not go forward in time.
     """
-    x = _checked_ends(x, "x", 2)
-    first = np.asarray(t.start).flat[0] if np.size(t.start) else None
-    t = Ends(from_first(t.start, first), from_first(t.end, first))
-    t = _checked_ends(t, "t", 1)
-    if u.start is None and u.end is None:
-        u = Ends(np.empty((len(t.start), 0)), None)
-    n_inputs = np.shape(u.start)[1] if np.ndim(u.start) == 2 else 1
+    if u[0] is None and u[1] is None:
+        u = (np.empty((np.size(t[0]), 0)),) * 2
+    n_inputs = np.shape(u[0])[1] if np.ndim(u[0]) == 2 else 1
     names = numbered_names("u", n_inputs) if inputs is None else inputs
     is_held = hold_of_each(hold, names) == "zero"
-    if u.start is None or (u.end is None and not is_held.all()):
+    if u[1] is None and is_held.all():
+        u = (u[0], u[0])
+    if u[0] is None or u[1] is None:
         raise DataError(
             "only one of u_start and u_end is given; expected both. "
             "If u keeps its value: hold='zero'."
         )
-    u = _checked_ends(Ends(u.start, u.start if u.end is None else u.end), "u", 2)
-    _check_pairs(t, x, u)
-    continues = (t.start[1:] == t.end[:-1]) & np.all(_meet(x), axis=1)
+    first = np.asarray(t[0]).flat[0] if np.size(t[0]) else None
+    t = (from_first(t[0], first), from_first(t[1], first))
+    starts: dict[str, np.ndarray] = {}
+    ends: dict[str, np.ndarray] = {}
+    for label, both in {"x": x, "t": t, "u": u}.items():
+        for arrays, place, values in (
+            (starts, "start", both[0]),
+            (ends, "end", both[1]),
+        ):
+            n_axes = 1 if label == "t" else 2
+            arrays[label] = read_only_floats(values, n_axes, f"{label}_{place}")
+    _check_pairs(starts, ends)
+    start, end = (np.column_stack(list(one.values())) for one in (starts, ends))
+    same = (start[1:] == end[:-1]) | (np.isnan(start[1:]) & np.isnan(end[:-1]))
     if n_inputs == len(names):  # else refused with the names
-        continues &= np.all(_meet(u) | is_held, axis=1)
-    runs = np.split(np.arange(len(t.start)), np.flatnonzero(~continues) + 1)
-    return JoinedPairs(_joined(t, runs), _joined(x, runs), _joined(u, runs))
+        same[:, same.shape[1] - n_inputs :] |= is_held
+    runs = np.split(np.arange(len(start)), np.flatnonzero(~same.all(axis=1)) + 1)
+    samples = [np.vstack([start[rows], end[rows[-1:]]]) for rows in runs]
+    k = starts["x"].shape[1]
+    return (
+        [one[:, k] for one in samples],
+        [one[:, :k] for one in samples],
+        [one[:, k + 1 :] for one in samples],
+    )
 
 
-def _checked_ends(ends: Ends, label: str, n_axes: int) -> Ends:
-    """Both ends of the pairs, as read-only float64 copies."""
-    start = read_only_floats(ends.start, n_axes, f"{label}_start")
-    end = read_only_floats(ends.end, n_axes, f"{label}_end")
-    if start.shape != end.shape:
-        raise DataError(
-            f"{label}_start has the shape {start.shape} and {label}_end {end.shape}; "
-            "expected the same shape."
-        )
-    return Ends(start, end)
-
-
-def _check_pairs(t: Ends, x: Ends, u: Ends) -> None:
-    starts = {"x_start": x.start, "t_start": t.start, "u_start": u.start}
-    check_same_length(starts, "one row per pair")
-    if not len(t.start):
+def _check_pairs(
+    starts: Mapping[str, np.ndarray], ends: Mapping[str, np.ndarray]
+) -> None:
+    for label, start in starts.items():
+        if start.shape != ends[label].shape:
+            raise DataError(
+                f"{label}_start has the shape {start.shape} and {label}_end "
+                f"{ends[label].shape}; expected the same shape."
+            )
+    lengths = {f"{label}_start": start for label, start in starts.items()}
+    check_same_length(lengths, "one row per pair")
+    if not len(starts["t"]):
         raise DataError(
             "there are no pairs; expected at least one row in x_start and t_start."
         )
-    check_values(t.start, "t_start[{}]".format, may_be_missing=False)
-    check_values(t.end, "t_end[{}]".format, may_be_missing=False)
-    is_late = t.end <= t.start
+    check_values(starts["t"], "t_start[{}]".format, may_be_missing=False)
+    check_values(ends["t"], "t_end[{}]".format, may_be_missing=False)
+    is_late = ends["t"] <= starts["t"]
     if is_late.any():
         k = int(np.argmax(is_late))
         raise DataError(
-            f"pair {k}: t_end[{k}]={float(t.end[k])} is not after "
-            f"t_start[{k}]={float(t.start[k])}; each pair must go forward in time. "
+            f"pair {k}: t_end[{k}]={float(ends['t'][k])} is not after "
+            f"t_start[{k}]={float(starts['t'][k])}; each pair must go forward in time. "
             "Exchange the two ends or drop the pair."
         )
-
-
-def _meet(ends: Ends) -> np.ndarray:
-    """Whether pairs start where those before them ended, (n_pairs - 1, n_channels)."""
-    start = ends.start[1:]
-    end = ends.end[:-1]
-    is_same: np.ndarray = (start == end) | (np.isnan(start) & np.isnan(end))
-    return is_same
-
-
-def _joined(ends: Ends, runs: list[np.ndarray]) -> list[np.ndarray]:
-    """The samples of each trajectory: the starts of its pairs, and the last end."""
-    return [np.concatenate([ends.start[rows], ends.end[rows[-1:]]]) for rows in runs]

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from phsi_opt import reading
-from phsi_opt.data.file_opening import BinaryFile
+from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.tables import Rows, Table, table_of_rows
 from phsi_opt.data.text_cells import TextFormat, n_filled
 from phsi_opt.errors import DataError, did_you_mean
@@ -32,7 +32,7 @@ REPAIR = "Open it in a spreadsheet program and save it again as .xlsx or as CSV"
 
 
 def table_of_excel(
-    file: BinaryFile,
+    file: OpenedFile,
     wanted: Iterable[Any],
     sheet: str | None,
     text_format: TextFormat,
@@ -55,7 +55,7 @@ def table_of_excel(
     return table_of_rows(file, title, "row", sheets[name], wanted, text_format, ",")
 
 
-def filled_sheets(file: BinaryFile) -> list[str]:
+def filled_sheets(file: OpenedFile) -> list[str]:
     """The names of the sheets with content, in the order of the workbook.
 
     Raises:
@@ -64,7 +64,7 @@ def filled_sheets(file: BinaryFile) -> list[str]:
     return [name for name, rows in _sheets(file).items() if rows]
 
 
-def _sheets(file: BinaryFile) -> dict[str, Rows]:
+def _sheets(file: OpenedFile) -> dict[str, Rows]:
     """The filled rows of all sheets, by the sheets' names."""
     import openpyxl
 
@@ -137,7 +137,7 @@ def _chosen(sheets: dict[str, Rows], sheet: str | None, title: str) -> str:
     return filled[0]
 
 
-def _check_workbook(file: BinaryFile) -> None:
+def _check_workbook(file: OpenedFile) -> None:
     """Refuse a workbook that cannot be read safely and wholly."""
     title = file.title
     try:

@@ -7,10 +7,11 @@ import codecs
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, Generic, TextIO, TypeVar
+from typing import IO, Any, TextIO
 
 from phsi_opt import reading
 from phsi_opt.errors import DataError
@@ -26,7 +27,11 @@ NO_TEXT_TABLES = {  # what to do with files that are no text, by their suffix
 }
 KINDS_READ = "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat)"
 GUESSED = "its text is not UTF-8 and was read as Windows-1252"
-Content = TypeVar("Content", str, bytes)
+EXPECTED: dict[type, str] = {
+    str: "text. Open it in text mode: open(path)",
+    bytes: "bytes. Open it in binary mode: open(path, 'rb')",
+}
+PATHS = (str, os.PathLike)
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # signs that no text table has
 
 
@@ -62,7 +67,7 @@ DataFile = Path | NamedFile
 
 
 @dataclass(frozen=True)
-class OpenedFile(Generic[Content]):
+class OpenedFile:
     """What one file holds, and what it is called.
 
     Attributes:
@@ -75,15 +80,11 @@ class OpenedFile(Generic[Content]):
 
     title: str
     run: str
-    content: Content
+    content: Any
     remark: str = ""
 
 
-TextFile = OpenedFile[str]
-BinaryFile = OpenedFile[bytes]
-
-
-def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
+def text_files(source: Source | Iterable[Source]) -> Iterator[OpenedFile]:
     """The files one after the other; each is read when its turn comes.
 
     Args:
@@ -92,21 +93,21 @@ def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
     Raises:
         DataError: This is no source, or a file cannot be read as text.
     """
-    for one, title, run in _titled(source, "an open text file"):
-        instead = NO_TEXT_TABLES.get(Path(_path(one) or "").suffix.lower())
+    for one, path, file in _named(source, "an open text file"):
+        instead = NO_TEXT_TABLES.get(Path(path or "").suffix.lower())
         if instead:
-            raise DataError(f"{title} is no text table; {instead}.")
+            raise DataError(f"{file.title} is no text table; {instead}.")
         remark = ""
         if hasattr(one, "read"):
-            text = _content(one, title, str)
+            text = _content(one, file.title, str)
             text = text.removeprefix("\ufeff")  # spreadsheets write a byte order mark
         else:
-            text, remark = _decoded(_content(one, title, bytes), title)
+            text, remark = _decoded(_content(one, file.title, bytes), file.title)
         text = text.replace("\r\n", "\n").replace("\r", "\n")
-        yield TextFile(title, run, text, remark)
+        yield replace(file, content=text, remark=remark)
 
 
-def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[BinaryFile]:
+def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[OpenedFile]:
     """The files one after the other; each is read when its turn comes.
 
     Args:
@@ -115,13 +116,13 @@ def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[Bina
     Raises:
         DataError: This is no source, or a file cannot be read.
     """
-    for one, title, run in _titled(source, "an open binary file"):
-        yield BinaryFile(title, run, _content(one, title, bytes))
+    for one, _, file in _named(source, "an open binary file"):
+        yield replace(file, content=_content(one, file.title, bytes))
 
 
-def _titled(source: Any, open_file: str) -> Iterator[tuple[Any, str, str]]:
-    """Each source, its title and the name of its run."""
-    if _is_path(source) or hasattr(source, "read"):
+def _named(source: Any, open_file: str) -> Iterator[tuple[Any, str | None, OpenedFile]]:
+    """Each source, its path as the user wrote it, and its names; nothing is read."""
+    if isinstance(source, PATHS) or hasattr(source, "read"):
         source = [source]
     if not isinstance(source, list | tuple | Iterator):
         raise DataError(
@@ -131,53 +132,49 @@ def _titled(source: Any, open_file: str) -> Iterator[tuple[Any, str, str]]:
     sources = list(source)
     if not sources:
         raise DataError("source is an empty list; expected at least one path.")
-    _check_files_once(sources)
-    paths = [_path(one) for one in sources]
-    for one, path, run in zip(sources, paths, _run_names(paths), strict=True):
-        if not _is_path(one) and not hasattr(one, "read"):
+    for one in sources:
+        if not isinstance(one, PATHS) and not hasattr(one, "read"):
             raise DataError(
                 f"source holds a {type(one).__name__}; expected paths or open files."
             )
-        yield one, "open file" if path is None else f"file {path!r}", run
+    for one, run in zip(sources, run_names(sources), strict=True):
+        path = _path(one)
+        title = f"file {path!r}" if path else "open file"
+        yield one, path, OpenedFile(title, run, None)
 
 
-def _is_path(source: Any) -> bool:
-    return isinstance(source, str | os.PathLike)
+def run_names(sources: Sequence[Any]) -> list[str]:
+    """The files' names without folder and suffix; the whole path where two agree.
 
+    Args:
+        sources: Paths and open files.
 
-def _check_files_once(sources: list[Any]) -> None:
+    Raises:
+        DataError: A file is listed twice.
+    """
     # A NUL, which no path has, is told when the file is opened.
-    paths = [
-        str(one) if "\0" in str(one) else os.path.realpath(one)
-        for one in sources
-        if _is_path(one)
-    ]
-    for place, n_times in Counter(paths).items():
+    paths = [one for one in sources if isinstance(one, PATHS) and "\0" not in str(one)]
+    for place, n_times in Counter(map(os.path.realpath, paths)).items():
         if n_times > 1:
             raise DataError(
                 f"the file {place!r} is listed {n_times} times; its runs "
                 "are one measurement. List it once."
             )
+    named = [_path(one) for one in sources]
+    stems = [Path(path).stem if path else f"run {i}" for i, path in enumerate(named, 1)]
+    n_files = Counter(stems)
+    names = []
+    for path, stem in zip(named, stems, strict=True):
+        names.append(path if path and n_files[stem] > 1 else stem)
+    return names
 
 
 def _path(source: Any) -> str | None:
     """The path as the user wrote it; None for an open file without one."""
-    if _is_path(source):
+    if isinstance(source, PATHS):
         return str(source)
     name = getattr(source, "name", None)
     return name if isinstance(name, str) and name else None
-
-
-def _run_names(paths: list[str | None]) -> list[str]:
-    """The files' names without folder and suffix; the whole path where two agree."""
-    stems = []
-    for number, path in enumerate(paths, start=1):
-        stems.append(f"run {number}" if path is None else Path(path).stem)
-    n_files = Counter(stems)
-    names = []
-    for path, stem in zip(paths, stems, strict=True):
-        names.append(path if path is not None and n_files[stem] > 1 else stem)
-    return names
 
 
 def _decoded(content: bytes, title: str) -> tuple[str, str]:
@@ -189,19 +186,17 @@ def _decoded(content: bytes, title: str) -> tuple[str, str]:
     is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     encodings = {"utf-16": ""} if is_utf_16 else {"utf-8-sig": "", "cp1252": GUESSED}
     for encoding, remark in encodings.items():
-        try:
+        with suppress(UnicodeDecodeError):
             text = content.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        if NO_TEXT.search(text) is None:
-            return text, remark
+            if NO_TEXT.search(text) is None:
+                return text, remark
     raise DataError(
         f"{title} is no table: it holds binary data and no text. Tables are read from "
         f"{KINDS_READ}. Save it as one of these."
     )
 
 
-def _content(source: Any, title: str, kind: type[Content]) -> Content:
+def _content(source: Any, title: str, kind: type) -> Any:
     """All of a file: bytes of a path, bytes or text of an open file."""
     try:
         if hasattr(source, "read"):
@@ -214,17 +209,11 @@ def _content(source: Any, title: str, kind: type[Content]) -> Content:
             f"{title} is not UTF-8 text: it has the byte {byte:#04x}. Give its "
             "path, or open it with its encoding: open(path, encoding='latin-1')."
         ) from error
-    except OSError as error:
-        why = reading.why_not_read(error)
+    except (OSError, ValueError) as error:  # a ValueError: it is closed
+        why = reading.why_not_read(error) if isinstance(error, OSError) else error
         raise DataError(f"{title} cannot be read: {why}.") from error
-    except ValueError as error:  # it is closed
-        raise DataError(f"{title} cannot be read: {error}.") from error
     if not isinstance(content, kind):
-        expected = {
-            str: "text. Open it in text mode: open(path)",
-            bytes: "bytes. Open it in binary mode: open(path, 'rb')",
-        }
         raise DataError(
-            f"{title} gives {type(content).__name__}; expected {expected[kind]}."
+            f"{title} gives {type(content).__name__}; expected {EXPECTED[kind]}."
         )
     return content

@@ -11,10 +11,9 @@ the process that reads it, or fill its memory. It reads in a process of its own,
 """
 
 import os
-import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
@@ -22,17 +21,17 @@ from typing import Any
 import numpy as np
 
 from phsi_opt import reading
-from phsi_opt.data.file_opening import BinaryFile
+from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.tables import Table, Variable
 from phsi_opt.errors import DataError, did_you_mean
 
-INDEXED = re.compile(r"(?P<name>[\w.]+)\((?P<row>:|\d+),\s*(?P<column>:|\d+)\)")
 MOST_VECTORS = 20  # columns that a matrix has, at most, where it is taken for a table
+Vectors = dict[Variable, dict[str, np.ndarray]]  # those of each variable, by name
 WORKER = Path(__file__).with_name("matlab_worker.py")
 TIME_LIMIT = 120.0  # seconds; a file of 500 MB takes about 5
 
 
-def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
+def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
     """The columns that are looked for, in the order in which they are.
 
     Args:
@@ -43,47 +42,48 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
         DataError: This is no such file, a column is not there or could be several, or
             the columns differ in length.
     """
-    content = _Content(file)
-    columns = {name: content.column(name) for name in wanted}
+    variables = _variables(file)
+    columns = {name: _column(name, variables, file.title) for name in wanted}
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         raise DataError(
             f"{file.title}: the columns differ in length: {lengths}; "
-            f"expected one value per sample in each. {content.listing}"
+            f"expected one value per sample in each. {_listing(variables)}"
         )
     return _table(file, columns)
 
 
-def table_of_vectors(file: BinaryFile) -> Table:
+def table_of_vectors(file: OpenedFile) -> Table:
     """All vectors of the commonest length, where nobody said which are looked for.
-
-    Of a matrix these are its columns, or its rows where it is wider than high.
 
     Raises:
         DataError: This is no such file, or no vector in it has two numbers; with the
             names and sizes of what it holds.
     """
-    content = _Content(file)
-    vectors: dict[str, np.ndarray] = {}
-    for name, matrix in content.matrices.items():
-        vectors |= _vectors_of(name, matrix)
-    lengths = [len(vector) for vector in vectors.values()]
-    n_rows = max(lengths, key=lambda n: (lengths.count(n), n), default=0)
+    variables = _variables(file)
+    lengths: list[int] = []
+    for vectors in variables.values():
+        if len(vectors) <= MOST_VECTORS:
+            lengths += [one.size for one in vectors.values()]
+    n_rows = max(lengths, key=lambda n: (n > 1, lengths.count(n), n), default=0)
     if n_rows < 2:
         raise DataError(
             f"{file.title} holds no column of numbers: no vector, and no matrix of few "
-            f"columns, has 2 numbers or more. {content.listing}"
+            f"columns, has 2 numbers or more. {_listing(variables)}"
         )
-    columns = {
-        name: vector for name, vector in vectors.items() if len(vector) == n_rows
-    }
-    return _table(file, columns, tuple(_further(content, n_rows)))
+    columns: dict[str, np.ndarray] = {}
+    further = []
+    for variable, vectors in variables.items():
+        fitting = {k: one.ravel() for k, one in vectors.items() if one.size == n_rows}
+        if fitting and len(vectors) <= MOST_VECTORS:
+            columns |= fitting
+        else:
+            further.append(variable)
+    return _table(file, columns, tuple(further))
 
 
 def _table(
-    file: BinaryFile,
-    columns: dict[Any, np.ndarray],
-    further: tuple[Variable, ...] = (),
+    file: OpenedFile, columns: dict[Any, np.ndarray], further: tuple[Variable, ...] = ()
 ) -> Table:
     import pandas as pd
 
@@ -92,122 +92,81 @@ def _table(
     return Table(file.title, "row", frame, file.run, further=further)
 
 
-def _further(content: "_Content", n_rows: int) -> Iterator[Variable]:
-    """What is no column of so many rows."""
-    for name, matrix in content.matrices.items():
-        if n_rows not in map(len, _vectors_of(name, matrix).values()):
-            is_number = matrix.size == 1 and not np.iscomplexobj(matrix)
-            value = float(matrix.item()) if is_number else None
-            said = _size(matrix) if value is None else f"the number {value:g}"
-            yield Variable(name, said, value)
-    for name, said in content.others.items():
-        yield Variable(name, said)
-
-
-def _vectors_of(name: str, matrix: np.ndarray) -> dict[str, np.ndarray]:
-    """The columns of a table in a matrix, as they are called in MATLAB."""
-    n_rows, n_columns = matrix.shape
-    if min(n_rows, n_columns) == 1:
-        return {name: matrix.ravel()} if matrix.size > 1 else {}
-    if min(n_rows, n_columns) > MOST_VECTORS:
-        return {}
-    if n_rows >= n_columns:
-        return {f"{name}(:,{i + 1})": matrix[:, i] for i in range(n_columns)}
-    return {f"{name}({i + 1},:)": matrix[i] for i in range(n_rows)}
-
-
-class _Content:
-    """What a file holds.
-
-    Attributes:
-        title: What messages call the file.
-        matrices: The numbers (n_rows, n_columns), by name; fields as "struct.field".
-        others: What cannot be read, in words.
-        listing: All of it, as a sentence.
-    """
-
-    def __init__(self, file: BinaryFile) -> None:
-        self.title = file.title
-        self.matrices: dict[str, np.ndarray] = {}
-        self.others: dict[str, str] = {}
-        listed = []
-        for name, value in _variables(file).items():
-            if value.dtype.kind == "U":
-                self.others[name] = str(value)
-            elif value.ndim != 2:
-                self.others[name] = (
-                    f"an array with {value.ndim} axes, which is not read"
+def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
+    """The vector of this name, which may go without its struct."""
+    wanted = str(name).replace(" ", "")
+    vectors: dict[str, np.ndarray] = {}
+    for of_variable in variables.values():
+        vectors |= of_variable
+    found = _fitting(wanted, vectors)
+    axis = {"(:,1)": 1, "(1,:)": 0}.get(wanted[-5:])
+    if not found and axis is not None:  # all of a vector, written as of a matrix
+        whole = _fitting(wanted[:-5], vectors)
+        found = [one for one in whole if vectors[one].shape[axis] == 1]
+    if len(found) == 1:
+        return vectors[found[0]].ravel()
+    said = f"{title} has no column {name!r}"
+    if found:
+        said = f"{title}: {name!r} is a field of several structs; say which one of "
+        raise DataError(f"{said}{found}.")
+    for variable, of_variable in variables.items():
+        if variable.name == wanted.partition("(")[0]:
+            said = f"{title}: {name!r} is {variable.said}"
+            if of_variable:
+                raise DataError(
+                    f"{title} has no column {name!r}: {variable.name!r} is a matrix of "
+                    f"{variable.said}, counted from 1; choose one of its columns or "
+                    f"rows, such as {next(iter(of_variable))!r}."
                 )
-            elif not value.size:
-                self.others[name] = "empty"
-            else:
-                self.matrices[name] = value
-            listed.append(f"{name!r} ({self.others.get(name) or _size(value)})")
-        self.listing = f"The file holds: {', '.join(listed) or 'nothing'}."
-
-    def column(self, name: Any) -> np.ndarray:
-        if not isinstance(name, str):
-            raise DataError(
-                f"{self.title}: the column {name!r} is no name; expected text, as in "
-                f"MATLAB. {self.listing}"
-            )
-        indexed = INDEXED.fullmatch(name)
-        if indexed is not None:
-            return self._indexed(name, indexed)
-        matrix = self._matrix(name)
-        if 1 not in matrix.shape:
-            raise DataError(
-                f"{self.title}: {name!r} is a matrix of {_size(matrix)}; "
-                f"choose one of its columns or rows, such as '{name}(:,1)' or "
-                f"'{name}(1,:)'."
-            )
-        return matrix.ravel()
-
-    def _indexed(self, name: str, indexed: re.Match[str]) -> np.ndarray:
-        matrix = self._matrix(indexed["name"])
-        row = indexed["row"]
-        column = indexed["column"]
-        is_one_colon = (row == ":") != (column == ":")
-        number = int(column if row == ":" else row) if is_one_colon else 0
-        vectors = matrix.T if row == ":" else matrix
-        if not 1 <= number <= len(vectors):
-            raise DataError(
-                f"{self.title} has no column {name!r}: {indexed['name']!r} is of "
-                f"{_size(matrix)}, counted from 1; expected such as (:,1) or (1,:)."
-            )
-        chosen: np.ndarray = vectors[number - 1]
-        return chosen
-
-    def _matrix(self, name: str) -> np.ndarray:
-        """The matrix of this name, which may go without its struct."""
-        fields = [known for known in self.matrices if known.endswith(f".{name}")]
-        if name in self.matrices or len(fields) == 1:
-            return self.matrices[name if name in self.matrices else fields[0]]
-        if fields:
-            raise DataError(
-                f"{self.title}: {name!r} is a field of several structs; "
-                f"say which one of {fields}."
-            )
-        said = f"{self.title} has no column {name!r}"
-        if name in self.others:
-            said = f"{self.title}: {name!r} is {self.others[name]}"
-        hint = did_you_mean(name, list(self.matrices))
-        raise DataError(f"{said}. {self.listing}{hint}")
+    hint = did_you_mean(wanted, vectors)
+    raise DataError(f"{said}. {_listing(variables)}{hint}")
 
 
-def _size(matrix: np.ndarray) -> str:
-    if matrix.size == 1:
-        return "one number"
-    if 1 in matrix.shape:
-        return f"{matrix.size} numbers"
-    return f"{matrix.shape[0]} x {matrix.shape[1]} numbers"
+def _fitting(wanted: str, vectors: Iterable[str]) -> list[str]:
+    """The vector of this name, or the fields of structs that are called so."""
+    if wanted in vectors:
+        return [wanted]
+    return [one for one in vectors if one.endswith(f".{wanted}")]
 
 
-def _variables(file: BinaryFile) -> dict[str, np.ndarray]:
-    """The variables of a file, in its order; fields of structs as "struct.field".
+def _listing(variables: Vectors) -> str:
+    """What a file holds, as a sentence."""
+    listed = [f"{one.name!r} ({one.said})" for one in variables]
+    return f"The file holds: {', '.join(listed) or 'nothing'}."
 
-    Of what is no array of numbers, an array of one text says what it is.
+
+def _vectors_of(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """The vectors in an array of numbers, as they are called in MATLAB.
+
+    Of a matrix these are its columns, or its rows where it is wider than high.
     """
+    if 1 in values.shape:
+        return {name: values}
+    is_high = values.shape[0] >= values.shape[1]
+    place = "(:,{})" if is_high else "({},:)"
+    vectors = values.T if is_high else values
+    return {name + place.format(i): one for i, one in enumerate(vectors, 1)}
+
+
+def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
+    """A variable in words, and the vectors in it."""
+    if values.dtype.kind == "U":
+        return Variable(name, str(values)), {}
+    if not values.size:
+        return Variable(name, "empty"), {}
+    if values.ndim > 2:
+        said = f"an array with {values.ndim} axes, which is not read"
+        return Variable(name, said), {}
+    vectors = _vectors_of(name, values)
+    if values.size > 1:
+        sizes = " x ".join(str(n) for n in values.shape if n > 1)
+        return Variable(name, f"{sizes} numbers"), vectors
+    number = None if np.iscomplexobj(values) else float(values.item())
+    return Variable(name, f"the number {values.item():g}", number), vectors
+
+
+def _variables(file: OpenedFile) -> Vectors:
+    """The variables of a file, in its order; fields of structs as "struct.field"."""
     try:
         with TemporaryFile() as content, TemporaryFile() as arrays:
             content.write(file.content)
@@ -217,7 +176,7 @@ def _variables(file: BinaryFile) -> dict[str, np.ndarray]:
                 arrays.seek(0)
                 with np.load(arrays, allow_pickle=False) as found:
                     names, *values = (found[key] for key in found.files)
-                return dict(zip(names.tolist(), values, strict=True))
+                return dict(map(_described, names.tolist(), values))
     except OSError as error:
         why = reading.why_not_read(error)
     raise DataError(

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
 
 import numpy as np
 
-from phsi_opt.data.arrays import Ends, joined_pairs, trajectories_in_arrays
+from phsi_opt.data.arrays import joined_pairs, trajectories_in_arrays
 from phsi_opt.data.checks import (
     Hold,
     check_unique,
@@ -215,11 +215,7 @@ class Measurements(TableReaders, Summarised):
             DataError: Something cannot be used.
         """
         t, x, u = joined_pairs(
-            Ends(t_start, t_end),
-            Ends(x_start, x_end),
-            Ends(u_start, u_end),
-            inputs,
-            hold,
+            (t_start, t_end), (x_start, x_end), (u_start, u_end), inputs, hold
         )
         return cls.from_arrays(
             t,

@@ -5,29 +5,62 @@ columns whose names they share; a state mapped to None was not measured. A colum
 file is its header, or an integer, its position counted from 0.
 """
 
+import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
+
+import numpy as np
 
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.excel_tables import table_of_excel
-from phsi_opt.data.file_opening import (
-    BinarySource,
-    Source,
-    binary_files,
-    text_files,
-)
-from phsi_opt.data.layout import (
-    ColumnMap,
-    Layout,
-    table_layout,
-    trajectories_in,
-)
+from phsi_opt.data.file_opening import BinarySource, Source, binary_files, text_files
+from phsi_opt.data.layout import RUN_PART, TIME_PART, ColumnMap, Layout, Part
 from phsi_opt.data.matlab_tables import table_of_mat
-from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
+from phsi_opt.data.tables import (
+    Table,
+    numbers_in,
+    rows_of_runs,
+    table_of_csv,
+    table_of_frame,
+)
 from phsi_opt.data.text_cells import TextFormat
+from phsi_opt.data.times import Clock, clock_of
+from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.errors import DataError, did_you_mean
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+NO_CLOCK = Clock(np.empty(0))
+
+
+class TableWords(TypedDict, total=False):
+    """What every reader is told of a table, by the names that `from_csv` explains."""
+
+    time: Any
+    states: Required[ColumnMap]
+    inputs: ColumnMap | None
+    hold: Hold
+    trajectory: str | None
+    units: Mapping[str, str] | None
+    noise: Mapping[str, float] | None
+    step: float | None
+    start: Any
+    date_format: str | None
+
+
+class TableError(DataError):
+    """Columns of a table cannot be used; the message is about the first.
+
+    Attributes:
+        by_part: The fault of each part: ``("time", "column")``, ``("trajectory",)``,
+            ``("states", name, "column")`` or ``("inputs", name, "column")``.
+    """
+
+    def __init__(self, by_part: Mapping[Part, DataError]) -> None:
+        super().__init__(str(next(iter(by_part.values()))))
+        self.by_part = by_part
 
 
 class TableReaders:
@@ -87,33 +120,32 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
-        text_format = TextFormat(columns, separator, decimal)
-        tables = []
-        for file in text_files(source):
-            tables.append(table_of_csv(file, layout.columns, text_format))
-        return cls._from_tables(tables, layout, units, hold, noise)
+        told: TableWords = {
+            "time": time,
+            "states": states,
+            "inputs": inputs,
+            "hold": hold,
+            "trajectory": trajectory,
+            "units": units,
+            "noise": noise,
+            "step": step,
+            "start": start,
+            "date_format": date_format,
+        }
+        wanted = _layout(told).columns
+        form = TextFormat(columns, separator, decimal)
+        tables = [table_of_csv(file, wanted, form) for file in text_files(source)]
+        return cls.from_tables(tables, **told)
 
     @classmethod
     def from_excel(
         cls,
         source: BinarySource | Iterable[BinarySource],
         *,
-        time: str | int | None = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
         sheet: str | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
         columns: Sequence[str] | None = None,
         decimal: str | None = None,
+        **told: Unpack[TableWords],
     ) -> Self:
         """Read sheets of Excel workbooks (.xlsx); otherwise as `from_csv`.
 
@@ -123,37 +155,24 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them.
             sheet: The sheet; None: the only one that is not empty.
-            time, states, inputs, trajectory: As in `from_csv`.
-            step, start, date_format, columns, decimal: As in `from_csv`.
-            hold, units, noise: As the attributes of `Measurements`.
+            columns, decimal: As in `from_csv`.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with file, sheet, column and row.
         """
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
-        text_format = TextFormat(columns, None, decimal)
-        tables = []
-        for file in binary_files(source):
-            tables.append(table_of_excel(file, layout.columns, sheet, text_format))
-        return cls._from_tables(tables, layout, units, hold, noise)
+        wanted = _layout(told).columns
+        form = TextFormat(columns, None, decimal)
+        files = binary_files(source)
+        tables = [table_of_excel(file, wanted, sheet, form) for file in files]
+        return cls.from_tables(tables, **told)
 
     @classmethod
     def from_mat(
         cls,
         source: BinarySource | Iterable[BinarySource],
-        *,
-        time: str | None = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
+        **told: Unpack[TableWords],
     ) -> Self:
         """Read MATLAB files of version 4 to 7.
 
@@ -164,75 +183,166 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them: then
                 each file is a trajectory of its own.
-            time: The column of the times; None: they are counted by ``step``.
-            states: Maps names to columns (or lists columns whose names they share); a
-                state mapped to None was not measured.
-            inputs: The same for the inputs, which must be measured.
-            trajectory: A column whose value names each sample's trajectory.
-            hold, units, noise: As the attributes of `Measurements`.
-            step: The time between samples, where no column tells it.
-            start, date_format: As in `from_csv`, for numbers such as 20210131.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
                 what the file holds where a column is not found.
         """
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
-        tables = [table_of_mat(file, layout.columns) for file in binary_files(source)]
-        return cls._from_tables(tables, layout, units, hold, noise)
+        wanted = _layout(told).columns
+        tables = [table_of_mat(file, wanted) for file in binary_files(source)]
+        return cls.from_tables(tables, **told)
 
     @classmethod
-    def from_dataframe(
-        cls,
-        frame: "pd.DataFrame",
-        *,
-        time: Any = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
-    ) -> Self:
+    def from_dataframe(cls, frame: "pd.DataFrame", **told: Unpack[TableWords]) -> Self:
         """Read a data frame, which is not changed; columns are its labels.
 
         Args:
             frame: The table.
-            time, states, inputs, trajectory: As in `from_csv`.
-            step, start, date_format: As in `from_csv`.
-            hold, units, noise: As the attributes of `Measurements`.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with the row's label in the index.
         """
-        table = table_of_frame(frame)
-        layout = table_layout(
-            time, states, inputs, trajectory, step, start, date_format
-        )
-        return cls._from_tables([table], layout, units, hold, noise)
+        return cls.from_tables([table_of_frame(frame)], **told)
 
     @classmethod
-    def _from_tables(
-        cls,
-        tables: Sequence[Table],
-        layout: Layout,
-        units: Mapping[str, str] | None,
-        hold: Hold,
-        noise: Mapping[str, float] | None,
-    ) -> Self:
+    def from_tables(cls, tables: Sequence[Table], **told: Unpack[TableWords]) -> Self:
+        """From tables, whose trajectories are in the order in which they begin.
+
+        Where several tables have a column that names the trajectory, the table's own
+        name comes first: "bench/run 3". Times that are dates have the unit s.
+
+        Args:
+            tables: At least one, as a file or a data frame has it.
+            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
+
+        Raises:
+            TableError: Columns cannot be used.
+            DataError: Something else cannot be used.
+        """
+        layout = _layout(told)
+        trajectories: list[Trajectory] = []
+        faults: dict[Part, DataError] = {}
+        are_dates = False
+        for table in tables:
+            named = table.run if len(tables) > 1 and layout.trajectory else ""
+            runs, clock = _runs_in(table, layout, f"{named}/" if named else "", faults)
+            trajectories += runs
+            are_dates = are_dates or bool(clock.origins)
+        if faults:
+            raise TableError(faults)
+        units = told.get("units")
         make: Any = cls  # a `Measurements`, which names its fields
-        trajectories, all_units = trajectories_in(tables, layout, units)
         made: Self = make(
-            trajectories,
+            tuple(trajectories),
             states=tuple(layout.states),
             inputs=tuple(layout.inputs),
-            units=all_units,
-            hold=hold,
-            noise=noise,
+            units=_with_seconds({} if units is None else units, are_dates),
+            hold=told.get("hold", "linear"),
+            noise=told.get("noise"),
         )
         return made
+
+
+def _runs_in(
+    table: Table, layout: Layout, prefix: str, faults: dict[Part, DataError]
+) -> tuple[list[Trajectory], Clock]:
+    """The trajectories of a table; none, and the faults noted, where it has some."""
+    rows: dict[str, np.ndarray] = {}
+    clock = NO_CLOCK
+    values = {what: [np.empty((len(table.frame), 0))] for what in ("states", "inputs")}
+    for part, column in layout.parts.items():
+        try:
+            _check_column(table, column, layout)
+            if part == RUN_PART:
+                rows = _rows_by_name(table, column)
+            elif part == TIME_PART:
+                clock = clock_of(table, layout, list(rows.values()))
+            else:
+                may_be_missing = part[0] == "states"
+                values[part[0]].append(_values(table, column, may_be_missing))
+        except DataError as error:
+            faults.setdefault(part, error)
+    if faults:
+        return [], clock
+    if table.frame.empty:
+        raise DataError(
+            f"{table.title} has no samples; "
+            "expected at least 2 rows of numbers below the header."
+        )
+    x, u = (np.column_stack(columns) for columns in values.values())
+    runs = []
+    origins: Sequence[Any] = clock.origins or [None] * len(rows)
+    for (name, own), origin in zip(rows.items(), origins, strict=True):
+        moment = origin if isinstance(origin, dt.datetime) else None
+        runs.append(Trajectory(prefix + name, clock.t[own], x[own], u[own], moment))
+    return runs, clock
+
+
+def _layout(told: TableWords) -> Layout:
+    words: dict[str, Any] = dict(told)
+    for name in ("hold", "units", "noise"):
+        words.pop(name, None)
+    return Layout(**words)
+
+
+def _values(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
+    """The values of a column, (n_rows,); NaN where there is none."""
+    if column is None:
+        return np.full(len(table.frame), np.nan)
+    return numbers_in(table, column, may_be_missing)
+
+
+def _with_seconds(units: Any, are_dates: bool) -> Any:
+    """The units, with seconds as that of the time where times are dates."""
+    if not are_dates or not isinstance(units, Mapping):
+        return units  # what is no mapping is refused by `checked_by_name`
+    unit = units.get("t", "s")
+    if unit != "s":
+        raise DataError(
+            f"units: the time 't' has the unit {unit!r}, and times that are dates are "
+            "read in seconds; expected 's'. Leave 't' out of units."
+        )
+    return {**units, "t": "s"}
+
+
+def _check_column(table: Table, column: Any, layout: Layout) -> None:
+    if column is None:
+        return
+    found = table.frame.columns.tolist()
+    n_found = found.count(column)
+    if n_found == 0:
+        raise DataError(
+            f"{table.title} has no column {column!r}; expected one of its columns "
+            f"{found}.{did_you_mean(column, found)}"
+        )
+    if n_found > 1:
+        raise DataError(
+            f"{table.title} has {n_found} columns called {column!r}; expected one. "
+            "Rename them so that it is clear which one is meant."
+        )
+    if layout.columns.count(column) > 1:
+        raise DataError(
+            f"{table.title}: the column {column!r} is asked for twice; "
+            "expected one column per name."
+        )
+
+
+def _rows_by_name(table: Table, column: Any) -> dict[str, np.ndarray]:
+    """Row numbers of each trajectory, in the order in which the trajectories begin."""
+    if column is None:
+        return {table.run: np.arange(len(table.frame))}
+    cells = table.frame[column]
+    names = cells.astype(str).str.strip()
+    is_missing = (cells.isna() | (names == "")).to_numpy()
+    if is_missing.any():
+        place = table.place(column, int(np.argmax(is_missing)))
+        raise DataError(
+            f"{place} the trajectory's name is missing; "
+            "every sample must name its trajectory."
+        )
+    return rows_of_runs(names)

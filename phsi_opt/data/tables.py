@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phsi_opt.data.checks import check_values
-from phsi_opt.data.file_opening import OpenedFile, TextFile
+from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.text_cells import (
     DECIMAL_COMMA,
     DECIMAL_POINT,
@@ -28,6 +28,7 @@ from phsi_opt.data.text_cells import (
 )
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
+from phsi_opt.presentation.short_repr import short_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,7 +102,7 @@ def table_of_frame(frame: Any) -> Table:
 
 
 def table_of_csv(
-    file: TextFile, wanted: Iterable[Any], text_format: TextFormat | None = None
+    file: OpenedFile, wanted: Iterable[Any], text_format: TextFormat | None = None
 ) -> Table:
     """The cells of a text table, as text; empty lines are skipped.
 
@@ -128,7 +129,7 @@ def table_of_csv(
 
 
 def table_of_rows(
-    file: OpenedFile[Any],
+    file: OpenedFile,
     title: str,
     row_word: str,
     rows: Rows,
@@ -159,19 +160,25 @@ def table_of_rows(
     widest = max(widths, key=widths.__getitem__)
     width = widths[widest]
     reference = f"in {row_word} {widest}"
-    if told.columns is None and is_header(first):
+    names = told.columns
+    if names is None and is_header(first):
         if row_word == "line":
             width = widths[number]
             reference = "in the header"
-        header = [str(cell) for cell in first]
+        names = [str(cell) for cell in first[:width]]
         rows = {i: cells for i, cells in rows.items() if i != number}
-    else:
-        header = _names_by_position(told.columns, width, title)
-        if told.columns and not any(map(looks_like_a_value, first)):
-            raise DataError(
-                f"{title}, {row_word} {number} holds names, {first}, and columns "
-                "names them too. Leave columns=... out, or remove the line."
-            )
+    elif names is None:
+        names = [str(i) for i in range(width)]
+    elif not any(map(looks_like_a_value, first)):
+        raise DataError(
+            f"{title}, {row_word} {number} holds names, {first}, and columns "
+            "names them too. Leave columns=... out, or remove the line."
+        )
+    if len(names) != width:
+        raise DataError(
+            f"{title} has {width} columns; columns={list(names)} names "
+            f"{len(names)}. Name every column, in their order."
+        )
     for i, cells in rows.items():
         if len(cells) < width or widths[i] > width:
             raise DataError(
@@ -180,42 +187,26 @@ def table_of_rows(
                 "lines of text above the table. If its numbers have decimal commas, "
                 "write decimal points, or another separator."
             )
-    decimal = told.decimal
-    if decimal is None:
-        decimal = decimal_of(itertools.chain.from_iterable(rows.values()), separator)
+    decimal = told.decimal or decimal_of(itertools.chain(*rows.values()), separator)
     frame = pd.DataFrame(
         [cells[:width] for cells in rows.values()],
         index=list(rows),
-        columns=pd.Index(_labels(header[:width], wanted, title), dtype=object),
+        columns=pd.Index(_labels(names, wanted, title), dtype=object),
         dtype=object,
     )
     return Table(title, row_word, frame, file.run, decimal, file.remark)
 
 
-def _names_by_position(
-    columns: Sequence[str] | None, width: int, title: str
-) -> list[str]:
-    """The names of the columns of a table without a header: given, or "0", "1", ..."""
-    if columns is None:
-        return [str(i) for i in range(width)]
-    if len(columns) != width:
-        raise DataError(
-            f"{title} has {width} columns; columns={list(columns)} names "
-            f"{len(columns)}. Name every column, in their order."
-        )
-    return list(columns)
-
-
-def _labels(header: Sequence[str], wanted: Iterable[Any], title: str) -> list[Any]:
+def _labels(names: Sequence[str], wanted: Iterable[Any], title: str) -> list[Any]:
     """What columns are called: names, or their numbers from 0 where these are asked."""
-    labels: list[Any] = list(header)
+    labels: list[Any] = list(names)
     for column in wanted:
         if isinstance(column, bool) or not isinstance(column, int | np.integer):
             continue
         if not 0 <= column < len(labels):
             raise DataError(
                 f"{title} has no column {column}; it has {len(labels)} columns, "
-                f"counted from 0: {list(header)}."
+                f"counted from 0: {list(names)}."
             )
         labels[column] = int(column)
     return labels
@@ -236,9 +227,10 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
         for i, cell in enumerate(cells):
             try:
                 values[i] = _number(cell, table.decimal)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise DataError(
-                    f"{table.place(column, i)} {cell!r} is not a real number. "
+                    f"{table.place(column, i)} {short_number(cell)} is not a real "
+                    "number. "
                     f"{_repair(cell, table)}"
                 ) from None
 
@@ -247,6 +239,20 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
 
     check_values(values, place_of, may_be_missing)
     return values
+
+
+def rows_of_runs(names: "pd.Series") -> dict[str, np.ndarray]:
+    """The row numbers of each run, (n_samples,) each, in the order in which they begin.
+
+    Args:
+        names: (n_rows,) of the runs.
+    """
+    import pandas as pd
+
+    numbers, different = pd.factorize(names.astype(str).str.strip())
+    order = np.argsort(numbers, kind="stable")
+    rows = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)
+    return dict(zip(different.tolist(), rows, strict=True))
 
 
 def holds_real_numbers(cells: "pd.Series") -> bool:
@@ -269,8 +275,12 @@ def is_missing(cell: Any) -> bool:
 def _number(cell: Any, decimal: str | None) -> float:
     if is_missing(cell):
         return float("nan")
-    if decimal == "," and isinstance(cell, str):
-        cell = cell.translate(POINTS_FOR_COMMAS)
+    if isinstance(cell, str):
+        if "_" in cell:  # which Python takes for a sign between digits
+            raise ValueError
+        cell = cell.translate(POINTS_FOR_COMMAS) if decimal == "," else cell
+    elif np.iscomplexobj(cell):  # of which NumPy would drop a part
+        raise TypeError
     return float(cell)
 
 

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from phsi_opt.data.file_opening import TextFile
+from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.errors import DataError
 
 BLANKS = " "  # one blank or several, tabs among them
@@ -25,6 +25,7 @@ NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 MOMENT = re.compile(
     r"\d{1,4}[-./:]\d{1,2}[-./:]\d[\d:.,]*([T ][\d:.,]+)?(Z|[+-][\d:]+)?"
 )
+SEPARATOR = re.compile(r"[^\"\r\n]")
 LINES_TRIED = 50  # lines that tell the separator: more would tell nothing else
 
 Line = tuple[int, list[str]]  # its number in the file, from 1, and its cells
@@ -59,8 +60,7 @@ class TextFormat:
             if not isinstance(name, str) or not name:
                 raise DataError(f"columns holds {name!r}; expected names as text.")
         separator = self.separator
-        is_sign = isinstance(separator, str) and len(separator) == 1
-        if separator is not None and (not is_sign or separator in '"\r\n'):
+        if separator is not None and not SEPARATOR.fullmatch(str(separator)):
             raise DataError(
                 f"the separator {separator!r} is not a single sign; expected ',', ';', "
                 "'\\t', or ' ' for blanks."
@@ -70,14 +70,14 @@ class TextFormat:
                 f"the sign of decimals {self.decimal!r} is unknown; "
                 "expected '.' or ','."
             )
-        if self.decimal == "," and separator == ",":
+        if self.decimal == separator == ",":
             raise DataError(
                 "a comma as separator and as sign of decimals leaves no way to tell "
                 "them apart; expected two signs."
             )
 
 
-def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
+def filled_lines(file: OpenedFile, separator: str) -> Iterator[Line]:
     """The lines with at least one cell that is not empty, without blanks around cells.
 
     Raises:
@@ -99,7 +99,7 @@ def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
         ) from error
 
 
-def separator_of(file: TextFile, wanted_names: set[str]) -> str:
+def separator_of(file: OpenedFile, wanted_names: set[str]) -> str:
     """The separator under which a text looks most like a table.
 
     First comes the one with which the first line shows most of the wanted columns;
@@ -114,31 +114,23 @@ def separator_of(file: TextFile, wanted_names: set[str]) -> str:
     def score(separator: str) -> tuple[int, float, int]:
         lines = []
         with suppress(DataError):  # told when the table is read with what is chosen
-            for _, cells in itertools.islice(
-                filled_lines(file, separator), LINES_TRIED
-            ):
-                lines.append(cells)
-        if not lines:
-            return 0, 0.0, 0
-        first = lines[0][: n_filled(lines[0])]
+            for _, line in itertools.islice(filled_lines(file, separator), LINES_TRIED):
+                lines.append(line)
+        first = lines[0][: n_filled(lines[0])] if lines else []
         n_wanted = len(set(first) & wanted_names)
-        if len(first) == 1:  # a sign that separates nothing
+        width = len(first)
+        if width < 2:  # a sign that separates nothing
             return n_wanted, 0.0, 0
-        return n_wanted, _readable_share(lines[1:], len(first)), len(first)
+        n_cells = 0
+        n_readable = 0
+        for line in lines[1:]:
+            filled = line[: n_filled(line)]
+            n_cells += len(filled)
+            if len(line) >= width >= len(filled):
+                n_readable += sum(map(looks_like_a_value, filled))
+        return n_wanted, n_readable / max(n_cells, 1), width
 
     return max(SEPARATORS, key=score)
-
-
-def _readable_share(lines: list[list[str]], width: int) -> float:
-    """The share of the cells that could be numbers or moments."""
-    n_cells = 0
-    n_readable = 0
-    for cells in lines:
-        filled = cells[: n_filled(cells)]
-        n_cells += len(filled)
-        if len(cells) >= width >= len(filled):
-            n_readable += sum(map(looks_like_a_value, filled))
-    return n_readable / n_cells if n_cells else 0.0
 
 
 def looks_like_a_value(cell: Any) -> bool:
@@ -177,12 +169,8 @@ def decimal_of(cells: Iterable[Any], separator: str) -> str | None:
         separator: The sign between them: beside a comma as separator, a quoted "1,234"
             could as well be a thousand, and is not taken for a decimal comma.
     """
-    has_comma = False
-    has_point = False
-    for cell in cells:
-        if isinstance(cell, str):
-            has_comma = has_comma or DECIMAL_COMMA.fullmatch(cell) is not None
-            has_point = has_point or DECIMAL_POINT.fullmatch(cell) is not None
-    if not has_comma:
+    texts = [cell for cell in cells if isinstance(cell, str)]
+    if not any(map(DECIMAL_COMMA.fullmatch, texts)):
         return "."
+    has_point = any(map(DECIMAL_POINT.fullmatch, texts))
     return None if has_point or separator == "," else ","

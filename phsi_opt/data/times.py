@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.checks import LARGEST_EXACT, from_first
+from phsi_opt.data.layout import Layout
 from phsi_opt.data.tables import Table, holds_real_numbers, is_missing, numbers_in
 from phsi_opt.data.text_cells import DECIMAL_COMMA, NUMBER
 from phsi_opt.errors import DataError
@@ -45,48 +46,6 @@ WHOLE_NUMBER = re.compile(r"(\d+)(\.0*)?")
 Moment = dt.datetime | dt.timedelta  # of a calendar, or since midnight
 
 
-@dataclass(frozen=True)
-class Times:
-    """Where the times of a table come from.
-
-    Attributes:
-        column: The column that holds them; None: they are counted.
-        step: The time between neighbouring rows, where they are counted.
-        start: The moment at which t is 0, where they are dates; None: the first sample
-            of each trajectory.
-        date_format: How dates are written, in the signs of strptime; None: as ISO 8601;
-            "": the times are numbers, even where these look like dates.
-
-    Raises:
-        DataError: These do not go together.
-    """
-
-    column: Any
-    step: float | None = None
-    start: Any = None
-    date_format: str | None = None
-
-    def __post_init__(self) -> None:
-        step = self.step
-        if (self.column is None) == (step is None):
-            raise DataError(
-                f"time={self.column!r} and step={step!r}; expected one of them: "
-                "the column of the times, or the time between neighbouring rows."
-            )
-        if step is None:
-            return
-        is_number = isinstance(step, int | float | np.number)
-        if isinstance(step, bool) or not is_number or not 0 < step < np.inf:
-            raise DataError(
-                f"step={step!r} is no time between rows; expected a positive number."
-            )
-        if self.start is not None or self.date_format is not None:
-            raise DataError(
-                "start and date_format are for dates in a column; "
-                "with step=... leave them out."
-            )
-
-
 @dataclass(frozen=True, eq=False)
 class Clock:
     """The times of a table.
@@ -101,47 +60,52 @@ class Clock:
     origins: Sequence[Moment] = ()
 
 
-def clock_of(table: Table, times: Times, runs: Sequence[np.ndarray]) -> Clock:
+def clock_of(table: Table, layout: Layout, runs: Sequence[np.ndarray]) -> Clock:
     """The times of all rows.
 
     Args:
         table: As it was read.
-        times: Where its times come from.
+        layout: Says where its times come from.
         runs: The row numbers of each trajectory, (n_samples,).
 
     Raises:
         DataError: A cell is no time, or not after the one before it in its trajectory.
     """
-    if times.step is not None:
+    if layout.step is not None:
         t = np.empty(len(table.frame))
         for rows in runs:
-            t[rows] = times.step * np.arange(len(rows))
+            t[rows] = layout.step * np.arange(len(rows))
         return Clock(t)
-    if _are_moments(table, times):
-        return _clock_of_moments(table, times, runs)
-    if times.start is not None:
+    if _are_moments(table, layout):
+        return _clock_of_moments(table, layout, runs)
+    if layout.start is not None:
         raise DataError(
-            f"start={times.start!r} is for dates, and the column {times.column!r} of "
+            f"start={layout.start!r} is for dates, and the column {layout.time!r} of "
             f"{table.title} holds numbers; leave start out."
         )
-    t = numbers_in(table, times.column, may_be_missing=False)
+    t = _numbers(table, layout)
+    _check_increasing(table, layout.time, t, t.tolist(), runs)
+    return Clock(t)
+
+
+def _numbers(table: Table, layout: Layout) -> np.ndarray:
+    """Times that are numbers, (n_rows,)."""
+    t = numbers_in(table, layout.time, may_be_missing=False)
+    cells = table.frame[layout.time]
     form = format_of_dates(t)
-    if form and times.date_format is None:
-        first = table.frame[times.column].iloc[0]
+    if form and layout.date_format is None:
+        first = cells.iloc[0]
         moment = _date_in(first, form) or "a date"  # of a 31st of February
         raise DataError(
-            f"{table.place(times.column, 0)} {first} looks like {moment} written as "
+            f"{table.place(layout.time, 0)} {first} looks like {moment} written as "
             "one number, and so do all others; expected times as numbers of one unit, "
             f'or dates. Say date_format = "{form}" where they are dates, and '
             'date_format = "" where they are numbers.'
         )
     if np.max(np.abs(t), initial=0.0) > LARGEST_EXACT:
         with suppress(ValueError, OverflowError):  # not whole, or beyond all bounds
-            whole = [int(str(cell)) for cell in table.frame[times.column]]
-            t = np.asarray(from_first(whole), float)
-    for rows in runs:
-        _check_increasing(table, times.column, t, rows)
-    return Clock(t)
+            t = np.asarray(from_first([int(str(cell)) for cell in cells]), float)
+    return t
 
 
 def format_of_dates(values: np.ndarray) -> str:
@@ -171,11 +135,11 @@ def _are_dates(values: np.ndarray, n_parts: int) -> bool:
     return bool(np.all((rest >= FIRST_YEAR) & (rest <= LAST_YEAR)))
 
 
-def _are_moments(table: Table, times: Times) -> bool:
+def _are_moments(table: Table, layout: Layout) -> bool:
     """Whether the times are dates or times of day, as the first filled cell tells."""
-    if times.date_format is not None:
-        return times.date_format != ""
-    cells = table.frame[times.column]
+    if layout.date_format is not None:
+        return layout.date_format != ""
+    cells = table.frame[layout.time]
     if holds_real_numbers(cells):
         return False
     first = next((cell for cell in cells if not is_missing(cell)), None)
@@ -185,27 +149,29 @@ def _are_moments(table: Table, times: Times) -> bool:
     return not is_number
 
 
-def _clock_of_moments(table: Table, times: Times, runs: Sequence[np.ndarray]) -> Clock:
+def _clock_of_moments(
+    table: Table, layout: Layout, runs: Sequence[np.ndarray]
+) -> Clock:
     moments: list[Moment] = []
-    for i, cell in enumerate(table.frame[times.column]):
-        moment = _moment(cell, times.date_format)
+    for i, cell in enumerate(table.frame[layout.time]):
+        place = table.place(layout.time, i)
+        moment = _moment(cell, layout.date_format)
         if moment is None:
-            raise DataError(f"{table.place(times.column, i)} {_refused(cell, times)}")
+            raise DataError(f"{place} {_refused(cell, layout.date_format)}")
         moments.append(moment)
         if _kind(moment) != _kind(moments[0]):
             raise DataError(
-                f"{table.place(times.column, i)} {cell!r} is {_kind(moment)}, and the "
-                f"first of the column is {_kind(moments[0])}; expected one kind. "
-                "Write all in one way."
+                f"{place} {cell!r} is {_kind(moment)}, and the first of the column is "
+                f"{_kind(moments[0])}; expected one kind. Write all in one way."
             )
-    start = _start(times, moments[0])
+    start = None if layout.start is None else _start(layout, moments[0])
     t = np.empty(len(moments))
     origins = []
     for rows in runs:
         origin: Any = moments[rows[0]] if start is None else start
         t[rows] = [(moments[i] - origin) / SECOND for i in rows]
-        _check_increasing(table, times.column, t, rows, moments)
         origins.append(origin)
+    _check_increasing(table, layout.time, t, moments, runs)
     return Clock(t, origins)
 
 
@@ -248,14 +214,14 @@ def _date_in(cell: Any, form: str) -> dt.datetime | None:
         return None
 
 
-def _refused(cell: Any, times: Times) -> str:
+def _refused(cell: Any, date_format: str | None) -> str:
     if is_missing(cell):
         return (
             "the time is missing; times must be known at every sample. Drop the sample."
         )
-    if times.date_format is not None:
+    if date_format is not None:
         return (
-            f"{cell!r} is no moment as date_format={times.date_format!r} says. "
+            f"{cell!r} is no moment as date_format={date_format!r} says. "
             "Correct the cell or the format."
         )
     return (
@@ -268,18 +234,14 @@ def _refused(cell: Any, times: Times) -> str:
 def _kind(moment: Moment) -> str:
     if isinstance(moment, dt.timedelta):
         return "a time of day"
-    if moment.tzinfo is None:
-        return "a date without time zone"
-    return "a date with time zone"
+    return f"a date with{'out' if moment.tzinfo is None else ''} time zone"
 
 
-def _start(times: Times, first: Moment) -> Moment | None:
-    if times.start is None:
-        return None
-    start = _moment(times.start, times.date_format) or _moment(times.start, None)
+def _start(layout: Layout, first: Moment) -> Moment:
+    start = _moment(layout.start, layout.date_format) or _moment(layout.start, None)
     if start is None or _kind(start) != _kind(first):
         raise DataError(
-            f"start={times.start!r} is not {_kind(first)}, as the times are; "
+            f"start={layout.start!r} is not {_kind(first)}, as the times are; "
             f"expected such as {str(first)!r}."
         )
     return start
@@ -289,20 +251,21 @@ def _check_increasing(
     table: Table,
     column: Any,
     t: np.ndarray,
-    rows: np.ndarray,
-    moments: Sequence[Moment] | None = None,
+    said: Sequence[Any],
+    runs: Sequence[np.ndarray],
 ) -> None:
-    """Refuse a time of a trajectory's rows that is not after the one before it."""
-    is_late = np.diff(t[rows]) <= 0
-    if not is_late.any():
-        return
-    number = int(np.argmax(is_late))
-    before, after = rows[number : number + 2].tolist()
-    said: Any = t.tolist() if moments is None else moments
-    clock = " (a clock set back in autumn repeats an hour)" if moments else ""
-    raise DataError(
-        f"{table.place(column, after)} {said[after]} is not after {said[before]} of "
-        f"{table.row(before)}; times must increase strictly{clock}. "
-        "Sort the samples or drop the duplicate; where runs follow each other, name "
-        "the column that tells them apart (trajectory)."
-    )
+    """Refuse a time of a trajectory that is not after the one before it."""
+    for rows in runs:
+        is_late = np.diff(t[rows]) <= 0
+        if not is_late.any():
+            continue
+        number = int(np.argmax(is_late))
+        before, after = rows[number : number + 2].tolist()
+        clock = " (a clock set back in autumn repeats an hour)"
+        raise DataError(
+            f"{table.place(column, after)} {said[after]} is not after {said[before]} "
+            f"of {table.row(before)}; times must increase strictly"
+            f"{'' if isinstance(said[0], float) else clock}. "
+            "Sort the samples or drop the duplicate; where runs follow each other, "
+            "name the column that tells them apart (trajectory)."
+        )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from phsi_opt.study_file.complaints import texts
+from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.study_text import text_of
 from phsi_opt.study_file.toml_text import toml_tables, toml_value
 
@@ -89,7 +89,7 @@ def _terms_text(terms: Any) -> str:
 TEXT = Kind(str, str)
 REAL = Kind("{:.12g}".format, number_in)
 WHOLE = Kind(str, lambda text: number_in(text, int))
-NAMES = Kind(lambda names: ", ".join(texts(names)), names_in)
+NAMES = Kind(lambda names: ", ".join(listed(names)), names_in)
 PAIRS = Kind(lambda pairs: ", ".join(map("-".join, pairs)), _pairs_in)
 TERMS = Kind(_terms_text, _terms_in)
 
@@ -179,7 +179,7 @@ class HeldOutDraft:
         for way, key in HELD_OUT_KEYS.items():
             if key in content:
                 told = content[key]
-                value = list(texts(told)) if key == "runs" else REAL.text(told)
+                value = list(listed(told)) if key == "runs" else REAL.text(told)
                 return cls(way, **{key: value})  # type: ignore[arg-type]
         return cls(NOTHING)
 
@@ -462,7 +462,7 @@ class StudyDraft:
         data.take(content["data"])
         data.held_out = HeldOutDraft.of(content.get("held_out", {}))
         study = dict(content.get("study", {}))
-        added = list(texts(study.pop("added", ())))
+        added = list(listed(study.pop("added", ())))
         kept = {name: content[name] for name in KEPT if name in content}
         if study:
             kept["study"] = study

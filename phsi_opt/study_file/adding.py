@@ -14,7 +14,7 @@ from tomlkit.exceptions import TOMLKitError
 
 from phsi_opt.errors import DataError
 from phsi_opt.reading import file_bytes
-from phsi_opt.study_file.complaints import texts
+from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.toml_text import toml_tables, toml_value
 from phsi_opt.writing import write_whole
 
@@ -58,7 +58,7 @@ def _with_added(text: str, names: list[str], path: Path) -> str:
     try:
         expected = toml_tables(text)
         study = expected.setdefault("study", {})
-        names = [*texts(study.get("added", ())), *names]
+        names = [*listed(study.get("added", ())), *names]
         study["added"] = names
         changed = _changed(text, names)
         is_safe = toml_tables(changed) == expected

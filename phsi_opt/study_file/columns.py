@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.data.tables import Table
+from phsi_opt.data.tables import Table, rows_of_runs
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.data.times import format_of_dates
 from phsi_opt.data.wording import number_of
-from phsi_opt.study_file.data_files import rows_of_runs
 from phsi_opt.study_file.headers import TIMES, Header
 
 TIME = "time"
@@ -132,7 +131,7 @@ class Column:
         """The rows of each sample and of the next one of its run, (n_pairs, 2)."""
         runs = [np.arange(len(self.lines))]
         if run is not None:
-            runs = rows_of_runs(run.cells)
+            runs = list(rows_of_runs(run.cells).values())
         return np.vstack([np.column_stack([rows[:-1], rows[1:]]) for rows in runs])
 
     def wrong_time(self, run: "Column | None") -> str:

@@ -1,17 +1,20 @@
 """What is wrong with a study file: collected, not raised, so that all is told at once.
 
-What cannot be used is noted and left out, and reading goes on.
+What cannot be used is noted and left out, and reading goes on. A place in the file is
+the names and numbers that lead to it from the top, as in ``("data", "states", "q")``.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from phsi_opt.errors import Complaint
+from phsi_opt.errors import Complaint, DataError, ModelError
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 SHOWN_CHARACTERS = 60  # of a value, in a message
 MOST_TOLD = 100  # complaints; a person corrects fewer before the next look
+Place = tuple[str | int, ...]
 
 
 class TooManyComplaintsError(Exception):
@@ -25,15 +28,24 @@ def shown(value: Any) -> str:
     return text if is_short else f"{text[:SHOWN_CHARACTERS]}..."
 
 
-def path_of(table: str, name: str) -> str:
-    """The key of an entry of a table, from the top of the file."""
-    return f"{table}.{key_text(name)}" if table else key_text(name)
+def key_of(place: Place) -> str:
+    """The key of a place, such as ``"effects[0].name"``."""
+    parts = [
+        f"[{one}]" if isinstance(one, int) else f".{key_text(one)}" for one in place
+    ]
+    return "".join(parts).removeprefix(".")
 
 
 @dataclass
 class Complaints:
-    """What is wrong with a file, in the order in which it was found."""
+    """What is wrong with a file, in the order in which it was found.
 
+    Attributes:
+        content: the tables of the file.
+        listed: what is wrong.
+    """
+
+    content: Mapping[str, Any]
     listed: list[Complaint] = field(default_factory=list)
 
     @property
@@ -41,79 +53,81 @@ class Complaints:
         """Whether as many are noted as are told."""
         return len(self.listed) >= MOST_TOLD
 
-    def add(self, key: str, said: object, value: Any = None) -> None:
-        """Note that the value of a key cannot be used.
+    def place(self, place: Place) -> Place:
+        """The place without the number of one that stands for a list of it."""
+        found: list[str | int] = []
+        content: Any = self.content
+        for part in place:
+            if isinstance(part, int) and not isinstance(content, list):
+                continue
+            found.append(part)
+            content = _entry(content, part)
+        return tuple(found)
+
+    def add(self, said: object, *place: str | int, value: Any = None) -> None:
+        """Note that what stands at a place cannot be used.
+
+        Args:
+            said: what was expected and what to do.
+            *place: where it stands.
+            value: the part of it that is meant; None: all of it; "": nothing.
 
         Raises:
             TooManyComplaintsError: this is the last one that is told.
         """
-        complaint = Complaint(key, "" if value is None else shown(value), str(said))
+        place = self.place(place)
+        if value is None:
+            value = self.content
+            for part in place:
+                value = _entry(value, part)
+        told = "" if value in (None, "") else shown(value)
+        complaint = Complaint(key_of(place), told, str(said))
         if complaint not in self.listed:
             self.listed.append(complaint)
         if self.is_full:
             raise TooManyComplaintsError
 
-    def about(self, *keys: str) -> bool:
-        """Whether something is wrong at these keys, or below them."""
-        below = tuple(f"{key}{sign}" for key in keys for sign in ".[")
+    def need(self, said: str, value: Any, *place: str | int) -> None:
+        """Note that nothing stands at a place, where nothing else is wrong with it."""
+        if value in (None, "", (), ("",), {}) and not self.about(*place):
+            self.add(said, *place, value="")
+
+    @contextmanager
+    def noting(self, *place: str | int, value: Any = None) -> Iterator[None]:
+        """Note an error as one of a place; what stands behind it is not done."""
+        try:
+            yield
+        except (DataError, ModelError) as error:
+            self.add(error, *place, value=value)
+
+    def about(self, *place: str | int) -> bool:
+        """Whether something is wrong at a place, or below it."""
+        key = key_of(place)
+        below = (f"{key}.", f"{key}[")
         found = [complaint.key for complaint in self.listed]
-        return any(key in keys or key.startswith(below) for key in found)
+        return any(one == key or one.startswith(below) for one in found)
 
+    def exactly_one(
+        self, content: Mapping[str, Any], names: tuple[str, ...], *place: str | int
+    ) -> str:
+        """The one of several keys that is there; "" where none or several are.
 
-@dataclass(frozen=True)
-class Part:
-    """A table of the file, with what is usable of it.
-
-    Attributes:
-        key: where it stands, such as ``"data.states.q"``; "" for the file.
-        content: what it holds.
-        complaints: where what is wrong is noted.
-    """
-
-    key: str
-    content: Mapping[str, Any]
-    complaints: Complaints
-
-    def get(self, name: str, default: Any = None) -> Any:
-        """The value of a key, or the default."""
-        return self.content.get(name, default)
-
-    def path(self, name: str) -> str:
-        """The key of an entry, from the top of the file."""
-        return path_of(self.key, name)
-
-    def complain(self, name: str, said: object) -> None:
-        """Note that the value of an entry cannot be used."""
-        self.complaints.add(self.path(name), said, self.get(name))
-
-    def is_told(self, name: str) -> bool:
-        """Whether a key is there, usable or not."""
-        return name in self.content or self.complaints.about(self.path(name))
-
-    def need(self, name: str, said: str) -> None:
-        """Note that an entry is missing, or empty."""
-        if self.get(name, "") in ("", [], [""], {}) and not self.complaints.about(
-            self.path(name)
-        ):
-            self.complaints.add(self.path(name), said)
-
-    def part(self, name: str) -> "Part":
-        """A table below; empty where there is none."""
-        return Part(self.path(name), self.get(name, {}), self.complaints)
-
-    def exactly_one(self, *names: str) -> str:
-        """The one of several keys that is there; "" where none or several are."""
-        given = [name for name in names if self.is_told(name)]
+        Args:
+            content: what is usable of their table.
+            names: the keys.
+            *place: of the table.
+        """
+        given = [one for one in names if one in content or self.about(*place, one)]
         if len(given) == 1:
             return given[0]
-        found = " and ".join(given) or "none"
-        listed = " or ".join(names)
-        self.complaints.add(
-            self.key, f"expected exactly one of {listed}; found {found}."
-        )
+        told = " and ".join(given) or "none"
+        said = f"expected exactly one of {' or '.join(names)}; found {told}."
+        self.add(said, *place, value="")
         return ""
 
 
-def texts(value: str | Iterable[str]) -> tuple[str, ...]:
-    """A list of texts; one text stands for a list of it."""
-    return (value,) if isinstance(value, str) else tuple(value)
+def _entry(content: Any, part: str | int) -> Any:
+    try:
+        return content[part]
+    except (KeyError, IndexError, TypeError):
+        return None

@@ -1,28 +1,19 @@
-"""Whether the data files bear out what a study file says of them.
-
-Every column of every file is looked at, so that one look tells all that is wrong.
-"""
+"""The data files of a study file, with all that is wrong in them."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
-
 from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
-from phsi_opt.data.file_opening import DataFile, binary_files, text_files
+from phsi_opt.data.file_opening import DataFile, binary_files, run_names, text_files
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.tables import Table, numbers_in, table_of_csv
+from phsi_opt.data.table_readers import TableError
+from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
-from phsi_opt.data.times import Times, clock_of
-from phsi_opt.errors import DataError, did_you_mean
-from phsi_opt.study_file.complaints import Complaints, Part
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut, reader_of
-
-TIME_KEY = "data.time.column"
-RUN_KEY = "data.trajectory"
+from phsi_opt.study_file.complaints import Complaints
+from phsi_opt.study_file.sections import DataSection, HeldOut, reader_of
 
 
 def table_at(
@@ -40,7 +31,7 @@ def table_at(
     Raises:
         DataError: it cannot be read as such a table.
     """
-    told = section or DataSection((), Channel(None), {})
+    told = section or DataSection()
     separator = None if reader_of(path) == "from_excel" else told.separator
     form = TextFormat(told.columns, separator, told.decimal)
     if reader_of(path) == "from_csv":
@@ -65,107 +56,47 @@ def sheets_in(path: DataFile) -> list[str]:
     return filled_sheets(file)
 
 
-def rows_of_runs(names: pd.Series) -> list[np.ndarray]:
-    """The row numbers of each run, (n_samples,) each, by what names them in each line.
-
-    Args:
-        names: (n_lines,) of the runs.
-    """
-    numbers, _ = pd.factorize(names.astype(str).str.strip())
-    return [np.flatnonzero(numbers == n) for n in range(numbers.max() + 1)]
-
-
 def check_measurements(
-    section: DataSection, folder: Path, complaints: Complaints
+    section: DataSection, folder: Path, found: Complaints
 ) -> Measurements | None:
     """The measurements; None, and what is wrong noted, where they cannot be read."""
-    if complaints.about("data"):
+    if found.about("data"):
         return None
-    is_one = len(section.files) == 1
-    for number, path in enumerate(section.paths(folder)):
-        key = "data.files" if is_one else f"data.files[{number}]"
-        _check_file(section, path, section.files[number], key, complaints)
-    if any(one.key.startswith("data") for one in complaints.listed):
+    wanted = section.wanted
+    paths = section.paths(folder)
+    names: list[str] = []
+    with found.noting("data", "files"):
+        names = run_names(paths)
+    tables = []
+    for number, name in enumerate(names):
+        path = paths[number]
+        numbers = () if len(section.files) == 1 else (number,)
+        place = ("data", "files", *numbers)
+        if not path.exists():
+            said = "there is no such file; paths are relative to the study file."
+            found.add(said, *place)
+        elif reader_of(path) != section.reader:
+            suffix = Path(section.files[0]).suffix.lower()
+            found.add(f"the first file is {suffix}; give files of one kind.", *place)
+        else:
+            with found.noting(*place):
+                tables.append(replace(table_at(path, wanted, section), run=name))
+    if not tables:
         return None
-    try:
-        return section.measurements(folder)
-    except DataError as error:
-        complaints.add("data", error)
-        return None
-
-
-def _check_file(
-    section: DataSection, path: DataFile, name: str, key: str, complaints: Complaints
-) -> None:
-    """Look at each column by itself, for the first wrong cell of each."""
-    if not path.exists():
-        said = "there is no such file; paths are relative to the study file."
-        complaints.add(key, said, name)
-        return
-    if reader_of(path) != section.reader:
-        suffix = Path(section.files[0]).suffix.lower()
-        said = f"the first file is {suffix}; give files of one kind."
-        complaints.add(key, said, name)
-        return
-    wanted = _wanted(section)
-    try:
-        table = table_at(path, wanted.values(), section)
-    except DataError as error:
-        complaints.add(key, error, name)
-        return
-    for where, column in wanted.items():
+    with found.noting("data", value=""):
         try:
-            _check_column(table, where, column, section)
-        except DataError as error:
-            complaints.add(where, error, column)
+            return section.measured(tables)
+        except TableError as error:
+            for part, fault in error.by_part.items():
+                found.add(fault, "data", *part)
+    return None
 
 
-def _wanted(section: DataSection) -> dict[str, str | int]:
-    """The columns that are asked for, by their keys."""
-    columns = {TIME_KEY: section.time.column, RUN_KEY: section.trajectory}
-    for what, named in (("states", section.states), ("inputs", section.inputs)):
-        for name, channel in named.items():
-            columns[f"data.{what}.{name}.column"] = channel.column
-    return {key: column for key, column in columns.items() if column is not None}
-
-
-def _check_column(
-    table: Table, key: str, column: str | int, section: DataSection
-) -> None:
-    found = table.frame.columns.tolist()
-    if column not in found:
-        raise DataError(
-            f"{table.title} has no such column; it has {', '.join(map(str, found))}."
-            f"{did_you_mean(column, found)}"
-        )
-    if found.count(column) > 1 or key == RUN_KEY:
-        return  # told where the table is read as a whole
-    if key == TIME_KEY:
-        times = Times(column, None, section.start, section.date_format)
-        clock_of(table, times, _rows(table, section.trajectory))
-    else:
-        is_state = key.startswith("data.states.")
-        numbers_in(table, column, may_be_missing=is_state)
-
-
-def _rows(table: Table, column: str | None) -> list[np.ndarray]:
-    """The row numbers of each run; none where their column cannot be used."""
-    if column is None:
-        return [np.arange(len(table.frame))]
-    is_usable = table.frame.columns.tolist().count(column) == 1
-    return rows_of_runs(table.frame[column]) if is_usable else []
-
-
-def check_held_out(held_out: HeldOut, data: Measurements, file: Part) -> None:
+def check_held_out(held_out: HeldOut, data: Measurements, found: Complaints) -> None:
     """Note what is held out and is not there, or leaves nothing to fit."""
     for run in held_out.runs or ():
-        try:
+        with found.noting("held_out", "runs", value=run):
             data.trajectory_number(run)
-        except DataError as error:
-            file.complaints.add("held_out.runs", error, run)
-    if file.complaints.about("held_out"):
-        return
-    try:
-        held_out.split(data)
-    except DataError as error:
-        file.complain("held_out", error)
+    if not found.about("held_out"):
+        with found.noting("held_out"):
+            held_out.split(data)

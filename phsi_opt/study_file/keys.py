@@ -1,16 +1,16 @@
 """Every key of a study file: where it stands, what it holds, what it is for.
 
-One table: files are checked by it, messages say what it expects, and the reference in
-docs/command_line.md is tested against it.
+One table: files are read and checked by it, messages say what it expects, and the
+reference in docs/command_line.md is tested against it. The fields of the records in
+`sections` have the names of these keys.
 """
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from phsi_opt.errors import did_you_mean
-from phsi_opt.study_file.complaints import Complaints, path_of
+from phsi_opt.study_file.complaints import Complaints
 
 # The key, what it holds, what it is for; "*" stands for a name of the user's own.
 TABLE = """
@@ -112,37 +112,41 @@ loss.model_error | true or false | a random force in the equations
 Fits = Callable[[Any], bool]
 
 
-@dataclass(frozen=True)
-class Key:
-    """One key.
-
-    Attributes:
-        path: such as ``"data.time.column"``.
-        form: what it holds; a choice where this is words in quotes.
-        meaning: what it is for, with the default.
-    """
-
-    path: str
-    form: str
-    meaning: str
-
-    def refusal(self, value: Any) -> str:
-        """What was expected in place of a value; "" where that is of the form."""
-        options = re.findall(r'"(\w+)"', self.form)
-        if options:
-            hint = did_you_mean(value, options)
-            return "" if value in options else f"expected {self.form}.{hint}"
-        form = FORMS[self.form]
-        return "" if form.fits(value) else f"expected {form.expected}."
-
-
-@dataclass(frozen=True)
-class Form:
+class Form(NamedTuple):
     """What a key can hold: a test, the words for it, whose keys tables of it have."""
 
     fits: Fits
     expected: str
     table: str = ""  # "": those below the key itself
+
+
+class Key(NamedTuple):
+    """One key: its path, what it holds, and what it is for, with the default."""
+
+    path: str
+    form: str
+    meaning: str
+
+    @property
+    def options(self) -> list[str]:
+        """The words of a choice; none of another form."""
+        return re.findall(r'"(\w+)"', self.form)
+
+    @property
+    def what(self) -> Form:
+        """Its form."""
+        options = self.options
+        return Form(options.__contains__, self.form) if options else FORMS[self.form]
+
+
+def is_number(value: Any) -> bool:
+    """Whether this is a number; true and false are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def listed(value: Any) -> list[Any]:
+    """A list as it is; anything else stands for a list of it."""
+    return list(value) if isinstance(value, list | tuple) else [value]
 
 
 def _is(*types: type) -> Fits:
@@ -151,17 +155,11 @@ def _is(*types: type) -> Fits:
     return lambda value: isinstance(value, types) and isinstance(value, bool) == is_flag
 
 
-def _listed(fits: Fits) -> Fits:
-    """A list of what fits."""
+def _many(fits: Fits) -> Fits:
     return lambda value: isinstance(value, list) and all(map(fits, value))
 
 
-def _or_listed(fits: Fits) -> Fits:
-    """What fits, or a list of it."""
-    return lambda value: fits(value) or _listed(fits)(value)
-
-
-def _within(low: float, high: float) -> Fits:
+def _between(low: float, high: float) -> Fits:
     return lambda value: is_number(value) and low < value < high
 
 
@@ -174,45 +172,55 @@ def _is_column(value: Any) -> bool:
 
 
 def _is_span(value: Any) -> bool:
-    return _listed(is_number)(value) and len(value) == 2 and value[0] < value[1]
+    return _many(is_number)(value) and len(value) == 2 and value[0] < value[1]
 
 
 def _is_pair(value: Any) -> bool:
-    return _listed(_is(str))(value) and len(value) == 2 and value[0] != value[1]
+    return _many(_is(str))(value) and len(value) == 2 and value[0] != value[1]
 
 
-is_number = _is(int, float)
-_are_texts = _or_listed(_is(str))
-_are_terms = _or_listed(_is(str, int, float, dict))
-A_PARAMETER = "a number, or a table such as { start = 1.0, lower = 0 }"
-A_TERM = 'a formula in quotes, such as "c*dH_dp", or a list of them'
-A_POSITIVE_NUMBER = "a positive number, such as 0.1, or nothing where it is not known"
+def _are_texts(value: Any) -> bool:
+    return _many(_is(str))(listed(value))
+
+
+def _are_terms(value: Any) -> bool:
+    return _many(_is(str, int, float, dict))(listed(value))
+
+
 FORMS = {
     "text": Form(_is(str), 'text in quotes, such as "m"'),
     "formula": Form(_is(str), 'a formula in quotes, such as "q**2"'),
     "number": Form(is_number, "a number, such as 0.5, without quotes"),
-    "positive number": Form(_within(0, float("inf")), A_POSITIVE_NUMBER),
-    "number from 0 to 1": Form(_within(0, 1), "a number between 0 and 1, such as 0.3"),
+    "positive number": Form(
+        _between(0, float("inf")),
+        "a positive number, such as 0.1, or nothing where it is not known",
+    ),
+    "number from 0 to 1": Form(_between(0, 1), "a number between 0 and 1, such as 0.3"),
     "whole number": Form(_is_count, "a whole number of at least 1"),
     "true or false": Form(_is(bool), "true or false, without quotes"),
     "text or position": Form(_is_column, 'a header, such as "q", or a position from 0'),
     "list of texts": Form(_are_texts, 'a list of texts, such as ["q", "p"]'),
     "list of files": Form(_are_texts, 'the data file(s), such as ["bench.csv"]'),
     "list of effects": Form(_are_texts, 'names, such as ["coulomb friction on p"]'),
-    "list of numbers": Form(_listed(is_number), "numbers, such as [0.25, 0.5]"),
+    "list of numbers": Form(_many(is_number), "numbers, such as [0.25, 0.5]"),
     "list of two numbers": Form(_is_span, "two times, first and last: [20, 80]"),
-    "list of pairs": Form(_listed(_is_pair), 'pairs of states, such as [["q", "p"]]'),
+    "list of pairs": Form(_many(_is_pair), 'pairs of states, such as [["q", "p"]]'),
     "list of rows": Form(_is(list), "a list of rows, such as [[0, 1], [-1, 0]]"),
     "table": Form(_is(dict), 'a table, such as { unit = "m" }'),
-    "list of tables": Form(
-        _listed(_is(dict)), "sections [[effects]], with two brackets"
-    ),
+    "list of tables": Form(_many(_is(dict)), "sections [[effects]], with two brackets"),
     "text or table": Form(_is(str, dict), 'text, or a table such as { T = "thermal" }'),
-    "parameter": Form(_is(int, float, dict), A_PARAMETER, "parameters.*"),
+    "parameter": Form(
+        _is(int, float, dict),
+        "a number, or a table such as { start = 1.0, lower = 0 }",
+        "parameters.*",
+    ),
     "table of parameters": Form(_is(dict), "a table: { omega = 2.0 }", "parameters"),
     "table of terms": Form(_is(dict), 'a table, such as { lag = "-lag/2" }', "model.F"),
-    "formula, term, or list of these": Form(_are_terms, A_TERM, "term"),
+    "formula, term, or list of these": Form(
+        _are_terms, 'a formula in quotes, such as "c*dH_dp", or a list of them', "term"
+    ),
 }
+LISTS = ("list of texts", "list of files", "list of effects")  # one text stands for one
 NAMED_ANYWAY = ("table", "parameter")  # other sections know these by their names
 
 KEYS = tuple(Key(*row.split(" | ")) for row in TABLE.strip().splitlines())
@@ -223,42 +231,40 @@ for _key in KEYS:
 
 
 def usable(
-    content: Mapping[str, Any], complaints: Complaints, table: str = "", at: str = ""
+    content: Mapping[str, Any],
+    found: Complaints,
+    table: str = "",
+    place: tuple[str | int, ...] = (),
 ) -> dict[str, Any]:
     """The entries that are of the form of their keys; the others are complaints.
 
     Args:
         content: of a table.
-        complaints: where what is wrong is noted.
+        found: where what is wrong is noted.
         table: whose keys it has, such as ``"data.states.*"``; "" for the file.
-        at: where it stands, such as ``"data.states.q"``.
+        place: where it stands.
     """
     known = KEYS_OF[table]
     kept: dict[str, Any] = {}
     for name, value in content.items():
-        path = path_of(at, name)
         key = known.get(name) or known.get("*")
         if key is None:
             said = f"this key is unknown here; known are {', '.join(known)}."
-            complaints.add(path, f"{said}{did_you_mean(name, known)}", value)
-        elif key.refusal(value):
-            complaints.add(path, key.refusal(value), value)
+            found.add(said + did_you_mean(name, known), *place, name)
+        elif key.what.fits(value):
+            value = listed(value) if key.form in LISTS else value
+            kept[name] = _kept(value, key, found, (*place, name))
+        else:
+            hint = did_you_mean(value, key.options)
+            found.add(f"expected {key.what.expected}.{hint}", *place, name)
             if key.form in NAMED_ANYWAY and key.path.endswith("*"):
                 kept[name] = {}
-        else:
-            kept[name] = _usable_below(value, key, complaints, path)
     return kept
 
 
-def _usable_below(value: Any, key: Key, complaints: Complaints, path: str) -> Any:
-    """A value with what is usable of its tables."""
-    form = FORMS.get(key.form)
-    table = key.path if form is None else form.table or key.path
-    if isinstance(value, dict):
-        return usable(value, complaints, table, path)
-    if table not in KEYS_OF or not isinstance(value, list):
-        return value
-    listed = []
-    for number, one in enumerate(value):
-        listed.append(_usable_below(one, key, complaints, f"{path}[{number}]"))
-    return listed
+def _kept(value: Any, key: Key, found: Complaints, place: tuple[str | int, ...]) -> Any:
+    """A value with what is usable of its tables; lists of values are tuples."""
+    if isinstance(value, list):
+        return tuple(_kept(one, key, found, (*place, i)) for i, one in enumerate(value))
+    table = key.what.table or key.path
+    return usable(value, found, table, place) if isinstance(value, dict) else value

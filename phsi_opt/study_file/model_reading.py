@@ -1,195 +1,202 @@
-"""The sections [model] and [parameters]: formulas and numbers become a model.
+"""The sections [model], [parameters] and [[effects]] become a model and effects.
 
 Formulas are text that the package's own parser reads through its whitelist; nothing of
 a study file is ever run as code. A formula's names are states, inputs, the time,
-efforts, or parameters of the section [parameters]. Tables of terms and guesses have the
-names of the package's records, as in saved fits.
+efforts, or parameters of the section [parameters].
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.errors import did_you_mean
 from phsi_opt.estimation.model_content import GUESSES, KINDS
 from phsi_opt.model.checks import checked_names
+from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
-from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term, polynomials, trigonometric
 from phsi_opt.model.variables import Variables
-from phsi_opt.study_file.complaints import Complaints, Part, shown, texts
-from phsi_opt.study_file.keys import is_number
-from phsi_opt.study_file.sections import Channel, DataSection
+from phsi_opt.study_file.complaints import Complaints, Place, shown
+from phsi_opt.study_file.keys import is_number, listed
+from phsi_opt.study_file.sections import DataSection
 
 WITH_ENERGY, WITHOUT_ENERGY = KINDS  # the types of models
 OF_ENERGY = ("H", "pairs", "S")
-
-
-def read_parameter(section: Part, name: str) -> Parameter | None:
-    """The parameter under a name; None, and what is wrong noted, where it is none."""
-    content = section.content[name]
-    part = section.part(name)
-    settings: dict[str, Any] = {"value": content, "fixed": True}
-    if not is_number(content):
-        settings = {**content, "guess": _guess(part)}
-        if "start" in content and "value" in content:
-            said = "there is a start too; keep value where it is known, start where not"
-            part.complain("value", f"{said}.")
-        start = settings.pop("start", None)
-        if "value" in content:
-            settings["fixed"] = True
-        settings.setdefault("value", start)
-    try:
-        return Parameter(**settings)
-    except ModelError as error:
-        section.complain(name, error)
-        return None
-
-
-def _guess(parameter: Part) -> Scan | Share | Tried | None:
-    part = parameter.part("guess")
-    kind = part.get("kind")
-    if kind is None:
-        if "guess" in parameter.content:
-            part.need("kind", f"expected {', '.join(GUESSES)}.")
-        return None
-    settings = {}
-    for one in fields(GUESSES[kind]):
-        if one.name in part.content:
-            settings[one.name] = part.content[one.name]
-        elif one.default is MISSING:
-            part.need(one.name, f"a guess of kind {kind!r} needs it.")
-            return None
-    return GUESSES[kind](**settings)
+Content = Mapping[str, Any]
+TERM_WAYS = ("body", "polynomials", "trigonometric")
 
 
 @dataclass(frozen=True)
 class ModelReader:
-    """Reads formulas; ``used`` are the parameters that they asked for."""
+    """Makes models and effects of what a file says; what is wrong is noted.
 
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    parameters: Mapping[str, Parameter | None]
+    Attributes:
+        file: what is usable of the file.
+        found: where what is wrong is noted.
+        states: that formulas can name.
+        parameters: by name; None where it is noted what is wrong.
+        used: the parameters that formulas asked for.
+    """
+
+    file: Content
+    found: Complaints
+    states: tuple[str, ...] = ()
+    parameters: dict[str, Parameter | None] = field(default_factory=dict)
     used: set[str] = field(default_factory=set)
 
     @classmethod
-    def of(cls, file: Part) -> "ModelReader":
+    def of(cls, file: Content, found: Complaints) -> "ModelReader":
         """With the names of the model and its parameters, before formulas are read."""
-        model = file.part("model")
-        if not model.content:
-            file.need("model", "there is no section [model]; it tells the energy.")
-        else:
+        reader = cls(file, found)
+        if reader.section:
             said = 'expected the names of the states, such as ["q", "p"].'
-            model.need("states", said)
-        section = file.part("parameters")
-        parameters = {name: read_parameter(section, name) for name in section.content}
-        return cls(_names(model, "states"), _names(model, "inputs"), parameters)
+            found.need(said, reader.section.get("states"), "model", "states")
+        else:
+            found.need(
+                "there is no section [model]; it tells the energy.", None, "model"
+            )
+        for name, content in file.get("parameters", {}).items():
+            reader.parameters[name] = reader._parameter(content, "parameters", name)
+        return replace(reader, states=reader._names("states"))
 
-    def with_states(self, names: Iterable[str]) -> "ModelReader":
-        """The same for further states."""
-        return replace(self, states=(*self.states, *names))
+    @property
+    def section(self) -> Content:
+        """The section [model]."""
+        return self.file.get("model", {})
 
-    def model(self, file: Part) -> Model | None:
-        """The base model; None, and what is wrong noted, where it cannot be made."""
-        part = file.part("model")
-        if not part.content:
+    def _names(self, what: str) -> tuple[str, ...]:
+        names: list[str] = []
+        for name in self.section.get(what, ()):
+            if name in names:
+                self.found.add(f"{name!r} stands there twice.", "model", what)
+                continue
+            with self.found.noting("model", what):
+                checked_names([name], what)
+                names.append(name)
+        return tuple(names)
+
+    def _parameter(self, content: Any, *place: str | int) -> Parameter | None:
+        """The parameter; None, and what is wrong noted, where it is none."""
+        settings: dict[str, Any] = {"value": content, "fixed": True}
+        if not is_number(content):
+            settings = {**content, "guess": self._guess(content, *place, "guess")}
+            start = settings.pop("start", None)
+            if start is not None and "value" in settings:
+                self.found.add(
+                    "there is a start too; keep value where it is known, start where "
+                    "not.",
+                    *(*place, "value"),
+                )
+            if "value" in settings:
+                settings["fixed"] = True
+            settings.setdefault("value", start)
+        with self.found.noting(*place):
+            return Parameter(**settings)
+        return None
+
+    def _guess(self, parameter: Content, *place: str | int) -> Any:
+        told = dict(parameter.get("guess", {}))
+        kind = told.pop("kind", None)
+        if kind is None:
+            if "guess" in parameter:
+                self.found.need(f"expected {', '.join(GUESSES)}.", None, *place, "kind")
             return None
-        kind = part.get("type", WITH_ENERGY)
+        known = {one.name: one.default for one in fields(GUESSES[kind])}
+        for name, default in known.items():
+            if default is MISSING and name not in told:
+                said = f"a guess of kind {kind!r} needs it."
+                self.found.need(said, None, *place, name)
+                return None
+        return GUESSES[kind](**{name: told[name] for name in known if name in told})
+
+    def model(self) -> Model | None:
+        """The base model; None, and what is wrong noted, where it cannot be made."""
+        section = self.section
+        if not section:
+            return None
+        kind = section.get("type", WITH_ENERGY)
         parts: dict[str, Any] = {
             "states": self.states,
-            "inputs": self.inputs,
-            "memory": _names(part, "memory"),
-            "kind": part.get("kind", {}),
+            "inputs": self._names("inputs"),
+            "memory": self._names("memory"),
+            "kind": section.get("kind", {}),
         }
         for slot in BY_EQUATION:
-            parts[slot] = self._slot(part, slot)
+            parts[slot] = self._slot(slot)
         if kind == WITH_ENERGY:
-            parts["S"] = self._structure(part)
+            parts["S"] = self._structure()
             said = 'expected the energy as a formula, such as "k*q**2/2 + p**2/(2*m)".'
-            part.need("H", said)
-            parts["H"] = self.terms(part, "H", "H") if part.get("H") else Dictionary()
+            self.found.need(said, section.get("H"), "model", "H")
+            parts["H"] = self._terms(section.get("H") or (), "H", "model", "H")
         for name in OF_ENERGY:
-            if kind == WITHOUT_ENERGY and name in part.content:
+            if kind == WITHOUT_ENERGY and name in section:
                 said = f"a model of type {shown(kind)} has none; put the terms into F."
-                part.complain(name, said)
-        self._check_parameters_are_used(file)
-        if file.complaints.about("model", "parameters"):
+                self.found.add(said, "model", name)
+        self._check_parameters_are_used()
+        if self.found.about("model") or self.found.about("parameters"):
             return None
-        try:
+        with self.found.noting("model", value=""):
             return KINDS[kind](**parts)
-        except ModelError as error:
-            file.complaints.add("model", error)
-            return None
+        return None
 
-    def _slot(self, model: Part, slot: str) -> dict[str, Dictionary]:
-        section = model.part(slot)
-        listed = ", ".join(self.states) or "none"
-        for state in section.content:
-            if state not in self.states:
-                section.complain(
-                    state,
+    def _slot(self, slot: str) -> dict[str, Dictionary]:
+        sums = {}
+        for state, terms in self.section.get(slot, {}).items():
+            place = ("model", slot, state)
+            if state in self.states:
+                sums[state] = self._terms(terms, slot, *place)
+            else:
+                listed = ", ".join(self.states) or "none"
+                said = (
                     f"{state!r} is not a state of the model; its states are {listed}."
-                    f"{did_you_mean(state, self.states)}",
                 )
-        known = [state for state in section.content if state in self.states]
-        return {state: self.terms(section, state, slot) for state in known}
+                self.found.add(said + did_you_mean(state, self.states), *place)
+        return sums
 
-    def _structure(self, model: Part) -> Any:
-        if model.exactly_one("pairs", "S") == "S":
-            return model.get("S")
+    def _structure(self) -> Any:
+        if self.found.exactly_one(self.section, ("pairs", "S"), "model") == "S":
+            return self.section.get("S")
         S = np.zeros((len(self.states), len(self.states)))
-        for pair in model.get("pairs", []):
+        for pair in self.section.get("pairs", ()):
             unknown = [name for name in pair if name not in self.states]
             for name in unknown:
                 hint = did_you_mean(name, self.states)
-                model.complain("pairs", f"{name!r} is not a state of the model.{hint}")
+                said = f"{name!r} is not a state of the model.{hint}"
+                self.found.add(said, "model", "pairs")
             if not unknown:
                 row, column = map(self.states.index, pair)
                 S[row, column] = 1.0
                 S[column, row] = -1.0
         return S
 
-    def _check_parameters_are_used(self, file: Part) -> None:
-        if file.complaints.about("model", "effects"):
+    def _check_parameters_are_used(self) -> None:
+        if self.found.about("model") or self.found.about("effects"):
             return  # a name that is wrong in a formula is told there
         for name in self.parameters:
             if name not in self.used:
-                file.part("parameters").complain(
-                    name, "no formula has this name; correct it, or leave it out."
-                )
+                said = "no formula has this name; correct it, or leave it out."
+                self.found.add(said, "parameters", name)
 
-    def terms(self, part: Part, name: str, slot: str) -> Dictionary:
-        """The terms under a key; what is wrong is noted, and left out.
-
-        Args:
-            part: the table in which they stand.
-            name: the key.
-            slot: where they act; it decides which names they may have.
-        """
-        content = part.get(name, [])
+    def _terms(self, content: Any, slot: str, *place: str | int) -> Dictionary:
+        """The terms at a place; ``slot`` decides which names they may have."""
         terms: list[Term] = []
-        is_list = isinstance(content, list)
-        for number, one in enumerate(content if is_list else [content]):
-            try:
+        for number, one in enumerate(listed(content)):
+            with self.found.noting(*place, value=one):
                 if isinstance(one, dict):
-                    key = f"{part.path(name)}[{number}]" if is_list else part.path(name)
-                    terms += self._table(Part(key, one, part.complaints))
+                    terms += self._table(one, *place, number)
                 else:
-                    terms += self._formula(part.path(name), str(one), slot, part)
-            except ModelError as error:
-                part.complaints.add(part.path(name), error, one)
-        try:
+                    terms += self._formula(str(one), slot, place)
+        with self.found.noting(*place):
             return Dictionary(tuple(terms))
-        except ModelError as error:
-            part.complain(name, error)
-            return Dictionary()
+        return Dictionary()
 
-    def _formula(self, key: str, text: str, slot: str, part: Part) -> Dictionary:
-        variables = Variables(self.states, self.inputs)
+    def _formula(self, text: str, slot: str, place: Place) -> Dictionary:
+        variables = Variables(self.states, self._names("inputs"))
         allowed = variables.of_slot(slot)
         own = names_of(text) - allowed
         self.used.update(own)
@@ -205,75 +212,76 @@ class ModelReader:
                     f"{one!r} may not stand in H: an energy depends on the states "
                     "alone; put the term into F."
                 )
-            part.complaints.add(key, said, text)
+            self.found.add(said, *place, value=text)
         inner = {}
         for one, parameter in self.parameters.items():  # in the order of the file
             if one in own and parameter is not None:  # else it is noted what is wrong
                 inner[one] = parameter
         return Dictionary((Term(text, None, inner),))
 
-    def _table(self, part: Part) -> Dictionary:
+    def _table(self, content: Content, *place: str | int) -> Dictionary:
         """Polynomials, waves, or one term, whose inner parameters are its own."""
-        way = part.exactly_one("body", "polynomials", "trigonometric")
-        if way not in part.content:
+        way = self.found.exactly_one(content, TERM_WAYS, *place)
+        if way not in content:
             return Dictionary()  # what is wrong is noted
-        names = texts(part.content[way])
+        names = content[way]
         if way == "polynomials":
-            constant = part.get("constant", False)
-            return polynomials(names, part.get("degree", 2), constant)
+            constant = content.get("constant", False)
+            return polynomials(names, content.get("degree", 2), constant)
         if way == "trigonometric":
-            return trigonometric(names, part.get("n", 1), part.get("frequency"))
-        told = replace(part, content={"coefficient": {}, **part.content})
-        coefficient = read_parameter(told, "coefficient") or Parameter()
-        section = part.part("inner")
+            return trigonometric(names, content.get("n", 1), content.get("frequency"))
+        told = content.get("coefficient", {})
+        coefficient = self._parameter(told, *place, "coefficient") or Parameter()
         inner = {}
-        for name in section.content:
-            parameter = read_parameter(section, name)
+        for name, own in content.get("inner", {}).items():
+            parameter = self._parameter(own, *place, "inner", name)
             if parameter is not None:
                 inner[name] = parameter
-        return Dictionary((Term(names[0], coefficient, inner, part.get("name", "")),))
+        return Dictionary((Term(names, coefficient, inner, content.get("name", "")),))
+
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects of the user's own."""
+        contents = enumerate(self.file.get("effects", ()))
+        made = [self._effect(content, number) for number, content in contents]
+        return tuple(effect for effect in made if effect is not None)
+
+    def _effect(self, content: Content, number: int) -> Effect | None:
+        place = ("effects", number)
+        for name in ("name", "slot", "equation", "term"):
+            self.found.need("an effect needs it.", content.get(name), *place, name)
+        equation = content.get("equation", "")
+        if equation and equation not in self.states:
+            hint = did_you_mean(equation, self.states)
+            self.found.add(f"there is no such state.{hint}", *place, "equation")
+        if self.found.about(*place):
+            return None
+        rates = content.get("memory", {})
+        larger = replace(self, states=(*self.states, *rates))
+        memory = {}
+        for state, rate in rates.items():
+            memory[state] = larger._terms(rate, "F", *place, "memory", state)
+        term = larger._terms(content["term"], content["slot"], *place, "term")
+        with self.found.noting(*place, value=""):
+            return Effect(**{**content, "term": term, "memory": memory})
+        return None
 
 
-def _names(model: Part, what: str) -> tuple[str, ...]:
-    found: list[str] = []
-    for name in texts(model.get(what, ())):
-        try:
-            checked_names([name], what)
-        except ModelError as error:
-            model.complain(what, error)
-            continue
-        if name in found:
-            model.complain(what, f"{name!r} stands there twice.")
-        found.append(name)
-    return tuple(dict.fromkeys(found))
-
-
-def check_channels(model: Model, data: DataSection, complaints: Complaints) -> None:
+def check_channels(model: Model, data: DataSection, found: Complaints) -> None:
     """Note where the sections [model] and [data] name different states or inputs."""
     measurable = [name for name in model.states if name not in model.memory]
-    otherwise = ", or { measured = false }"
-    _check_told("states", measurable, data.states, otherwise, complaints)
-    _check_told("inputs", model.inputs, data.inputs, "", complaints)
-
-
-def _check_told(
-    what: str,
-    wanted: Sequence[str],
-    told: Mapping[str, Channel],
-    otherwise: str,
-    complaints: Complaints,
-) -> None:
-    missing = [name for name in wanted if name not in told]
-    further = [name for name in told if name not in wanted]
-    for name in missing:
-        complaints.add(
-            f"data.{what}.{name}",
-            f'the model has it: give {{ column = "..." }}{otherwise}.'
-            f"{did_you_mean(name, further)}",
-        )
-    for name in further:
-        complaints.add(
-            f"data.{what}.{name}",
-            f"it is not among model.{what}, {shown(list(wanted))}; name it there too, "
-            f"or leave it out here.{did_you_mean(name, missing)}",
-        )
+    for what, wanted, otherwise in (
+        ("states", measurable, ", or { measured = false }"),
+        ("inputs", model.inputs, ""),
+    ):
+        told = getattr(data, what)
+        missing = [name for name in wanted if name not in told]
+        further = [name for name in told if name not in wanted]
+        for name in missing:
+            said = f'the model has it: give {{ column = "..." }}{otherwise}.'
+            found.add(said + did_you_mean(name, further), "data", what, name)
+        for name in further:
+            said = (
+                f"it is not among model.{what}, {shown(list(wanted))}; name it there "
+                f"too, or leave it out here.{did_you_mean(name, missing)}"
+            )
+            found.add(said, "data", what, name)

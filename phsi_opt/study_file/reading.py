@@ -6,27 +6,21 @@ already is not looked at, so that one mistake is told once.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.reading import file_text, why_not_read
-from phsi_opt.study_file.complaints import (
-    Complaints,
-    Part,
-    TooManyComplaintsError,
-    texts,
-)
+from phsi_opt.study_file.complaints import Complaints, TooManyComplaintsError
 from phsi_opt.study_file.data_files import check_held_out, check_measurements
-from phsi_opt.study_file.effects import check_effects, read_own_effects
+from phsi_opt.study_file.effects import check_effects
 from phsi_opt.study_file.keys import usable
 from phsi_opt.study_file.model_reading import ModelReader, check_channels
 from phsi_opt.study_file.sections import (
-    OF_TIME,
-    Channel,
     DataSection,
     HeldOut,
     Sections,
@@ -52,34 +46,36 @@ def read_sections(
             that is wrong.
     """
     text, tables = _read(path)
-    found = Complaints()
-    try:
-        read = _sections(tables, found, path.parent, places or {})
-    except TooManyComplaintsError:
-        read = None
+    found = Complaints(tables)
+    read = None
+    with suppress(TooManyComplaintsError):
+        read = _sections(found, path.parent, places or {})
     if read is None or found.listed:
-        raise StudyFileError(path, _told(found, lines_of(text)))
+        raise StudyFileError(path, _in_order(found, lines_of(text)))
     return read
 
 
 def _sections(
-    tables: dict[str, Any], found: Complaints, folder: Path, places: Mapping[str, Path]
+    found: Complaints, folder: Path, places: Mapping[str, Path]
 ) -> tuple[Sections, Measurements] | None:
-    file = Part("", usable(tables, found), found)
-    reader = ModelReader.of(file)
-    data = replace(_data(file), places=places)
-    held_out = _held_out(file)
-    own = read_own_effects(file, reader)
-    model = reader.model(file)
-    steps = _steps(file)
-    loss = _loss(file)
+    file = usable(found.content, found)
+    reader = ModelReader.of(file, found)
+    _check_data(file.get("data", {}), found)
+    data = DataSection.of(file.get("data", {}), places)
+    held_out = HeldOut(**file.get("held_out", {})) if "held_out" in file else None
+    if held_out is not None:
+        found.exactly_one(file["held_out"], ("runs", "share", "after"), "held_out")
+    own = reader.effects()
+    model = reader.model()
+    steps = StudySection(**file.get("study", {}))
+    loss = _loss(file.get("loss", {}), found)
     if model is not None:
         check_channels(model, data, found)
         if not found.about("effects"):
             check_effects(steps, model, own, data.units, found)
     measured = check_measurements(data, folder, found)
     if measured is not None and held_out is not None and not found.about("held_out"):
-        check_held_out(held_out, measured, file)
+        check_held_out(held_out, measured, found)
     if model is None or measured is None:
         return None
     sections = Sections(
@@ -93,7 +89,7 @@ def _sections(
     return sections, measured
 
 
-def _told(found: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
+def _in_order(found: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
     """The complaints with their lines, in the order of the file."""
     listed = []
     for complaint in found.listed:
@@ -132,112 +128,49 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
     raise StudyFileError(path, [Complaint("", "", said)])
 
 
-# ---- the sections about measurements -------------------------------------------------
+# ---- rules that need more than one key -----------------------------------------------
 
 
-def _data(file: Part) -> DataSection:
-    data = file.part("data")
-    if not data.content:
-        file.need("data", "there is no section [data]; it names files and columns.")
-    else:
-        data.need("files", 'expected the data file(s), such as ["bench.csv"].')
-        data.need(
-            "states",
-            "expected a table for each state, such as "
-            'q = { column = "q", unit = "m" }.',
-        )
-    plain: dict[str, Any] = {}
-    for name, value in data.content.items():
-        if value and not isinstance(value, dict):
-            plain[name] = tuple(value) if isinstance(value, list) else value
-    for name in ("files", "columns"):
-        plain[name] = texts(plain.get(name, ()))
-    plain["columns"] = plain["columns"] or None
-    return DataSection(
-        **plain,
-        **_time(data),
-        states=_channels(data, "states"),
-        inputs=_channels(data, "inputs"),
-    )
-
-
-def _time(data: Part) -> dict[str, Any]:
-    """What the section says of the times: a column, dates, or a step."""
-    part = data.part("time")
-    if part.get("column", "") != "" and part.is_told("step"):
-        part.complain("step", "there is a column too; keep one of the two.")
-    if data.content and not part.is_told("step"):
-        part.need(
-            "column",
+def _check_data(data: Mapping[str, Any], found: Complaints) -> None:
+    if not found.content.get("data"):
+        said = "there is no section [data]; it names files and columns."
+        found.need(said, None, "data")
+        return
+    said = 'expected the data file(s), such as ["bench.csv"].'
+    found.need(said, data.get("files"), "data", "files")
+    said = 'expected a table for each state, such as q = { column = "q", unit = "m" }.'
+    found.need(said, data.get("states"), "data", "states")
+    place = ("data", "time")
+    time = data.get("time", {})
+    if "step" not in time and not found.about(*place, "step"):
+        said = (
             'expected the column of the times, such as "t_s"; where no column has '
-            "them, the time between lines: time = { step = 0.01 }.",
+            "them, the time between lines: time = { step = 0.01 }."
         )
-    told = {name: part.content[name] for name in OF_TIME if name in part.content}
-    if not told.get("start", True):
-        told.pop("start")
-    return {"time": _channel(part), **told}
+        found.need(said, time.get("column"), *place, "column")
+    elif time.get("column", "") != "":
+        found.add("there is a column too; keep one of the two.", *place, "step")
+    for what, otherwise in (("states", " (or measured = false)"), ("inputs", "")):
+        for name, channel in data.get(what, {}).items():
+            channel_place = ("data", what, name)
+            column = channel.get("column")
+            with found.noting(*channel_place, value=""):
+                checked_names([name], what)
+            if not channel.get("measured", True) and column is not None:
+                said = "there is a column too; keep one of the two."
+                found.add(said, *channel_place, "measured")
+            is_told = found.about(*channel_place, "measured")
+            if channel.get("measured", True) and not is_told:
+                said = f"expected the name of a column{otherwise}."
+                found.need(said, column, *channel_place, "column")
 
 
-def _channel(part: Part) -> Channel:
-    column = part.get("column", "")
-    unmeasured = column == "" or not part.get("measured", True)
-    column = None if unmeasured else column
-    return Channel(column, part.get("unit", ""), hold=part.get("hold", None))
-
-
-def _channels(data: Part, what: str) -> dict[str, Channel]:
-    channels = {}
-    section = data.part(what)
-    for name in section.content:
-        part = section.part(name)
-        try:
-            checked_names([name], what)
-        except DataError as error:
-            data.complaints.add(part.key, error)
-            continue
-        if part.get("measured", True) is True:
-            otherwise = " (or measured = false)" if what == "states" else ""
-            part.need("column", f"expected the name of a column{otherwise}.")
-        elif part.is_told("column"):
-            part.complain("measured", "there is a column too; keep one of the two.")
-        channels[name] = replace(_channel(part), noise=part.get("noise"))
-    return channels
-
-
-def _held_out(file: Part) -> HeldOut | None:
-    """The section [held_out]; None where there is none, or it cannot be used."""
-    if not file.is_told("held_out"):
-        return None
-    part = file.part("held_out")
-    way = part.exactly_one("runs", "share", "after")
-    told = {name: value for name, value in part.content.items() if name == way}
-    if "runs" in told:
-        told["runs"] = texts(told["runs"])
-    return HeldOut(**told) if told else None
-
-
-# ---- how to go on --------------------------------------------------------------------
-
-
-def _steps(file: Part) -> StudySection:
-    plain: dict[str, Any] = dict(file.part("study").content)
-    for name in ("added", "effects", "without"):
-        if name in plain:
-            plain[name] = texts(plain[name])
-    return StudySection(**plain)
-
-
-def _loss(file: Part) -> MaximumLikelihood:
+def _loss(settings: Mapping[str, Any], found: Complaints) -> MaximumLikelihood:
     """The loss; what is wrong is noted, and the default taken."""
-    part = file.part("loss")
-    for name in part.content:
-        try:  # each by itself: it may be out of its range whatever the others are
-            MaximumLikelihood(**{name: part.content[name]})
-        except ModelError as error:
-            part.complain(name, error)
-    try:
-        return MaximumLikelihood(**part.content)
-    except ModelError as error:  # settings that do not go together
-        if not file.complaints.about("loss"):
-            file.complain("loss", error)
-        return MaximumLikelihood()
+    for name, value in settings.items():
+        with found.noting("loss", name):  # whatever the others are
+            MaximumLikelihood(**{name: value})
+    if not found.about("loss"):
+        with found.noting("loss"):  # settings that do not go together
+            return MaximumLikelihood(**settings)
+    return MaximumLikelihood()

@@ -1,4 +1,4 @@
-"""The sections of a study file as records.
+"""The sections of a study file as records, whose fields are keys of the file.
 
 Paths stay as they were written, relative to the folder of the study file.
 """
@@ -9,10 +9,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.file_opening import DataFile, NamedFile
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import Trajectory, part_of
+from phsi_opt.data.tables import Table
+from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -21,12 +24,9 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
 READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
-OF_TIME = ("step", "start", "date_format")  # keys of the table of the times
 # Settings that readers know by the names that they have here.
-TOLD_TO_READERS = (
-    *("trajectory", *OF_TIME),
-    *("sheet", "columns", "separator", "decimal"),
-)
+
+OF_FILES = ("sheet", "columns", "separator", "decimal")  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 SHARE_DIGITS = 12  # of 1 - share, so that 1 - 0.4 reads 0.6
 
@@ -38,7 +38,7 @@ def reader_of(path: Path | DataFile) -> str:
 
 @dataclass(frozen=True)
 class Channel:
-    """A column of the table: a state, an input, or the time.
+    """A column of the table: a state, or an input.
 
     Attributes:
         column: its header, or its position counted from 0; None for a state that nobody
@@ -46,12 +46,38 @@ class Channel:
         unit: such as "m"; "" where it is unknown.
         noise: standard deviation of a state's noise, in its unit; None: estimated.
         hold: what an input does between samples; None: as the others.
+        measured: whether there is a column.
     """
 
-    column: str | int | None
+    column: str | int | None = None
     unit: str = ""
     noise: float | None = None
     hold: str | None = None
+    measured: bool = True
+
+    def __post_init__(self) -> None:
+        if self.column is None:
+            object.__setattr__(self, "measured", False)
+
+
+@dataclass(frozen=True)
+class Times:
+    """The column of the times.
+
+    Attributes:
+        column: its header, or its position counted from 0; None: there is a step.
+        unit: such as "s".
+        step: the time between neighbouring lines, where no column has the times.
+        start: of dates, the moment at which t is 0.
+        date_format: of dates written otherwise than 2021-11-22 09:15:00, see strptime;
+            "": the times are numbers, even where these look like dates.
+    """
+
+    column: str | int | None = None
+    unit: str = ""
+    step: float | None = None
+    start: str | None = None
+    date_format: str | None = None
 
 
 @dataclass(frozen=True)
@@ -63,15 +89,11 @@ class DataSection:
 
     Attributes:
         files: relative to the folder of the study file, or absolute.
-        time: the column of the times; without a column where ``step`` is given.
+        time: the column of the times, or the step between them.
         states: by name.
         inputs: by name.
         trajectory: the column that names each line's run; None: a run per file.
         hold: what inputs do between samples, "linear", "zero" or "cubic".
-        step: the time between neighbouring lines, where no column has the times.
-        start: where times are dates, the moment at which t is 0.
-        date_format: dates written otherwise than 2021-11-22 09:15:00, see strptime;
-            "": the times are numbers, even where these look like dates.
         sheet: of an Excel workbook.
         columns: the names of the columns of a table without a header.
         separator: the sign between the cells of a text.
@@ -81,15 +103,12 @@ class DataSection:
         places: where files lie that are not where their names say.
     """
 
-    files: tuple[str, ...]
-    time: Channel
-    states: Mapping[str, Channel]
+    files: tuple[str, ...] = ()
+    time: Times = Times()
+    states: Mapping[str, Channel] = field(default_factory=dict)
     inputs: Mapping[str, Channel] = field(default_factory=dict)
     trajectory: str | None = None
     hold: str = "linear"
-    step: float | None = None
-    start: str | None = None
-    date_format: str | None = None
     sheet: str | None = None
     columns: tuple[str, ...] | None = None
     separator: str | None = None
@@ -98,11 +117,25 @@ class DataSection:
     thinned: int | None = None
     places: Mapping[str, Path] = field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls, content: Mapping[str, Any], places: Mapping[str, Path] | None = None
+    ) -> "DataSection":
+        """The section of usable entries; those that are empty are as if left out."""
+        settings = {name: one for name, one in content.items() if one not in ("", ())}
+        settings["time"] = Times(**content.get("time", {}))
+        for what in ("states", "inputs"):
+            channels = content.get(what, {}).items()
+            settings[what] = {name: Channel(**one) for name, one in channels}
+        return cls(**settings, places=places or {})
+
     @property
     def units(self) -> dict[str, str]:
         """The units that are known, of the time, the states and the inputs."""
-        channels = {"t": self.time, **self.states, **self.inputs}
-        return {name: one.unit for name, one in channels.items() if one.unit}
+        units = {"t": self.time.unit}
+        for name, channel in (*self.states.items(), *self.inputs.items()):
+            units[name] = channel.unit
+        return {name: unit for name, unit in units.items() if unit}
 
     def paths(self, folder: Path) -> list[DataFile]:
         """The files, from the folder of the study file."""
@@ -128,25 +161,42 @@ class DataSection:
 
     def reader_arguments(self) -> dict[str, Any]:
         """What the reader is told beside the files; only what is not the default."""
-        arguments: dict[str, Any] = {"states": _columns(self.states)}
-        if self.time.column is not None:
-            arguments["time"] = self.time.column
-        if self.inputs:
-            arguments["inputs"] = _columns(self.inputs)
-            arguments["hold"] = self.hold
-            by_input = {
-                name: one.hold or self.hold for name, one in self.inputs.items()
-            }
-            if len(set(by_input.values())) > 1:
-                arguments["hold"] = by_input
-        for name in TOLD_TO_READERS:
-            if getattr(self, name) is not None:
-                arguments[name] = getattr(self, name)
-        noise = {name: one.noise for name, one in self.states.items() if one.noise}
-        for name, known in (("units", self.units), ("noise", noise)):
-            if known:
-                arguments[name] = known
-        return arguments
+        hold = {name: one.hold or self.hold for name, one in self.inputs.items()}
+        ways = set(hold.values())
+        states = self.states.items()
+        arguments = {
+            "states": {name: one.column for name, one in states},
+            "time": self.time.column,
+            "inputs": {name: one.column for name, one in self.inputs.items()},
+            "hold": ways.pop() if len(ways) == 1 else hold,
+            "trajectory": self.trajectory,
+            **{name: getattr(self, name) for name in OF_FILES},
+            "step": self.time.step,
+            "start": self.time.start or None,
+            "date_format": self.time.date_format,
+            "units": self.units,
+            "noise": {name: one.noise for name, one in states if one.noise},
+        }
+        return {name: one for name, one in arguments.items() if one not in (None, {})}
+
+    @property
+    def wanted(self) -> list[Any]:
+        """The columns that are asked for."""
+        columns: list[Any] = [self.time.column, self.trajectory]
+        columns += [one.column for one in self.states.values()]
+        columns += [one.column for one in self.inputs.values()]
+        return [column for column in columns if column is not None]
+
+    def measured(self, tables: list[Table]) -> Measurements:
+        """The measurements of tables that have been read.
+
+        Raises:
+            DataError: something in them cannot be used; with file, column and line.
+        """
+        arguments = self.reader_arguments()
+        for name in OF_FILES:
+            arguments.pop(name, None)
+        return self._used(Measurements.from_tables(tables, **arguments))
 
     def measurements(self, folder: Path) -> Measurements:
         """Read the files.
@@ -157,17 +207,13 @@ class DataSection:
         Raises:
             DataError: something in them cannot be used; with file, column and line.
         """
-        paths = self.paths(folder)
         read = getattr(Measurements, self.reader)
-        arguments = self.reader_arguments()
-        data: Measurements = read(paths if len(paths) > 1 else paths[0], **arguments)
+        return self._used(read(self.paths(folder), **self.reader_arguments()))
+
+    def _used(self, data: Measurements) -> Measurements:
         if self.between is not None:
             data = data.between(*self.between)
         return data if self.thinned is None else data.thinned(self.thinned)
-
-
-def _columns(channels: Mapping[str, Channel]) -> dict[str, str | int | None]:
-    return {name: channel.column for name, channel in channels.items()}
 
 
 @dataclass(frozen=True)
@@ -196,51 +242,35 @@ class HeldOut:
             DataError: there is no such run, one of the parts would be empty, or a run
                 held out is a copy of one that is fitted.
         """
-        train, held_out = self._parts(data)
+        if self.runs is not None:
+            train, held_out = _by_runs(data, self.runs)
+        elif self.after is not None:
+            before = float(np.nextafter(self.after, -np.inf))
+            train = data.between(None, before)
+            held_out = data.between(self.after, None)
+        else:
+            train, held_out = data.split(self.training_share)
         check_can_judge(train, held_out)
         return train, held_out
-
-    def _parts(self, data: Measurements) -> tuple[Measurements, Measurements]:
-        if self.runs is not None:
-            return _by_runs(data, self.runs)
-        if self.after is not None:
-            return _by_time(data, self.after)
-        return data.split(self.training_share)
 
 
 def _by_runs(
     data: Measurements, runs: tuple[str, ...]
 ) -> tuple[Measurements, Measurements]:
     held_out = {data.trajectory_number(run) for run in runs}
-    numbered = list(enumerate(data.trajectories))
-    kept = [run for number, run in numbered if number not in held_out]
-    judging = [run for number, run in numbered if number in held_out]
+    kept: list[Trajectory] = []
+    judging: list[Trajectory] = []
+    for number, run in enumerate(data.trajectories):
+        (judging if number in held_out else kept).append(run)
     if not kept or not judging:
         raise DataError(
             f"{len(judging)} of {data.n_trajectories} runs are held out; expected at "
             "least one, and at least one to fit."
         )
-    return _of_runs(data, kept), _of_runs(data, judging)
-
-
-def _by_time(data: Measurements, after: float) -> tuple[Measurements, Measurements]:
-    before = []
-    later = []
-    for run in data.trajectories:
-        n_before = int((run.t < after).sum())
-        if n_before < 2 or run.n_samples - n_before < 2:
-            raise DataError(
-                f"run {run.name!r} goes from t = {run.t[0]:g} to {run.t[-1]:g}; after "
-                f"= {after:g} leaves {n_before} samples before and "
-                f"{run.n_samples - n_before} after; expected at least 2 of each."
-            )
-        before.append(part_of(run, slice(n_before)))
-        later.append(part_of(run, slice(n_before, None)))
-    return _of_runs(data, before), _of_runs(data, later)
-
-
-def _of_runs(data: Measurements, runs: list[Trajectory]) -> Measurements:
-    return replace(data, trajectories=tuple(runs))
+    return (
+        replace(data, trajectories=tuple(kept)),
+        replace(data, trajectories=tuple(judging)),
+    )
 
 
 @dataclass(frozen=True)
@@ -267,7 +297,7 @@ class Sections:
     base: Model
     data: DataSection
     held_out: HeldOut | None = None
-    steps: StudySection = field(default_factory=StudySection)
+    steps: StudySection = StudySection()
     own_effects: tuple[Effect, ...] = ()
     loss: MaximumLikelihood = field(default_factory=MaximumLikelihood)
 

@@ -6,21 +6,20 @@ beside itself.
 
 import json
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, is_dataclass
 from typing import Any
 
 import numpy as np
 
 from phsi_opt import __all__ as public
-from phsi_opt.model.effect import Effect
-from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.study_file.effects import own_effect
-from phsi_opt.study_file.sections import DataSection, HeldOut, Sections, told
+from phsi_opt.study_file.sections import Sections, told
 from phsi_opt.study_file.study_text import shared_parameters
+from phsi_opt.study_file.toml_text import text_template
 
 IN_SCRIPT = "parameters"  # the variable in which the script keeps them
 LINE_WIDTH = 80  # of source; what a call is given to stands before it
@@ -30,13 +29,7 @@ SCRIPT_BEGIN = '''\
 
 from pathlib import Path
 
-import phsi_opt as ph
-'''
-SCRIPT_END = """
-print(study.fit)
-print(study.compare())
-print(study.history)
-"""
+import phsi_opt as ph'''
 
 
 class Code(str):
@@ -110,83 +103,46 @@ def _enclosed(opening: str, parts: Iterable[str], closing: str) -> str:
 def study_script(study: Sections) -> str:
     """The whole script."""
     source = Source()
-    body = [
-        "FOLDER = Path(__file__).parent  # the data lie beside this script",
-        *_data_lines(study.data, source),
-        f"train, held_out = {_split(study.held_out, source)}\n",
-        *_model_lines(study.base, study.own_effects, source),
-        *_study_lines(study, source),
-    ]
-    imports = [*sorted(source.imports), ""]
-    return f"{SCRIPT_BEGIN}{chr(10).join([*imports, *body])}\n{SCRIPT_END}"
-
-
-def _data_lines(data: DataSection, source: Source) -> list[str]:
-    files: Any = [Code(f"FOLDER / {source.of(file)}") for file in data.files]
-    first = files[0] if len(files) == 1 else files
-    reader = f"ph.Measurements.{data.reader}"
-    lines = [f"data = {source.call(reader, first, **data.reader_arguments())}"]
-    if data.between is not None:
-        begin, end = data.between
-        lines.append(f"data = data.between({begin!r}, {end!r})")
-    if data.thinned is not None:
-        lines.append(f"data = data.thinned({data.thinned})")
-    return lines
-
-
-def _split(held_out: HeldOut | None, source: Source) -> str:
-    if held_out is None:
-        return "data, None"
-    if held_out.share is not None:
-        return f"data.split({held_out.training_share!r})"
-    return f"{source.of(held_out)}.split(data)"
-
-
-def _model_lines(model: Model, own: Sequence[Effect], source: Source) -> list[str]:
-    lines = []
-    shared = shared_parameters(model, own)
-    if shared:
-        table = {name: _short(one) for name, one in shared.items()}
-        lines = [f"{IN_SCRIPT} = {source.call('dict', **table)}"]
-    arguments: dict[str, Any] = {"states": list(model.states)}
+    model = study.base
+    steps = study.steps
+    parts: dict[str, Any] = {"states": list(model.states)}
     if model.has_energy:
-        arguments |= {"S": np.array(model.S).tolist(), "H": model.H}
+        parts |= {"S": np.array(model.S).tolist(), "H": model.H}
     for name in ("inputs", *BY_EQUATION, "memory", "kind"):
         value = getattr(model, name)
         if value or (name == "F" and not model.has_energy):
-            arguments[name] = list(value) if isinstance(value, tuple) else value
-    kind = type(model).__name__
-    lines.append(f"model = {source.call(f'ph.{kind}', **arguments)}\n")
-    if own:
-        lines.append(f"own = {source.of({str(effect): effect for effect in own})}\n")
-    return lines
+            parts[name] = list(value) if isinstance(value, tuple) else value
 
-
-def _short(parameter: Parameter) -> Any:
-    """A plain number where it is known and nothing else is told."""
-    return parameter.value if set(told(parameter)) == {"value", "fixed"} else parameter
-
-
-def _study_lines(study: Sections, source: Source) -> list[str]:
     def named(name: str) -> str:
         """An effect: one of the user's own, or a name of the catalogue."""
         effect = own_effect(name, study.own_effects)
         return Code(f"own[{source.of(str(effect))}]") if effect else name
 
-    arguments: dict[str, Any] = {"held_out": Code("held_out")}
-    lines = []
-    if study.steps.effects is not None:
-        arguments["effects"] = [named(name) for name in study.steps.effects]
-    elif study.own_effects:
-        lines.append("catalogue = map(str, ph.catalogue(model, data.units))")
-        arguments["effects"] = Code("[*catalogue, *own.values()]")
-    if study.steps.without:
-        arguments["without"] = list(study.steps.without)
-    if told(study.loss):
-        arguments["loss"] = study.loss
-    arguments["progress"] = Code("print")
-    call = source.call("ph.Study", Code("model"), Code("train"), **arguments)
-    lines.append(f"study = {call}")
-    for name in study.steps.added:
-        lines.append(source.call("study.add", named(name)))
-    return lines
+    effects: Any = Code("[*catalogue, *own.values()]") if study.own_effects else None
+    choices = {
+        "held_out": Code("held_out"),
+        "effects": effects if steps.effects is None else [*map(named, steps.effects)],
+        "without": list(steps.without) or None,
+        "loss": study.loss if told(study.loss) else None,
+        "progress": Code("print"),
+    }
+    shared = shared_parameters(model, study.own_effects)
+    files: Any = [Code(f"FOLDER / {source.of(one)}") for one in study.data.files]
+    body = text_template("study_script.py.jinja").render(
+        data=study.data,
+        files=files[0] if len(files) == 1 else files,
+        held_out=study.held_out,
+        parameters={name: _short(one) for name, one in shared.items()},
+        kind=type(model).__name__,
+        parts=parts,
+        own={str(effect): effect for effect in study.own_effects},
+        steps=steps,
+        choices={name: one for name, one in choices.items() if one is not None},
+        **{"call": source.call, "source": source.of, "code": Code, "named": named},
+    )
+    return "\n".join([SCRIPT_BEGIN, *sorted(source.imports), "", body])
+
+
+def _short(parameter: Parameter) -> Any:
+    """A plain number where it is known and nothing else is told."""
+    return parameter.value if set(told(parameter)) == {"value", "fixed"} else parameter

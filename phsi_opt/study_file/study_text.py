@@ -5,6 +5,7 @@ tables, and what a study file has no form for is refused by name.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
-from phsi_opt.study_file.sections import OF_TIME, Channel, DataSection, Sections, told
+from phsi_opt.study_file.sections import Sections, told
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 Content = dict[str, Any]
@@ -100,45 +101,33 @@ def _content(study: Sections) -> Content:
             "of a study file; give it to the channels, and leave it out of the loss."
         )
     parameters = shared_parameters(study.base, study.own_effects)
+    data = replace(study.data, places={})
     return {
-        "data": _data(study.data),
-        "held_out": _plain(told(study.held_out)) if study.held_out else {},
+        "data": {"time": {}, **_plain(data)},
+        "held_out": _plain(study.held_out) if study.held_out else {},
         "model": _model(study.base),
-        "parameters": {name: _parameter(one) for name, one in parameters.items()},
-        "effects": [_effect(effect) for effect in study.own_effects],
-        "study": {"added": [], **_plain(told(study.steps))},
+        "parameters": _plain(parameters),
+        "effects": _plain(study.own_effects),
+        "study": {"added": [], **_plain(study.steps)},
         "loss": told(study.loss),
     }
 
 
-def _plain(content: Content) -> Content:
-    """Tuples as lists."""
-    listed = {}
-    for name, value in content.items():
-        listed[name] = list(value) if isinstance(value, tuple) else value
-    return listed
-
-
-def _data(data: DataSection) -> Content:
-    content = _plain(told(data))
-    content.pop("places", None)
-    if data.inputs:
-        content["hold"] = data.hold
-    time = {} if data.time.column is None else {"column": data.time.column}
-    for name, value in (*told(data.time).items(), *content.items()):
-        if name in ("unit", *OF_TIME):
-            time[name] = value
-    content = {name: one for name, one in content.items() if name not in OF_TIME}
-    content["time"] = time
-    for what in ("states", "inputs"):
-        channels = getattr(data, what)
-        content[what] = {name: _channel(one) for name, one in channels.items()}
-    return content
-
-
-def _channel(channel: Channel) -> Content:
-    column = {"measured": False} if channel.column is None else {}
-    return {**column, **told(channel)}
+def _plain(value: Any) -> Any:
+    """A value as tables, lists, texts and numbers; of records, what they tell."""
+    if isinstance(value, Dictionary):
+        terms = list(map(_plain, value))
+        return terms[0] if len(terms) == 1 else terms
+    if isinstance(value, Term) and value.coefficient is None:
+        return value.body
+    if isinstance(value, Parameter):
+        return _parameter(value)
+    if is_dataclass(value):
+        content = _plain(told(value))
+        return {name: one for name, one in content.items() if one != {}}
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
+    return list(map(_plain, value)) if isinstance(value, tuple) else value
 
 
 def _parameter(parameter: Parameter) -> Content | float:
@@ -146,45 +135,20 @@ def _parameter(parameter: Parameter) -> Content | float:
     content = told(parameter)
     guess = content.get("guess")
     if guess is not None:
-        content["guess"] = {"kind": type(guess).__name__, **_plain(told(guess))}
+        content["guess"] = {"kind": type(guess).__name__, **_plain(guess)}
     if "value" in content and not content.pop("fixed", False):
         content = {"start": content.pop("value"), **content}
     return content["value"] if list(content) == ["value"] else content
 
 
-def _terms(terms: Dictionary) -> Any:
-    """A sum of terms: the term itself where there is one, else a list."""
-    listed = [_term(term) for term in terms]
-    return listed[0] if len(listed) == 1 else listed
-
-
-def _term(term: Term) -> str | Content:
-    """A formula as text; a term with a coefficient as a table."""
-    if term.coefficient is None:
-        return term.body
-    content = told(term)
-    content["coefficient"] = _parameter(term.coefficient)
-    content["inner"] = {name: _parameter(one) for name, one in term.inner.items()}
-    return {name: one for name, one in content.items() if one != {}}
-
-
-def _by_name(sums: Mapping[str, Dictionary]) -> Content:
-    return {name: _terms(terms) for name, terms in sums.items()}
-
-
 def _model(model: Model) -> Content:
-    content: Content = {
-        "type": WITH_ENERGY if model.has_energy else WITHOUT_ENERGY,
-        "states": list(model.states),
-    }
-    for name in ("inputs", "memory"):
-        if getattr(model, name):
-            content[name] = list(getattr(model, name))
-    if model.kind:
-        content["kind"] = dict(model.kind)
+    names = ("states", "inputs", "memory", "kind", *BY_EQUATION)
+    content = {name: getattr(model, name) for name in names if getattr(model, name)}
     if model.has_energy:
-        content |= {**_structure(model), "H": _terms(model.H)}
-    return {**content, **{slot: _by_name(getattr(model, slot)) for slot in BY_EQUATION}}
+        slots = {name: content.pop(name) for name in BY_EQUATION if name in content}
+        content |= {**_structure(model), "H": model.H, **slots}
+    kind = WITH_ENERGY if model.has_energy else WITHOUT_ENERGY
+    return {"type": kind, **_plain(content)}
 
 
 def _structure(model: Model) -> Content:
@@ -195,13 +159,6 @@ def _structure(model: Model) -> Content:
         pairs.append([model.states[row], model.states[column]])
     of_pairs = np.all(np.isin(S, (-1.0, 0.0, 1.0)))
     return {"pairs": pairs} if of_pairs else {"S": S.tolist()}
-
-
-def _effect(effect: Effect) -> Content:
-    content = {**told(effect), "term": _terms(effect.term)}
-    if effect.memory:
-        content["memory"] = _by_name(effect.memory)
-    return content
 
 
 def shared_parameters(

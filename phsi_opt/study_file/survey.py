@@ -7,7 +7,7 @@ seen here can be read later.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from itertools import chain, count
 
 import numpy as np
 
@@ -41,13 +41,6 @@ FEW_LINES = 2000  # of a run, as many or a little more, that thinning leaves the
 VARIANCE_KEPT = 0.95  # share of a state's variance that must be left in the means
 
 
-class Span(NamedTuple):
-    """From the first time to the last."""
-
-    begin: float
-    end: float
-
-
 @dataclass(frozen=True, eq=False)
 class TableSurvey:
     """A table, and what its columns may be.
@@ -58,12 +51,18 @@ class TableSurvey:
             a MATLAB file holds beside the columns.
         columns: in the order of the table.
         sheets: those of a workbook with content; the first was looked at.
+        run: the column that names each line's run; None: there is none.
+        time: the column of the times; None: there is none.
+        step: the time between samples, where no column has the times.
     """
 
     path: DataFile
     table: Table
     columns: list[Column]
     sheets: list[str]
+    run: Column | None
+    time: Column | None
+    step: float | None
 
     def of_part(self, part: str) -> list[Column]:
         """The columns that are one thing."""
@@ -85,14 +84,14 @@ class TableSurvey:
         return self.n_lines / self.n_runs > MANY_LINES
 
     @property
-    def span(self) -> Span | None:
+    def span(self) -> tuple[float, float] | None:
         """The first and the last time; None where these are dates, or wrong."""
         if self.step is not None:
-            return Span(0.0, self.step * (self.n_lines - 1))
+            return 0.0, self.step * (self.n_lines - 1)
         time = self.time
         if time is None or time.values is None or time.wrong:
             return None
-        return Span(float(time.values.min()), float(time.values.max()))
+        return float(time.values.min()), float(time.values.max())
 
     @cached_property
     def thinning(self) -> int:
@@ -102,104 +101,6 @@ class TableSurvey:
         while n > 1 and not all(_is_kept(one.values, n) for one in surely):
             n //= 2
         return n
-
-    @cached_property
-    def run(self) -> Column | None:
-        """The column that names each line's run."""
-        for one in self.columns:
-            n_different = one.cells[~one.is_missing].nunique()
-            is_few = 1 < n_different <= MOST_RUNS * len(one.cells)
-            if one.header.is_run and is_few:
-                one.said = f"{n_different} runs"
-                if one.n_missing:
-                    first = int(np.argmax(one.is_missing))
-                    one.wrong = f"{one.lines[first]} names no run"
-                return one
-        return None
-
-    @cached_property
-    def time(self) -> Column | None:
-        """The column that is called the time, else the first that increases.
-
-        A column that is called so and has a wrong or late time is still the one: a
-        guess at another one would hide the mistake.
-        """
-        others = [one for one in self.columns if one is not self.run]
-        named = [one for one in others if one.header.is_time]
-        for one in named:
-            if self._increases(one):
-                return one
-        for one in named:
-            if one.values is not None:
-                one.wrong = one.wrong_time(self.run)
-                return one
-        if self._told_step is not None:
-            return None
-        fitting = [one for one in others if one.may_be_time and self._increases(one)]
-        return fitting[0] if fitting else None
-
-    def _increases(self, one: Column) -> bool:
-        if one.values is None:
-            return one.is_dates
-        return not one.wrong_time(self.run)
-
-    @cached_property
-    def _of_step(self) -> Column | None:
-        """The column of a single value that is called the time between samples."""
-        for one in self.columns:
-            is_step = one.header.is_step and one is not self.run
-            if is_step and one.only_number is not None:
-                return one
-        return None
-
-    @property
-    def _told_step(self) -> float | None:
-        """The time between samples: of a column, or of a MATLAB file's variable."""
-        if self._of_step is not None:
-            return self._of_step.only_number
-        for variable in self.table.further:
-            is_step = Header.of(variable.name).is_step
-            if is_step and variable.value is not None and variable.value > 0:
-                return variable.value
-        return None
-
-    @property
-    def step(self) -> float | None:
-        """The time between samples, where no column has the times."""
-        return self._told_step if self.time is None else None
-
-    def take_parts(self) -> None:
-        """Say of each column what it is, and give names that formulas can use."""
-        for one in self.columns:
-            self._take_part(one)
-        if not any(one.part == STATE for one in self.columns):
-            for one in self.columns:
-                if one.part == INPUT:
-                    one.becomes(STATE, PERHAPS_INPUT)
-        used: set[str] = set()
-        for one in self.columns:
-            if one.part in (STATE, INPUT):
-                one.name = _free_name(one.header.name, used)
-
-    def _take_part(self, one: Column) -> None:
-        header = one.header
-        if one is self.time:
-            one.becomes(TIME)
-        elif one is self.run:
-            one.becomes(RUN)
-        elif one is self._of_step and self.time is None:
-            one.said = "the time between samples"
-        elif one.values is None:
-            pass  # its remark says why
-        elif header.unit in TIMES:
-            one.becomes(UNUSED, "in a unit of time, and another column has the times")
-        elif header.is_set_point:
-            one.becomes(UNUSED, "a set point, by its name")
-        elif header.is_input:
-            must = "an input must be known at every sample"
-            one.becomes(INPUT, must if one.n_missing else "")
-        else:
-            one.becomes(STATE, PERHAPS_INPUT if header.may_be_input else "")
 
     @property
     def said(self) -> str:
@@ -235,21 +136,101 @@ def survey(path: DataFile) -> TableSurvey:
         DataError: it cannot be read as a table, or has too few lines.
     """
     table = table_at(path)
-    seen = TableSurvey(path, table, columns_of(table), sheets_in(path))
-    if seen.n_lines == 0:
-        raise DataError(f"{path} has no line below its header.")
-    if seen.n_lines == 1:
+    columns = columns_of(table)
+    n_lines = len(table.frame)
+    if n_lines < 2:
+        found = "1 line" if n_lines else "no line"
         raise DataError(
-            f"{path} has 1 line below its header; at least 2 are needed, and a study "
+            f"{path} has {found} below its header; at least 2 are needed, and a study "
             "needs many more."
         )
-    seen.take_parts()
+    run = next(filter(_is_run, columns), None)
+    steps = [one for one in columns if one is not run and one.only_number is not None]
+    of_step = next((one for one in steps if one.header.is_step), None)
+    step = None if of_step is None else of_step.only_number
+    for variable in table.further:
+        value = variable.value or 0.0
+        if step is None and value > 0 and Header.of(variable.name).is_step:
+            step = value
+    time = _time([one for one in columns if one is not run], run, step)
+    for one in columns:
+        _take_part(one, time, run, of_step)
+    seen = TableSurvey(
+        path, table, columns, sheets_in(path), run, time, step if time is None else None
+    )
     if not seen.of_part(STATE):
-        listed = "; ".join(f"{one.column}: {one.remark}" for one in seen.columns)
+        for one in seen.of_part(INPUT):
+            one.becomes(STATE, PERHAPS_INPUT)
+    used: set[str] = set()
+    for one in columns:
+        if one.part in (STATE, INPUT):
+            one.name = _free_name(one.header.name, used)
+    if not seen.of_part(STATE):
+        listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
         raise DataError(
             f"{path} has no column of numbers that a state could be: {listed}."
         )
     return seen
+
+
+def _is_run(one: Column) -> bool:
+    """Whether it names each line's run; then it says so."""
+    n_different = one.cells[~one.is_missing].nunique()
+    is_few = 1 < n_different <= MOST_RUNS * len(one.cells)
+    if not one.header.is_run or not is_few:
+        return False
+    one.said = f"{n_different} runs"
+    if one.n_missing:
+        one.wrong = f"{one.lines[int(np.argmax(one.is_missing))]} names no run"
+    return True
+
+
+def _time(
+    others: list[Column], run: Column | None, step: float | None
+) -> Column | None:
+    """The column that is called the time, else the first that increases.
+
+    A column that is called so and has a wrong or late time is still the one: a guess at
+    another one would hide the mistake.
+    """
+
+    def increases(one: Column) -> bool:
+        return one.is_dates if one.values is None else not one.wrong_time(run)
+
+    named = [one for one in others if one.header.is_time]
+    for one in filter(increases, named):
+        return one
+    for one in named:
+        if one.values is not None:
+            one.wrong = one.wrong_time(run)
+            return one
+    if step is not None:
+        return None
+    return next((one for one in others if one.may_be_time and increases(one)), None)
+
+
+def _take_part(
+    one: Column, time: Column | None, run: Column | None, of_step: Column | None
+) -> None:
+    """Say of a column what it is."""
+    header = one.header
+    if one is time:
+        one.becomes(TIME)
+    elif one is run:
+        one.becomes(RUN)
+    elif one is of_step and time is None:
+        one.said = "the time between samples"
+    elif one.values is None:
+        pass  # its remark says why
+    elif header.unit in TIMES:
+        one.becomes(UNUSED, "in a unit of time, and another column has the times")
+    elif header.is_set_point:
+        one.becomes(UNUSED, "a set point, by its name")
+    elif header.is_input:
+        must = "an input must be known at every sample"
+        one.becomes(INPUT, must if one.n_missing else "")
+    else:
+        one.becomes(STATE, PERHAPS_INPUT if header.may_be_input else "")
 
 
 def _is_kept(values: np.ndarray | None, n: int) -> bool:
@@ -271,10 +252,7 @@ def _free_name(wanted: str, used: set[str]) -> str:
         usable_in_formulas([wanted], "states")
     except (DataError, ModelError):
         wanted = f"x_{wanted}" if wanted else "x"
-    name = wanted
-    number = 2
-    while name in used:
-        name = f"{wanted}_{number}"
-        number += 1
+    names = chain([wanted], (f"{wanted}_{number}" for number in count(2)))
+    name = next(one for one in names if one not in used)
     used.add(name)
     return name

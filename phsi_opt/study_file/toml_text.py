@@ -9,7 +9,10 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 MOST_NESTED = 32  # tables, lists and parts of a key in each other; a study needs 8
 MOST_SIGNS = 250  # of a name without quotes, or a number: floats go further
@@ -99,3 +102,19 @@ def toml_value(value: Any) -> str:
     if isinstance(value, Sequence):
         return f"[{', '.join(map(toml_value, value))}]"
     return repr(float(value)) if isinstance(value, float) else str(value)
+
+
+def text_template(name: str) -> "Template":
+    """A template of this room, for a text that is no page."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("phsi_opt.study_file"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+        autoescape=False,
+    )
+    environment.filters |= {"toml": toml_value, "key": key_text}
+    return environment.get_template(name)

@@ -4,16 +4,13 @@ What must be filled in is a complaint of `reading`.
 """
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from phsi_opt.study_file.complaints import Complaints, TooManyComplaintsError, texts
+from phsi_opt.study_file.complaints import Complaints, TooManyComplaintsError
 from phsi_opt.study_file.keys import usable
 from phsi_opt.study_file.reading import tables_of
-from phsi_opt.study_file.toml_text import toml_value
-
-WITH_FORMULAS = ("H", "R", "F", "sensor")
+from phsi_opt.study_file.sections import DataSection
+from phsi_opt.study_file.toml_text import text_template
 
 
 def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
@@ -27,49 +24,25 @@ def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
         StudyFileError: it cannot be read, or is no TOML.
     """
     try:
-        content = usable(tables_of(path), Complaints())
+        tables = tables_of(path)
+        file = usable(tables, Complaints(tables))
     except TooManyComplaintsError:
         return ()
-    model = content.get("model", {})
-    states = texts(model.get("states", ()))
-    inputs = texts(model.get("inputs", ()))
-    state = states[-1] if states else "p"
-    said = []
-    if not content.get("parameters") and not model.get("H"):
-        said.append(
-            "parameters: none yet; every name in a formula that is no state, input or "
-            'effort needs one, such as k = { start = 10.0, lower = 0, unit = "N/m" }'
-        )
-    if not model.get("R") and model.get("type") != "FirstOrder":
-        said.append(f'model.R: no losses, such as R = {{ {state} = "c" }}')
-    if not model.get("F"):
-        force = inputs[0] if inputs else "u"
-        said.append(f'model.F: no forces, such as F = {{ {state} = "{force}" }}')
-    if model.get("pairs") == [] and len(states) > 1:
-        said.append(
-            "model.pairs: no state is driven by another's energy; a body has pairs = "
-            f"{toml_value([states[:2]])}, position first"
-        )
-    formulas = [model.get(name) for name in WITH_FORMULAS]
-    words = re.findall(r"\w+", str([*formulas, content.get("effects", [])]))
-    idle = [name for name in inputs if name not in words]
-    if idle and (model.get("H") or model.get("F")):
-        said.append(f"model.inputs: no formula has {', '.join(idle)}")
-    without = _without_unit(content.get("data", {}), has_dates)
-    if without:
-        said.append(
-            f'units: none is given for {", ".join(without)}, such as unit = "m"; sizes '
-            "are told without it"
-        )
-    return tuple(said)
+    model = file.get("model", {})
+    formulas = [model.get(name) for name in ("H", "R", "F", "sensor")]
+    words = re.findall(r"\w+", str([*formulas, file.get("effects")]))
+    text = text_template("unfilled.txt.jinja").render(
+        file=file,
+        idle=[name for name in model.get("inputs", ()) if name not in words],
+        without_unit=_without_unit(DataSection.of(file.get("data", {})), has_dates),
+    )
+    return tuple(text.splitlines())
 
 
-def _without_unit(data: Mapping[str, Any], has_dates: bool) -> list[str]:
+def _without_unit(data: DataSection, has_dates: bool) -> list[str]:
     """Channels without a unit; these are printed beside numbers, no more."""
-    without = []
-    if data and not has_dates and not data.get("time", {}).get("unit"):
-        without.append("the time")
-    for what in ("states", "inputs"):
-        channels = data.get(what, {})
-        without += [name for name, one in channels.items() if not one.get("unit")]
+    channels = {**data.states, **data.inputs}
+    without = [name for name, one in channels.items() if not one.unit]
+    if data != DataSection() and not has_dates and not data.time.unit:
+        without.insert(0, "the time")
     return without

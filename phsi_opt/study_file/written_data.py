@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 from phsi_opt.reading import file_text
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+from phsi_opt.study_file.sections import Channel, DataSection, HeldOut, Times
 from phsi_opt.writing import write_whole
 
 RUN_COLUMN = "trajectory"  # as in `Measurements.to_dataframe`
@@ -23,17 +23,18 @@ def section_of(data: Measurements, file: str) -> DataSection:
     for name in data.states:
         column = name if name in data.measured else None
         states[name] = Channel(column, data.units[name], noise.get(name))
+    hold = data.hold
     inputs = {}
     for name in data.inputs:
-        hold = None if isinstance(data.hold, str) else data.hold[name]
-        inputs[name] = Channel(name, data.units[name], hold=hold)
+        own = None if isinstance(hold, str) else hold[name]
+        inputs[name] = Channel(name, data.units[name], hold=own)
     return DataSection(
         files=(file,),
-        time=Channel(TIME_COLUMN, data.units["t"]),
+        time=Times(TIME_COLUMN, data.units["t"]),
         states=states,
         inputs=inputs,
         trajectory=RUN_COLUMN,
-        hold=data.hold if isinstance(data.hold, str) else "linear",
+        hold=hold if isinstance(hold, str) else "linear",
     )
 
 
@@ -74,25 +75,6 @@ def joined(
     """
     if held_out is None:
         return train, None
-    _check_channels(train, held_out)
-    names = [run.name for run in train.trajectories]
-    judging = [run.name for run in held_out.trajectories]
-    if not set(names) & set(judging):
-        both = (*train.trajectories, *held_out.trajectories)
-        return replace(train, trajectories=both), HeldOut(runs=tuple(judging))
-    cut = min(float(run.t[0]) for run in held_out.trajectories)
-    ends = max(float(run.t[-1]) for run in train.trajectories)
-    if names != judging or ends >= cut:
-        raise DataError(
-            f"the runs {names} and those held out, {judging}, have names in common and "
-            "are not cut at one time; give the runs names of their own."
-        )
-    pairs = zip(train.trajectories, held_out.trajectories, strict=True)
-    whole = tuple(_continued(first, then) for first, then in pairs)
-    return replace(train, trajectories=whole), HeldOut(after=cut)
-
-
-def _check_channels(train: Measurements, held_out: Measurements) -> None:
     for what in ("states", "inputs", "units", "hold", "noise"):
         one = getattr(train, what)
         other = getattr(held_out, what)
@@ -101,9 +83,22 @@ def _check_channels(train: Measurements, held_out: Measurements) -> None:
                 f"{what} of the data held out, {other}, differ from {one} of the "
                 "training data; a study file has one description for both."
             )
-
-
-def _continued(first: Trajectory, then: Trajectory) -> Trajectory:
-    t = np.concatenate([first.t, then.t])
-    x = np.concatenate([first.x, then.x])
-    return replace(first, t=t, x=x, u=np.concatenate([first.u, then.u]))
+    names = [run.name for run in train.trajectories]
+    judging = [run.name for run in held_out.trajectories]
+    if not set(names) & set(judging):
+        both = (*train.trajectories, *held_out.trajectories)
+        return replace(train, trajectories=both), HeldOut(runs=tuple(judging))
+    cut = float(held_out.stacked("t").min())
+    if names != judging or float(train.stacked("t").max()) >= cut:
+        raise DataError(
+            f"the runs {names} and those held out, {judging}, have names in common and "
+            "are not cut at one time; give the runs names of their own."
+        )
+    whole = []
+    for first, then in zip(train.trajectories, held_out.trajectories, strict=True):
+        parts: dict[str, Any] = {
+            label: np.concatenate([getattr(first, label), getattr(then, label)])
+            for label in ("t", "x", "u")
+        }
+        whole.append(replace(first, **parts))
+    return replace(train, trajectories=tuple(whole)), HeldOut(after=cut)
