@@ -7,24 +7,21 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
-from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.likelihood_start import crude_start
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model, built_of
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.optimization.chained import FEWEST_STATES
-from phsi_opt.optimization.endings import DIRECT_STEPS
+from phsi_opt.optimization.outcome import DIRECT_STEPS
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import StateBounds
 from problems.benchmarks import state_growth
 from problems.benchmarks.peer_cases import PROBLEMS, drawn
 
@@ -153,14 +150,14 @@ def test_a_parameter_that_begins_at_its_bound_leaves_it() -> None:
 
 def solver_and_start(
     model: ph.Model, data: ph.Measurements
-) -> tuple[LikelihoodSolver, StartingPoint]:
+) -> tuple[LikelihoodProblem, StartingPoint]:
     """From the parameters of the model as they are."""
     task = Task(model, AlignedData.of(model, data), {}, None, ph.SolverSettings())
     problem = LikelihoodProblem.of(task, ph.MaximumLikelihood())
     start = crude_start(problem)
     steps = (np.ones(len(start.states[0]) - 1, dtype=int),)
     start = replace(start, theta=model.theta, steps=steps)
-    return LikelihoodSolver(problem), start
+    return problem, start
 
 
 def test_a_bound_at_which_the_model_has_no_values_is_not_stepped_on() -> None:
@@ -316,7 +313,7 @@ def test_starting_states_stay_within_their_bounds() -> None:
     upper[0, 0] = 0.9  # the position at which the first run begins
     nodes[0, 0] = 0.8
     point = point_at(model, grid, theta, model.theta, nodes)
-    point = replace(point, x_bounds=StateBounds(lower, upper))
+    point = replace(point, x_bounds=np.array([lower, upper]))
     values = LikelihoodValues(model, grid, "srk4", point, theta)
     problem = JointProblem.white(Linearizer(values), np.array([FINE_NOISE, 1.0]))
     found = problem.optimum(point.scaled, 100)

@@ -213,9 +213,7 @@ class _Line:
         assert best is not None
         self.value = best.values[name]
         self.lowest = best.chi_square
-        self.factor = 1.0
-        if fit.huber is not None:
-            self.factor = best.huber_moments.rise_ratio
+        self.factor = best.score_variance
         self.points = {self.value: 0.0}
         self.states = {self.value: best}
 

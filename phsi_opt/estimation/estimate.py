@@ -134,6 +134,11 @@ class Estimate(ABC):
         of_first = covariance[np.ix_(first, first)]
         return np.where(np.outer(is_shared, is_shared), of_first, np.nan)
 
+    def noise_by_name(self, sigma: np.ndarray) -> dict[str, float]:
+        """Noise of the states that were measured, of that of all, (n_states,)."""
+        measured = np.flatnonzero(self.grid.measured.any(axis=0)).tolist()
+        return {self.model.states[k]: float(sigma[k]) for k in measured}
+
     def fit(self) -> Fit:
         """The result record."""
         return Fit(

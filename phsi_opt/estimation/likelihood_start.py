@@ -2,7 +2,7 @@
 
 At a fit, or at a crude start: states from the data and the model's own kinematics,
 parameters as they are given. It need not be near: a missing force that shrinks leads
-from there (`likelihood_steps`). Further points are those of `multi_start`.
+from there (`likelihood_steps`). Further points are those of `several_starts`.
 """
 
 from dataclasses import replace
@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.phsi_solve import PHSIEstimate, PHSISolver, best_of_starts
 from phsi_opt.estimation.problem import silent
-from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.convex_start import starting_values
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses

@@ -21,7 +21,6 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -52,16 +51,13 @@ class PHSIEstimate(Estimate):
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Sandwich covariance: neighbouring defects share a noisy sample."""
-        used = self._used
-        known = KnownDefects(self.model, used, self.loss.integrator)
         return uncertainty.of_defects(
             self.model,
-            used,
+            self._used,
             self.loss.integrator,
             self.theta,
             self.point.theta_scale,
             self.solution.outcome.at_bounds,
-            known.at(self.theta),
         )
 
     @property

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, NoiseLevels
-from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.likelihood_problem import (
+    LikelihoodProblem,
+    NoiseLevels,
+    StartingPoint,
+)
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
@@ -61,6 +63,5 @@ class RecordLikelihood:
             steps=tuple(steps),
         )
         noise = NoiseLevels.known(self.sigma)
-        problem = LikelihoodProblem(task, self.loss, noise)
-        estimate = LikelihoodSolver(problem).solve_from(start)
+        estimate = LikelihoodProblem(task, self.loss, noise).solve_from(start)
         return estimate if estimate.is_success else None

@@ -21,15 +21,13 @@ from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import Disturbances, Structure
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.optimization.along_time import TimeLayout
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.bounded_step import ANY_ROOM, SILENT, Room, bounded_step
-from phsi_opt.optimization.chained import Chained
+from phsi_opt.optimization.chained import Chain, Chained, TimeLayout
 from phsi_opt.transcription.elimination import (
     REGULAR,
     RIDGE,
     ReducedSystem,
-    chain_of,
 )
 
 NOTHING_HELD = np.zeros(0, dtype=int)
@@ -328,7 +326,9 @@ class MarginalLikelihood:
         columns.append(every_multiplier)
         order = np.argsort(self._times_of_unknowns(), kind="stable")
         is_soft = bool(len(self._softness))
-        chain = None if is_soft else chain_of(problem.grid, problem.n_states)
+        grid = problem.grid
+        whole = Chain(grid.begin, grid.n_nodes, problem.n_states)
+        chain = None if is_soft else whole
         self._layout = TimeLayout(
             np.concatenate(rows), np.concatenate(columns), order, chain
         )

@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.point import StateBounds
+from phsi_opt.transcription.point import UNBOUNDED
 
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 
@@ -41,7 +41,7 @@ def with_memory(
 
 def memory_start_bounds(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
-) -> StateBounds | None:
+) -> np.ndarray:
     """Bounds of the memory that a trajectory begins with; other states have none.
 
     It is such as the records show later on: within the values that it takes from rest,
@@ -55,21 +55,21 @@ def memory_start_bounds(
         theta: parameters, as those of `with_memory`.
 
     Returns:
-        None where the model has no memory, or not as its last states.
+        (2, n_nodes, n_states), or what is broadcast to it where the model has no
+        memory, or not as its last states.
     """
     n_old = model.n_states - len(model.memory)
     if n_old == model.n_states or model.states[n_old:] != model.memory:
-        return None
+        return UNBOUNDED
     integration = MemoryIntegration(model, grid, x[:, :n_old])
     memory = integration(theta).states[:, n_old:]
     lowest = memory.min(axis=0)
     highest = memory.max(axis=0)
     reach = np.where(highest > lowest, highest - lowest, np.inf)
-    lower = np.full(x.shape, -np.inf)
-    upper = np.full(x.shape, np.inf)
-    lower[grid.first, n_old:] = lowest - reach
-    upper[grid.first, n_old:] = highest + reach
-    return StateBounds(lower, upper)
+    bounds = np.broadcast_to(UNBOUNDED, (2, *x.shape)).copy()
+    bounds[0, grid.first, n_old:] = lowest - reach
+    bounds[1, grid.first, n_old:] = highest + reach
+    return bounds
 
 
 def padded(model: Model, x: np.ndarray) -> np.ndarray:

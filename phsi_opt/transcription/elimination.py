@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.errors import SolveError
-from phsi_opt.optimization.along_time import Chain
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.chained import Chained
 from phsi_opt.transcription.grid import Grid
@@ -56,11 +55,6 @@ def regularized_inverse(
         return np.linalg.inv(regular)
     except np.linalg.LinAlgError:  # it spans more digits than numbers have
         return np.linalg.pinv(regular, rcond=1e-15, hermitian=True)
-
-
-def chain_of(grid: Grid, n_states: int) -> Chain:
-    """Nodes and intervals of a grid for a system of its states."""
-    return Chain(grid.begin, grid.n_nodes, n_states)
 
 
 @dataclass(frozen=True, eq=False)

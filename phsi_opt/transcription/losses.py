@@ -13,29 +13,31 @@ program is the business of `identify`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Program
-from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.presentation.short_repr import short_number
-from phsi_opt.transcription.defect_constraint import DefectConstraint
+from phsi_opt.transcription.defect_constraint import (
+    constraint_curvature,
+    constraint_jacobian,
+)
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import known_defects
-from phsi_opt.transcription.loss_blocks import (
-    ThetaVariable,
-    measurement_residual,
-    outlier_slack,
-    state_variable,
-)
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.sensors import outputs
 
+# Slacks of outliers begin here, in standard deviations: inside their bound at zero.
+OUTLIER_START = 0.1
 MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
 
@@ -71,12 +73,13 @@ class PHSILoss:
         used = complete_intervals(model, grid)
         size = mean_square_rate(used)
         weight = np.sqrt(2 / (size * used.n_intervals))
-        build = Assembly()
-        one_trajectory = Theta.of(model, ("",))
-        theta = ThetaVariable.added_to(build, one_trajectory, point)
-        build.dense_residual(*known_defects(model, used, self.integrator, weight))
-        theta.add_l1(build, l1, 1 / size)
-        return build.finish()
+        program = Program()
+        unknown = Theta.of(model, ("",))
+        theta = _theta_variable(program, unknown, point)
+        residual, slopes = known_defects(model, used, self.integrator, theta)
+        program.add_residual(weight * residual, weight * slopes)
+        _add_l1(program, theta, unknown, point, l1, 1 / size)
+        return program
 
 
 @dataclass(frozen=True)
@@ -130,46 +133,102 @@ class MaximumLikelihood:
                 "not go together: outliers are no model error; take one of them."
             )
 
+    def has_slacks(self, unknown: Theta, l1: Mapping[str, float]) -> bool:
+        """Whether the program has variables beside parameters and states."""
+        return self.huber is not None or bool(np.any(unknown.weights(l1) > 0))
+
     def program(
-        self,
-        model: Model,
-        grid: Grid,
-        point: Point,
-        l1: Mapping[str, float],
-        sigma: np.ndarray,
-        unknown: Theta,
+        self, values: LikelihoodValues, l1: Mapping[str, float], sigma: np.ndarray
     ) -> Program:
         """The program in theta, x and the slacks.
 
         Args:
-            model: the model.
-            grid: nodes, intervals and measurements.
-            point: where the solver begins, and the sizes of the unknowns.
+            values: of the likelihood: model, layout, start and sizes of the unknowns.
             l1: weight by slot.
             sigma: (n_states,) noise of each channel, a setting of the program.
-            unknown: the parameters of ``model`` in the trajectories of ``grid``.
         """
-        build = Assembly()
-        theta = ThetaVariable.added_to(build, unknown, point)
-        x = state_variable(build, grid, point)
-        of_runs = theta.by_trajectory
-        d = defects(model, grid, self.integrator, x, of_runs)
-        constraint = DefectConstraint(model, grid, self.integrator, point, unknown)
-        build.constrain(
-            "defect",
-            constraint.scaled(d),
-            label=grid.interval_label(model.n_states),
-            jacobian=constraint.jacobian,
+        model, grid, point = values.model, values.grid, values.point
+        n_states = model.n_states
+        program = Program()
+        theta = _theta_variable(program, values.unknown, point)
+        lower, upper = np.broadcast_to(point.x_bounds, (2, *point.x.shape))
+        scale = np.tile(point.x_scale, grid.n_nodes)
+        label = grid.node_label(n_states)
+        column = program.variable(
+            "x", point.x.ravel(), lower.ravel(), upper.ravel(), scale, label
         )
-        noise = build.setting("sigma", sigma)
-        residual = measurement_residual(model, grid, x, of_runs, noise)
-        n_measured = len(grid.channel)
+        x = ca.reshape(column, n_states, -1)
+        of_runs = values.unknown.by_trajectory(theta)
+        d = defects(model, grid, self.integrator, x, of_runs)
+        program.constrain(
+            "defect",
+            d * ca.DM(values.per_size.T),
+            label=grid.interval_label(n_states),
+            jacobian=constraint_jacobian(values, x, of_runs),
+        )
+        program.curvature = partial(constraint_curvature, values, x, of_runs)
+        # Row by row (n_nodes, n_states) is CasADi's order column by column.
+        measured = np.flatnonzero(grid.measured.ravel()).tolist()
+        shown = outputs(model, grid, x, of_runs) if model.sensor else x
+        misfit = ca.DM(grid.y.ravel()[measured]) - ca.vec(shown)[measured]
+        noise = program.setting("sigma", sigma)
+        residual = misfit / ca.vec(noise[grid.channel.tolist()])
         if self.huber is not None:
-            residual = residual - outlier_slack(build, n_measured, self.huber)
-        build.residual(residual * np.sqrt(2 / n_measured))
-        theta.add_l1(build, l1, 1.0)
-        build.curvature(constraint.curvature)
-        return build.finish()
+            residual = residual - _outlier_slack(program, len(measured), self.huber)
+        program.add_residual(residual * np.sqrt(2 / len(measured)))
+        _add_l1(program, theta, values.unknown, point, l1, 1.0)
+        return program
+
+
+def _theta_variable(program: Program, unknown: Theta, point: Point) -> ca.MX:
+    """Add the block "theta", with the bounds of the parameters, (n_theta,)."""
+    return program.variable(
+        "theta",
+        point.theta,
+        unknown.lower,
+        unknown.upper,
+        point.theta_scale,
+        unknown.names.__getitem__,
+    )
+
+
+def _outlier_slack(program: Program, n_measured: int, limit: float) -> ca.MX:
+    """Add slacks that take over what of a residual is beyond the limit.
+
+    At a linear cost, so that both together are Huber's function. Returns what they
+    take, (n_measured,).
+
+    Source: P. J. Huber, Robust estimation of a location parameter, 1964.
+    """
+    start = np.full(n_measured, OUTLIER_START)
+    above = program.variable("outlier_above", start, lower=0.0)
+    below = program.variable("outlier_below", start, lower=0.0)
+    program.cost += 2 * limit / n_measured * (ca.sum1(above) + ca.sum1(below))
+    return above - below
+
+
+def _add_l1(
+    program: Program,
+    theta: ca.MX,
+    unknown: Theta,
+    point: Point,
+    l1: Mapping[str, float],
+    factor: float,
+) -> None:
+    """Add ``factor * sum_j lambda_j |xi_j|`` over the coefficients of terms.
+
+    ``l1`` holds a weight lambda per slot; a slot that it does not name has none.
+    """
+    weights = unknown.weights(l1)
+    places = np.flatnonzero(weights > 0).tolist()
+    if places:
+        program.add_l1(
+            "theta",
+            theta[places],
+            factor * weights[places],
+            point.theta[places],
+            point.theta_scale[places],
+        )
 
 
 def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
