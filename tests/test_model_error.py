@@ -40,9 +40,8 @@ from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.freedom import FEWEST, MOST, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
-from phsi_opt.model_error.processes import Process, Whitener
+from phsi_opt.model_error.processes import Process, Whitener, random_signs
 from phsi_opt.model_error.score_test import Trial, WhiteRecord
-from phsi_opt.model_error.signs import random_signs
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.model_error.state_functions import (
     LENGTH,
@@ -1110,9 +1109,9 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     record = WhiteRecord(search.likelihood(white), white)
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
-    asked = score_test._Places(record).asked(Trial([force], []))
+    asked = record.asked(Trial([force], []))
     asked.information = np.eye(1)
-    record._set_excess([asked])
+    record.set_excess(asked)
     (slope,) = asked.excess
     small = 1e-3 * search.rates()[place]
     beside = Disturbances(search.plain, (replace(force, size=small),))
@@ -1138,14 +1137,14 @@ def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
     record = WhiteRecord(search.likelihood(white), white)
     sensors = search._sensors(0.01, TIME)
     trial = Trial([], sensors, is_tied=True)
-    asked = score_test._Places(record).asked(trial)
+    asked = record.asked(trial)
     asked.information = np.eye(1)
-    record._set_excess([asked])
+    record.set_excess(asked)
     (slope,) = asked.excess
     rise = search.evidence(replace(white, sensors=sensors)).log_evidence
     rise -= search.evidence(white).log_evidence
     # It is the small difference of two traces, one of them by random signs.
-    assert slope == pytest.approx(rise, abs=0.01 * asked.kinds[0].seen)
+    assert slope == pytest.approx(rise, abs=0.01 * asked.seen[0])
 
 
 def test_many_channels_promise_nothing_by_their_number() -> None:

@@ -29,8 +29,7 @@ from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.processes import Process
-from phsi_opt.model_error.sandwich import covariance_under
-from phsi_opt.model_error.standard_errors import PlainEstimate
+from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood

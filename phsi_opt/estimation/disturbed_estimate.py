@@ -28,10 +28,10 @@ from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.freedom import Spread
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, noise_weights
-from phsi_opt.model_error.spread import Spread
 from phsi_opt.model_error.standard_errors import Source, under_disturbances
 from phsi_opt.model_error.state_functions import LINEAR_SHARE
 from phsi_opt.optimization.ipopt import Solution
