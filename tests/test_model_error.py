@@ -315,7 +315,8 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
         agreement.append(clusters.agreement())
         scale = estimate.point.theta_scale
         std_errors = np.sqrt(np.diag(clusters.jackknife())) * scale
-        ratios.append(std_errors / estimate.uncertainty.std_errors)
+        variances = np.diag(estimate.uncertainty.covariance)
+        ratios.append(std_errors / np.sqrt(variances))
     # 18 ratios, each known to about 20 %: their mean is known to 5 %.
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.12)
     # Six p-values: their mean is known to 0.12.

@@ -9,7 +9,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
-from phsi_opt.transcription.elimination import ReducedSystem
+from phsi_opt.model_error.marginal_likelihood import ReducedSystem
 
 T = np.linspace(0.0, 12.0, 25)  # some six samples a period
 STIFFNESS = 4.0
@@ -67,9 +67,9 @@ def test_finer_steps_have_the_room_of_the_factors_before(
     made: list[weakref.ref[ReducedSystem]] = []
     n_finer = []
 
-    def remembered(self: ReducedSystem, **parts: object) -> None:
+    def remembered(self: ReducedSystem, *parts: object) -> None:
         made.append(weakref.ref(self))
-        eliminate(self, **parts)  # type: ignore[arg-type]
+        eliminate(self, *parts)  # type: ignore[arg-type]
 
     def with_room(
         self: LikelihoodProblem, start: StartingPoint, **options: object

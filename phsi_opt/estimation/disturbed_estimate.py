@@ -20,7 +20,7 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
+from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_steps import solution_of_steps
 from phsi_opt.estimation.model_error_table import model_error_rows
@@ -107,10 +107,9 @@ class DisturbedEstimate(Estimate):
         if not self.unknown.is_shared:
             return None
         disturbances = self.disturbances
-        sizes = np.array([function.size for function in disturbances.functions])
         borders = self._likelihood.borders_by_run(disturbances)
         step = self._likelihood.at(disturbances).border
-        clusters = Clusters.of_borders(borders, sizes, step)
+        clusters = Clusters.of_borders(borders, disturbances.function_sizes, step)
         return clusters if clusters.is_enough else None
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
+from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.problem import Loss, Task
 from phsi_opt.estimation.uncertainty import Uncertainty, unknown
 from phsi_opt.later import Later
@@ -72,11 +72,6 @@ class Estimate(ABC):
     def is_success(self) -> bool:
         """Whether the solver reached an optimum."""
         return self.solution.outcome.success
-
-    @property
-    def failure(self) -> str:
-        """How the solver ended where it reached no optimum, and what to do."""
-        return str(self.solution.outcome)
 
     @property
     def theta(self) -> np.ndarray:

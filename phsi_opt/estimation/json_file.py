@@ -25,6 +25,22 @@ DAMAGE = (
 )
 
 
+def checked(kind: Any, content: Any) -> Any:
+    """Content as a type, such as ``dict[str, float]`` or a data class.
+
+    Raises:
+        ValueError: It is none of it.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(kind).validate_python(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{place or content!r}: {first['msg']}") from None
+
+
 def read_json(
     path: str | Path,
     expected: str,

@@ -12,20 +12,20 @@ from phsi_opt.data.noise import scatter_by_run
 from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
+from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization, linearized
-from phsi_opt.model_error.marginal_likelihood import reduced
+from phsi_opt.model_error.marginal_likelihood import ReducedSystem
 from phsi_opt.model_error.standard_errors import (
     PlainEstimate,
     Source,
     StandardErrors,
     standard_errors,
 )
-from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
+from phsi_opt.transcription.elimination import regularized_inverse
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -112,7 +112,7 @@ class LikelihoodEstimate(Estimate):
     @cached_property
     def reduced(self) -> ReducedSystem:
         """The likelihood at the solution, states eliminated."""
-        return reduced(self.linearized(), self.sigma)
+        return ReducedSystem(self.linearized(), self.sigma)
 
     @property
     def z(self) -> np.ndarray:
@@ -132,16 +132,18 @@ class LikelihoodEstimate(Estimate):
 
         Times the ratio that Huber's function costs, where the loss has it.
         """
-        of_squares = uncertainty.of_likelihood(
+        scaled = regularized_inverse(self.reduced.information, self.held)
+        of_squares = uncertainty.of_covariance(
             self.unknown.names,
             self.theta,
             self.point.theta_scale,
-            self.solution,
-            self.reduced,
+            scaled,
+            self.solution.outcome.at_bounds,
         )
         # Variance of Huber's estimator over what the squares alone would say:
         # E[psi^2] / E[psi']^2 of an M-estimator, from the residuals (Huber 1964).
-        return of_squares.widened(self.score_variance / self.share_within)
+        ratio = self.score_variance / self.share_within
+        return replace(of_squares, covariance=of_squares.covariance * ratio)
 
     @property
     def share_within(self) -> float:

@@ -17,14 +17,13 @@ from phsi_opt.errors import DataError
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_ipopt import by_ipopt
 from phsi_opt.estimation.likelihood_steps import by_steps, continued
-from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.residual_scatter import is_at_scatter
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.augmented_states import memory_start_bounds
-from phsi_opt.transcription.grid import Grid, interpolate_at_nodes
+from phsi_opt.transcription.grid import interpolate_at_nodes
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -135,30 +134,6 @@ class LikelihoodProblem:
     def with_noise_of(self, sigma: np.ndarray) -> "LikelihoodProblem":
         """``sigma`` (n_states,) in place of the noise that was not declared."""
         return replace(self, noise=self.noise.with_estimates(sigma))
-
-    def smooth_states(
-        self,
-        model: Model,
-        grid: Grid,
-        theta: np.ndarray | None = None,
-        *,
-        rounds: int,
-    ) -> ForceEstimate:
-        """States and missing force at parameters theta (n_theta,); see `smoothed`.
-
-        Raises:
-            SolveError: if no states are found.
-        """
-        return smoothed(
-            model,
-            grid,
-            self.noise.sigma,
-            self.loss.integrator,
-            self.noise.is_known,
-            theta,
-            rounds=rounds,
-            least_noise=self.noise.least,
-        )
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
         """The optimum of the whole record, however far off the start is."""

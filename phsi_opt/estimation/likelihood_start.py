@@ -11,12 +11,12 @@ import numpy as np
 
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
+from phsi_opt.estimation.missing_force import smoothed
 from phsi_opt.estimation.phsi_solve import PHSIEstimate, PHSISolver, best_of_starts
 from phsi_opt.estimation.problem import silent
 from phsi_opt.initialization.convex_start import starting_values
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
-from phsi_opt.initialization.scaling import with_states
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
@@ -52,7 +52,7 @@ def _by_phsi_loss(
 ) -> PHSIEstimate:
     """Parameters of the dynamics where the states at the nodes are x, never pruned."""
     task = replace(problem.task, model=dynamics, pruning=None, say=silent)
-    known = with_states(grid, x)
+    known = replace(grid, y=x)  # as if the states had been measured at every node
     solver = PHSISolver(task, PHSILoss(problem.loss.integrator), known)
     estimates = []
     for theta in starting_values(dynamics, known, task.l1):
@@ -142,5 +142,15 @@ def states_at(
     if grid.measured.all() and not model.sensor:
         return grid.split(grid.y)
     values = Theta.of(model, problem.task.runs).by_trajectory(theta)
-    smoothing = problem.smooth_states(model, grid, values, rounds=1)
-    return grid.split(smoothing.x)
+    noise = problem.noise
+    found = smoothed(
+        model,
+        grid,
+        noise.sigma,
+        values,
+        rounds=1,
+        known_noise=noise.is_known,
+        integrator=problem.loss.integrator,
+        least_noise=noise.least,
+    )
+    return grid.split(found.x)

@@ -95,10 +95,10 @@ def _with_few_terms(
     steps = steps_per_gap(estimate.grid)
 
     def resolve(
-        known: LikelihoodEstimate,
         model: Model,
         theta: np.ndarray,
         l1: dict[str, float],
+        known: LikelihoodEstimate,
     ) -> LikelihoodEstimate:
         start = StartingPoint.at(known, steps)
         start = replace(start, model=model, theta=theta)

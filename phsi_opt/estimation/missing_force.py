@@ -7,9 +7,9 @@ noise, is chosen by marginal likelihood at the linearised solution. Both take tu
 until the sizes settle.
 """
 
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -276,8 +276,6 @@ def _is_lost(found: JointEstimate) -> bool:
     return not found.has_converged and found.violation > LOST
 
 
-# A factor on the width of corners, and the forces to begin with.
-_Attempt = tuple[float, Forces]
 # Factors on the width of corners that are too sharp.
 ROUNDER = (1.0, 4.0, 16.0, 64.0)
 # Factor on the force's usual size where no search from it ends well: beside a corner of
@@ -289,14 +287,10 @@ def smoothed(
     model: Model,
     grid: Grid,
     sigma: np.ndarray,
-    integrator: str,
-    known_noise: Known,
     theta: np.ndarray | None = None,
     *,
-    rounds: int = 3,
     forces: Forces | None = None,
-    sensors: tuple[Process, ...] = (),
-    least_noise: np.ndarray | float = 0.0,
+    **options: Any,
 ) -> ForceEstimate:
     """States, also unmeasured ones, and missing force at given parameters.
 
@@ -309,15 +303,10 @@ def smoothed(
             given.
         grid: Nodes, intervals and measurements.
         sigma: (n_states,) noise to begin with.
-        integrator: The scheme of the defects.
-        known_noise: Whether ``sigma`` is known and stays, of all states or of each.
         theta: Other values, (n_free, n_trajectories) where trajectories have parameters
             of their own.
-        rounds: Solves, each followed by updates of the sizes, at most.
         forces: to begin with; None: `generous_force`.
-        sensors: errors of sensors that last, to begin with.
-        least_noise: Below which noise that is not known does not fall, of all states or
-            (n_states,).
+        **options: Those of `estimate_force`.
 
     Raises:
         SolveError: No force was found, with rounded corners either.
@@ -329,68 +318,42 @@ def smoothed(
     values = model.values
     widths = {name: values[name] for name in corner_widths(model)}
 
-    def searched(factor: float, begun: Forces, is_patient: bool) -> ForceEstimate:
-        rounded = {}
-        if factor != 1:
-            rounded = {name: factor * width for name, width in widths.items()}
-        estimate = estimate_force(
-            model.with_values(rounded),
-            grid,
-            point,
-            sigma,
-            rounds=rounds,
-            known_noise=known_noise,
-            forces=begun,
-            sensors=sensors,
-            integrator=integrator,
-            least_noise=least_noise,
-            is_patient=is_patient,
-        )
-        return replace(estimate, rounded=rounded)
+    def first_found(is_patient: bool) -> tuple[tuple[float, Forces], ForceEstimate]:
+        """The first attempt whose search ended well, else the first of all."""
+        unfinished = None
+        for factor, begun in attempts:
+            rounded = {}
+            if factor != 1:
+                rounded = {name: factor * width for name, width in widths.items()}
+            try:
+                estimate = estimate_force(
+                    model.with_values(rounded),
+                    grid,
+                    point,
+                    sigma,
+                    forces=begun,
+                    is_patient=is_patient,
+                    **options,
+                )
+            except SolveError as error:
+                failure = error
+                continue
+            found = (factor, begun), replace(estimate, rounded=rounded)
+            if estimate.has_converged:
+                return found
+            unfinished = unfinished or found
+        if unfinished is None:
+            raise failure
+        return unfinished
 
+    # Factors on the width of corners, and the forces to begin with.
     attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
     attempts.append((1.0, _scaled(usual, SMALL)))
-    found = None
     if widths:
         # Beside a corner that can be rounded, patience is for when all else fails.
         with suppress(SolveError):
-            found = _first_found(searched, attempts, is_patient=False)
-    if found is not None:
-        if found.estimate.has_converged:
-            return found.estimate
-        attempts = [found.attempt]
-    return _first_found(searched, attempts, is_patient=True).estimate
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """An estimate, with the factor on widths and the forces that it began with."""
-
-    attempt: _Attempt
-    estimate: ForceEstimate
-
-
-def _first_found(
-    searched: Callable[[float, Forces, bool], ForceEstimate],
-    attempts: Sequence[_Attempt],
-    is_patient: bool,
-) -> _Found:
-    """The first estimate whose search ended well, else the first of all.
-
-    Raises:
-        SolveError: No search led anywhere.
-    """
-    unfinished = None
-    for factor, begun in attempts:
-        try:
-            estimate = searched(factor, begun, is_patient)
-        except SolveError as error:
-            failure = error
-            continue
-        found = _Found((factor, begun), estimate)
-        if estimate.has_converged:
-            return found
-        unfinished = unfinished or found
-    if unfinished is None:
-        raise failure
-    return unfinished
+            attempt, estimate = first_found(is_patient=False)
+            if estimate.has_converged:
+                return estimate
+            attempts = [attempt]
+    return first_found(is_patient=True)[1]

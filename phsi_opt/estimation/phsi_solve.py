@@ -106,16 +106,6 @@ class PHSISolver:
             l1=l1,
         )
 
-    def resolve(
-        self,
-        known: PHSIEstimate,
-        model: Model,
-        theta: np.ndarray,
-        l1: dict[str, float],
-    ) -> PHSIEstimate:
-        """`solve` from ``theta`` (n_free,); the states are the data anyway."""
-        return self.solve(model, theta, l1, known)
-
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     """The best of the solutions from several starts, each pruned.
@@ -136,12 +126,13 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     if start is None:
         starts = starting_values(model, used, task.l1)
     else:
-        starts = [values_of_fit(model, start)]
+        known = model.values | start.values
+        starts = [np.array([known[name] for name in model.free])]
     solver = PHSISolver(task, loss, grid)
     estimates = []
     for theta in starts:
         first = solver.solve(model, theta, task.l1)
-        estimates.append(pruned(first, solver.resolve))
+        estimates.append(pruned(first, solver.solve))
     if start is None:
         best = min(estimates, key=_bic_like)
         estimates += _without_imitators(solver, model, used, best)
@@ -170,7 +161,7 @@ def _without_imitators(
     for theta in starting_values(smaller, used, solver.task.l1):
         first = solver.solve(smaller, theta, solver.task.l1)
         first = replace(first, removed=tuple(sorted(removable)))
-        estimates.append(pruned(first, solver.resolve))
+        estimates.append(pruned(first, solver.solve))
     return estimates
 
 
@@ -213,10 +204,3 @@ def _bic_like(estimate: PHSIEstimate) -> tuple[bool, float]:
     n = estimate.n_values
     cost = n * np.log(loss) + len(estimate.model.free) * np.log(n)
     return not estimate.is_success, cost
-
-
-def values_of_fit(model: Model, start: Fit) -> np.ndarray:
-    """The free parameters at the values of a fit, where it has them, (n_free,)."""
-    values = start.values
-    theta = [values.get(name, model.values[name]) for name in model.free]
-    return np.array(theta)

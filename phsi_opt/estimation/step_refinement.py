@@ -68,14 +68,11 @@ def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
     """
     reduced = estimate.reduced
     information = reduced.information
-    at_bounds = estimate.solution.outcome.at_bounds
-    names = estimate.unknown.names
-    held = [i for i, name in enumerate(names) if name in at_bounds]
-    covariance = regularized_inverse(information, held)
-    shift = reduced.respond(error.ravel(), covariance)
-    squared_shift = float(shift.theta @ information @ shift.theta)
+    covariance = regularized_inverse(information, estimate.held)
+    theta_shift, x_shift = reduced.respond(error.ravel(), covariance)
+    squared_shift = float(theta_shift @ information @ theta_shift)
     in_std_errors = np.sqrt(max(squared_shift, 0.0))
-    x_shift = shift.x.reshape(estimate.grid.y.shape) * estimate.point.x_scale
+    x_shift = x_shift * estimate.point.x_scale
     in_noise = (x_shift / estimate.sigma)[estimate.grid.measured]
     return max(in_std_errors, float(np.sqrt(np.mean(in_noise**2))))
 

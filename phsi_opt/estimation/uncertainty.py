@@ -7,7 +7,7 @@ not trusted.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
@@ -18,9 +18,8 @@ from phsi_opt.estimation.identifiability import (
     silent_directions,
 )
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.transcription.defect_derivatives import defect_slopes
-from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
+from phsi_opt.transcription.elimination import RIDGE
 from phsi_opt.transcription.grid import Grid
 
 
@@ -39,40 +38,10 @@ class Uncertainty:
     warnings: tuple[str, ...] = ()
     silent: SilentDirections = NOTHING_SILENT
 
-    @property
-    def std_errors(self) -> np.ndarray:
-        """Standard errors in the order of theta, (n_theta,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def widened(self, factor: float) -> "Uncertainty":
-        """The covariance times a factor."""
-        return replace(self, covariance=self.covariance * factor)
-
 
 def unknown(n_theta: int, reason: str) -> Uncertainty:
     """No standard error is given, and why."""
     return Uncertainty(np.full((n_theta, n_theta), np.nan), (reason,))
-
-
-def of_likelihood(
-    names: Sequence[str],
-    theta: np.ndarray,
-    scale: np.ndarray,
-    solution: Solution,
-    likelihood: ReducedSystem,
-) -> Uncertainty:
-    """Inverse of the information about theta that is left when the states follow it.
-
-    Args:
-        names: Of the parameters, in the order of theta.
-        theta: (n_theta,) estimates.
-        scale: (n_theta,) size of each.
-        solution: For the parameters at bounds.
-        likelihood: Linearised there, with the states eliminated.
-    """
-    at_bounds = solution.outcome.at_bounds
-    scaled = regularized_inverse(likelihood.information, _places(names, at_bounds))
-    return of_covariance(names, theta, scale, scaled, at_bounds)
 
 
 def of_covariance(

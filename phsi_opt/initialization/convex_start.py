@@ -24,7 +24,7 @@ from phsi_opt.initialization.frequency_scan import (
 )
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
-from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
+from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.interval_map import argument_symbols

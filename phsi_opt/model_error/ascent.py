@@ -242,7 +242,7 @@ class _Derivatives:
         self.channels = channels
         self.problem = likelihood.problem
         self.parts: Eliminated = likelihood.eliminated(disturbances)
-        self.sizes = np.array([f.size for f in disturbances.functions])
+        self.sizes = disturbances.function_sizes
         border = likelihood.border_of(self.parts)
         self.information = border.with_priors(self.sizes)
         marginal = border.marginal(self.sizes)

@@ -86,7 +86,6 @@ class JointEstimate:
         violation: the largest of the scaled dynamics that hold.
         n_steps: how many there were.
         has_converged: whether the last step was short.
-        is_silent: whether the data say nothing about a direction of the parameters.
         length: of the last step, in standard deviations of what is unknown.
     """
 
@@ -96,7 +95,6 @@ class JointEstimate:
     violation: float
     n_steps: int
     has_converged: bool
-    is_silent: bool
     length: float
 
     @property
@@ -201,12 +199,10 @@ class JointProblem:
         damping = 0.0
         length = np.inf
         objectives: list[float] = []
-        is_silent = False
         while not has_converged and n_steps < most_steps:
             n_steps += 1
             aim = place.aim(damping)
             length = aim.length
-            is_silent = aim.is_silent
             there = self._lower(place, aim)
             if there is None:
                 damping = max(STEP_DAMPING_GROWTH * damping, LEAST_STEP_DAMPING)
@@ -233,7 +229,6 @@ class JointProblem:
             violation=place.violation,
             n_steps=n_steps,
             has_converged=has_converged,
-            is_silent=is_silent,
             length=length,
         )
 
@@ -286,13 +281,11 @@ class _Aim:
         point: there.
         length: of the way there, in standard deviations.
         largest_multiplier: of the dynamics that hold.
-        is_silent: whether the data say nothing about a direction of the parameters.
     """
 
     point: JointPoint
     length: float
     largest_multiplier: float
-    is_silent: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,7 +432,6 @@ class _Place:
             point=point,
             length=self._length(found, point),
             largest_multiplier=float(np.max(np.abs(multipliers), initial=0.0)),
-            is_silent=found.is_silent,
         )
 
     def _within_bounds(
