@@ -561,7 +561,7 @@ def test_pieces_of_a_long_record_show_what_the_whole_shows() -> None:
     estimate = estimated(simulated(3, n=2600), MaximumLikelihood(steps=1))
     assert isinstance(estimate, LikelihoodEstimate)
     search = estimate.plain.search
-    pieces = search.pieces()
+    pieces = search.pieces
     assert pieces is not None
     assert pieces.problem.grid.n_intervals < 0.6 * search.problem.grid.n_intervals
     found = search.found()
@@ -577,7 +577,7 @@ def test_pieces_of_a_long_record_show_what_the_whole_shows() -> None:
 
 
 def test_a_short_record_is_searched_whole() -> None:
-    assert search_of(0).pieces() is None
+    assert search_of(0).pieces is None
 
 
 def test_cut_pieces_are_what_the_record_is_there() -> None:
@@ -1053,7 +1053,7 @@ def test_pieces_in_which_nothing_is_found_ask_nothing_of_the_whole(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     search = replace(search_of(0))  # a copy: what is worked out about it is kept
-    vars(search)["_pieces"] = replace(search)
+    vars(search)["pieces"] = replace(search)
     nothing = Evidence(Disturbances(search.plain), 0.0)
     monkeypatch.setattr(DisturbanceSearch, "_found_directly", lambda _: nothing)
     assert search.found().disturbances.is_white

@@ -24,6 +24,7 @@ from phsi_opt.later import Later
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.presentation.summary import Summarised, Summary
+from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
 
@@ -232,9 +233,46 @@ class Fit(FitRecord, Summarised):
             DataError: The data are not those of the fit, the fit was loaded from a
                 file, which has no states, or a name is unknown.
         """
-        from phsi_opt.estimation.state_pictures import states_picture
+        from phsi_opt.presentation.pictures import Channel, draw_state, plot_states
 
-        return states_picture(self, data, trajectory, ax, state)
+        data = aligned_once(self.model, data)
+        self._check_states(data)
+        number = data.trajectory_number(trajectory)
+        run = data.trajectories[number]
+        channels = []
+        for k, name in enumerate(data.states):
+            unit = data.units.get(name, "")
+            estimated = np.asarray(self.states[number])[:, k]
+            channels.append(Channel(name, unit, run.x[:, k], estimated, None))
+        t_unit = data.units.get("t", "")
+        title = f"Measured and estimated states of {run.name}"
+        if ax is None:
+            return plot_states(run.t, channels, t_unit=t_unit, title=title).axes[0]
+        state = data.measured[0] if state is None else state
+        if state not in data.states:
+            raise DataError(
+                f"state={state!r} is not one of {', '.join(data.states)}."
+                f"{did_you_mean(state, data.states)}"
+            )
+        draw_state(ax, run.t, channels[data.states.index(state)])
+        ax.set_xlabel(f"t ({t_unit})" if t_unit else "t")
+        ax.set_title(title)
+        return ax
+
+    def _check_states(self, data: Measurements) -> None:
+        """The states of the fit belong to these data."""
+        if not self.states:
+            raise DataError(
+                "the fit has no estimated states: a file does not keep them, and "
+                "PHSILoss estimates none. Call identify, or compare(fit, data).plot()."
+            )
+        lengths = [len(x) for x in self.states]
+        given = [run.n_samples for run in data.trajectories]
+        if lengths != given:
+            raise DataError(
+                f"the fit has states for trajectories of {lengths} samples, the data "
+                f"have {given}; give the measurements that were fitted."
+            )
 
     def _estimates_table(self, level: float) -> "pd.DataFrame":
         """What a picture shows: a row per estimate with limits, unit, ``at_bound``."""

@@ -33,11 +33,10 @@ def crude_start(problem: LikelihoodProblem) -> StartingPoint:
     task = problem.task
     dynamics = task.model.dynamics()
     guessed = resolve_guesses(dynamics, task.grid, np.nan_to_num(task.grid.y))
-    kinematic = kinematic_states(guessed, task.grid)
-    x = kinematic.x
+    x, is_complete = kinematic_states(guessed, task.grid)
     dynamics = resolve_guesses(dynamics, task.grid, x)
     values = [dynamics.entries[name].parameter.value for name in dynamics.free]
-    is_told = kinematic.is_complete and not dynamics.memory
+    is_told = is_complete and not dynamics.memory
     if None not in values or not is_told:
         return _at_values(problem, dynamics, task.grid, x)
     found = _by_phsi_loss(problem, dynamics, task.grid, x)

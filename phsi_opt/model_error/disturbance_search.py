@@ -162,7 +162,7 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        return (self._pieces or self)._promising.is_any
+        return (self.pieces or self)._promising.is_any
 
     def found(self) -> Evidence:
         """What the record shows, white noise where it shows no more.
@@ -174,7 +174,7 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        pieces = self._pieces
+        pieces = self.pieces
         if not self.is_promising:
             return self.evidence(Disturbances(self.plain))
         if pieces is None:
@@ -241,9 +241,6 @@ class DisturbanceSearch:
         return MODEL_ERROR_EVIDENCE + self.problem.n_trajectories
 
     @cached_property
-    def _pieces(self) -> "DisturbanceSearch | None":
-        return self.pieces()
-
     def pieces(self) -> "DisturbanceSearch | None":
         """The same search on a part of a long record; None for one that is short."""
         n_intervals = self.problem.grid.n_intervals
@@ -291,7 +288,7 @@ class DisturbanceSearch:
         sensor_starts = self._sensor_starts() if promising.sensors else []
         of_forces = self.best_of(force_starts, worth=worth)
         of_sensors = self.best_of(sensor_starts, worth=worth)
-        one = max(of_forces, of_sensors, key=_log_evidence)
+        one = max(of_forces, of_sensors, key=lambda found: found.log_evidence)
         if one.log_evidence > worth:
             best = one
             promises = (
@@ -477,10 +474,6 @@ class DisturbanceSearch:
                     places.append((equation, state))
                     n_columns += n_functions
         return places if n_columns <= MOST_FUNCTION_COLUMNS else []
-
-
-def _log_evidence(found: Evidence) -> float:
-    return found.log_evidence
 
 
 def _negative_evidence(

@@ -162,6 +162,7 @@ class JointProblem:
         n_constraints = self.values.jacobian.shape[0]
         return np.zeros(n_constraints) if self.softness is None else self.softness
 
+    @np.errstate(all="ignore")
     def optimum(
         self,
         z: np.ndarray,
@@ -182,17 +183,6 @@ class JointProblem:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        with np.errstate(all="ignore"):
-            return self._steps(z, most_steps, beside, target, before)
-
-    def _steps(
-        self,
-        z: np.ndarray,
-        most_steps: int,
-        beside: JointPoint | None,
-        target: Target,
-        before: MarginalLikelihood | None,
-    ) -> JointEstimate:
         place = _Place.of(self, z, beside, before)
         n_steps = 0
         has_converged = False
@@ -257,20 +247,17 @@ class JointProblem:
 
     def _moved(self, place: "_Place", point: JointPoint) -> "_Place":
         """At a point, or beside it within the bounds."""
-        point = replace(point, z=self._within(point.z))
-        return replace(place, point=point, known=self._at(point.z))
-
-    def _at(self, z: np.ndarray) -> PointValues:
-        with solving():
-            return self.values.at(z)
-
-    def _within(self, z: np.ndarray) -> np.ndarray:
-        return np.clip(z, self.values.lower, self.values.upper)
+        z = np.clip(point.z, self.values.lower, self.values.upper)
+        return replace(place, point=replace(point, z=z), known=self._at(z))
 
     def room(self, z: np.ndarray) -> Room:
         """How far the parameters may move, (n_moving,)."""
         own = self.moving
         return Room.at(z[own], self.values.lower[own], self.values.upper[own])
+
+    def _at(self, z: np.ndarray) -> PointValues:
+        with solving():
+            return self.values.at(z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,11 +434,10 @@ class _Place:
         if problem.softness is None:
             curved = CURVED_BY_DEFECTS * min(self.violation, 1.0)
             silent_share = max(SILENT, curved)
-        room = problem.room(self.point.z)
-        x = values.point.of_x
-        states = self.point.z[x]
-        is_low, is_high = states <= values.lower[x], states >= values.upper[x]
-        is_held = np.zeros(len(states), dtype=bool)
+        z, x = self.point.z, values.point.of_x
+        room = problem.room(z)
+        is_low, is_high = z[x] <= values.lower[x], z[x] >= values.upper[x]
+        is_held = np.zeros(len(is_low), dtype=bool)
         while True:
             found = likelihood.smoothed(
                 problem.disturbances,

@@ -318,9 +318,10 @@ class MarginalLikelihood:
         every_multiplier = self.n_unknowns + np.arange(len(self._softness))
         rows.append(every_multiplier)
         columns.append(every_multiplier)
-        order = np.argsort(self._times_of_unknowns(), kind="stable")
-        is_soft = bool(len(self._softness))
         grid = problem.grid
+        of_nodes = np.arange(grid.n_nodes, dtype=float)
+        order = np.argsort(self._of_unknowns(of_nodes, grid.begin + 0.5), kind="stable")
+        is_soft = bool(len(self._softness))
         whole = Chain(grid.begin, grid.n_nodes, problem.n_states)
         chain = None if is_soft else whole
         self._layout = TimeLayout(
@@ -340,18 +341,17 @@ class MarginalLikelihood:
             first += length
         return places
 
-    def _times_of_unknowns(self) -> np.ndarray:
-        """Position of every unknown and multiplier along the nodes."""
+    def _of_unknowns(
+        self, of_nodes: np.ndarray, of_intervals: np.ndarray
+    ) -> np.ndarray:
+        """A value for every unknown and multiplier, of its node or interval."""
         problem = self.problem
-        grid = problem.grid
-        at_middles = grid.begin + 0.5
-        of_nodes = np.arange(grid.n_nodes, dtype=float)
-        positions = [np.repeat(of_nodes, problem.n_states)]
-        positions += [at_middles] * len(self.structure.forces)
+        parts = [np.repeat(of_nodes, problem.n_states)]
+        parts += [of_intervals] * len(self.structure.forces)
         for channel in self.structure.sensors:
-            positions.append(problem.node[problem.values_of(channel)])
-        positions.append(np.repeat(at_middles, problem.n_states))
-        return np.concatenate(positions)
+            parts.append(of_nodes[problem.node[problem.values_of(channel)]])
+        parts.append(np.repeat(of_intervals, problem.n_states))
+        return np.concatenate(parts)
 
     def _set_border(self) -> None:
         problem = self.problem
@@ -503,7 +503,9 @@ class MarginalLikelihood:
         eliminated = self.eliminated(disturbances)
         log_evidence = eliminated.log_evidence + self.problem.log_volume
         run_of_value = self.problem.grid.trajectory[self.problem.node]
-        run_of_unknown = self._runs_of_unknowns()
+        run_of_unknown = self._of_unknowns(
+            self.problem.grid.trajectory, self.problem.runs
+        )
         borders = []
         for run in range(self.problem.n_trajectories):
             values = np.flatnonzero(run_of_value == run)
@@ -608,17 +610,6 @@ class MarginalLikelihood:
             n_theta=len(self.moving),
             owner=self._owner,
         )
-
-    def _runs_of_unknowns(self) -> np.ndarray:
-        """Number of the trajectory of every unknown and multiplier."""
-        problem = self.problem
-        trajectory = problem.grid.trajectory
-        runs = [np.repeat(trajectory, problem.n_states)]
-        runs += [problem.runs] * len(self.structure.forces)
-        for channel in self.structure.sensors:
-            runs.append(trajectory[problem.node[problem.values_of(channel)]])
-        runs.append(np.repeat(problem.runs, problem.n_states))
-        return np.concatenate(runs)
 
     def log_likelihood(self, disturbances: Disturbances) -> float:
         """Logarithm of the likelihood of the measurements at the best parameters.

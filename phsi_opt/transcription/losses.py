@@ -153,7 +153,7 @@ class MaximumLikelihood:
         theta = _theta_variable(program, values.unknown, point)
         lower, upper = np.broadcast_to(point.x_bounds, (2, *point.x.shape))
         scale = np.tile(point.x_scale, grid.n_nodes)
-        label = grid.node_label(n_states)
+        label = partial(grid.node_label, n_states)
         column = program.variable(
             "x", point.x.ravel(), lower.ravel(), upper.ravel(), scale, label
         )
@@ -163,7 +163,7 @@ class MaximumLikelihood:
         program.constrain(
             "defect",
             d * ca.DM(values.per_size.T),
-            label=grid.interval_label(n_states),
+            label=partial(grid.interval_label, n_states),
             jacobian=constraint_jacobian(values, x, of_runs),
         )
         program.curvature = partial(constraint_curvature, values, x, of_runs)
