@@ -14,7 +14,7 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
-from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
+from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.model_error_table import (
     MODEL_ERROR_COLUMNS,
     ModelErrorRow,
@@ -339,22 +339,6 @@ class FitRecord(Identified):
             )
         return names[trajectory]
 
-    @property
-    def parameters(self) -> "pd.DataFrame":
-        """Table of the parameters, a row per value, fixed parameters included.
-
-        Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
-        ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the
-        bounds that the solver kept), ``unit``, ``fixed``. A parameter that every
-        trajectory has of its own has a row per trajectory. Limits of confidence:
-        `intervals`.
-        """
-        rows = []
-        for entry in self.model.entries.values():
-            for name, value in self._values_of(entry).items():
-                rows.append(self._row(name, entry, value))
-        return printed_table(rows, columns=PARAMETER_COLUMNS)
-
     def entry(self, name: str) -> Entry:
         """The model's entry of an estimate, such as that of m for ``m[run 1]``.
 
@@ -373,7 +357,7 @@ class FitRecord(Identified):
     def _values_of(self, entry: Entry) -> dict[str, float]:
         """Values of one parameter of the model: one, or one per trajectory."""
         if not (entry.parameter.per_trajectory and self.by_trajectory):
-            return {entry.name: self.values[entry.name]}
+            return super()._values_of(entry)
         names = [_own_name(entry.name, run) for run in self.by_trajectory]
         return {name: self.estimates[name] for name in names}
 

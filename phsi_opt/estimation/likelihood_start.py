@@ -56,12 +56,10 @@ def _by_phsi_loss(
     estimates = []
     for theta in starting_values(dynamics, known, task.l1):
         estimates.append(solver.solve(dynamics, theta, task.l1))
-    return best_of_starts(estimates, _by_objective)
-
-
-def _by_objective(estimate: PHSIEstimate) -> tuple[bool, float]:
-    """Success first, then the smaller objective."""
-    return not estimate.is_success, estimate.solution.outcome.objective
+    # Success first, then the smaller objective.
+    return best_of_starts(
+        estimates, lambda e: (not e.is_success, e.solution.outcome.objective)
+    )
 
 
 def _at_values(
@@ -89,7 +87,12 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     grid = task.grid
     lengths = [run.n_samples for run in task.data.trajectories]
     has_states = [len(x) for x in start.states] == lengths
-    x = _common_states(start, task.model) if has_states else np.nan_to_num(grid.y)
+    x = np.nan_to_num(grid.y)
+    if has_states:
+        # Those that the model has too.
+        fitted = start.model.states
+        common = [fitted.index(name) for name in task.model.states if name in fitted]
+        x = np.concatenate(start.states)[:, common]
     model = resolve_guesses(task.model, grid, x)
     unknown = Theta.of(task.model, task.runs)
     theta = unknown.from_values(start.estimates, unknown.spread(model.theta))
@@ -101,7 +104,9 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
         states = states_at(problem, model, theta)
     has_steps = [len(n) + 1 for n in start.steps] == lengths
     keeps_steps = has_steps and problem.loss.steps is None
-    is_related = has_states and _solves_a_model_like(start, task.model)
+    # What solved the fit will solve a model of the same corners.
+    has_corners = set(corner_widths(start.model)) <= set(task.model.entries)
+    is_related = has_states and start.outcome.success and has_corners
     has_same_names = set(start.names) == set(unknown.names)
     return StartingPoint(
         model=model,
@@ -112,19 +117,6 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
         held=start.outcome.at_bounds,
         is_optimum=is_related and has_same_names,
     )
-
-
-def _common_states(start: Fit, model: Model) -> np.ndarray:
-    """States of a fit that the model has too, at the samples of all trajectories."""
-    fitted = start.model.states
-    common = [fitted.index(name) for name in model.states if name in fitted]
-    return np.concatenate(start.states)[:, common]
-
-
-def _solves_a_model_like(start: Fit, model: Model) -> bool:
-    """Whether what solved the fit will solve the model, which has the same corners."""
-    has_corners = set(corner_widths(start.model)) <= set(model.entries)
-    return start.outcome.success and has_corners
 
 
 def states_at(

@@ -155,27 +155,54 @@ def estimate_force(
     """
     forces = generous_force(model, grid, point) if forces is None else forces
     noise = np.tile(sigma, (int(grid.trajectory[-1]) + 1, 1))
-    search = _Search(
-        linearizer=Linearizer(_values(model, grid, point, integrator)),
-        disturbances=Disturbances(noise, forces, sensors),
-        channels=_unknown_channels(grid, known_noise),
-        least_noise=np.broadcast_to(least_noise, len(sigma)),
-        is_patient=is_patient,
-    )
+    disturbances = Disturbances(noise, forces, sensors)
+    unknown = grid.measured.any(axis=0) & ~np.broadcast_to(known_noise, len(sigma))
+    channels = tuple(np.flatnonzero(unknown).tolist())
+    linearizer = Linearizer(_values(model, grid, point, integrator))
+    last: JointPoint | None = None
+
+    def solved(start: JointPoint | None, most_steps: int) -> JointEstimate:
+        problem = JointProblem(linearizer, disturbances, NO_PARAMETERS)
+        z = linearizer.values.point.scaled if start is None else start.z
+        return problem.optimum(z, most_steps, start)
+
     for n_left in reversed(range(rounds)):
-        found = search.solve(is_last=n_left == 0)
-        before = search.disturbances
-        posterior = search.update_sizes(found)
-        change = search.disturbances.distance(before)
-        if change < SETTLED_SIZE and found.has_converged:
+        found = solved(last, ROUGHLY)
+        if _is_lost(found):
+            # A force large enough lets the states follow the data, whatever the model.
+            larger = _scaled(disturbances.forces, GENEROUS)
+            disturbances = replace(disturbances, forces=larger)
+            found = solved(None, ROUGHLY)
+        is_unfinished = n_left == 0 and not found.has_converged
+        if is_patient and (_is_lost(found) or is_unfinished):
+            found = solved(found.point, THOROUGHLY)
+        if _is_lost(found):
+            raise SolveError(
+                "the missing force could not be estimated: no states obey the model "
+                f"beside a force (largest violation {found.violation:.2g} after "
+                f"{found.n_steps} steps); start from other values, or round what is "
+                "sharp in the model."
+            )
+        last = found.point
+        # Sizes of the largest marginal likelihood at the solution.
+        coordinates = Coordinates(
+            origin=disturbances,
+            channels=channels,
+            least_noise=np.broadcast_to(least_noise, len(sigma)),
+            fixed_times=True,
+        )
+        sized = climbed(found.likelihood, coordinates, channels, SIZE_STEPS)
+        before = disturbances
+        disturbances = coordinates.at(sized.vector)
+        if disturbances.distance(before) < SETTLED_SIZE and found.has_converged:
             break
-    x = search.linearizer.values.point.unscaled(found.point.z)["x"]
+    x = linearizer.values.point.unscaled(found.point.z)["x"]
     n_forces = len(forces) * grid.n_intervals
     return ForceEstimate(
         x=x.reshape(point.x.shape),
         w=found.point.processes[:n_forces].reshape(len(forces), -1).T,
         grid=grid,
-        posterior=posterior,
+        posterior=ForcePosterior(found.likelihood, disturbances),
         has_converged=found.has_converged,
     )
 
@@ -192,80 +219,6 @@ def _values(
         theta[unknown.table] = point.theta
     point = replace(point, theta=theta, theta_scale=np.ones(len(unknown)))
     return LikelihoodValues(model, grid, integrator, point, unknown)
-
-
-def _unknown_channels(grid: Grid, known: Known) -> tuple[int, ...]:
-    """Measured states whose noise is not known."""
-    is_known = np.broadcast_to(known, grid.y.shape[1])
-    unknown = grid.measured.any(axis=0) & ~is_known
-    return tuple(np.flatnonzero(unknown).tolist())
-
-
-@dataclass(eq=False)
-class _Search:
-    """States and force, solved for better and better sizes.
-
-    Attributes:
-        linearizer: of the likelihood; where its values begin is where a search begins.
-        disturbances: noise and force, with their present sizes.
-        channels: states whose noise is not known.
-        least_noise: (n_states,) below which that does not fall.
-        is_patient: whether many steps are taken where few are not enough.
-    """
-
-    linearizer: Linearizer
-    disturbances: Disturbances
-    channels: tuple[int, ...]
-    least_noise: np.ndarray
-    is_patient: bool
-    _last: JointPoint | None = None
-
-    def solve(self, *, is_last: bool) -> JointEstimate:
-        """The solution for the present sizes, from the last solution.
-
-        Raises:
-            SolveError: there is none, with a generous force and, where the search is
-                patient, many steps either.
-        """
-        found = self._solved(self._last, ROUGHLY)
-        if _is_lost(found):
-            # A force large enough lets the states follow the data, whatever the model.
-            forces = _scaled(self.disturbances.forces, GENEROUS)
-            self.disturbances = replace(self.disturbances, forces=forces)
-            found = self._solved(None, ROUGHLY)
-        is_unfinished = is_last and not found.has_converged
-        if self.is_patient and (_is_lost(found) or is_unfinished):
-            found = self._solved(found.point, THOROUGHLY)
-        if _is_lost(found):
-            raise SolveError(
-                "the missing force could not be estimated: no states obey the model "
-                f"beside a force (largest violation {found.violation:.2g} after "
-                f"{found.n_steps} steps); start from other values, or round what is "
-                "sharp in the model."
-            )
-        self._last = found.point
-        return found
-
-    def _solved(self, start: JointPoint | None, most_steps: int) -> JointEstimate:
-        problem = JointProblem(self.linearizer, self.disturbances, NO_PARAMETERS)
-        z = self.linearizer.values.point.scaled if start is None else start.z
-        return problem.optimum(z, most_steps, start)
-
-    def update_sizes(self, found: JointEstimate) -> ForcePosterior:
-        """Move the sizes to the largest marginal likelihood at the solution.
-
-        Returns:
-            The linearised record, for the sizes before the last update.
-        """
-        coordinates = Coordinates(
-            origin=self.disturbances,
-            channels=self.channels,
-            least_noise=self.least_noise,
-            fixed_times=True,
-        )
-        sized = climbed(found.likelihood, coordinates, self.channels, SIZE_STEPS)
-        self.disturbances = coordinates.at(sized.vector)
-        return ForcePosterior(found.likelihood, self.disturbances)
 
 
 def _scaled(forces: Forces, factor: float) -> Forces:
