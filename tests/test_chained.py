@@ -55,7 +55,7 @@ class System:
 
     def banded(self) -> Banded:
         layout = BandLayout(self.rows, self.columns, self.order)
-        return Banded.of(layout, self.entries)
+        return Banded(layout, self.entries)
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3])

@@ -34,9 +34,7 @@ from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, noise_weights
 from phsi_opt.model_error.standard_errors import Source, under_disturbances
 from phsi_opt.model_error.state_functions import LINEAR_SHARE
-from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.transcription.grid import steps_per_gap
-from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 MOST_SOLVES = 3  # each followed by better sizes of the disturbances
@@ -208,7 +206,16 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         problem = JointProblem(linearizer, disturbances, search.moving)
         joint = problem.optimum(z, MOST_STEPS_OF_A_SOLVE)
         z = joint.point.z
-        solution = _solution(values, joint, disturbances, began)
+        weights = noise_weights(joint.linear, disturbances.sigma)
+        solution = solution_of_steps(
+            values,
+            z,
+            joint.residual * weights * np.sqrt(2 / len(weights)),
+            violation=joint.violation,
+            n_steps=joint.n_steps,
+            is_found=joint.has_converged,
+            began=began,
+        )
         estimate = DisturbedEstimate(
             task=task,
             loss=plain.loss,
@@ -234,23 +241,3 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         std_errors = np.sqrt(np.diag(marginal.covariance))
         move = float(np.max(np.abs(marginal.theta) / std_errors, initial=0.0))
     return estimate
-
-
-def _solution(
-    values: LikelihoodValues,
-    joint: JointEstimate,
-    disturbances: Disturbances,
-    began: float,
-) -> Solution:
-    """Where the steps ended, as other solvers tell it."""
-    weights = noise_weights(joint.linear, disturbances.sigma)
-    residual = joint.residual * weights * np.sqrt(2 / len(weights))
-    return solution_of_steps(
-        values,
-        joint.point.z,
-        residual,
-        violation=joint.violation,
-        n_steps=joint.n_steps,
-        is_found=joint.has_converged,
-        began=began,
-    )

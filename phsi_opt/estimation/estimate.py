@@ -154,15 +154,16 @@ class Estimate(ABC):
 
     def fit_uncertainty(self) -> FitUncertainty:
         """How well the estimates are known, with all that was worked out about it."""
+        warnings = [*self.task.aligned.notes, *self.notes]
+        if self.removed:
+            warnings.append(
+                "standard errors take the kept terms as given; the choice among them "
+                f"and the {len(self.removed)} removed ones is not in them"
+            )
+        warnings += map(self._bound_warning, self.solution.outcome.at_bounds)
+        warnings += self.uncertainty.warnings
         return FitUncertainty(
-            covariance=self.uncertainty.covariance,
-            warnings=(
-                *self.task.aligned.notes,
-                *self.notes,
-                *self._selection_warnings(),
-                *self._bound_warnings(),
-                *self.uncertainty.warnings,
-            ),
+            covariance=self.uncertainty.covariance, warnings=tuple(warnings)
         )
 
     def _values_by_trajectory(self) -> dict[str, dict[str, float]]:
@@ -173,18 +174,6 @@ class Estimate(ABC):
         for run in self.unknown.runs:
             values[run] = self.unknown.values_of(self.theta, run)
         return values
-
-    def _selection_warnings(self) -> tuple[str, ...]:
-        if not self.removed:
-            return ()
-        return (
-            "standard errors take the kept terms as given; the choice among them and "
-            f"the {len(self.removed)} removed ones is not in them",
-        )
-
-    def _bound_warnings(self) -> tuple[str, ...]:
-        at_bounds = self.solution.outcome.at_bounds
-        return tuple(self._bound_warning(name) for name in at_bounds)
 
     def _bound_warning(self, name: str) -> str:
         place = self.unknown.names.index(name)

@@ -154,7 +154,12 @@ def _without_imitators(
     if pruning is None:
         return []
     removable = imitators(model) & set(pruning.candidates(model))
-    if not removable or _has_waves_alone(best.model, model, removable):
+    left = set(best.model.free)
+    waves: set[str] = set()
+    for scan in frequency_scans(model):
+        waves |= set(scan.amplitudes)
+    has_waves_alone = bool(left & waves) and not left & removable
+    if not removable or has_waves_alone:
         return []
     smaller = model.without(removable)
     estimates = []
@@ -163,15 +168,6 @@ def _without_imitators(
         first = replace(first, removed=tuple(sorted(removable)))
         estimates.append(pruned(first, solver.solve))
     return estimates
-
-
-def _has_waves_alone(found: Model, model: Model, removable: set[str]) -> bool:
-    """Whether a wave of the model is left, and nothing that imitates one."""
-    left = set(found.free)
-    amplitudes = set()
-    for scan in frequency_scans(model):
-        amplitudes |= set(scan.amplitudes)
-    return bool(left & amplitudes) and not left & removable
 
 
 def best_of_starts(

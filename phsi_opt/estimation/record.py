@@ -64,7 +64,7 @@ class Record:
         """
         aligned = aligned.for_model(fit.model)
         estimate = missing_force_of(fit, aligned.data, aligned.grid)
-        return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
+        return cls.beside(fit, aligned, estimate)
 
     @classmethod
     def beside(

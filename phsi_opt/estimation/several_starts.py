@@ -4,7 +4,6 @@ Random points around the first are a check on local optima, which the user asks 
 (``starts``): the fit's warnings say how many of the points led to the best solution.
 """
 
-from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
@@ -54,7 +53,12 @@ def best_optimum(
         for key in cases:
             estimates.append(replace(ahead.result(key), task=task))
     best = min(estimates, key=lambda e: (not e.is_success, e.deviance))
-    notes = first.notes + _agreement_note(estimates, best)
+    notes = first.notes
+    if len(estimates) > 1:
+        limit = best.deviance + SAME_DEVIANCE
+        n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
+        agreement = f"{n_agreeing} of {len(estimates)} starting points led to the best"
+        notes = (*notes, f"{agreement} solution")
     return replace(best, notes=notes) if notes else best
 
 
@@ -75,19 +79,6 @@ def _optimum_at(
         states = states_at(beside, first.model, theta)
     moved = replace(first, theta=theta, states=states, is_optimum=False)
     return problem.solve_from(moved)
-
-
-def _agreement_note(
-    estimates: Sequence[LikelihoodEstimate], best: LikelihoodEstimate
-) -> tuple[str, ...]:
-    """A sentence on how many of several starts agree."""
-    if len(estimates) == 1:
-        return ()
-    limit = best.deviance + SAME_DEVIANCE
-    n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
-    return (
-        f"{n_agreeing} of {len(estimates)} starting points led to the best solution",
-    )
 
 
 def _random_values(

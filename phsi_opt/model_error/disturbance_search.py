@@ -135,16 +135,6 @@ class DisturbanceSearch:
         best = self.best_of([plain.disturbances])
         return replace(plain, log_evidence=max(best.log_evidence, plain.log_evidence))
 
-    def gain(self, found: Evidence) -> float:
-        """What something found has more of the log evidence than white noise.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
-        if found.coordinates is None:
-            return 0.0
-        return found.log_evidence - self.white.log_evidence
-
     def evidence(self, disturbances: Disturbances) -> Evidence:
         """Of given disturbances.
 
@@ -183,7 +173,10 @@ class DisturbanceSearch:
         if in_pieces.is_white and not self.noise_differs:
             return self.evidence(Disturbances(self.plain))
         white = self.white
-        start = self.translated(in_pieces, pieces)
+        # Noises keep the ratios that neighbouring samples show.
+        ratios = np.log(in_pieces.sigma / pieces.noises()[0])
+        sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
+        start = replace(in_pieces, sigma=sigma)
         best = self.best_of([start], most_steps=STEPS_ON_WHOLE)
         is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
         return best if is_clear else white
@@ -263,17 +256,6 @@ class DisturbanceSearch:
             scatter=self.scatter[runs],
         )
 
-    def translated(
-        self, disturbances: Disturbances, other: "DisturbanceSearch"
-    ) -> Disturbances:
-        """Disturbances of another search, of pieces or of the whole, for this one.
-
-        Noises keep the ratios that neighbouring samples show.
-        """
-        ratios = np.log(disturbances.sigma / other.noises()[0])
-        sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
-        return replace(disturbances, sigma=sigma)
-
     def _found_directly(self) -> Evidence:
         promising = self._promising
         best = self.white
@@ -331,7 +313,10 @@ class DisturbanceSearch:
             least_noise=LEAST_NOISE * np.mean(self.scatter, axis=0),
             shortest=self.shortest,
             longest=self._longest,
-            largest_functions=self._largest_functions(origin.functions),
+            largest_functions=tuple(
+                FUNCTION_SHARES[-1] * float(rate)
+                for rate in self._rates_of(origin.functions)
+            ),
         )
 
         least_gain = BRIEF_GAIN if self.is_brief else LEAST_GAIN
@@ -386,13 +371,6 @@ class DisturbanceSearch:
         rates = self.problem.grid.rates(self.problem.nodes)
         typical: np.ndarray = np.sqrt(np.mean(rates**2, axis=0))
         return np.maximum(typical, TINY ** (1 / 4))
-
-    def _largest_functions(
-        self, functions: Sequence[StateFunction]
-    ) -> tuple[float, ...]:
-        rates = self.rates()
-        largest = [FUNCTION_SHARES[-1] * rates[f.equation] for f in functions]
-        return tuple(float(size) for size in largest)
 
     def _force_starts(self) -> list[Disturbances]:
         starts = []
@@ -452,28 +430,22 @@ class DisturbanceSearch:
 
     def _function_candidates(self) -> tuple[StateFunction, ...]:
         """The functions that are tried, as large as the typical rate."""
+        problem = self.problem
         rates = self.rates()
         candidates = []
-        for equation, state in self._function_places():
-            candidates.append(StateFunction(equation, state, float(rates[equation])))
-        return tuple(candidates)
-
-    def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
-        """Typical rate in the equation of each function, (n_functions,)."""
-        return self.rates()[[function.equation for function in functions]]
-
-    def _function_places(self) -> list[tuple[int, int]]:
-        """Equation and state of the functions that are tried."""
-        problem = self.problem
-        places = []
         n_columns = 0
         for equation in problem.forced:
             for state in problem.observed:
                 n_functions = problem.function_values[state].shape[1]
                 if n_functions:
-                    places.append((equation, state))
+                    size = float(rates[equation])
+                    candidates.append(StateFunction(equation, state, size))
                     n_columns += n_functions
-        return places if n_columns <= MOST_FUNCTION_COLUMNS else []
+        return tuple(candidates) if n_columns <= MOST_FUNCTION_COLUMNS else ()
+
+    def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
+        """Typical rate in the equation of each function, (n_functions,)."""
+        return self.rates()[[function.equation for function in functions]]
 
 
 def _negative_evidence(

@@ -148,7 +148,7 @@ class Linearization:
         layout = BandLayout(
             interval * n + row, interval * n + column, (first + order).ravel()
         )
-        log_slopes = Banded.of(layout, slopes.data[at_end]).log_abs_det
+        log_slopes = Banded(layout, slopes.data[at_end]).log_abs_det
         return log_slopes + self.n_trajectories * float(np.sum(np.log(self.x_scale)))
 
     def effect_of_force(self, equation: int) -> np.ndarray:

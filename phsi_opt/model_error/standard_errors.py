@@ -101,14 +101,12 @@ class StandardErrors:
         source: of those that are given.
         spreads: all that were worked out, by source.
         disturbances: what was found beside the model.
-        evidence: gain of the log evidence by it.
         log_evidence: of the model beside it; NaN where numbers do not hold it.
     """
 
     source: Source
     spreads: Mapping[Source, Spread]
     disturbances: Disturbances
-    evidence: float
     log_evidence: float
 
     @property
@@ -121,19 +119,15 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     """The standard errors of a plain estimate."""
     of_noise = Spread(plain.covariance, plain.noise_freedom)
     spreads = {Source.NOISE: of_noise}
-    white = Disturbances(plain.sigma)
-    gain = 0.0
-    found = white
-    try:
+    found = Disturbances(plain.sigma)
+    # Beyond what numbers hold are slopes of 1e300, noise of 1e-14.
+    with suppress(SolveError, np.linalg.LinAlgError):
         if plain.search.is_promising:
             best = plain.search.found()
             if best.coordinates is not None:
                 spread = under_disturbances(plain.search, plain.response, best)
                 spreads[Source.DISTURBANCES] = spread
                 found = best.disturbances
-            gain = plain.search.gain(best)
-    except (SolveError, np.linalg.LinAlgError):
-        gain = 0.0  # beyond what numbers hold: slopes of 1e300, noise of 1e-14
     clusters = _clusters(plain)
     if clusters is not None:
         of_clusters = clusters.spread(plain.moving, len(plain.covariance))
@@ -148,7 +142,7 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     log_evidence = np.nan
     with suppress(SolveError, np.linalg.LinAlgError):
         log_evidence = plain.search.likelihood(found).log_model_evidence(found)
-    return StandardErrors(source, spreads, found, gain, log_evidence)
+    return StandardErrors(source, spreads, found, log_evidence)
 
 
 def _clusters(plain: PlainEstimate) -> Clusters | None:

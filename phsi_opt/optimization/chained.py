@@ -245,7 +245,7 @@ class TimeLayout:
             SolveError: the matrix is singular.
         """
         chained = self._chained and Chained.of(self._chained, entries)
-        return chained or Banded.of(self._banded, entries)
+        return chained or Banded(self._banded, entries)
 
 
 def _band_of_squares(

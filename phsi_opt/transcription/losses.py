@@ -118,20 +118,37 @@ class MaximumLikelihood:
     model_error: bool = False
 
     def __post_init__(self) -> None:
-        self._check_model_error()
-        _check_positive("huber", self.huber)
-        _check_count("steps", self.steps)
-        _check_count("starts", self.starts)
-        _check_noise(self.noise)
-
-    def _check_model_error(self) -> None:
-        if not self.model_error:
-            return
-        if self.huber is not None:
+        huber = self.huber
+        if huber is not None and self.model_error:
             raise ModelError(
-                f"huber={self.huber!r} and model_error=True of MaximumLikelihood do "
+                f"huber={huber!r} and model_error=True of MaximumLikelihood do "
                 "not go together: outliers are no model error; take one of them."
             )
+        if huber is not None and not _is_size(huber):
+            raise ModelError(
+                f"huber={huber!r} of MaximumLikelihood must be a number above zero, or "
+                "None."
+            )
+        for name in ("steps", "starts"):
+            n = getattr(self, name)
+            is_count = isinstance(n, int) and 1 <= n <= MOST_COUNTED
+            if not is_count and (n is not None or name == "starts"):
+                raise ModelError(
+                    f"{name}={short_number(n)} of MaximumLikelihood must be a whole "
+                    f"number of at least 1, and at most {MOST_COUNTED}."
+                )
+        noise = {} if self.noise is None else self.noise
+        if not isinstance(noise, Mapping):
+            raise ModelError(
+                f"noise={noise!r} of MaximumLikelihood must be standard deviations by "
+                "state, such as {'q': 0.01}, or None."
+            )
+        for name, size in noise.items():
+            if not _is_size(size):
+                raise ModelError(
+                    f"noise[{name!r}]={size!r} of MaximumLikelihood must be a standard "
+                    "deviation: a number above zero."
+                )
 
     def has_slacks(self, unknown: Theta, l1: Mapping[str, float]) -> bool:
         """Whether the program has variables beside parameters and states."""
@@ -265,7 +282,12 @@ def complete_intervals(model: Model, grid: Grid) -> Grid:
             for `PHSILoss`.
         DataError: a state was never measured, or there is no such interval.
     """
-    _check_shared_without_sensors(model)
+    refusal = "PHSILoss has no place for {}; use MaximumLikelihood()."
+    for name, entry in model.entries.items():
+        if entry.parameter.per_trajectory:
+            raise ModelError(refusal.format(f"the parameter per trajectory {name!r}"))
+    for name in model.sensor:
+        raise ModelError(refusal.format(f"the sensor of {name!r}"))
     for name, is_measured in zip(model.states, grid.measured.T, strict=True):
         if not np.any(is_measured):
             raise DataError(
@@ -293,46 +315,5 @@ def mean_square_rate(grid: Grid) -> float:
     return size if size > 0 else 1.0
 
 
-def _check_shared_without_sensors(model: Model) -> None:
-    refusal = "PHSILoss has no place for {}; use MaximumLikelihood()."
-    for name, entry in model.entries.items():
-        if entry.parameter.per_trajectory:
-            raise ModelError(refusal.format(f"the parameter per trajectory {name!r}"))
-    if model.sensor:
-        first = next(iter(model.sensor))
-        raise ModelError(refusal.format(f"the sensor of {first!r}"))
-
-
-def _check_positive(name: str, value: float | None) -> None:
-    is_number = isinstance(value, Real) and 0 < value < np.inf
-    if value is not None and not is_number:
-        raise ModelError(
-            f"{name}={value!r} of MaximumLikelihood must be a number above zero, or "
-            "None."
-        )
-
-
-def _check_count(name: str, value: int | None) -> None:
-    if value is None:
-        return
-    if not isinstance(value, int) or not 1 <= value <= MOST_COUNTED:
-        raise ModelError(
-            f"{name}={short_number(value)} of MaximumLikelihood must be a whole number "
-            f"of at least 1, and at most {MOST_COUNTED}."
-        )
-
-
-def _check_noise(noise: Any) -> None:
-    if noise is None:
-        return
-    if not isinstance(noise, Mapping):
-        raise ModelError(
-            f"noise={noise!r} of MaximumLikelihood must be standard deviations by "
-            "state, such as {'q': 0.01}, or None."
-        )
-    for name, size in noise.items():
-        if not isinstance(size, Real) or not 0 < float(size) < np.inf:
-            raise ModelError(
-                f"noise[{name!r}]={size!r} of MaximumLikelihood must be a standard "
-                "deviation: a number above zero."
-            )
+def _is_size(value: Any) -> bool:
+    return isinstance(value, Real) and 0 < float(value) < np.inf
