@@ -1,8 +1,8 @@
 """An estimate: the solved program of a loss, from which the `Fit` is made.
 
-It still holds symbols (the program), so it is not saved; `Estimate.fit` takes from it
-what a user reads. What differs between the losses (residuals, standard errors) is said
-by the subclasses, each beside the solution of its loss.
+It still holds the measurements and their layout, so it is not saved; `Estimate.fit`
+takes from it what a user reads. What differs between the losses (residuals, standard
+errors) is said by the subclasses, each beside the solution of its loss.
 """
 
 from abc import ABC, abstractmethod
