@@ -57,8 +57,8 @@ def best_optimum(
     if len(estimates) > 1:
         limit = best.deviance + SAME_DEVIANCE
         n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
-        agreement = f"{n_agreeing} of {len(estimates)} starting points led to the best"
-        notes = (*notes, f"{agreement} solution")
+        agreement = f"{n_agreeing} of {len(estimates)} starting points"
+        notes = (*notes, f"{agreement} led to the best solution")
     return replace(best, notes=notes) if notes else best
 
 
