@@ -17,7 +17,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.estimation.fit_record import FitRecord, FitUncertainty
 from phsi_opt.estimation.fit_report import fit_summary, report
-from phsi_opt.estimation.json_file import checked, read_json
+from phsi_opt.estimation.json_file import made_of, read_json
 from phsi_opt.estimation.model_content import Content, model_content, model_from
 from phsi_opt.estimation.model_error_table import ModelErrorRow
 from phsi_opt.later import Later
@@ -134,10 +134,10 @@ class Fit(FitRecord, Summarised):
             LookupError, TypeError, ValueError, AttributeError: The content is damaged.
         """
         model = model_from(content["model"])
-        names = checked(tuple[str, ...], content.get("names", model.free))
-        by_run = checked(dict[str, dict[str, float]], content.get("by_trajectory", {}))
+        names = tuple(map(str, content.get("names", model.free)))
+        by_run = content.get("by_trajectory", {})
         _check_names(names, Theta.of(model, tuple(by_run) or ("",)).names)
-        noise = checked(dict[str, float], content["noise"])
+        noise = _numbers(content["noise"])
         _check_names(noise, model.states)
         n = len(names)
         covariance = np.array(content["covariance"], dtype=float).reshape(n, n)
@@ -158,35 +158,36 @@ class Fit(FitRecord, Summarised):
         if freedom is not None and freedom.shape != (n,):
             raise DataError(f"{freedom.size} degrees of freedom for {n} estimates")
         rows = content.get("model_error", [])
+        huber = content.get("huber")
         uncertainty = FitUncertainty(
             covariance=covariance,
             # Files of before hold standard errors from white noise alone.
             source=Source(content.get("std_error_source", Source.NOISE)),
             covariances=covariances,
             freedom=freedom,
-            model_error_rows=checked(tuple[ModelErrorRow, ...], rows),
+            model_error_rows=tuple(made_of(ModelErrorRow, row) for row in rows),
             log_evidence=float(content.get("log_evidence", np.nan)),
-            warnings=checked(tuple[str, ...], content["warnings"]),
+            warnings=tuple(map(str, content["warnings"])),
         )
         gaps = zip(content.get("steps", []), content.get("n_gaps", []), strict=True)
         return cls(
             model=model,
             names=names,
-            by_trajectory=by_run,
+            by_trajectory={run: _numbers(own) for run, own in by_run.items()},
             loss=str(content["loss"]),
             loss_value=float(content["loss_value"]),
             uncertainty=Later.known(uncertainty),
             has_model_error=bool(content.get("has_model_error", False)),
             noise=noise,
-            outcome=checked(Outcome, content["outcome"]),
+            outcome=made_of(Outcome, content["outcome"]),
             n_values=int(content["n_values"]),
             bic=float(content["bic"]),
             hold=checked_hold(content["hold"], model.inputs),
-            huber=checked(float | None, content.get("huber")),
+            huber=None if huber is None else float(huber),
             steps=tuple(np.broadcast_to(np.array(k, int), n).copy() for k, n in gaps),
             seconds=float(content.get("seconds", np.nan)),
-            units=checked(dict[str, str], content["units"]),
-            removed=checked(tuple[str, ...], content["removed"]),
+            units={name: str(unit) for name, unit in content["units"].items()},
+            removed=tuple(map(str, content["removed"])),
             provenance=dict(content["provenance"]),
         )
 
@@ -297,6 +298,10 @@ def _steps_content(steps: np.ndarray) -> int | list[int]:
         return int(steps[0])
     per_gap: list[int] = steps.tolist()
     return per_gap
+
+
+def _numbers(content: Content) -> dict[str, float]:
+    return {name: float(value) for name, value in content.items()}
 
 
 def _check_names(names: Iterable[str], known: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ run as code.
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.reading import file_text, why_not_read
@@ -25,20 +25,14 @@ DAMAGE = (
 )
 
 
-def checked(kind: Any, content: Any) -> Any:
-    """Content as a type, such as ``dict[str, float]`` or a data class.
+def made_of(kind: type[Result], content: dict[str, Any]) -> Result:
+    """A data class of its fields by name, each converted to its type.
 
     Raises:
-        ValueError: It is none of it.
+        LookupError, TypeError, ValueError: The content is damaged.
     """
-    from pydantic import TypeAdapter, ValidationError
-
-    try:
-        return TypeAdapter(kind).validate_python(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"{place or content!r}: {first['msg']}") from None
+    types = get_type_hints(kind)
+    return kind(**{name: types[name](content[name]) for name in types})
 
 
 def read_json(
