@@ -11,8 +11,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
-from phsi_opt.estimation.starting_point import StartingPoint
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.sweeps.ahead import Ahead
 from phsi_opt.sweeps.local_workers import local_workers
 from tests import sweep_tasks
@@ -126,17 +125,19 @@ def test_every_start_is_solved_by_the_executor() -> None:
 def test_a_start_that_fails_ends_the_call_as_in_one_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    solve = LikelihoodSolver.solve_from
+    solve = LikelihoodProblem.solve_from
     n_solved = 0
 
-    def fails_twice(self: LikelihoodSolver, start: StartingPoint) -> LikelihoodEstimate:
+    def fails_twice(
+        self: LikelihoodProblem, start: StartingPoint
+    ) -> LikelihoodEstimate:
         nonlocal n_solved
         n_solved += 1
         if n_solved in (2, 3):
             raise ph.SolveError(f"start {n_solved}")
         return solve(self, start)
 
-    monkeypatch.setattr(LikelihoodSolver, "solve_from", fails_twice)
+    monkeypatch.setattr(LikelihoodProblem, "solve_from", fails_twice)
     for executor in (None, Counted()):
         n_solved = 0
         with pytest.raises(ph.SolveError, match=r"^start 2$"):

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
+from phsi_opt.optimization.bounded_step import bounded_least_squares
 
 LONGEST = 10  # s; it takes less than a hundredth of one
 

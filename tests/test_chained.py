@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from phsi_opt.optimization.along_time import Chain, TimeLayout
 from phsi_opt.optimization.banded import Banded, BandLayout
-from phsi_opt.optimization.chained import FEWEST_STATES, Chained, ChainLayout
+from phsi_opt.optimization.chained import (
+    FEWEST_STATES,
+    Chain,
+    Chained,
+    ChainLayout,
+    TimeLayout,
+)
 
 N = FEWEST_STATES
 
@@ -45,14 +50,12 @@ class System:
         self.chain = Chain(self.begin, self.n_nodes, n)
 
     def chained(self) -> Chained | None:
-        layout = ChainLayout.of(
-            self.rows, self.columns, self.begin, self.n_nodes, self.chain.n_states
-        )
+        layout = ChainLayout.of(self.rows, self.columns, self.chain)
         return None if layout is None else Chained.of(layout, self.entries)
 
     def banded(self) -> Banded:
         layout = BandLayout(self.rows, self.columns, self.order)
-        return Banded.of(layout, self.entries)
+        return Banded(layout, self.entries)
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3])

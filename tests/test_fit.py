@@ -16,7 +16,7 @@ import sympy as sp
 
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
+from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.later import Later
 from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.expressions import evaluate

@@ -2,6 +2,7 @@
 differences.
 """
 
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -120,7 +121,7 @@ def test_a_held_input_keeps_the_value_of_the_sample_before(steps: int) -> None:
 
 def test_a_defect_is_named_by_trajectory_times_and_row() -> None:
     grid = grid_of(data(), 2)
-    label = grid.interval_label(2)
+    label = partial(grid.interval_label, 2)
     t = grid.t[grid.begin]
     assert label(0).startswith(f"trajectory 1, t = {t[0]:g} to ")
     assert label(0).endswith("row 1")

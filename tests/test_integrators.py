@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 
 from phsi_opt.errors import ModelError
 from phsi_opt.transcription.integrators import INTEGRATORS, Integrator, integrator
-from phsi_opt.transcription.stages import stage_rule
 
 SCHEMES = list(INTEGRATORS.values())
 each_scheme = pytest.mark.parametrize("scheme", SCHEMES, ids=[s.name for s in SCHEMES])
@@ -42,24 +41,6 @@ def halving_orders(
 ) -> np.ndarray:
     sizes = [defect(scheme, f, t0, h, exact(t0), exact(t0 + h)) for h in steps]
     return np.log2(np.array(sizes[:-1]) / sizes[1:])
-
-
-@each_scheme
-def test_the_stages_of_a_scheme_average_to_its_mean_derivative(
-    scheme: Integrator,
-) -> None:
-    x0, x1, t0, h = np.array([0.4, -0.9]), np.array([0.1, -1.1]), 0.7, 0.25
-
-    def g(x: np.ndarray, c: float) -> np.ndarray:
-        return pendulum(t0 + c * h, x)
-
-    rule = stage_rule(scheme.name)
-    mean = np.zeros(2)
-    states = rule.states(g, x0, x1, h)
-    for x, share, weight in zip(states, rule.shares, rule.weights, strict=True):
-        mean += weight * g(x, share)
-    # the same sum in another order: a few roundings apart
-    np.testing.assert_allclose(mean, scheme.psi(g, x0, x1, h), rtol=1e-14)
 
 
 @each_scheme

@@ -21,6 +21,7 @@ from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, formula
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import (
     MaximumLikelihood,
     PHSILoss,
@@ -494,10 +495,8 @@ def test_the_exact_hessian_is_that_of_automatic_differentiation() -> None:
     model = loaded(Parameter(1.2, per_trajectory=True)).with_values({"c": 0.3})
     grid, unknown = grid_of(data), Theta.of(model, ("run 1", "run 2"))
     point = point_at(model, grid, unknown, np.array([1.2, 1.5, 0.3]), grid.y)
-    program = MaximumLikelihood().program(
-        model, grid, point, {}, np.array([0.1, 0.2]), unknown
-    )
-    assert program.exact is not None
+    values = LikelihoodValues(model, grid, "srk4", point, unknown)
+    program = MaximumLikelihood().program(values, {}, np.array([0.1, 0.2]))
     z = program.start + 0.01 * rng.normal(size=program.start.size)
     multipliers = rng.normal(size=program.g.numel())
     lagrangian = program.objective + ca.dot(ca.DM(multipliers), program.g)
@@ -507,7 +506,7 @@ def test_the_exact_hessian_is_that_of_automatic_differentiation() -> None:
         [ca.triu(ca.hessian(lagrangian, program.z)[0])],
     )
     expected = np.array(whole(z, program.set_to))
-    found = np.array(program.exact()(z, program.set_to, 1.0, multipliers))
+    found = np.array(program.hessian(exact=True)(z, program.set_to, 1.0, multipliers))
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
@@ -569,13 +568,12 @@ def test_the_jacobian_made_per_interval_is_that_of_automatic_differentiation() -
     unknown = Theta.of(duffing(), ("run 1",))
     nodes = rng.normal(size=grid.y.shape)
     point = point_at(duffing(), grid, unknown, np.array([1.0, 0.7, 0.2]), nodes)
-    program = MaximumLikelihood(huber=1.0).program(
-        duffing(), grid, point, {"H": 0.1}, sigma, unknown
-    )
+    values = LikelihoodValues(duffing(), grid, "srk4", point, unknown)
+    program = MaximumLikelihood(huber=1.0).program(values, {"H": 0.1}, sigma)
     z = program.start + 0.1 * rng.normal(size=program.start.size)
     whole = ca.Function(
         "j", [program.z, program.settings], [ca.jacobian(program.g, program.z)]
     )
     expected = np.array(whole(z, program.set_to))
-    ours = np.array(program.jacobian(z, program.set_to)[1])
+    ours = np.array(program.jacobian()(z, program.set_to)[1])
     np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9)

@@ -8,24 +8,21 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
-from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.likelihood_start import crude_start
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model, built_of
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.optimization.chained import FEWEST_STATES
-from phsi_opt.optimization.endings import DIRECT_STEPS
+from phsi_opt.optimization.outcome import DIRECT_STEPS
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import StateBounds
 from problems.benchmarks import state_growth
 from problems.benchmarks.peer_cases import PROBLEMS, drawn
 
@@ -115,12 +112,12 @@ def test_the_likelier_of_both_ways_is_kept(monkeypatch: pytest.MonkeyPatch) -> N
     wrong = ph.identify(heavy, data)
     lost: list[StartingPoint] = []
 
-    def astray(_solver: LikelihoodSolver, start: StartingPoint) -> StartingPoint:
+    def astray(_solver: LikelihoodProblem, start: StartingPoint) -> StartingPoint:
         theta = np.array([wrong.values["k"], wrong.values["c"]])
         lost.append(replace(start, theta=theta, states=wrong.states, is_optimum=True))
         return lost[-1]
 
-    monkeypatch.setattr(LikelihoodSolver, "continued", astray)
+    monkeypatch.setattr(LikelihoodProblem, "continued", astray)
     kept = ph.identify(unknown(1.5, 0.15), data)
     assert lost
     assert kept.bic == pytest.approx(fit.bic, abs=1e-3)
@@ -227,14 +224,14 @@ def test_a_parameter_that_begins_at_its_bound_leaves_it() -> None:
 
 def solver_and_start(
     model: ph.Model, data: ph.Measurements
-) -> tuple[LikelihoodSolver, StartingPoint]:
+) -> tuple[LikelihoodProblem, StartingPoint]:
     """From the parameters of the model as they are."""
     task = Task(model, AlignedData.of(model, data), {}, None, ph.SolverSettings())
     problem = LikelihoodProblem.of(task, ph.MaximumLikelihood())
     start = crude_start(problem)
     steps = (np.ones(len(start.states[0]) - 1, dtype=int),)
     start = replace(start, theta=model.theta, steps=steps)
-    return LikelihoodSolver(problem), start
+    return problem, start
 
 
 def test_a_bound_at_which_the_model_has_no_values_is_not_stepped_on() -> None:
@@ -390,7 +387,7 @@ def test_starting_states_stay_within_their_bounds() -> None:
     upper[0, 0] = 0.9  # the position at which the first run begins
     nodes[0, 0] = 0.8
     point = point_at(model, grid, theta, model.theta, nodes)
-    point = replace(point, x_bounds=StateBounds(lower, upper))
+    point = replace(point, x_bounds=np.array([lower, upper]))
     values = LikelihoodValues(model, grid, "srk4", point, theta)
     problem = JointProblem.white(Linearizer(values), np.array([FINE_NOISE, 1.0]))
     found = problem.optimum(point.scaled, 100)
@@ -435,13 +432,13 @@ def test_a_momentum_follows_from_the_rate_of_its_position() -> None:
     y[:, 1] = np.nan
     y[50:60, 0] = np.nan  # a gap
     data = ph.Measurements.from_arrays(T, y, states=["q", "p"])
-    found = kinematic_states(spring(1.7, 0.15), grid_of(data))
-    assert found.is_complete
+    found, is_complete = kinematic_states(spring(1.7, 0.15), grid_of(data))
+    assert is_complete
     is_known = np.isfinite(y[:, 0])
-    np.testing.assert_array_equal(found.x[is_known, 0], y[is_known, 0])
+    np.testing.assert_array_equal(found[is_known, 0], y[is_known, 0])
     inside = slice(70, 190)
     # Differences over two intervals of 0.1: the third derivative times h^2 / 6.
-    np.testing.assert_allclose(found.x[inside, 1], x[inside, 1], atol=0.01)
+    np.testing.assert_allclose(found[inside, 1], x[inside, 1], atol=0.01)
 
 
 def test_states_follow_in_turn_from_rates_that_follow() -> None:
@@ -453,12 +450,12 @@ def test_states_follow_in_turn_from_rates_that_follow() -> None:
     y = x.copy()
     y[:, 1:] = np.nan
     data = ph.Measurements.from_arrays(T, y, states=["a", "b", "c"])
-    found = kinematic_states(chain, grid_of(data))
-    assert found.is_complete
+    found, is_complete = kinematic_states(chain, grid_of(data))
+    assert is_complete
     size = np.max(np.abs(x), axis=0)
     # Differences of differences; the third derivative is of the size of the motion.
     inside = slice(10, -10)
-    np.testing.assert_allclose(found.x[inside] / size, x[inside] / size, atol=0.02)
+    np.testing.assert_allclose(found[inside] / size, x[inside] / size, atol=0.02)
 
 
 def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
@@ -468,9 +465,9 @@ def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
     )
     y = np.column_stack([np.exp(-T), np.full((len(T), 2), np.nan)])
     data = ph.Measurements.from_arrays(T, y, states=["a", "b", "c"])
-    found = kinematic_states(model, grid_of(data))
-    assert not found.is_complete
-    np.testing.assert_array_equal(found.x[:, 1:], 0.0)
+    found, is_complete = kinematic_states(model, grid_of(data))
+    assert not is_complete
+    np.testing.assert_array_equal(found[:, 1:], 0.0)
 
 
 # --- What is built once

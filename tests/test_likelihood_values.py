@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import StateBounds
 
 SIGMA = np.array([0.05, 0.2])
 
@@ -50,7 +49,7 @@ def measurements() -> ph.Measurements:
     )
 
 
-def transcription(model: ph.Model, steps: int = 1) -> Transcription:
+def laid_out(model: ph.Model, steps: int = 1) -> LikelihoodValues:
     data = measurements()
     grid = grid_of(data, steps)
     unknown = Theta.of(model, [run.name for run in data.trajectories])
@@ -60,7 +59,7 @@ def transcription(model: ph.Model, steps: int = 1) -> Transcription:
         theta=unknown.spread(point.theta),
         theta_scale=unknown.spread(point.theta_scale),
     )
-    return Transcription(MaximumLikelihood(), model, grid, unknown, point, {}, SIGMA)
+    return LikelihoodValues(model, grid, "srk4", point, unknown)
 
 
 MODELS = {
@@ -74,9 +73,8 @@ MODELS = {
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("steps", [1, 2])
 def test_values_and_slopes_are_those_of_the_program(name: str, steps: int) -> None:
-    laid_out = transcription(MODELS[name], steps)
-    program = laid_out.program
-    likelihood = laid_out.values
+    likelihood = laid_out(MODELS[name], steps)
+    program = MaximumLikelihood().program(likelihood, {}, SIGMA)
     rng = np.random.default_rng(1)
     z = program.start + 0.1 * rng.normal(size=program.start.size)
     values = likelihood.at(z)
@@ -87,7 +85,7 @@ def test_values_and_slopes_are_those_of_the_program(name: str, steps: int) -> No
         [program.residual, program.g, *in_z],
     )
     residual, g, of_residual, of_g = (np.array(part) for part in expected(z, SIGMA))
-    weights = np.sqrt(2 / len(residual)) / SIGMA[laid_out.grid.channel]
+    weights = np.sqrt(2 / len(residual)) / SIGMA[likelihood.grid.channel]
 
     def check(found: np.ndarray, wanted: np.ndarray) -> None:
         np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-12)
@@ -101,33 +99,33 @@ def test_values_and_slopes_are_those_of_the_program(name: str, steps: int) -> No
 
 
 def test_variables_begin_and_end_where_those_of_the_program_do() -> None:
-    laid_out = transcription(duffing(per_trajectory=True))
-    x = laid_out.point.x
-    bounds = StateBounds(np.full(x.shape, -np.inf), np.full(x.shape, np.inf))
-    bounds.lower[0] = -2.0
-    bounds.upper[3] = 4.0
-    bounded = replace(laid_out, point=replace(laid_out.point, x_bounds=bounds))
-    for one in (laid_out, bounded):
-        program = one.program
+    free = laid_out(duffing(per_trajectory=True))
+    bounds = np.full((2, *free.point.x.shape), [[[-np.inf]], [[np.inf]]])
+    bounds[0, 0] = -2.0
+    bounds[1, 3] = 4.0
+    point = replace(free.point, x_bounds=bounds)
+    bounded = LikelihoodValues(free.model, free.grid, "srk4", point, free.unknown)
+    for one in (free, bounded):
+        program = MaximumLikelihood().program(one, {}, SIGMA)
         np.testing.assert_array_equal(one.point.scaled, program.start)
         np.testing.assert_array_equal(one.point.scale, program.scale)
-        np.testing.assert_array_equal(one.values.lower, program.lower)
-        np.testing.assert_array_equal(one.values.upper, program.upper)
+        np.testing.assert_array_equal([one.lower, one.upper], program.bounds)
         unscaled = one.point.unscaled(program.start)
         for block, values in program.values(program.start).items():
             np.testing.assert_array_equal(unscaled[block], values)
 
 
 def test_slack_variables_are_told_without_a_program() -> None:
-    plain = transcription(duffing())
-    huber = replace(plain, loss=MaximumLikelihood(huber=1.345))
+    runs = ("run 1", "run 2")
+    unknown = Theta.of(duffing(), runs)
     model = ph.FirstOrder(["q", "p"], F={"q": ph.polynomials("q", degree=3)})
-    sparse = replace(plain, model=model, unknown=Theta.of(model, plain.unknown.runs))
-    assert not plain.has_slacks
-    assert huber.has_slacks
-    assert not sparse.has_slacks
-    assert replace(sparse, l1={"F": 0.1}).has_slacks
-    assert not replace(sparse, l1={"H": 0.1}).has_slacks
+    sparse = Theta.of(model, runs)
+    loss = MaximumLikelihood()
+    assert not loss.has_slacks(unknown, {})
+    assert MaximumLikelihood(huber=1.345).has_slacks(unknown, {})
+    assert not loss.has_slacks(sparse, {})
+    assert loss.has_slacks(sparse, {"F": 0.1})
+    assert not loss.has_slacks(sparse, {"H": 0.1})
 
 
 def test_a_fit_by_full_steps_puts_no_program_together(

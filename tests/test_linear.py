@@ -2,15 +2,23 @@
 
 import numpy as np
 import pytest
-from scipy.sparse import csc_matrix
+from scipy.sparse import coo_matrix
 
 from phsi_opt.errors import SolveError
-from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.banded import Banded, BandLayout
 from phsi_opt.transcription.elimination import (
     HELD,
     RIDGE,
     regularized_inverse,
 )
+
+
+def factors_of(
+    matrix: np.ndarray, order: np.ndarray, is_symmetric: bool = False
+) -> Banded:
+    entries = coo_matrix(matrix)
+    layout = BandLayout(entries.row, entries.col, order, is_symmetric)
+    return Banded(layout, entries.data)
 
 
 def test_banded_factors_solve_what_dense_ones_solve() -> None:
@@ -23,8 +31,8 @@ def test_banded_factors_solve_what_dense_ones_solve() -> None:
     )
     shuffled = rng.permutation(n)
     matrix = dense[np.ix_(shuffled, shuffled)]
-    banded = Banded(csc_matrix(matrix), np.argsort(shuffled))
-    assert (banded.kl, banded.ku) == (3, 3)
+    banded = factors_of(matrix, np.argsort(shuffled))
+    assert (banded.layout.kl, banded.layout.ku) == (3, 3)
     right = rng.normal(size=(n, 2))
     np.testing.assert_allclose(
         banded.solve(right), np.linalg.solve(matrix, right), rtol=1e-9
@@ -43,7 +51,7 @@ def test_a_symmetric_matrix_is_solved_by_its_transposed_factors(n_columns: int) 
     symmetric = matrix + matrix.T
     right = rng.normal(size=(n, n_columns))
     for one, is_symmetric in ((symmetric, True), (matrix, False)):
-        banded = Banded(csc_matrix(one), np.arange(n), is_symmetric)
+        banded = factors_of(one, np.arange(n), is_symmetric)
         expected = np.linalg.solve(one, right)
         np.testing.assert_allclose(banded.solve(right), expected, rtol=1e-8)
 
@@ -55,8 +63,8 @@ def test_a_band_need_not_be_as_wide_above_the_diagonal_as_below(
     rng = np.random.default_rng(5)
     n = 20
     matrix = np.triu(np.tril(rng.normal(size=(n, n)), above), -below) + 5 * np.eye(n)
-    banded = Banded(csc_matrix(matrix), np.arange(n))
-    assert (banded.kl, banded.ku) == (below, above)
+    banded = factors_of(matrix, np.arange(n))
+    assert (banded.layout.kl, banded.layout.ku) == (below, above)
     right = rng.normal(size=n)
     np.testing.assert_allclose(banded.solve(right), np.linalg.solve(matrix, right))
     assert banded.log_abs_det == pytest.approx(np.linalg.slogdet(matrix)[1])
@@ -67,7 +75,7 @@ def test_a_singular_system_is_refused() -> None:
         SolveError,
         match="singular: a state may neither be measured nor act on one that is",
     ):
-        Banded(csc_matrix(np.array([[1.0, 1.0], [1.0, 1.0]])), np.arange(2))
+        factors_of(np.array([[1.0, 1.0], [1.0, 1.0]]), np.arange(2))
 
 
 def test_information_is_inverted_and_a_ridge_holds_what_has_none() -> None:

@@ -47,21 +47,19 @@ def test_a_memory_begins_within_what_it_is_later_and_its_range_to_both_sides() -
     grid = grid_of_inputs(model, np.where(T > 1.0, STEP, 0.0))
     x = np.zeros((grid.n_nodes, 3))
     bounds = memory_start_bounds(model, grid, x, model.theta)
-    assert bounds is not None
     # At rest it is 0, at the end 2 (1 - exp(-3/0.5)).
     highest = STEP * (1 - np.exp(-3.0 / LAG))
     first = grid.first[0]
-    assert bounds.lower[first, 2] == pytest.approx(-highest, rel=1e-2)
-    assert bounds.upper[first, 2] == pytest.approx(2 * highest, rel=1e-2)
+    assert bounds[0, first, 2] == pytest.approx(-highest, rel=1e-2)
+    assert bounds[1, first, 2] == pytest.approx(2 * highest, rel=1e-2)
 
 
 def test_other_states_and_later_nodes_have_no_bounds() -> None:
     model = pushed()
     grid = grid_of_inputs(model, np.sin(T), np.cos(T))
     bounds = memory_start_bounds(model, grid, np.zeros((grid.n_nodes, 3)), model.theta)
-    assert bounds is not None
-    is_bounded = np.isfinite(bounds.lower)
-    np.testing.assert_array_equal(is_bounded, np.isfinite(bounds.upper))
+    is_bounded, is_bounded_above = np.isfinite(bounds)
+    np.testing.assert_array_equal(is_bounded, is_bounded_above)
     expected = np.zeros_like(is_bounded)
     expected[grid.first, 2] = True
     np.testing.assert_array_equal(is_bounded, expected)
@@ -71,18 +69,15 @@ def test_the_records_share_what_their_memory_may_begin_with() -> None:
     model = pushed()
     grid = grid_of_inputs(model, np.full(len(T), -1.0), np.full(len(T), 3.0))
     bounds = memory_start_bounds(model, grid, np.zeros((grid.n_nodes, 3)), model.theta)
-    assert bounds is not None
-    np.testing.assert_allclose(bounds.lower[grid.first, 2], -1.0 - 4.0, atol=1e-9)
-    np.testing.assert_allclose(bounds.upper[grid.first, 2], 3.0 + 4.0, atol=1e-9)
+    np.testing.assert_allclose(bounds[0, grid.first, 2], -1.0 - 4.0, atol=1e-9)
+    np.testing.assert_allclose(bounds[1, grid.first, 2], 3.0 + 4.0, atol=1e-9)
 
 
 def test_a_memory_that_never_changes_may_begin_anywhere() -> None:
     model = pushed()
     grid = grid_of_inputs(model, np.full(len(T), 1.0))
     bounds = memory_start_bounds(model, grid, np.zeros((grid.n_nodes, 3)), model.theta)
-    assert bounds is not None
-    assert not np.isfinite(bounds.lower).any()
-    assert not np.isfinite(bounds.upper).any()
+    assert not np.isfinite(bounds).any()
 
 
 def test_without_memory_there_are_no_bounds() -> None:
@@ -94,7 +89,8 @@ def test_without_memory_there_are_no_bounds() -> None:
         F={"p": ph.formula("u")},
     )
     grid = grid_of_inputs(bare, np.sin(T))
-    assert memory_start_bounds(bare, grid, np.zeros((len(T), 2)), bare.theta) is None
+    bounds = memory_start_bounds(bare, grid, np.zeros((len(T), 2)), bare.theta)
+    assert not np.isfinite(bounds).any()
 
 
 def test_the_fit_begins_within_these_bounds() -> None:

@@ -29,8 +29,7 @@ from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.processes import Process
-from phsi_opt.model_error.sandwich import covariance_under
-from phsi_opt.model_error.standard_errors import PlainEstimate
+from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -124,7 +123,7 @@ def plain_of(name: str) -> PlainEstimate:
 def problem_of(name: str) -> Linearization:
     """One interval between samples, or all the steps of the integration."""
     if name == "several runs, all steps":
-        return estimate_of("several runs").solved.linearized()
+        return estimate_of("several runs").linearized()
     return plain_of(name).problem
 
 
@@ -770,7 +769,7 @@ class Distance:
 def distance_at(steps: int) -> Distance:
     data = forced_record()
     estimate = estimated(data, free_oscillator(), steps)
-    problem = estimate.solved.linearized()
+    problem = estimate.linearized()
     k = float(estimate.theta[0])
     t = data.trajectories[0].t
     y = data.trajectories[0].x[:, 0]
@@ -823,7 +822,7 @@ def test_the_likelihood_of_different_models_is_that_of_a_kalman_filter() -> None
     for damping in (0.0, 0.3, 3.0):
         F = {"q": formula("v"), "v": formula(f"-k*q - {damping}*v", k=Parameter(4.0))}
         estimate = estimated(data, FirstOrder(states=("q", "v"), F=F), steps=16)
-        problem = estimate.solved.linearized()
+        problem = estimate.linearized()
         k = float(estimate.theta[0])
         ours = likelihood_of(problem, d, NONE).log_likelihood(d)
         there = Continuous(k, damping, force, NOISE).filtered(run.t, run.x[:, 0])
@@ -893,7 +892,7 @@ def of_statsmodels(problem: Linearization, d: Disturbances, start: str) -> Any:
 def test_the_evidence_is_that_of_statsmodels() -> None:
     pytest.importorskip("statsmodels")
     estimate = estimated(forced_record(), free_oscillator(), 2)
-    problem = estimate.solved.linearized()
+    problem = estimate.linearized()
     gains = []
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
@@ -908,7 +907,7 @@ def test_smoothed_states_and_forces_are_those_of_statsmodels() -> None:
     """
     pytest.importorskip("statsmodels")
     estimate = estimated(forced_record(), free_oscillator(), 2)
-    problem = estimate.solved.linearized()
+    problem = estimate.linearized()
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
         ours = likelihood_of(problem, d, NONE).smoothed(d)

@@ -12,7 +12,7 @@ from phsi_opt.learning.force_signals import with_force, with_signals, without_si
 from phsi_opt.learning.hybrid import Hybrid, hybrid
 from phsi_opt.learning.hybrid_network import NeuralForce
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.stages import STAGE_RULES
+from phsi_opt.transcription.integrators import INTEGRATORS
 from problems.thesis.hinges import hinges
 
 SMALL = NeuralForce(
@@ -206,9 +206,9 @@ def test_bad_settings_are_refused(made, message: str) -> None:
         made()
 
 
-@pytest.mark.parametrize("scheme", list(STAGE_RULES))
+@pytest.mark.parametrize("scheme", list(INTEGRATORS))
 def test_the_inputs_of_a_force_pass_through_it_at_the_stages(scheme: str) -> None:
-    rule = STAGE_RULES[scheme]
+    rule = INTEGRATORS[scheme]
     grid = grid_of(data().split(0.2)[0])
     rng = np.random.default_rng(3)
     force = rng.normal(size=(grid.n_intervals, len(rule.shares), 1))

@@ -74,7 +74,7 @@ def test_defects_and_slopes_in_symbols_are_those_in_numbers(
     scale = share * program.scale[: len(model.free)]
     expected = (by_equation * scale).T @ (by_equation * scale)
     no_multipliers = np.zeros(program.g.numel())
-    upper = program.hessian(solution.z, program.set_to, 1.0, no_multipliers)
+    upper = program.hessian()(solution.z, program.set_to, 1.0, no_multipliers)
     upper = np.array(upper)[: len(model.free), : len(model.free)]
     hessian = upper + np.triu(upper, 1).T
     np.testing.assert_allclose(hessian, expected, atol=1e-9 * np.max(expected))

@@ -81,7 +81,7 @@ def searches(
     runs = [ph.simulate(model, T, [1.0, 0.0])]
     data = ph.Measurements.from_arrays([T], runs, states=["q", "p"])
     grid = grid_of(data)
-    missing_force.smoothed(model, grid, np.ones(2), "srk4", known_noise=True)
+    missing_force.smoothed(model, grid, np.ones(2), known_noise=True)
     return tried
 
 

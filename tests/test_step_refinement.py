@@ -8,9 +8,8 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
-from phsi_opt.estimation.starting_point import StartingPoint
-from phsi_opt.transcription.elimination import ReducedSystem
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
+from phsi_opt.model_error.marginal_likelihood import ReducedSystem
 
 T = np.linspace(0.0, 12.0, 25)  # some six samples a period
 STIFFNESS = 4.0
@@ -42,10 +41,10 @@ def test_coarse_samples_get_finer_steps() -> None:
 def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    solve = LikelihoodSolver.solve
+    solve = LikelihoodProblem.solve
 
     def failing_beyond_one(
-        self: LikelihoodSolver, start: StartingPoint, **options: object
+        self: LikelihoodProblem, start: StartingPoint, **options: object
     ) -> LikelihoodEstimate:
         found = solve(self, start, **options)  # type: ignore[arg-type]
         if not start.steps or max(int(np.max(s)) for s in start.steps) == 1:
@@ -53,7 +52,7 @@ def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
         outcome = replace(found.solution.outcome, success=False)
         return replace(found, solution=replace(found.solution, outcome=outcome))
 
-    monkeypatch.setattr(LikelihoodSolver, "solve", failing_beyond_one)
+    monkeypatch.setattr(LikelihoodProblem, "solve", failing_beyond_one)
     fit = ph.identify(spring(3.0), coarse_record())
     assert fit.outcome.success
     assert max(int(np.max(steps)) for steps in fit.steps) == 1
@@ -64,16 +63,16 @@ def test_finer_steps_have_the_room_of_the_factors_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     eliminate = ReducedSystem.__init__
-    solve = LikelihoodSolver.solve
+    solve = LikelihoodProblem.solve
     made: list[weakref.ref[ReducedSystem]] = []
     n_finer = []
 
-    def remembered(self: ReducedSystem, **parts: object) -> None:
+    def remembered(self: ReducedSystem, *parts: object) -> None:
         made.append(weakref.ref(self))
-        eliminate(self, **parts)  # type: ignore[arg-type]
+        eliminate(self, *parts)  # type: ignore[arg-type]
 
     def with_room(
-        self: LikelihoodSolver, start: StartingPoint, **options: object
+        self: LikelihoodProblem, start: StartingPoint, **options: object
     ) -> LikelihoodEstimate:
         if made:
             n_finer.append(True)
@@ -81,6 +80,6 @@ def test_finer_steps_have_the_room_of_the_factors_before(
         return solve(self, start, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(ReducedSystem, "__init__", remembered)
-    monkeypatch.setattr(LikelihoodSolver, "solve", with_room)
+    monkeypatch.setattr(LikelihoodProblem, "solve", with_room)
     ph.identify(spring(3.0), coarse_record())
     assert n_finer

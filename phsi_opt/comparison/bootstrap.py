@@ -20,10 +20,10 @@ from phsi_opt.comparison.profile_likelihood import check_likelihood
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.model_content import model_content
 from phsi_opt.estimation.smoothing import likelihood_of
-from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.table_making import printed_table

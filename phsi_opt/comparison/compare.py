@@ -26,10 +26,10 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.known_model import fit_of
+from phsi_opt.estimation.fit_record import parameter_matrix
+from phsi_opt.estimation.identify import fit_of
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import smoothed_states
-from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import Expressions, function_of

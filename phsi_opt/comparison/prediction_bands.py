@@ -10,11 +10,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_record import parameter_matrix
 from phsi_opt.estimation.record import Record
-from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model_error.linearization import linearized
-from phsi_opt.model_error.marginal_likelihood import reduced
+from phsi_opt.model_error.marginal_likelihood import ReducedSystem
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -60,7 +60,7 @@ def prediction_bands(
     likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
     z = point.scaled
     linear = linearized(likelihood, z, likelihood.at(z))
-    system = reduced(linear, record.sigma)
+    system = ReducedSystem(linear, record.sigma)
     # What states follow parameters, and what is left open beside these.
     starts = grid.first[:, None] * model.n_states + np.arange(model.n_states)
     by_theta = system.following * point.x_scale[:, None]

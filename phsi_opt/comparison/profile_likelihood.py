@@ -18,8 +18,7 @@ from phsi_opt.errors import ModelError, SolveError, did_you_mean
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.record import Record
-from phsi_opt.estimation.record_likelihood import RecordLikelihood
-from phsi_opt.estimation.smoothing import likelihood_of, steps_on
+from phsi_opt.estimation.smoothing import likelihood_of, maximum_along, steps_on
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import f_limit
@@ -213,9 +212,7 @@ class _Line:
         assert best is not None
         self.value = best.values[name]
         self.lowest = best.chi_square
-        self.factor = 1.0
-        if fit.huber is not None:
-            self.factor = best.huber_moments.rise_ratio
+        self.factor = best.score_variance
         self.points = {self.value: 0.0}
         self.states = {self.value: best}
 
@@ -233,8 +230,7 @@ class _Line:
     def _solved(
         self, model: Model, x: Sequence[np.ndarray]
     ) -> LikelihoodEstimate | None:
-        record = RecordLikelihood(self.aligned, self.sigma, self.loss)
-        return record.maximum(model, x, self.steps)
+        return maximum_along(self.aligned, self.sigma, self.loss, model, x, self.steps)
 
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held at a value.

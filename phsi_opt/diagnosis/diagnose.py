@@ -24,8 +24,7 @@ from phsi_opt.diagnosis.refit import refit
 from phsi_opt.diagnosis.weighed_round import weighed_round
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify_aligned
-from phsi_opt.estimation.known_model import fit_of
+from phsi_opt.estimation.identify import fit_of, identify_aligned
 from phsi_opt.estimation.problem import silent
 from phsi_opt.estimation.record import Record
 from phsi_opt.interrupts import interruptible

@@ -20,25 +20,21 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
+from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
+from phsi_opt.estimation.likelihood_steps import solution_of_steps
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.freedom import Spread
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, noise_weights
-from phsi_opt.model_error.spread import Spread
 from phsi_opt.model_error.standard_errors import Source, under_disturbances
 from phsi_opt.model_error.state_functions import LINEAR_SHARE
-from phsi_opt.optimization.endings import STEPS_OPTIMUM, STEPS_STALLED
-from phsi_opt.optimization.ipopt import Solution, names_at_bounds
-from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.transcription.grid import steps_per_gap
-from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 MOST_SOLVES = 3  # each followed by better sizes of the disturbances
@@ -109,10 +105,9 @@ class DisturbedEstimate(Estimate):
         if not self.unknown.is_shared:
             return None
         disturbances = self.disturbances
-        sizes = np.array([function.size for function in disturbances.functions])
         borders = self._likelihood.borders_by_run(disturbances)
         step = self._likelihood.at(disturbances).border
-        clusters = Clusters.of_borders(borders, sizes, step)
+        clusters = Clusters.of_borders(borders, disturbances.function_sizes, step)
         return clusters if clusters.is_enough else None
 
     @property
@@ -152,10 +147,12 @@ class DisturbedEstimate(Estimate):
         fit = super().fit()
         if not self.is_success:
             return fit
+        # White noise, the mean over trajectories.
+        mean_noise = np.sqrt(np.mean(self.disturbances.sigma**2, axis=0))
         bic = self.deviance + len(self.unknown) * float(np.log(self.n_values))
         return replace(
             fit,
-            noise=self._noise_by_name(),
+            noise=self.noise_by_name(mean_noise),
             bic=bic,
             steps=tuple(steps_per_gap(self.grid)),
             has_model_error=True,
@@ -174,27 +171,11 @@ class DisturbedEstimate(Estimate):
             source=self.source,
             covariances=covariances,
             freedom=self.spread.freedom,
-            model_error_rows=model_error_rows(_solved(self), self.disturbances),
+            model_error_rows=model_error_rows(
+                self.task, self.grid, self.search.problem.nodes, self.disturbances
+            ),
             log_evidence=self._likelihood.log_model_evidence(self.disturbances),
         )
-
-    def _noise_by_name(self) -> dict[str, float]:
-        """White noise of the states that were measured, the mean over trajectories."""
-        mean = np.sqrt(np.mean(self.disturbances.sigma**2, axis=0))
-        noise = {}
-        for k, name in enumerate(self.model.states):
-            if self.grid.measured[:, k].any():
-                noise[name] = float(mean[k])
-        return noise
-
-
-def _solved(estimate: DisturbedEstimate) -> SolvedLikelihood:
-    return replace(
-        estimate.plain.solved,
-        theta=estimate.theta,
-        nodes=estimate.solution.values["x"].reshape(estimate.grid.y.shape),
-        solution=estimate.solution,
-    )
 
 
 def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
@@ -209,11 +190,10 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     task = plain.task
     task.say("what acts beside the model")
     disturbances = plain.plain.search.found().disturbances
-    solved = plain.solved
-    search = solved.search(replace(solved.linearized(), linear_share=0.0))
-    values = plain.transcription.values
+    search = plain.search(replace(plain.linearized(), linear_share=0.0))
+    values = plain.likelihood
     linearizer = Linearizer(values)
-    z = plain.solution.z[: len(plain.unknown) + plain.point.x.size]
+    z = plain.z
     evidence = -np.inf
     move = np.inf
     for _ in range(MOST_SOLVES):
@@ -226,7 +206,16 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         problem = JointProblem(linearizer, disturbances, search.moving)
         joint = problem.optimum(z, MOST_STEPS_OF_A_SOLVE)
         z = joint.point.z
-        solution = _solution(values, joint, disturbances, began)
+        weights = noise_weights(joint.linear, disturbances.sigma)
+        solution = solution_of_steps(
+            values,
+            z,
+            joint.residual * weights * np.sqrt(2 / len(weights)),
+            violation=joint.violation,
+            n_steps=joint.n_steps,
+            is_found=joint.has_converged,
+            began=began,
+        )
         estimate = DisturbedEstimate(
             task=task,
             loss=plain.loss,
@@ -245,36 +234,10 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         )
         if not solution.outcome.success:
             return estimate
-        search = solved.search(replace(joint.linear, along=None))
+        search = plain.search(replace(joint.linear, along=None))
         estimate = replace(estimate, search=search)
         marginal = estimate._likelihood.at(disturbances)
         evidence = marginal.log_evidence
         std_errors = np.sqrt(np.diag(marginal.covariance))
         move = float(np.max(np.abs(marginal.theta) / std_errors, initial=0.0))
     return estimate
-
-
-def _solution(
-    values: LikelihoodValues,
-    joint: JointEstimate,
-    disturbances: Disturbances,
-    began: float,
-) -> Solution:
-    """Where the steps ended, as other solvers tell it."""
-    z = joint.point.z
-    weights = noise_weights(joint.linear, disturbances.sigma)
-    residual = joint.residual * weights * np.sqrt(2 / len(weights))
-    ending = STEPS_OPTIMUM if joint.has_converged else STEPS_STALLED
-    bounds = (values.lower, values.upper)
-    outcome = Outcome(
-        success=ending.is_usable,
-        status=ending.status,
-        sentence=ending.sentence,
-        advice=ending.advice,
-        iterations=joint.n_steps,
-        seconds=time.perf_counter() - began,
-        objective=float(residual @ residual) / 2,
-        infeasibility=joint.violation,
-        at_bounds=names_at_bounds(values.unknown.names, z, bounds),
-    )
-    return Solution(values.point.unscaled(z), z, residual, outcome)

@@ -1,8 +1,8 @@
 """An estimate: the solved program of a loss, from which the `Fit` is made.
 
-It still holds symbols (the program), so it is not saved; `Estimate.fit` takes from it
-what a user reads. What differs between the losses (residuals, standard errors) is said
-by the subclasses, each beside the solution of its loss.
+It still holds the measurements and their layout, so it is not saved; `Estimate.fit`
+takes from it what a user reads. What differs between the losses (residuals, standard
+errors) is said by the subclasses, each beside the solution of its loss.
 """
 
 from abc import ABC, abstractmethod
@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
+from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.problem import Loss, Task
 from phsi_opt.estimation.uncertainty import Uncertainty, unknown
 from phsi_opt.later import Later
@@ -74,11 +74,6 @@ class Estimate(ABC):
         return self.solution.outcome.success
 
     @property
-    def failure(self) -> str:
-        """How the solver ended where it reached no optimum, and what to do."""
-        return str(self.solution.outcome)
-
-    @property
     def theta(self) -> np.ndarray:
         """The estimates in the order of `Theta`, (n_theta,)."""
         return self.solution.values["theta"]
@@ -134,6 +129,11 @@ class Estimate(ABC):
         of_first = covariance[np.ix_(first, first)]
         return np.where(np.outer(is_shared, is_shared), of_first, np.nan)
 
+    def noise_by_name(self, sigma: np.ndarray) -> dict[str, float]:
+        """Noise of the states that were measured, of that of all, (n_states,)."""
+        measured = np.flatnonzero(self.grid.measured.any(axis=0)).tolist()
+        return {self.model.states[k]: float(sigma[k]) for k in measured}
+
     def fit(self) -> Fit:
         """The result record."""
         return Fit(
@@ -154,15 +154,16 @@ class Estimate(ABC):
 
     def fit_uncertainty(self) -> FitUncertainty:
         """How well the estimates are known, with all that was worked out about it."""
+        warnings = [*self.task.aligned.notes, *self.notes]
+        if self.removed:
+            warnings.append(
+                "standard errors take the kept terms as given; the choice among them "
+                f"and the {len(self.removed)} removed ones is not in them"
+            )
+        warnings += map(self._bound_warning, self.solution.outcome.at_bounds)
+        warnings += self.uncertainty.warnings
         return FitUncertainty(
-            covariance=self.uncertainty.covariance,
-            warnings=(
-                *self.task.aligned.notes,
-                *self.notes,
-                *self._selection_warnings(),
-                *self._bound_warnings(),
-                *self.uncertainty.warnings,
-            ),
+            covariance=self.uncertainty.covariance, warnings=tuple(warnings)
         )
 
     def _values_by_trajectory(self) -> dict[str, dict[str, float]]:
@@ -173,18 +174,6 @@ class Estimate(ABC):
         for run in self.unknown.runs:
             values[run] = self.unknown.values_of(self.theta, run)
         return values
-
-    def _selection_warnings(self) -> tuple[str, ...]:
-        if not self.removed:
-            return ()
-        return (
-            "standard errors take the kept terms as given; the choice among them and "
-            f"the {len(self.removed)} removed ones is not in them",
-        )
-
-    def _bound_warnings(self) -> tuple[str, ...]:
-        at_bounds = self.solution.outcome.at_bounds
-        return tuple(self._bound_warning(name) for name in at_bounds)
 
     def _bound_warning(self, name: str) -> str:
         place = self.unknown.names.index(name)

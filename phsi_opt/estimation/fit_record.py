@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
-from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
+from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.model_error_table import (
     MODEL_ERROR_COLUMNS,
     ModelErrorRow,
@@ -31,6 +31,30 @@ from phsi_opt.statistics import TINY, student_limit
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitUncertainty:
+    """What a fit says of its estimates beside their values.
+
+    Attributes:
+        covariance: (n_names, n_names) of the estimates; NaN where it is not known.
+        source: what the standard errors come from.
+        covariances: (n_names, n_names) by source, all that were worked out.
+        freedom: (n_names,) degrees of freedom of the variances; None: those that the
+            residuals leave.
+        model_error_rows: what was found beside the model.
+        log_evidence: of the model, beside what was found.
+        warnings: sentences to read before the numbers are used.
+    """
+
+    covariance: np.ndarray
+    source: Source = Source.NOISE
+    covariances: Mapping[Source, np.ndarray] = field(default_factory=dict)
+    freedom: np.ndarray | None = None
+    model_error_rows: tuple[ModelErrorRow, ...] = ()
+    log_evidence: float = np.nan
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -315,22 +339,6 @@ class FitRecord(Identified):
             )
         return names[trajectory]
 
-    @property
-    def parameters(self) -> "pd.DataFrame":
-        """Table of the parameters, a row per value, fixed parameters included.
-
-        Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
-        ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the
-        bounds that the solver kept), ``unit``, ``fixed``. A parameter that every
-        trajectory has of its own has a row per trajectory. Limits of confidence:
-        `intervals`.
-        """
-        rows = []
-        for entry in self.model.entries.values():
-            for name, value in self._values_of(entry).items():
-                rows.append(self._row(name, entry, value))
-        return printed_table(rows, columns=PARAMETER_COLUMNS)
-
     def entry(self, name: str) -> Entry:
         """The model's entry of an estimate, such as that of m for ``m[run 1]``.
 
@@ -349,7 +357,7 @@ class FitRecord(Identified):
     def _values_of(self, entry: Entry) -> dict[str, float]:
         """Values of one parameter of the model: one, or one per trajectory."""
         if not (entry.parameter.per_trajectory and self.by_trajectory):
-            return {entry.name: self.values[entry.name]}
+            return super()._values_of(entry)
         names = [_own_name(entry.name, run) for run in self.by_trajectory]
         return {name: self.estimates[name] for name in names}
 
@@ -390,3 +398,39 @@ class FitRecord(Identified):
 def _own_name(name: str, trajectory: str) -> str:
     """Name of a parameter in one trajectory, such as ``m[run 1]``."""
     return f"{name}[{trajectory}]"
+
+
+def parameters_of(fit: FitRecord, data: Measurements) -> dict[str, dict[str, float]]:
+    """Values of the free parameters by name, for every trajectory by name.
+
+    Args:
+        fit: The fit.
+        data: The record; its trajectories are known to the fit by their names.
+
+    Returns:
+        One new mapping per trajectory. A trajectory that the fit has not seen gets the
+        means of the fit.
+    """
+    values = fit.values
+    means = {name: values[name] for name in fit.model.free}
+    per_trajectory = {}
+    for trajectory in data.trajectories:
+        own_values = fit.by_trajectory.get(trajectory.name, {})
+        per_trajectory[trajectory.name] = {**means, **own_values}
+    return per_trajectory
+
+
+def parameter_matrix(
+    model: Model, per_trajectory: Mapping[str, Mapping[str, float]]
+) -> np.ndarray:
+    """Free parameters as columns, (n_free, n_trajectories).
+
+    Args:
+        model: Its ``free`` names are the order of the rows.
+        per_trajectory: Values by name for every trajectory, as from `parameters_of`;
+            their order is that of the columns.
+    """
+    matrix = np.empty((len(model.free), len(per_trajectory)))
+    for column, values in enumerate(per_trajectory.values()):
+        matrix[:, column] = [values[name] for name in model.free]
+    return matrix

@@ -9,6 +9,7 @@ is begun again from a larger force, and at last with the noise taken from the sc
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -18,15 +19,11 @@ from phsi_opt.data.noise import initial_noise
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
 from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
 from phsi_opt.estimation.model_error_table import lasting_noise
-from phsi_opt.estimation.trajectory_parameters import (
-    parameter_matrix,
-    parameters_of,
-)
 from phsi_opt.transcription.grid import Grid
 
-INTEGRATOR = "srk4"
 # Factor on the size of the rates along the estimated states: from a force so large the
 # second search comes down.
 SIZE_OF_SECOND_SEARCH = 10.0
@@ -63,16 +60,16 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     rows = fit.model_error_rows
     lasting = lasting_noise(rows, model.states, longest_noise(grid))
     sensors = tuple(error for error in lasting if not is_given[error.place])
-    estimate = smoothed(
+    search = partial(
+        smoothed,
         model,
         grid,
-        guess,
-        INTEGRATOR,
-        is_given,
-        theta,
+        theta=theta,
+        known_noise=is_given,
         sensors=sensors,
         least_noise=least,
     )
+    estimate = search(guess)
     measured = grid.measured.any(axis=0)
 
     def is_doubtful(found: ForceEstimate) -> bool:
@@ -85,24 +82,12 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
             for force, size in zip(estimate.disturbances.forces, sizes, strict=True)
         )
         with suppress(SolveError):
-            second = smoothed(
-                model,
-                grid,
-                scatter,
-                INTEGRATOR,
-                is_given,
-                theta,
-                forces=larger,
-                sensors=sensors,
-                least_noise=least,
-            )
+            second = search(scatter, forces=larger)
             estimate = max(estimate, second, key=lambda found: found.log_evidence)
     contradiction_is_possible = measured.sum() > 1
     if contradiction_is_possible and is_doubtful(estimate):
         with suppress(SolveError):
-            return smoothed(
-                model, grid, scatter, INTEGRATOR, known_noise=True, theta=theta
-            )
+            return smoothed(model, grid, scatter, theta, known_noise=True)
     return estimate
 
 

@@ -74,13 +74,19 @@ class Identified:
 
         Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
         ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the
-        bounds that the solver kept), ``unit``, ``fixed``.
+        bounds that the solver kept), ``unit``, ``fixed``. A parameter that every
+        trajectory has of its own has a row per trajectory. Limits of confidence are
+        those of `Fit.intervals`.
         """
-        values = self.values
         rows = []
-        for name, entry in self.model.entries.items():
-            rows.append(self._row(name, entry, values[name]))
+        for entry in self.model.entries.values():
+            for name, value in self._values_of(entry).items():
+                rows.append(self._row(name, entry, value))
         return printed_table(rows, columns=PARAMETER_COLUMNS)
+
+    def _values_of(self, entry: Entry) -> dict[str, float]:
+        """Values of one parameter of the model by name."""
+        return {entry.name: self.values[entry.name]}
 
     def _row(self, name: str, entry: Entry, value: float) -> dict[str, Any]:
         parameter = entry.parameter

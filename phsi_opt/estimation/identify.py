@@ -1,6 +1,6 @@
 """The verb: model and measurements in, `Fit` out.
 
-How each loss is solved has its own file (`phsi`, `maximum_likelihood`); here the
+How each loss is solved has its own file (`phsi_solve`, `maximum_likelihood`); here the
 arguments are checked and put together, and a failure becomes an error.
 """
 
@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import singledispatch
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
@@ -114,9 +113,12 @@ def identify_aligned(
     began = time.perf_counter()
     check_executor(executor)
     loss = loss or MaximumLikelihood()
-    if not isinstance(loss, Loss):
-        raise ModelError(_not_a_loss(loss))
-    _check_free(model, loss)
+    if isinstance(loss, PHSILoss) and not model.free:
+        raise ModelError(
+            "the model has no free parameter, and the PHSI loss estimates nothing "
+            "else; use compare or diagnose with the model, or MaximumLikelihood(), "
+            "which estimates states and noise."
+        )
     model = with_kinds_of_units(model, aligned.data.units)
     own = aligned.for_model(model)
     if start is None:
@@ -134,15 +136,6 @@ def identify_aligned(
     if raise_on_failure:
         _raise_failure(estimate)
     return replace(estimate.fit(), seconds=time.perf_counter() - began)
-
-
-def _check_free(model: Model, loss: Loss) -> None:
-    if isinstance(loss, PHSILoss) and not model.free:
-        raise ModelError(
-            "the model has no free parameter, and the PHSI loss estimates nothing "
-            "else; use compare or diagnose with the model, or MaximumLikelihood(), "
-            "which estimates states and noise."
-        )
 
 
 def identify_forced(
@@ -181,48 +174,64 @@ def identify_forced(
     return estimate.fit()
 
 
-@singledispatch
-def estimate_by(loss: object, task: Task, start: Fit | None) -> Estimate:
+def estimate_by(loss: Loss, task: Task, start: Fit | None) -> Estimate:
     """The estimate by a loss, solved in the way of its kind.
 
     Raises:
         ModelError: for a loss that finds no parameters.
     """
-    raise ModelError(_not_a_loss(loss))
-
-
-@estimate_by.register
-def _(loss: PHSILoss, task: Task, start: Fit | None) -> Estimate:
-    return by_defects(task, loss, start)
-
-
-@estimate_by.register
-def _(loss: MaximumLikelihood, task: Task, start: Fit | None) -> Estimate:
-    if loss.model_error:
-        _check_unshrunk(task)
+    if isinstance(loss, PHSILoss):
+        return by_defects(task, loss, start)
+    if not isinstance(loss, MaximumLikelihood):
+        raise ModelError(
+            f"loss={loss!r} is not a loss that finds parameters; "
+            "expected PHSILoss() or MaximumLikelihood()."
+        )
+    is_debiased = task.pruning is not None and task.pruning.debias
+    if loss.model_error and any(task.l1.values()) and not is_debiased:
+        raise ModelError(
+            f"l1={dict(task.l1)!r} and model_error=True of MaximumLikelihood do not go "
+            "together: the estimate with a model error has no L1 term; leave l1 out, "
+            "or take it to choose terms, with pruning=Pruning()."
+        )
     estimate = by_likelihood(task, loss, start)
     if not loss.model_error or not estimate.is_success:
         return estimate
     return with_model_error(estimate)
 
 
-def _check_unshrunk(task: Task) -> None:
-    is_debiased = task.pruning is not None and task.pruning.debias
-    if any(task.l1.values()) and not is_debiased:
-        raise ModelError(
-            f"l1={dict(task.l1)!r} and model_error=True of MaximumLikelihood do not go "
-            "together: the estimate with a model error has no L1 term; leave l1 out, "
-            "or take it to choose terms, with pruning=Pruning()."
-        )
-
-
-def _not_a_loss(loss: object) -> str:
-    return (
-        f"loss={loss!r} is not a loss that finds parameters; "
-        "expected PHSILoss() or MaximumLikelihood()."
-    )
-
-
 def _raise_failure(estimate: Estimate) -> None:
     if not estimate.is_success:
-        raise SolveError(f"The solver failed: {estimate.failure}")
+        raise SolveError(f"The solver failed: {estimate.solution.outcome}")
+
+
+def fit_of(fit: Fit | Model, data: Measurements, verb: str) -> Fit:
+    """The fit itself, or that of a model without free parameters.
+
+    Such a model is compared and diagnosed like a fitted one. What measurements tell of
+    it is the noise and the states.
+
+    Args:
+        fit: a fit, or a model whose parameters are all known.
+        data: measurements of the model's states and inputs.
+        verb: what the fit is for, such as "compare"; it stands in the messages.
+
+    Raises:
+        DataError: a state or input of the model is not in the measurements.
+        ModelError: it is neither, or the model has free parameters.
+        SolveError: no states were found that obey the model.
+    """
+    if isinstance(fit, Fit):
+        return fit
+    if not isinstance(fit, Model):
+        raise ModelError(
+            f"{verb} got a {type(fit).__name__}; expected a Fit, as identify returns, "
+            "or a Model whose parameters are all known."
+        )
+    if fit.free:
+        raise ModelError(
+            f"the model has free parameters ({', '.join(fit.free)}), so it must be "
+            f"fitted first: {verb}(identify(model, data), data). Where their values "
+            f"are known, fix them: {verb}(model.frozen(), data)."
+        )
+    return identify(fit, data)

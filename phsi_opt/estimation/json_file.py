@@ -7,7 +7,7 @@ run as code.
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.reading import file_text, why_not_read
@@ -23,6 +23,16 @@ DAMAGE = (
     OverflowError,
     RecursionError,
 )
+
+
+def made_of(kind: type[Result], content: dict[str, Any]) -> Result:
+    """A data class of its fields by name, each converted to its type.
+
+    Raises:
+        LookupError, TypeError, ValueError: The content is damaged.
+    """
+    types = get_type_hints(kind)
+    return kind(**{name: types[name](content[name]) for name in types})
 
 
 def read_json(

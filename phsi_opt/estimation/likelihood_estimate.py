@@ -1,6 +1,6 @@
 """An estimate by maximum likelihood: deviance, standard errors, part of the fit.
 
-How it is found is the business of `likelihood_solve`.
+How it is found is the business of `likelihood_problem`.
 """
 
 from dataclasses import dataclass, replace
@@ -8,24 +8,26 @@ from functools import cached_property
 
 import numpy as np
 
+from phsi_opt.data.noise import scatter_by_run
 from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_uncertainty import FitUncertainty
-from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
+from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.model_error_table import model_error_rows
-from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.estimation.uncertainty import Uncertainty
-from phsi_opt.model_error.linearization import linearized
-from phsi_opt.model_error.marginal_likelihood import reduced
+from phsi_opt.model_error.disturbance_search import DisturbanceSearch
+from phsi_opt.model_error.gaps import between_samples
+from phsi_opt.model_error.linearization import Linearization, linearized
+from phsi_opt.model_error.marginal_likelihood import ReducedSystem
 from phsi_opt.model_error.standard_errors import (
     PlainEstimate,
     Source,
     StandardErrors,
     standard_errors,
 )
-from phsi_opt.transcription.elimination import ReducedSystem
+from phsi_opt.transcription.elimination import regularized_inverse
 from phsi_opt.transcription.grid import steps_per_gap
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 # Standard deviations that a slack takes over at a residual beyond Huber's limit, at
@@ -36,45 +38,18 @@ CUT_BY_HUBER = 1e-3
 LEAST_SHARE_WITHIN = 0.1
 
 
-@dataclass(frozen=True)
-class HuberMoments:
-    """Moments of the residuals cut at Huber's limit.
-
-    Attributes:
-        mean_square: of the cut residuals, in units of the noise's variance.
-        share_within: of the residuals, those that are not cut.
-    """
-
-    mean_square: float
-    share_within: float
-
-    @property
-    def variance_ratio(self) -> float:
-        """Variance of Huber's estimator over what the squares alone would say.
-
-        E[psi^2] / E[psi']^2 of an M-estimator, from the residuals themselves (Huber
-        1964).
-        """
-        return self.mean_square / self.share_within**2
-
-    @property
-    def rise_ratio(self) -> float:
-        """Rise of Huber's loss over that of squares, per standard error."""
-        return self.mean_square / self.share_within
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LikelihoodEstimate(Estimate):
     """The maximum of the likelihood: parameters, states and noise.
 
     Attributes:
-        transcription: what was solved.
+        likelihood: values and slopes of what was solved.
         sigma: (n_states,) standard deviation of the noise per state.
         is_known: (n_states,) whether it was declared.
     """
 
     loss: MaximumLikelihood
-    transcription: Transcription
+    likelihood: LikelihoodValues
     sigma: np.ndarray
     is_known: np.ndarray
 
@@ -137,9 +112,16 @@ class LikelihoodEstimate(Estimate):
     @cached_property
     def reduced(self) -> ReducedSystem:
         """The likelihood at the solution, states eliminated."""
-        values = self.transcription.values
-        z = self.solution.z[: values.point.scaled.size]
-        return reduced(linearized(values, z, values.at(z)), self.sigma)
+        return ReducedSystem(self.linearized(), self.sigma)
+
+    @property
+    def z(self) -> np.ndarray:
+        """Scaled parameters and states of the solution, (n_variables,)."""
+        return self.solution.z[: len(self.likelihood.scale)]
+
+    def linearized(self) -> Linearization:
+        """Slopes of dynamics and sensors at the solution."""
+        return linearized(self.likelihood, self.z, self.likelihood.at(self.z))
 
     def release(self) -> None:
         """Make room: factors of many states are large; they come again if asked for."""
@@ -150,56 +132,86 @@ class LikelihoodEstimate(Estimate):
 
         Times the ratio that Huber's function costs, where the loss has it.
         """
-        of_squares = uncertainty.of_likelihood(
+        scaled = regularized_inverse(self.reduced.information, self.held)
+        of_squares = uncertainty.of_covariance(
             self.unknown.names,
             self.theta,
             self.point.theta_scale,
-            self.solution,
-            self.reduced,
+            scaled,
+            self.solution.outcome.at_bounds,
         )
-        if self.loss.huber is None:
-            return of_squares
-        return of_squares.widened(self.huber_moments.variance_ratio)
+        # Variance of Huber's estimator over what the squares alone would say:
+        # E[psi^2] / E[psi']^2 of an M-estimator, from the residuals (Huber 1964).
+        ratio = self.score_variance / self.share_within
+        return replace(of_squares, covariance=of_squares.covariance * ratio)
 
     @property
-    def huber_moments(self) -> HuberMoments:
-        """Moments of the residuals at the solution, for a loss with ``huber``."""
-        beyond = sum(self._huber_slacks())
-        is_within = np.asarray(beyond) < CUT_BY_HUBER
-        return HuberMoments(
-            mean_square=float(np.mean(self.standardized**2)),
-            share_within=max(float(np.mean(is_within)), LEAST_SHARE_WITHIN),
-        )
+    def share_within(self) -> float:
+        """Share of the residuals that Huber's function does not cut."""
+        if self.loss.huber is None:
+            return 1.0
+        is_within = np.sum(self._huber_slacks(), axis=0) < CUT_BY_HUBER
+        return max(float(np.mean(is_within)), LEAST_SHARE_WITHIN)
+
+    @property
+    def score_variance(self) -> float:
+        """Variance of the scores over the information of the residuals within.
+
+        With Huber's function it is the rise of the loss over that of squares, per
+        standard error.
+        """
+        if self.loss.huber is None:
+            return 1.0
+        return float(np.mean(self.standardized**2)) / self.share_within
 
     def _huber_slacks(self) -> list[np.ndarray]:
         """What the slacks take over of the residuals beyond Huber's limit."""
         values = self.solution.values
         return [values[name] for name in values if name.startswith("outlier_")]
 
-    @cached_property
-    def solved(self) -> SolvedLikelihood:
-        """The parts of the solved likelihood, to be linearised."""
-        return SolvedLikelihood(
-            task=self.task,
-            transcription=self.transcription,
-            theta=self.theta,
-            nodes=self.nodes,
-            solution=self.solution,
-            sigma=self.sigma,
-            is_known=self.is_known,
-            silent=self.uncertainty.silent,
-        )
+    @property
+    def held(self) -> list[int]:
+        """Places of parameters that ended at a bound."""
+        at_bounds = self.solution.outcome.at_bounds
+        return [i for i, name in enumerate(self.unknown.names) if name in at_bounds]
 
     @property
     def plain(self) -> PlainEstimate:
         """The estimate as one that counts residuals as white noise."""
         residual = self.standardized * self.sigma[self.grid.channel]
-        within = 1.0
-        score_variance = 1.0
-        if self.loss.huber is not None:
-            within = self.huber_moments.share_within
-            score_variance = self.huber_moments.rise_ratio
-        return self.solved.plain(self.reduced, residual, within, score_variance)
+        problem = between_samples(replace(self.linearized(), residual=residual))
+        following = self.reduced.following[self.grid.sample]
+        following = following.reshape(problem.nodes.size, problem.n_theta)
+        return PlainEstimate(
+            search=self.search(problem),
+            covariance=regularized_inverse(self.reduced.information, self.held),
+            in_theta=problem.shown_in_states @ following + problem.shown_in_theta,
+            is_shared=self.unknown.is_shared,
+            within=self.share_within,
+            score_variance=self.score_variance,
+        )
+
+    def search(self, problem: Linearization) -> DisturbanceSearch:
+        """The search for what acts beside the model, from the noise of the solution.
+
+        Parameters at a bound stay there, and so do as many as the data cannot tell from
+        others: a likelihood that is flat along a direction has no finite marginal.
+
+        Args:
+            problem: the likelihood, linearised.
+        """
+        shape = (problem.n_trajectories, len(self.sigma))
+        measured = problem.grid.measured.any(axis=0)
+        scatter = scatter_by_run(self.task.data)
+        stays = [*self.held, *self.uncertainty.silent.pinned]
+        return DisturbanceSearch(
+            problem=problem,
+            moving=np.setdiff1d(np.arange(len(self.theta)), stays),
+            plain=np.broadcast_to(self.sigma, shape).copy(),
+            scatter=np.where(self.is_known, self.sigma, scatter),
+            channels=tuple(np.flatnonzero(measured & ~self.is_known).tolist()),
+            is_brief=not self.task.settings.thorough,
+        )
 
     @cached_property
     def standard_errors(self) -> StandardErrors | None:
@@ -212,7 +224,7 @@ class LikelihoodEstimate(Estimate):
         """The result record, with noise, states and information criterion."""
         return replace(
             super().fit(),
-            noise=self._noise_by_name(),
+            noise=self.noise_by_name(self.sigma),
             bic=self.bic,
             states=self.states,
             steps=tuple(steps_per_gap(self.grid)),
@@ -235,7 +247,9 @@ class LikelihoodEstimate(Estimate):
             source=found.source,
             covariances=covariances,
             freedom=found.spread.freedom,
-            model_error_rows=model_error_rows(self.solved, found.disturbances),
+            model_error_rows=model_error_rows(
+                self.task, self.grid, self.nodes, found.disturbances
+            ),
             log_evidence=found.log_evidence,
         )
 
@@ -245,11 +259,3 @@ class LikelihoodEstimate(Estimate):
         plain = self.uncertainty.covariance
         known = covariance * np.outer(scale, scale)
         return np.where(np.isfinite(plain), known, np.nan)
-
-    def _noise_by_name(self) -> dict[str, float]:
-        """Noise of the states that were measured."""
-        noise = {}
-        for k, name in enumerate(self.model.states):
-            if self.grid.measured[:, k].any():
-                noise[name] = float(self.sigma[k])
-        return noise

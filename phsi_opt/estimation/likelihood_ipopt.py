@@ -11,8 +11,8 @@ import numpy as np
 
 from phsi_opt.estimation.likelihood_steps import Optimum
 from phsi_opt.estimation.noise_estimation import NoiseIteration
-from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.optimization.ipopt import Solution, Solver
+from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 
 MOST_IPOPT_SOLVES = 6  # with a noise re-estimated
@@ -30,7 +30,7 @@ NEARLY_HOLDING = 1e-2  # scaled defect up to which IPOPT begins where full steps
 
 
 def by_ipopt(
-    transcription: Transcription,
+    program: Program,
     settings: SolverSettings,
     noise: NoiseIteration,
     sigma: np.ndarray,
@@ -39,13 +39,12 @@ def by_ipopt(
     """The optimum and its noise, or how far IPOPT went.
 
     Args:
-        transcription: of the likelihood.
+        program: of the likelihood.
         settings: tolerance and limits.
         noise: re-estimates what is not given.
         sigma: (n_states,) noise to start from.
         by_steps: where full steps ended that did not settle; None: there were none.
     """
-    program = transcription.program
     starts = {False: program.start, True: program.start}  # by whether it is exact
     if by_steps is not None:
         if by_steps.solution.outcome.infeasibility < NEARLY_HOLDING:
@@ -65,7 +64,7 @@ def _settled(
 ) -> Optimum:
     """Solved again and again with better noise."""
     for _ in range(MOST_IPOPT_SOLVES):
-        solution = solver.solve(z, sigma, raise_on_failure=False)
+        solution = solver.solve(z, sigma)
         solution = noise_free_is_success(solution)
         if not solution.outcome.success or not noise.is_estimated.any():
             break
@@ -73,7 +72,8 @@ def _settled(
         has_settled = noise.has_settled(sigma, updated)
         z, sigma = solution.z, updated
         if has_settled:
-            return Optimum(solver.at(solution, sigma), sigma)
+            settled = solver.solution(z, sigma, solution.outcome)
+            return Optimum(settled, sigma)
     return Optimum(solution, sigma)
 
 

@@ -1,8 +1,12 @@
-"""A likelihood before its first solve: the task, the loss, and what noise is known.
+"""The likelihood of a task, and how it is maximised from a starting point.
 
-What would make the problem unsolvable is refused here, before any time is spent.
+What would make it unsolvable is refused before any time is spent. Then full steps
+(`likelihood_steps`); where the start is not near, along a missing force that shrinks;
+where the steps do not settle, and where the program has slack variables, IPOPT
+(`likelihood_ipopt`). Where to start is the business of `likelihood_start`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +14,26 @@ import numpy as np
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
-from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_ipopt import by_ipopt
+from phsi_opt.estimation.likelihood_steps import by_steps, continued
+from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.residual_scatter import is_at_scatter
+from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.augmented_states import memory_start_bounds
+from phsi_opt.transcription.grid import interpolate_at_nodes
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
+
+FIRST_STEPS = 12  # from a crude start: few are enough where it is near
+# The memory that a trajectory begins with is free; that of a short delay fades within a
+# few samples. With coarse steps there it could take values far off for the sake of the
+# first residuals, and a simulation from them would go astray.
+FADING_GAPS = 4  # gaps between samples from the start
+FADING_STEPS = 16  # intervals in each of them, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +62,49 @@ class NoiseLevels:
 
 
 @dataclass(frozen=True, eq=False)
+class StartingPoint:
+    """Where the maximisation of a likelihood begins.
+
+    Attributes:
+        model: with the guesses of its parameters resolved.
+        theta: (n_theta,) values in the order of `Theta`.
+        states: (n_samples, n_states) per trajectory, at the samples.
+        sigma: (n_states,) noise.
+        notes: sentences for the warnings of the fit.
+        steps: intervals in every gap between samples, (n_samples - 1,) per trajectory;
+            empty: one, or what the loss says.
+        held: parameters that a solve left at their bounds.
+        is_optimum: whether it is one of this very model, with other steps or
+            measurements; then its states need not be found anew.
+    """
+
+    model: Model
+    theta: np.ndarray
+    states: tuple[np.ndarray, ...]
+    sigma: np.ndarray
+    notes: tuple[str, ...] = ()
+    steps: tuple[np.ndarray, ...] = ()
+    held: tuple[str, ...] = ()
+    is_optimum: bool = False
+
+    @classmethod
+    def at(
+        cls, estimate: LikelihoodEstimate, steps: Sequence[np.ndarray]
+    ) -> "StartingPoint":
+        """At an estimate, with ``steps`` of its own."""
+        return cls(
+            model=estimate.model,
+            theta=estimate.theta,
+            states=estimate.states,
+            sigma=estimate.sigma,
+            steps=tuple(steps),
+            held=estimate.solution.outcome.at_bounds,
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class LikelihoodProblem:
-    """The likelihood of a task.
+    """The likelihood of a task, ready to be maximised.
 
     Attributes:
         task: what was asked for.
@@ -76,29 +135,134 @@ class LikelihoodProblem:
         """``sigma`` (n_states,) in place of the noise that was not declared."""
         return replace(self, noise=self.noise.with_estimates(sigma))
 
-    def smooth_states(
-        self,
-        model: Model,
-        grid: Grid,
-        theta: np.ndarray | None = None,
-        *,
-        rounds: int,
-    ) -> ForceEstimate:
-        """States and missing force at parameters theta (n_theta,); see `smoothed`.
+    def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
+        """The optimum of the whole record, however far off the start is.
 
-        Raises:
-            SolveError: if no states are found.
+        Where steps from the start lead to an optimum that leaves more than the scatter
+        of the samples, the likelier of this and of the one along the missing force.
         """
-        return smoothed(
-            model,
-            grid,
-            self.noise.sigma,
-            self.loss.integrator,
-            self.noise.is_known,
-            theta,
-            rounds=rounds,
-            least_noise=self.noise.least,
+        start = replace(start, steps=self._steps(start))
+        settings = self.task.settings
+        if settings.thorough and not start.is_optimum:
+            found = []
+            if settings.has_own_steps:
+                near = self.solve(start, most_steps=FIRST_STEPS)
+                if near.is_success and is_at_scatter(near):
+                    return near
+                found.append(near)
+            there = self.continued(start)
+            found.append(self.solve(start if there is None else there))
+            return likeliest(found)
+        near = self.solve(start)
+        there = None if near.is_success else self.continued(start)
+        return near if there is None else self.solve(there)
+
+    def continued(self, start: StartingPoint) -> StartingPoint | None:
+        """A start that nearly solves the model, along a missing force that shrinks.
+
+        None where it leads nowhere. Outliers count in full on the way, and L1 for
+        nothing.
+        """
+        values = self._values(start)
+        z = continued(values, start.sigma)
+        if z is None:
+            return None
+        unscaled = values.point.unscaled(z)
+        x = unscaled["x"].reshape(-1, start.model.n_states)[values.grid.sample]
+        states = self.task.grid.split(x)
+        return replace(start, theta=unscaled["theta"], states=states, is_optimum=True)
+
+    def _steps(self, start: StartingPoint) -> tuple[np.ndarray, ...]:
+        """Intervals in every gap between samples, fine where a memory fades."""
+        steps = start.steps
+        if not steps:
+            n_steps = self.loss.steps or 1
+            runs = self.task.data.trajectories
+            steps = tuple(np.full(run.n_samples - 1, n_steps) for run in runs)
+        if not start.model.memory:
+            return steps
+        return tuple(_fine_at_start(of_run) for of_run in steps)
+
+    def solve(
+        self,
+        start: StartingPoint,
+        *,
+        l1: dict[str, float] | None = None,
+        most_steps: int | None = None,
+    ) -> LikelihoodEstimate:
+        """Solve from a starting point that has its steps.
+
+        Noise that is not known is re-estimated until it stays.
+
+        Args:
+            start: with ``steps``.
+            l1: weights; None: those of the task.
+            most_steps: full steps to try, and no IPOPT after them; None: as many as it
+                takes, then IPOPT.
+        """
+        l1 = self.task.l1 if l1 is None else l1
+        values = self._values(start)
+        noise = NoiseIteration(
+            grid=values.grid,
+            is_estimated=~self.noise.is_known,
+            n_theta=len(values.unknown),
+            huber=self.loss.huber,
+            has_l1=any(l1.values()),
+            least=self.noise.least,
         )
+        settings = self.task.settings
+        optimum = None
+        if settings.has_own_steps and not self.loss.has_slacks(values.unknown, l1):
+            if most_steps is not None:
+                most = min(most_steps, settings.max_iterations)
+                settings = replace(settings, max_iterations=most)
+            z = values.point.scaled
+            optimum = by_steps(values, settings, noise, z, start.sigma)
+        is_found = optimum is not None and optimum.solution.outcome.success
+        if optimum is None or not (is_found or most_steps is not None):
+            program = self.loss.program(values, l1, start.sigma)
+            optimum = by_ipopt(program, settings, noise, start.sigma, optimum)
+        self.task.say(
+            f"maximum likelihood, {len(values.unknown)} parameters, "
+            f"{values.point.x.size} states: {optimum.solution.outcome}"
+        )
+        return LikelihoodEstimate(
+            task=self.task,
+            loss=self.loss,
+            model=values.model,
+            grid=values.grid,
+            unknown=values.unknown,
+            point=values.point,
+            likelihood=values,
+            solution=optimum.solution,
+            l1=l1,
+            sigma=optimum.sigma,
+            is_known=self.noise.is_known,
+        )
+
+    def _values(self, start: StartingPoint) -> LikelihoodValues:
+        """The likelihood laid out, its point at the start."""
+        model = start.model
+        grid = self.task.aligned.grid_with(start.steps)
+        unknown = Theta.of(model, self.task.runs)
+        pairs = zip(start.states, start.steps, strict=True)
+        nodes = np.concatenate([interpolate_at_nodes(x, n) for x, n in pairs])
+        point = point_at(model, grid, unknown, start.theta, nodes, start.held)
+        parameters = np.asarray(unknown.by_trajectory(start.theta))
+        bounds = memory_start_bounds(model, grid, nodes, parameters)
+        point = replace(point, x_bounds=bounds)
+        return LikelihoodValues(model, grid, self.loss.integrator, point, unknown)
+
+
+def likeliest(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
+    """The optimum of the smallest deviance; one that is none comes last."""
+    return min(estimates, key=lambda e: (not e.is_success, e.deviance))
+
+
+def _fine_at_start(steps: np.ndarray) -> np.ndarray:
+    """The steps of a trajectory, many where what it began with as memory fades."""
+    is_fading = np.arange(len(steps)) < FADING_GAPS
+    return np.where(is_fading, np.maximum(steps, FADING_STEPS), steps)
 
 
 def _check_sensors(task: Task) -> None:

@@ -2,7 +2,7 @@
 
 At a fit, or at a crude start: states from the data and the model's own kinematics,
 parameters as they are given. It need not be near: a missing force that shrinks leads
-from there (`likelihood_steps`). Further points are those of `multi_start`.
+from there (`likelihood_steps`). Further points are those of `several_starts`.
 """
 
 from dataclasses import replace
@@ -10,14 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
+from phsi_opt.estimation.missing_force import smoothed
 from phsi_opt.estimation.phsi_solve import PHSIEstimate, PHSISolver, best_of_starts
 from phsi_opt.estimation.problem import silent
-from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.convex_start import starting_values
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
-from phsi_opt.initialization.scaling import with_states
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
@@ -34,11 +33,10 @@ def crude_start(problem: LikelihoodProblem) -> StartingPoint:
     task = problem.task
     dynamics = task.model.dynamics()
     guessed = resolve_guesses(dynamics, task.grid, np.nan_to_num(task.grid.y))
-    kinematic = kinematic_states(guessed, task.grid)
-    x = kinematic.x
+    x, is_complete = kinematic_states(guessed, task.grid)
     dynamics = resolve_guesses(dynamics, task.grid, x)
     values = [dynamics.entries[name].parameter.value for name in dynamics.free]
-    is_told = kinematic.is_complete and not dynamics.memory
+    is_told = is_complete and not dynamics.memory
     if None not in values or not is_told:
         return _at_values(problem, dynamics, task.grid, x)
     found = _by_phsi_loss(problem, dynamics, task.grid, x)
@@ -53,17 +51,15 @@ def _by_phsi_loss(
 ) -> PHSIEstimate:
     """Parameters of the dynamics where the states at the nodes are x, never pruned."""
     task = replace(problem.task, model=dynamics, pruning=None, say=silent)
-    known = with_states(grid, x)
+    known = replace(grid, y=x)  # as if the states had been measured at every node
     solver = PHSISolver(task, PHSILoss(problem.loss.integrator), known)
     estimates = []
     for theta in starting_values(dynamics, known, task.l1):
         estimates.append(solver.solve(dynamics, theta, task.l1))
-    return best_of_starts(estimates, _by_objective)
-
-
-def _by_objective(estimate: PHSIEstimate) -> tuple[bool, float]:
-    """Success first, then the smaller objective."""
-    return not estimate.is_success, estimate.solution.outcome.objective
+    # Success first, then the smaller objective.
+    return best_of_starts(
+        estimates, lambda e: (not e.is_success, e.solution.outcome.objective)
+    )
 
 
 def _at_values(
@@ -91,7 +87,12 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     grid = task.grid
     lengths = [run.n_samples for run in task.data.trajectories]
     has_states = [len(x) for x in start.states] == lengths
-    x = _common_states(start, task.model) if has_states else np.nan_to_num(grid.y)
+    x = np.nan_to_num(grid.y)
+    if has_states:
+        # Those that the model has too.
+        fitted = start.model.states
+        common = [fitted.index(name) for name in task.model.states if name in fitted]
+        x = np.concatenate(start.states)[:, common]
     model = resolve_guesses(task.model, grid, x)
     unknown = Theta.of(task.model, task.runs)
     theta = unknown.from_values(start.estimates, unknown.spread(model.theta))
@@ -103,7 +104,9 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
         states = states_at(problem, model, theta)
     has_steps = [len(n) + 1 for n in start.steps] == lengths
     keeps_steps = has_steps and problem.loss.steps is None
-    is_related = has_states and _solves_a_model_like(start, task.model)
+    # What solved the fit will solve a model of the same corners.
+    has_corners = set(corner_widths(start.model)) <= set(task.model.entries)
+    is_related = has_states and start.outcome.success and has_corners
     has_same_names = set(start.names) == set(unknown.names)
     return StartingPoint(
         model=model,
@@ -114,19 +117,6 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
         held=start.outcome.at_bounds,
         is_optimum=is_related and has_same_names,
     )
-
-
-def _common_states(start: Fit, model: Model) -> np.ndarray:
-    """States of a fit that the model has too, at the samples of all trajectories."""
-    fitted = start.model.states
-    common = [fitted.index(name) for name in model.states if name in fitted]
-    return np.concatenate(start.states)[:, common]
-
-
-def _solves_a_model_like(start: Fit, model: Model) -> bool:
-    """Whether what solved the fit will solve the model, which has the same corners."""
-    has_corners = set(corner_widths(start.model)) <= set(model.entries)
-    return start.outcome.success and has_corners
 
 
 def states_at(
@@ -143,5 +133,15 @@ def states_at(
     if grid.measured.all() and not model.sensor:
         return grid.split(grid.y)
     values = Theta.of(model, problem.task.runs).by_trajectory(theta)
-    smoothing = problem.smooth_states(model, grid, values, rounds=1)
-    return grid.split(smoothing.x)
+    noise = problem.noise
+    found = smoothed(
+        model,
+        grid,
+        noise.sigma,
+        values,
+        rounds=1,
+        known_noise=noise.is_known,
+        integrator=problem.loss.integrator,
+        least_noise=noise.least,
+    )
+    return grid.split(found.x)

@@ -27,9 +27,14 @@ from phsi_opt.model_error.joint_estimate import (
     Target,
 )
 from phsi_opt.model_error.linearization import Linearizer
-from phsi_opt.optimization.endings import STEPS_OPTIMUM, STEPS_STALLED
 from phsi_opt.optimization.ipopt import Solution, names_at_bounds
-from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.outcome import (
+    DIRECT_STEPS,
+    FOUND,
+    OTHERWISE,
+    STALLED,
+    Outcome,
+)
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 
@@ -96,24 +101,54 @@ def by_steps(
         if has_settled:
             target = EXACTLY
     is_found = is_found and joint is not None and joint.violation < SETTLED_VIOLATION
-    ending = STEPS_OPTIMUM if is_found else STEPS_STALLED
     known = values.at(z)
-    residual = _mean_residual(known.misfit, sigma, values)
+    solution = solution_of_steps(
+        values,
+        z,
+        _mean_residual(known.misfit, sigma, values),
+        violation=float(np.max(np.abs(known.g), initial=0.0)),
+        n_steps=n_steps,
+        is_found=is_found,
+        began=began,
+    )
+    return Optimum(solution, sigma)
+
+
+def solution_of_steps(
+    values: LikelihoodValues,
+    z: np.ndarray,
+    residual: np.ndarray,
+    *,
+    violation: float,
+    n_steps: int,
+    is_found: bool,
+    began: float,
+) -> Solution:
+    """Where steps ended, told as IPOPT's solutions are.
+
+    Args:
+        values: of the likelihood.
+        z: (n_variables,) scaled variables there.
+        residual: (n_values,), whose squares the objective halves.
+        violation: the largest of the scaled dynamics.
+        n_steps: how many steps there were.
+        is_found: whether it is an optimum.
+        began: when they began.
+    """
     outcome = Outcome(
-        success=ending.is_usable,
-        status=ending.status,
-        sentence=ending.sentence,
-        advice=ending.advice,
+        success=is_found,
+        status=DIRECT_STEPS,
+        sentence=FOUND if is_found else STALLED,
+        advice="" if is_found else OTHERWISE,
         iterations=n_steps,
         seconds=time.perf_counter() - began,
         objective=float(residual @ residual) / 2,
-        infeasibility=float(np.max(np.abs(known.g), initial=0.0)),
+        infeasibility=violation,
         at_bounds=names_at_bounds(
             values.unknown.names, z, (values.lower, values.upper)
         ),
     )
-    solution = Solution(values.point.unscaled(z), z, residual, outcome)
-    return Optimum(solution, sigma)
+    return Solution(values.point.unscaled(z), z, residual, outcome)
 
 
 def continued(values: LikelihoodValues, sigma: np.ndarray) -> np.ndarray | None:

@@ -15,16 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from phsi_opt.estimation.best_optimum import best_optimum
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
-from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.likelihood_start import crude_start, from_fit
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.residual_scatter import scatter_warnings
-from phsi_opt.estimation.resolution_notes import resolution_notes
-from phsi_opt.estimation.starting_point import StartingPoint
+from phsi_opt.estimation.residual_scatter import resolution_notes, scatter_warnings
+from phsi_opt.estimation.several_starts import best_optimum
 from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.estimation.support_selection import pruned
 from phsi_opt.model.model import Model
@@ -45,21 +42,20 @@ def by_likelihood(
         DataError: as `LikelihoodProblem.of`.
     """
     problem = LikelihoodProblem.of(task, loss)
-    solver = LikelihoodSolver(problem)
     first = crude_start(problem) if start is None else from_fit(problem, start)
-    estimate = best_optimum(solver, first)
+    estimate = best_optimum(problem, first)
     if loss.steps is None and task.settings.thorough:
-        estimate = _with_fine_steps(solver, estimate)
-    estimate = _with_few_terms(solver, estimate)
+        estimate = _with_fine_steps(problem, estimate)
+    estimate = _with_few_terms(problem, estimate)
     warnings = scatter_warnings(estimate, problem.noise.is_known)
-    warnings += resolution_notes(estimate, problem.noise)
+    warnings += resolution_notes(estimate, problem.noise.is_known, problem.noise.least)
     if not warnings:
         return estimate  # with all that has been worked out about it
     return replace(estimate, notes=estimate.notes + warnings)
 
 
 def _with_fine_steps(
-    solver: LikelihoodSolver, estimate: LikelihoodEstimate
+    problem: LikelihoodProblem, estimate: LikelihoodEstimate
 ) -> LikelihoodEstimate:
     """Solved again with finer steps until the integration error is not visible.
 
@@ -70,13 +66,13 @@ def _with_fine_steps(
         if steps is None:
             break
         most = max(int(np.max(of_trajectory)) for of_trajectory in steps)
-        solver.task.say(
+        problem.task.say(
             "integration error is visible in the estimates: "
             f"{most} steps per sample at most"
         )
         there = replace(StartingPoint.at(estimate, steps), is_optimum=True)
         estimate.release()
-        finer = solver.solve(there)
+        finer = problem.solve(there)
         if not finer.is_success:
             return replace(estimate, notes=(*estimate.notes, _coarse(most)))
         estimate = replace(finer, notes=estimate.notes)
@@ -93,19 +89,19 @@ def _coarse(most: int) -> str:
 
 
 def _with_few_terms(
-    solver: LikelihoodSolver, estimate: LikelihoodEstimate
+    problem: LikelihoodProblem, estimate: LikelihoodEstimate
 ) -> LikelihoodEstimate:
     """Pruned, with the steps of the estimate."""
     steps = steps_per_gap(estimate.grid)
 
     def resolve(
-        known: LikelihoodEstimate,
         model: Model,
         theta: np.ndarray,
         l1: dict[str, float],
+        known: LikelihoodEstimate,
     ) -> LikelihoodEstimate:
         start = StartingPoint.at(known, steps)
         start = replace(start, model=model, theta=theta)
-        return solver.solve(start, l1=l1)
+        return problem.solve(start, l1=l1)
 
     return pruned(estimate, resolve)

@@ -7,9 +7,9 @@ noise, is chosen by marginal likelihood at the linearised solution. Both take tu
 until the sizes settle.
 """
 
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -155,27 +155,54 @@ def estimate_force(
     """
     forces = generous_force(model, grid, point) if forces is None else forces
     noise = np.tile(sigma, (int(grid.trajectory[-1]) + 1, 1))
-    search = _Search(
-        linearizer=Linearizer(_values(model, grid, point, integrator)),
-        disturbances=Disturbances(noise, forces, sensors),
-        channels=_unknown_channels(grid, known_noise),
-        least_noise=np.broadcast_to(least_noise, len(sigma)),
-        is_patient=is_patient,
-    )
+    disturbances = Disturbances(noise, forces, sensors)
+    unknown = grid.measured.any(axis=0) & ~np.broadcast_to(known_noise, len(sigma))
+    channels = tuple(np.flatnonzero(unknown).tolist())
+    linearizer = Linearizer(_values(model, grid, point, integrator))
+    last: JointPoint | None = None
+
+    def solved(start: JointPoint | None, most_steps: int) -> JointEstimate:
+        problem = JointProblem(linearizer, disturbances, NO_PARAMETERS)
+        z = linearizer.values.point.scaled if start is None else start.z
+        return problem.optimum(z, most_steps, start)
+
     for n_left in reversed(range(rounds)):
-        found = search.solve(is_last=n_left == 0)
-        before = search.disturbances
-        posterior = search.update_sizes(found)
-        change = search.disturbances.distance(before)
-        if change < SETTLED_SIZE and found.has_converged:
+        found = solved(last, ROUGHLY)
+        if _is_lost(found):
+            # A force large enough lets the states follow the data, whatever the model.
+            larger = _scaled(disturbances.forces, GENEROUS)
+            disturbances = replace(disturbances, forces=larger)
+            found = solved(None, ROUGHLY)
+        is_unfinished = n_left == 0 and not found.has_converged
+        if is_patient and (_is_lost(found) or is_unfinished):
+            found = solved(found.point, THOROUGHLY)
+        if _is_lost(found):
+            raise SolveError(
+                "the missing force could not be estimated: no states obey the model "
+                f"beside a force (largest violation {found.violation:.2g} after "
+                f"{found.n_steps} steps); start from other values, or round what is "
+                "sharp in the model."
+            )
+        last = found.point
+        # Sizes of the largest marginal likelihood at the solution.
+        coordinates = Coordinates(
+            origin=disturbances,
+            channels=channels,
+            least_noise=np.broadcast_to(least_noise, len(sigma)),
+            fixed_times=True,
+        )
+        sized = climbed(found.likelihood, coordinates, channels, SIZE_STEPS)
+        before = disturbances
+        disturbances = coordinates.at(sized.vector)
+        if disturbances.distance(before) < SETTLED_SIZE and found.has_converged:
             break
-    x = search.linearizer.values.point.unscaled(found.point.z)["x"]
+    x = linearizer.values.point.unscaled(found.point.z)["x"]
     n_forces = len(forces) * grid.n_intervals
     return ForceEstimate(
         x=x.reshape(point.x.shape),
         w=found.point.processes[:n_forces].reshape(len(forces), -1).T,
         grid=grid,
-        posterior=posterior,
+        posterior=ForcePosterior(found.likelihood, disturbances),
         has_converged=found.has_converged,
     )
 
@@ -194,80 +221,6 @@ def _values(
     return LikelihoodValues(model, grid, integrator, point, unknown)
 
 
-def _unknown_channels(grid: Grid, known: Known) -> tuple[int, ...]:
-    """Measured states whose noise is not known."""
-    is_known = np.broadcast_to(known, grid.y.shape[1])
-    unknown = grid.measured.any(axis=0) & ~is_known
-    return tuple(np.flatnonzero(unknown).tolist())
-
-
-@dataclass(eq=False)
-class _Search:
-    """States and force, solved for better and better sizes.
-
-    Attributes:
-        linearizer: of the likelihood; where its values begin is where a search begins.
-        disturbances: noise and force, with their present sizes.
-        channels: states whose noise is not known.
-        least_noise: (n_states,) below which that does not fall.
-        is_patient: whether many steps are taken where few are not enough.
-    """
-
-    linearizer: Linearizer
-    disturbances: Disturbances
-    channels: tuple[int, ...]
-    least_noise: np.ndarray
-    is_patient: bool
-    _last: JointPoint | None = None
-
-    def solve(self, *, is_last: bool) -> JointEstimate:
-        """The solution for the present sizes, from the last solution.
-
-        Raises:
-            SolveError: there is none, with a generous force and, where the search is
-                patient, many steps either.
-        """
-        found = self._solved(self._last, ROUGHLY)
-        if _is_lost(found):
-            # A force large enough lets the states follow the data, whatever the model.
-            forces = _scaled(self.disturbances.forces, GENEROUS)
-            self.disturbances = replace(self.disturbances, forces=forces)
-            found = self._solved(None, ROUGHLY)
-        is_unfinished = is_last and not found.has_converged
-        if self.is_patient and (_is_lost(found) or is_unfinished):
-            found = self._solved(found.point, THOROUGHLY)
-        if _is_lost(found):
-            raise SolveError(
-                "the missing force could not be estimated: no states obey the model "
-                f"beside a force (largest violation {found.violation:.2g} after "
-                f"{found.n_steps} steps); start from other values, or round what is "
-                "sharp in the model."
-            )
-        self._last = found.point
-        return found
-
-    def _solved(self, start: JointPoint | None, most_steps: int) -> JointEstimate:
-        problem = JointProblem(self.linearizer, self.disturbances, NO_PARAMETERS)
-        z = self.linearizer.values.point.scaled if start is None else start.z
-        return problem.optimum(z, most_steps, start)
-
-    def update_sizes(self, found: JointEstimate) -> ForcePosterior:
-        """Move the sizes to the largest marginal likelihood at the solution.
-
-        Returns:
-            The linearised record, for the sizes before the last update.
-        """
-        coordinates = Coordinates(
-            origin=self.disturbances,
-            channels=self.channels,
-            least_noise=self.least_noise,
-            fixed_times=True,
-        )
-        sized = climbed(found.likelihood, coordinates, self.channels, SIZE_STEPS)
-        self.disturbances = coordinates.at(sized.vector)
-        return ForcePosterior(found.likelihood, self.disturbances)
-
-
 def _scaled(forces: Forces, factor: float) -> Forces:
     return tuple(replace(force, size=factor * force.size) for force in forces)
 
@@ -276,8 +229,6 @@ def _is_lost(found: JointEstimate) -> bool:
     return not found.has_converged and found.violation > LOST
 
 
-# A factor on the width of corners, and the forces to begin with.
-_Attempt = tuple[float, Forces]
 # Factors on the width of corners that are too sharp.
 ROUNDER = (1.0, 4.0, 16.0, 64.0)
 # Factor on the force's usual size where no search from it ends well: beside a corner of
@@ -289,14 +240,10 @@ def smoothed(
     model: Model,
     grid: Grid,
     sigma: np.ndarray,
-    integrator: str,
-    known_noise: Known,
     theta: np.ndarray | None = None,
     *,
-    rounds: int = 3,
     forces: Forces | None = None,
-    sensors: tuple[Process, ...] = (),
-    least_noise: np.ndarray | float = 0.0,
+    **options: Any,
 ) -> ForceEstimate:
     """States, also unmeasured ones, and missing force at given parameters.
 
@@ -309,15 +256,10 @@ def smoothed(
             given.
         grid: Nodes, intervals and measurements.
         sigma: (n_states,) noise to begin with.
-        integrator: The scheme of the defects.
-        known_noise: Whether ``sigma`` is known and stays, of all states or of each.
         theta: Other values, (n_free, n_trajectories) where trajectories have parameters
             of their own.
-        rounds: Solves, each followed by updates of the sizes, at most.
         forces: to begin with; None: `generous_force`.
-        sensors: errors of sensors that last, to begin with.
-        least_noise: Below which noise that is not known does not fall, of all states or
-            (n_states,).
+        **options: Those of `estimate_force`.
 
     Raises:
         SolveError: No force was found, with rounded corners either.
@@ -329,68 +271,42 @@ def smoothed(
     values = model.values
     widths = {name: values[name] for name in corner_widths(model)}
 
-    def searched(factor: float, begun: Forces, is_patient: bool) -> ForceEstimate:
-        rounded = {}
-        if factor != 1:
-            rounded = {name: factor * width for name, width in widths.items()}
-        estimate = estimate_force(
-            model.with_values(rounded),
-            grid,
-            point,
-            sigma,
-            rounds=rounds,
-            known_noise=known_noise,
-            forces=begun,
-            sensors=sensors,
-            integrator=integrator,
-            least_noise=least_noise,
-            is_patient=is_patient,
-        )
-        return replace(estimate, rounded=rounded)
+    def first_found(is_patient: bool) -> tuple[tuple[float, Forces], ForceEstimate]:
+        """The first attempt whose search ended well, else the first of all."""
+        unfinished = None
+        for factor, begun in attempts:
+            rounded = {}
+            if factor != 1:
+                rounded = {name: factor * width for name, width in widths.items()}
+            try:
+                estimate = estimate_force(
+                    model.with_values(rounded),
+                    grid,
+                    point,
+                    sigma,
+                    forces=begun,
+                    is_patient=is_patient,
+                    **options,
+                )
+            except SolveError as error:
+                failure = error
+                continue
+            found = (factor, begun), replace(estimate, rounded=rounded)
+            if estimate.has_converged:
+                return found
+            unfinished = unfinished or found
+        if unfinished is None:
+            raise failure
+        return unfinished
 
+    # Factors on the width of corners, and the forces to begin with.
     attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
     attempts.append((1.0, _scaled(usual, SMALL)))
-    found = None
     if widths:
         # Beside a corner that can be rounded, patience is for when all else fails.
         with suppress(SolveError):
-            found = _first_found(searched, attempts, is_patient=False)
-    if found is not None:
-        if found.estimate.has_converged:
-            return found.estimate
-        attempts = [found.attempt]
-    return _first_found(searched, attempts, is_patient=True).estimate
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """An estimate, with the factor on widths and the forces that it began with."""
-
-    attempt: _Attempt
-    estimate: ForceEstimate
-
-
-def _first_found(
-    searched: Callable[[float, Forces, bool], ForceEstimate],
-    attempts: Sequence[_Attempt],
-    is_patient: bool,
-) -> _Found:
-    """The first estimate whose search ended well, else the first of all.
-
-    Raises:
-        SolveError: No search led anywhere.
-    """
-    unfinished = None
-    for factor, begun in attempts:
-        try:
-            estimate = searched(factor, begun, is_patient)
-        except SolveError as error:
-            failure = error
-            continue
-        found = _Found((factor, begun), estimate)
-        if estimate.has_converged:
-            return found
-        unfinished = unfinished or found
-    if unfinished is None:
-        raise failure
-    return unfinished
+            attempt, estimate = first_found(is_patient=False)
+            if estimate.has_converged:
+                return estimate
+            attempts = [attempt]
+    return first_found(is_patient=True)[1]

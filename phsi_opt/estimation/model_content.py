@@ -4,7 +4,6 @@ Formulas stay text. Reading one goes through the whitelist of `expressions`, whe
 model checks its terms.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
@@ -37,44 +36,28 @@ def model_content(model: Model) -> Content:
         "H": _dictionary_content(model.H),
     }
     for slot in BY_EQUATION:
-        content[slot] = _slot_content(getattr(model, slot))
+        by_equation = getattr(model, slot).items()
+        content[slot] = {
+            name: _dictionary_content(terms) for name, terms in by_equation
+        }
     return content
 
 
-def _slot_content(by_equation: Mapping[str, Dictionary]) -> Content:
-    return {name: _dictionary_content(terms) for name, terms in by_equation.items()}
-
-
 def _dictionary_content(terms: Dictionary) -> list[Content]:
-    return [_term_content(term) for term in terms]
-
-
-def _term_content(term: Term) -> Content:
-    coefficient = None
-    if term.coefficient is not None:
-        coefficient = _parameter_content(term.coefficient)
-    inner = {name: _parameter_content(p) for name, p in term.inner.items()}
-    return {
-        "body": term.body,
-        "coefficient": coefficient,
-        "inner": inner,
-        "name": term.name,
-    }
+    found = []
+    for term in terms:
+        inner = {name: _parameter_content(one) for name, one in term.inner.items()}
+        coefficient = term.coefficient and _parameter_content(term.coefficient)
+        found.append({**vars(term), "coefficient": coefficient, "inner": inner})
+    return found
 
 
 def _parameter_content(parameter: Parameter) -> Content:
-    guess = None
-    if parameter.guess is not None:
-        guess = [type(parameter.guess).__name__, *vars(parameter.guess).values()]
-    return {
-        "value": parameter.value,
-        "lower": parameter.lower,
-        "upper": parameter.upper,
-        "unit": parameter.unit,
-        "fixed": parameter.fixed,
-        "guess": guess,
-        "per_trajectory": parameter.per_trajectory,
-    }
+    guess = parameter.guess and [
+        type(parameter.guess).__name__,
+        *vars(parameter.guess).values(),
+    ]
+    return {**vars(parameter), "guess": guess}
 
 
 def model_from(content: Content) -> Model:
@@ -91,27 +74,23 @@ def model_from(content: Content) -> Model:
         "kind": content.get("kinds", {}),
     }
     for slot in BY_EQUATION:
-        parts[slot] = _slot_from(content.get(slot, {}))
+        by_equation = content.get(slot, {}).items()
+        parts[slot] = {name: _dictionary_from(terms) for name, terms in by_equation}
     if content["kind"] == "PseudoHamiltonian":
         parts["S"] = content["S"]
         parts["H"] = _dictionary_from(content["H"])
     return KINDS[content["kind"]](**parts)
 
 
-def _slot_from(content: Content) -> dict[str, Dictionary]:
-    return {name: _dictionary_from(terms) for name, terms in content.items()}
-
-
 def _dictionary_from(content: list[Content]) -> Dictionary:
-    return Dictionary(tuple(_term_from(term) for term in content))
-
-
-def _term_from(content: Content) -> Term:
-    coefficient = None
-    if content["coefficient"] is not None:
-        coefficient = _parameter_from(content["coefficient"])
-    inner = {name: _parameter_from(p) for name, p in content["inner"].items()}
-    return Term(content["body"], coefficient, inner, content["name"])
+    terms = []
+    for term in content:
+        coefficient = term["coefficient"]
+        if coefficient is not None:
+            coefficient = _parameter_from(coefficient)
+        inner = {name: _parameter_from(one) for name, one in term["inner"].items()}
+        terms.append(Term(term["body"], coefficient, inner, term["name"]))
+    return Dictionary(tuple(terms))
 
 
 def _parameter_from(content: Content) -> Parameter:

@@ -1,15 +1,16 @@
 """What was found beside a model, as rows of a table: where, how large, how lasting."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
+from phsi_opt.estimation.problem import Task
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.processes import Process
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
+from phsi_opt.transcription.grid import Grid
 
 SENSOR_ERROR = "sensor error"  # kind of a row
 OF_SENSOR = "sensor of "  # where it is, before the name of a state
@@ -40,21 +41,54 @@ class ModelErrorRow:
 
 
 def model_error_rows(
-    solved: SolvedLikelihood, disturbances: Disturbances
+    task: Task, grid: Grid, nodes: np.ndarray, disturbances: Disturbances
 ) -> tuple[ModelErrorRow, ...]:
-    """A row per disturbance beside white noise, forces first."""
-    table = _Rows(solved)
+    """A row per disturbance beside white noise, forces first.
+
+    Args:
+        task: what was asked for.
+        grid: nodes and measurements.
+        nodes: (n_nodes, n_states) states.
+        disturbances: what was found.
+    """
+    states = task.model.states
+    units = task.data.units
+    typical = np.sqrt(np.mean(grid.rates(nodes) ** 2, axis=0))
     rows = []
+
+    def add(
+        kind: str, place: int, size: float, time: float, *, is_sensor: bool = False
+    ) -> None:
+        state = states[place]
+        if is_sensor:
+            where, unit = f"{OF_SENSOR}{state}", units.get(state, "")
+            whole = float(np.nanstd(grid.y[:, place]))
+        else:
+            where, unit = f"d{state}/dt", _rate_unit(units, state)
+            whole = float(typical[place])
+        share = size / max(whole, TINY)
+        rows.append(ModelErrorRow(where, kind, size, time, unit, share))
+
     for force in disturbances.forces:
-        rows.append(table.of_force(force.place, force.size, force.time, "force"))
-    for function in disturbances.functions:
-        state = solved.transcription.model.states[function.state]
-        kind = f"function of {state}"
-        rows.append(table.of_force(function.equation, function.size, np.nan, kind))
+        add("force", force.place, force.size, force.time)
+    for one in disturbances.functions:
+        add(f"function of {states[one.state]}", one.equation, one.size, np.nan)
     for sensor in disturbances.sensors:
-        rows.append(table.of_sensor(sensor))
-    rows += table.of_noises(disturbances.sigma)
+        add(SENSOR_ERROR, sensor.place, sensor.size, sensor.time, is_sensor=True)
+    # White noise of every trajectory, for the states of which it differs.
+    differs = np.ptp(disturbances.sigma, axis=0) > 0
+    for k in np.flatnonzero(differs & grid.measured.any(axis=0)):
+        for run, size in zip(task.runs, disturbances.sigma[:, k].tolist(), strict=True):
+            add(f"noise of {run}", int(k), size, 0.0, is_sensor=True)
     return tuple(rows)
+
+
+def _rate_unit(units: Mapping[str, str], state: str) -> str:
+    unit = units.get(state, "")
+    of_time = units.get("t", "")
+    if not of_time:
+        return unit and f"{unit} per unit of time"
+    return rate_unit(unit or "1", of_time)
 
 
 def lasting_noise(
@@ -67,54 +101,3 @@ def lasting_noise(
             channel = list(states).index(row.where.removeprefix(OF_SENSOR))
             found.append(Process(channel, row.size, row.time))
     return tuple(found)
-
-
-class _Rows:
-    def __init__(self, solved: SolvedLikelihood) -> None:
-        grid = solved.transcription.grid
-        self._states = solved.transcription.model.states
-        self._runs = solved.task.runs
-        self._units = solved.task.data.units
-        rates = grid.rates(solved.nodes)
-        self._rates = np.sqrt(np.mean(rates**2, axis=0))
-        self._y = grid.y
-
-    def of_force(
-        self, equation: int, size: float, time: float, kind: str
-    ) -> ModelErrorRow:
-        state = self._states[equation]
-        share = size / max(float(self._rates[equation]), TINY)
-        where = f"d{state}/dt"
-        return ModelErrorRow(where, kind, size, time, self._rate_unit(state), share)
-
-    def of_sensor(self, sensor: Process) -> ModelErrorRow:
-        state = self._states[sensor.place]
-        spread = max(float(np.nanstd(self._y[:, sensor.place])), TINY)
-        where = f"{OF_SENSOR}{state}"
-        unit = self._units.get(state, "")
-        share = sensor.size / spread
-        return ModelErrorRow(where, SENSOR_ERROR, sensor.size, sensor.time, unit, share)
-
-    def of_noises(self, sigma: np.ndarray) -> list[ModelErrorRow]:
-        """White noise of every trajectory, for the states of which it differs."""
-        rows = []
-        for k, state in enumerate(self._states):
-            of_runs = sigma[:, k]
-            measured = self._y[:, k]
-            if np.ptp(of_runs) <= 0 or not np.isfinite(measured).any():
-                continue
-            spread = max(float(np.nanstd(measured)), TINY)
-            for run, size in zip(self._runs, of_runs.tolist(), strict=True):
-                where = f"{OF_SENSOR}{state}"
-                kind = f"noise of {run}"
-                unit = self._units.get(state, "")
-                row = ModelErrorRow(where, kind, size, 0.0, unit, size / spread)
-                rows.append(row)
-        return rows
-
-    def _rate_unit(self, state: str) -> str:
-        unit = self._units.get(state, "")
-        of_time = self._units.get("t", "")
-        if not of_time:
-            return unit and f"{unit} per unit of time"
-        return rate_unit(unit or "1", of_time)

@@ -93,25 +93,13 @@ def estimated_noise(
         n_theta: number of free parameters.
         huber: limit of the loss, or None.
     """
-    freedom = _freedom(grid, n_theta)
-    if huber is not None:
-        freedom *= _normal_mean_square(huber)
-    estimate = sigma * grid.rms_by_channel(residual) / np.sqrt(freedom)
-    return np.where(grid.measured.any(axis=0), estimate, sigma)
-
-
-def _freedom(grid: Grid, n_theta: int) -> float:
-    """Share of the measured values that the fit did not use up.
-
-    Every piece of a trajectory (one per window) has a starting state.
-    """
+    # Every piece of a trajectory has a starting state.
     n_pieces = grid.n_nodes - grid.n_intervals
     n_used = n_theta + n_pieces * grid.y.shape[1]
-    return float(max(1 - n_used / len(grid.channel), LEAST_FREEDOM))
-
-
-def _normal_mean_square(limit: float) -> float:
-    """E[min(|e|, limit)^2] for standard normal e."""
-    outside = 2 * normal_tail(limit)
-    within = (1 - outside) - 2 * limit * normal_density(limit)
-    return float(within + limit**2 * outside)
+    freedom = max(1 - n_used / len(grid.channel), LEAST_FREEDOM)
+    if huber is not None:  # E[min(|e|, limit)^2] for standard normal e
+        outside = 2 * normal_tail(huber)
+        within = (1 - outside) - 2 * huber * normal_density(huber)
+        freedom *= within + huber**2 * outside
+    estimate = sigma * grid.rms_by_channel(residual) / np.sqrt(freedom)
+    return np.where(grid.measured.any(axis=0), estimate, sigma)

@@ -21,7 +21,6 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -52,16 +51,13 @@ class PHSIEstimate(Estimate):
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Sandwich covariance: neighbouring defects share a noisy sample."""
-        used = self._used
-        known = KnownDefects(self.model, used, self.loss.integrator)
         return uncertainty.of_defects(
             self.model,
-            used,
+            self._used,
             self.loss.integrator,
             self.theta,
             self.point.theta_scale,
             self.solution.outcome.at_bounds,
-            known.at(self.theta),
         )
 
     @property
@@ -110,16 +106,6 @@ class PHSISolver:
             l1=l1,
         )
 
-    def resolve(
-        self,
-        known: PHSIEstimate,
-        model: Model,
-        theta: np.ndarray,
-        l1: dict[str, float],
-    ) -> PHSIEstimate:
-        """`solve` from ``theta`` (n_free,); the states are the data anyway."""
-        return self.solve(model, theta, l1, known)
-
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     """The best of the solutions from several starts, each pruned.
@@ -140,12 +126,13 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     if start is None:
         starts = starting_values(model, used, task.l1)
     else:
-        starts = [values_of_fit(model, start)]
+        known = model.values | start.values
+        starts = [np.array([known[name] for name in model.free])]
     solver = PHSISolver(task, loss, grid)
     estimates = []
     for theta in starts:
         first = solver.solve(model, theta, task.l1)
-        estimates.append(pruned(first, solver.resolve))
+        estimates.append(pruned(first, solver.solve))
     if start is None:
         best = min(estimates, key=_bic_like)
         estimates += _without_imitators(solver, model, used, best)
@@ -167,24 +154,20 @@ def _without_imitators(
     if pruning is None:
         return []
     removable = imitators(model) & set(pruning.candidates(model))
-    if not removable or _has_waves_alone(best.model, model, removable):
+    left = set(best.model.free)
+    waves: set[str] = set()
+    for scan in frequency_scans(model):
+        waves |= set(scan.amplitudes)
+    has_waves_alone = bool(left & waves) and not left & removable
+    if not removable or has_waves_alone:
         return []
     smaller = model.without(removable)
     estimates = []
     for theta in starting_values(smaller, used, solver.task.l1):
         first = solver.solve(smaller, theta, solver.task.l1)
         first = replace(first, removed=tuple(sorted(removable)))
-        estimates.append(pruned(first, solver.resolve))
+        estimates.append(pruned(first, solver.solve))
     return estimates
-
-
-def _has_waves_alone(found: Model, model: Model, removable: set[str]) -> bool:
-    """Whether a wave of the model is left, and nothing that imitates one."""
-    left = set(found.free)
-    amplitudes = set()
-    for scan in frequency_scans(model):
-        amplitudes |= set(scan.amplitudes)
-    return bool(left & amplitudes) and not left & removable
 
 
 def best_of_starts(
@@ -217,10 +200,3 @@ def _bic_like(estimate: PHSIEstimate) -> tuple[bool, float]:
     n = estimate.n_values
     cost = n * np.log(loss) + len(estimate.model.free) * np.log(n)
     return not estimate.is_success, cost
-
-
-def values_of_fit(model: Model, start: Fit) -> np.ndarray:
-    """The free parameters at the values of a fit, where it has them, (n_free,)."""
-    values = start.values
-    theta = [values.get(name, model.values[name]) for name in model.free]
-    return np.array(theta)

@@ -13,13 +13,13 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.force_search import longest_noise, missing_force_of
-from phsi_opt.estimation.missing_force import ForceEstimate
-from phsi_opt.estimation.model_error_table import SENSOR_ERROR
-from phsi_opt.estimation.trajectory_parameters import (
+from phsi_opt.estimation.fit_record import (
     parameter_matrix,
     parameters_of,
 )
+from phsi_opt.estimation.force_search import longest_noise, missing_force_of
+from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.estimation.model_error_table import SENSOR_ERROR
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import Grid
@@ -64,7 +64,7 @@ class Record:
         """
         aligned = aligned.for_model(fit.model)
         estimate = missing_force_of(fit, aligned.data, aligned.grid)
-        return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
+        return cls.beside(fit, aligned, estimate)
 
     @classmethod
     def beside(

@@ -1,15 +1,17 @@
-"""Whether the residuals of a fit are as small as neighbouring samples scatter.
+"""What the residuals of a fit say beside the data: their scatter, their resolution.
 
 Where they are far larger, the optimum is a wrong one or the model lacks something. The
 scatter needs no model: each sample beside the cubic through its neighbours
 (`phsi_opt.data.noise.difference_noise`).
-"""
 
-from dataclasses import dataclass
+Quantisation is like noise, uniform and new in every sample, where a signal crosses
+several steps (Widrow 1956). Where it stays within one, the errors follow the motion.
+"""
 
 import numpy as np
 
 from phsi_opt.data.noise import LEAST_NOISE_SHARE, channel_spread, difference_noise
+from phsi_opt.data.resolution import DEVIATION_PER_STEP, unresolved_channels
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.statistics import TINY
 
@@ -28,35 +30,29 @@ FAR_OFF_SHARE = 0.3
 NOISE_FREE_SCATTER = 10
 
 
-@dataclass(frozen=True)
-class ResidualScatter:
-    """The channel whose residuals are largest beside what its samples scatter.
+# Share of the least noise within which the estimate counts as held up by it.
+AT_LEAST_NOISE = 1e-9
 
-    Attributes:
-        channel: name of the state.
-        ratio: root mean square residual over the scatter of neighbouring samples.
+
+def _worst_ratio(estimate: LikelihoodEstimate) -> tuple[float, str]:
+    """Largest root mean square residual over what neighbouring samples scatter.
+
+    With the name of its channel.
     """
+    is_measured = estimate.grid.measured.any(axis=0)
+    between_samples = np.nan_to_num(difference_noise(estimate.task.data))
+    spread = np.where(is_measured, channel_spread(estimate.task.data), 0.0)
+    floor = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * spread
+    scatter = np.maximum(between_samples, floor + TINY)
+    ratio = np.where(is_measured, _rms_residual(estimate) / scatter, 0.0)
+    worst = int(np.argmax(ratio))
+    return float(ratio[worst]), estimate.model.states[worst]
 
-    channel: str
-    ratio: float
 
-    @classmethod
-    def of(cls, estimate: LikelihoodEstimate) -> "ResidualScatter":
-        """The ratio of the worst channel at the estimate."""
-        is_measured = np.asarray(estimate.grid.measured.any(axis=0))
-        between_samples = np.nan_to_num(difference_noise(estimate.task.data))
-        spread = np.where(is_measured, channel_spread(estimate.task.data), 0.0)
-        floor = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * spread
-        scatter = np.maximum(between_samples, floor + TINY)
-        residual = estimate.sigma * estimate.grid.rms_by_channel(estimate.standardized)
-        ratio = np.where(is_measured, residual / scatter, 0.0)
-        worst = int(np.argmax(ratio))
-        return cls(estimate.model.states[worst], float(ratio[worst]))
-
-    @property
-    def explains_residuals(self) -> bool:
-        """Whether the residuals are not far above the scatter."""
-        return self.ratio < SUSPICIOUS_RATIO
+def _rms_residual(estimate: LikelihoodEstimate) -> np.ndarray:
+    """Of every state, (n_states,)."""
+    rms: np.ndarray = estimate.grid.rms_by_channel(estimate.standardized)
+    return estimate.sigma * rms
 
 
 def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
@@ -64,17 +60,12 @@ def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
 
     And a small share of the motion, so that it cannot be out of step with it.
     """
-    if not estimate.is_success or not _is_small_beside_motion(estimate):
+    if not estimate.is_success:
         return False
-    return ResidualScatter.of(estimate).ratio < AT_SCATTER
-
-
-def _is_small_beside_motion(estimate: LikelihoodEstimate) -> bool:
-    """Whether the residuals of every channel are a small share of its spread."""
-    is_measured = np.asarray(estimate.grid.measured.any(axis=0))
-    residual = estimate.sigma * estimate.grid.rms_by_channel(estimate.standardized)
+    is_measured = estimate.grid.measured.any(axis=0)
     limit = FAR_OFF_SHARE * channel_spread(estimate.task.data)
-    return bool(np.all((residual <= limit)[is_measured]))
+    is_small = np.all((_rms_residual(estimate) <= limit)[is_measured])
+    return bool(is_small) and _worst_ratio(estimate)[0] < AT_SCATTER
 
 
 def scatter_warnings(
@@ -87,13 +78,45 @@ def scatter_warnings(
     """
     if is_known.any() or not estimate.is_success:
         return ()
-    worst = ResidualScatter.of(estimate)
-    if worst.explains_residuals:
+    ratio, channel = _worst_ratio(estimate)
+    if ratio < SUSPICIOUS_RATIO:
         return ()
     return (
-        f"the residuals of {worst.channel} are {worst.ratio:.1f} times what "
+        f"the residuals of {channel} are {ratio:.1f} times what "
         "neighbouring samples scatter: the model lacks something (diagnose), outliers "
         "pull (let them count less: huber = 1.345 in [loss] of a study file; in "
         "Python, ph.MaximumLikelihood(huber=1.345)), or there are several optima "
         "(start the parameters elsewhere)",
     )
+
+
+def resolution_notes(
+    estimate: LikelihoodEstimate, is_known: np.ndarray, least: np.ndarray
+) -> tuple[str, ...]:
+    """Sentences on channels whose quantisation sets the noise, or hides the motion.
+
+    Args:
+        estimate: with its noise.
+        is_known: (n_states,) whether it was declared; then nothing is said.
+        least: (n_states,) noise of quantisation.
+    """
+    data = estimate.task.data
+    unresolved = unresolved_channels(data)
+    notes = []
+    for k in np.flatnonzero(~is_known & (least > 0)).tolist():
+        name = estimate.model.states[k]
+        unit = data.units.get(name, "")
+        step = f"{least[k] / DEVIATION_PER_STEP:.3g} {unit}".rstrip()
+        if estimate.sigma[k] <= (1 + AT_LEAST_NOISE) * least[k]:
+            at_least = f"{least[k]:.2g} {unit}".rstrip()
+            notes.append(
+                f"the values of {name} are quantised in steps of {step}: at least "
+                f"{at_least} counts as noise"
+            )
+        if name in unresolved:
+            notes.append(
+                f"{name} moves by less than one of its steps of {step} (standard "
+                "deviation): the errors of its values follow the motion, so standard "
+                "errors are too small and a diagnosis names nothing"
+            )
+    return tuple(notes)

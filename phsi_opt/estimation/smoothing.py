@@ -8,20 +8,30 @@ begins at the first of these states.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import (
+    LikelihoodProblem,
+    NoiseLevels,
+    StartingPoint,
+)
+from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.record import Record
-from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.parameter_vector import Theta
 
+# The noise is known and the start is near, so a brief solve is enough.
+BRIEF_SOLVE = SolverSettings(max_iterations=60, thorough=False)
 STEP_REFINEMENTS = 2  # how often the steps along a record are made finer, at most
 FINER = 4  # factor on the steps where their error shows beside the residuals
 MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
@@ -118,8 +128,8 @@ def _accurate(
 
     An accurate run from the first state would otherwise leave the others.
     """
-    likelihood = RecordLikelihood(aligned, sigma, likelihood_of(fit))
-    state = likelihood.maximum(model, guess, steps)
+    likely = partial(maximum_along, aligned, sigma, likelihood_of(fit), model)
+    state = likely(guess, steps)
     for _ in range(STEP_REFINEMENTS):
         if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:
             break
@@ -128,11 +138,44 @@ def _accurate(
         if finer_steps(replace(state, sigma=size * state.sigma)) is None:
             break
         steps = [FINER * n for n in steps]
-        refined = likelihood.maximum(model, state.states, steps)
+        refined = likely(state.states, steps)
         if refined is None:
             break
         state = refined
     return state
+
+
+def maximum_along(
+    aligned: AlignedData,
+    sigma: np.ndarray,
+    loss: MaximumLikelihood,
+    model: Model,
+    states: Sequence[np.ndarray],
+    steps: Sequence[np.ndarray],
+) -> LikelihoodEstimate | None:
+    """The likelihood's maximum along a record whose noise is known; None: not found.
+
+    For what is asked of a fit afterwards: no windows, no finer steps, no pruning.
+
+    Args:
+        aligned: the record.
+        sigma: (n_states,) its noise.
+        loss: the likelihood.
+        model: with the values to start from; those that are free are estimated.
+        states: (n_samples, n_states) per trajectory, at the samples, to start from.
+        steps: intervals in every gap between samples, (n_samples - 1,) per trajectory.
+    """
+    task = Task(model, aligned, l1={}, pruning=None, settings=BRIEF_SOLVE)
+    start = StartingPoint(
+        model=model,
+        theta=Theta.of(model, task.runs).spread(model.theta),
+        states=tuple(states),
+        sigma=sigma,
+        steps=tuple(steps),
+    )
+    problem = LikelihoodProblem(task, loss, NoiseLevels.known(sigma))
+    estimate = problem.solve_from(start)
+    return estimate if estimate.is_success else None
 
 
 def likelihood_of(fit: Fit) -> MaximumLikelihood:

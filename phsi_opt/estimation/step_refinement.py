@@ -36,13 +36,19 @@ def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
         Intervals in every gap between samples, (n_samples - 1,) per trajectory; None
         where those of the estimate are enough, or as many as there may be.
     """
-    error = _scaled_errors(estimate)
+    parameters = np.asarray(estimate.unknown.by_trajectory(estimate.theta))
+    error = local_errors(estimate.model, estimate.grid, estimate.nodes, parameters)
+    error = error / estimate.point.x_scale
     is_lost = ~np.isfinite(error).all(axis=1)
     known_error = np.where(is_lost[:, None], 0.0, error)
     visible = _visible_share(estimate, known_error)
     if visible < VISIBLE_ERROR and not is_lost.any():
         return None
-    factor = _refinement(known_error, visible)
+    # Factors on the intervals that bring the visible share down.
+    size = np.linalg.norm(known_error, axis=1)
+    typical = np.sum(size**2) / max(np.sum(size), TINY)
+    fall = STEP_SAFETY * visible / VISIBLE_ERROR * size / max(typical, TINY)
+    factor = np.clip(np.ceil(fall ** (1 / ORDER)), 1, MOST_PER_ROUND)
     factor = np.where(is_lost, LOST_FACTOR, factor).astype(int)
     old = steps_per_gap(estimate.grid)
     new = _refined(old, factor)
@@ -50,13 +56,6 @@ def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
     if all(np.array_equal(before, after) for before, after in pairs):
         return None
     return new
-
-
-def _scaled_errors(estimate: LikelihoodEstimate) -> np.ndarray:
-    """(n_intervals, n_states) integration errors in units of the states' sizes."""
-    parameters = np.asarray(estimate.unknown.by_trajectory(estimate.theta))
-    error = local_errors(estimate.model, estimate.grid, estimate.nodes, parameters)
-    return error / estimate.point.x_scale
 
 
 def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
@@ -68,25 +67,13 @@ def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
     """
     reduced = estimate.reduced
     information = reduced.information
-    at_bounds = estimate.solution.outcome.at_bounds
-    names = estimate.unknown.names
-    held = [i for i, name in enumerate(names) if name in at_bounds]
-    covariance = regularized_inverse(information, held)
-    shift = reduced.respond(error.ravel(), covariance)
-    squared_shift = float(shift.theta @ information @ shift.theta)
+    covariance = regularized_inverse(information, estimate.held)
+    theta_shift, x_shift = reduced.respond(error.ravel(), covariance)
+    squared_shift = float(theta_shift @ information @ theta_shift)
     in_std_errors = np.sqrt(max(squared_shift, 0.0))
-    x_shift = shift.x.reshape(estimate.grid.y.shape) * estimate.point.x_scale
+    x_shift = x_shift * estimate.point.x_scale
     in_noise = (x_shift / estimate.sigma)[estimate.grid.measured]
     return max(in_std_errors, float(np.sqrt(np.mean(in_noise**2))))
-
-
-def _refinement(error: np.ndarray, visible: float) -> np.ndarray:
-    """(n_intervals,) factors on the intervals that bring the visible share down."""
-    size = np.linalg.norm(error, axis=1)
-    typical = np.sum(size**2) / max(np.sum(size), TINY)
-    fall = STEP_SAFETY * visible / VISIBLE_ERROR * size / max(typical, TINY)
-    factor = np.ceil(fall ** (1 / ORDER))
-    return np.clip(factor, 1, MOST_PER_ROUND)
 
 
 def _refined(steps: Sequence[np.ndarray], factor: np.ndarray) -> list[np.ndarray]:

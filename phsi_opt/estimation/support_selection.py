@@ -5,7 +5,7 @@ significance. `Pruning` says which terms go; here is the loop around the solves.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -17,16 +17,8 @@ from phsi_opt.model.model import Model
 from phsi_opt.transcription.parameter_vector import Theta
 
 E = TypeVar("E", bound=Estimate)
-# A warm-started solve: (estimate so far, model with fewer terms, theta, L1 weights)
-Resolve = Callable[[E, Model, np.ndarray, dict[str, float]], E]
-
-
-@dataclass(frozen=True)
-class _Change:
-    """What the next solve leaves out: terms, or the L1 term."""
-
-    removed: set[str]
-    l1: dict[str, float]
+# A warm-started solve: (model with fewer terms, theta, L1 weights, estimate so far)
+Resolve = Callable[[Model, np.ndarray, dict[str, float], E], E]
 
 
 def pruned(estimate: E, resolve: Resolve[E]) -> E:
@@ -46,28 +38,34 @@ def pruned(estimate: E, resolve: Resolve[E]) -> E:
         change = _next_change(estimate, pruning, n_tests)
         if change is None:
             break
-        _check_rest(estimate.model, change.removed, pruning)
-        model = estimate.model.without(change.removed)
-        theta = _warm_start(model, estimate)
-        again = resolve(estimate, model, theta, change.l1)
-        removed = (*estimate.removed, *sorted(change.removed))
+        gone, l1 = change
+        _check_rest(estimate.model, gone, pruning)
+        model = estimate.model.without(gone)
+        unknown = Theta.of(model, estimate.unknown.runs)
+        values = dict(zip(estimate.unknown.names, estimate.theta, strict=True))
+        theta = unknown.from_values(values, np.zeros(len(unknown)))
+        again = resolve(model, theta, l1, estimate)
+        removed = (*estimate.removed, *sorted(gone))
         estimate = replace(again, removed=removed, notes=estimate.notes)
     return estimate
 
 
-def _next_change(estimate: Estimate, pruning: Pruning, n_tests: int) -> _Change | None:
+def _next_change(
+    estimate: Estimate, pruning: Pruning, n_tests: int
+) -> tuple[set[str], dict[str, float]] | None:
+    """Terms that the next solve leaves out, and its L1 weights; None: all is done."""
     model = estimate.model
     small = pruning.small(model, estimate.sizes)
     if small:
-        return _Change(small, estimate.l1)
+        return small, estimate.l1
     if pruning.debias and estimate.has_l1:
-        return _Change(set(), {})
+        return set(), {}
     if pruning.significance is None or not estimate.is_success:
         return None
     insignificant = pruning.insignificant(
         model, estimate.values, estimate.shared_covariance, n_tests
     )
-    return _Change(insignificant, estimate.l1) if insignificant else None
+    return (insignificant, estimate.l1) if insignificant else None
 
 
 def _check_rest(model: Model, removed: set[str], pruning: Pruning) -> None:
@@ -84,11 +82,3 @@ def _check_rest(model: Model, removed: set[str], pruning: Pruning) -> None:
         f"{pruning!r} removes {what}; lower its threshold or the L1 weight, or add "
         "terms that the data need."
     )
-
-
-def _warm_start(model: Model, estimate: Estimate) -> np.ndarray:
-    """Theta of the smaller model at the values of the estimate."""
-    unknown = Theta.of(model, estimate.unknown.runs)
-    theta = estimate.theta
-    values = dict(zip(estimate.unknown.names, theta, strict=True))
-    return unknown.from_values(values, np.zeros(len(unknown)))

@@ -7,7 +7,7 @@ not trusted.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
@@ -18,11 +18,9 @@ from phsi_opt.estimation.identifiability import (
     silent_directions,
 )
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.transcription.defect_derivatives import defect_slopes
-from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
+from phsi_opt.transcription.elimination import RIDGE
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import ParameterSlopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,40 +38,10 @@ class Uncertainty:
     warnings: tuple[str, ...] = ()
     silent: SilentDirections = NOTHING_SILENT
 
-    @property
-    def std_errors(self) -> np.ndarray:
-        """Standard errors in the order of theta, (n_theta,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def widened(self, factor: float) -> "Uncertainty":
-        """The covariance times a factor."""
-        return replace(self, covariance=self.covariance * factor)
-
 
 def unknown(n_theta: int, reason: str) -> Uncertainty:
     """No standard error is given, and why."""
     return Uncertainty(np.full((n_theta, n_theta), np.nan), (reason,))
-
-
-def of_likelihood(
-    names: Sequence[str],
-    theta: np.ndarray,
-    scale: np.ndarray,
-    solution: Solution,
-    likelihood: ReducedSystem,
-) -> Uncertainty:
-    """Inverse of the information about theta that is left when the states follow it.
-
-    Args:
-        names: Of the parameters, in the order of theta.
-        theta: (n_theta,) estimates.
-        scale: (n_theta,) size of each.
-        solution: For the parameters at bounds.
-        likelihood: Linearised there, with the states eliminated.
-    """
-    at_bounds = solution.outcome.at_bounds
-    scaled = regularized_inverse(likelihood.information, _places(names, at_bounds))
-    return of_covariance(names, theta, scale, scaled, at_bounds)
 
 
 def of_covariance(
@@ -113,7 +81,7 @@ def of_defects(
     theta: np.ndarray,
     scale: np.ndarray,
     at_bounds: tuple[str, ...],
-    found: ParameterSlopes,
+    d: np.ndarray | None = None,
 ) -> Uncertainty:
     """Sandwich covariance of the PHSI loss.
 
@@ -133,23 +101,22 @@ def of_defects(
         theta: (n_free,) estimates.
         scale: (n_free,) size of each parameter.
         at_bounds: Names of the parameters that ended at a bound.
-        found: The defects there, and their slopes in the parameters.
+        d: (n_intervals, n_states) defects there, where they are not the model's alone.
     """
     n_theta = len(theta)
     y = np.nan_to_num(grid.y)
-    in_theta = found.slopes * scale
-    jacobian = in_theta.reshape(grid.n_intervals, model.n_states, -1)
-    slopes = defect_slopes(model, grid, scheme, y, theta)
+    n = model.n_states
+    own_d, slopes = defect_slopes(model, grid, scheme, y, theta)
+    at_begin, at_end = slopes[:, :, :n], slopes[:, :, n : 2 * n]
+    jacobian = slopes[:, :, 2 * n :] * scale
 
-    gathered = np.zeros((grid.n_nodes, model.n_states, n_theta))
-    at_begin = np.einsum("ikj,ikp->ijp", slopes.at_begin, jacobian)
-    at_end = np.einsum("ikj,ikp->ijp", slopes.at_end, jacobian)
-    np.add.at(gathered, grid.begin, at_begin)
-    np.add.at(gathered, grid.begin + 1, at_end)
+    gathered = np.zeros((grid.n_nodes, n, n_theta))
+    np.add.at(gathered, grid.begin, np.einsum("ikj,ikp->ijp", at_begin, jacobian))
+    np.add.at(gathered, grid.begin + 1, np.einsum("ikj,ikp->ijp", at_end, jacobian))
 
-    noise_to_square = np.mean(slopes.at_begin**2, axis=0)
-    noise_to_square = noise_to_square + np.mean(slopes.at_end**2, axis=0)
-    variance, _ = nnls(noise_to_square, np.mean(found.d**2, axis=0))
+    noise_to_square = np.mean(at_begin**2, axis=0) + np.mean(at_end**2, axis=0)
+    squares = np.mean((own_d if d is None else d) ** 2, axis=0)
+    variance, _ = nnls(noise_to_square, squares)
 
     weighted = gathered * np.sqrt(variance)[None, :, None]
     weighted = weighted.reshape(-1, n_theta)

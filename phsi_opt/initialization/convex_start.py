@@ -23,13 +23,13 @@ from phsi_opt.initialization.frequency_scan import (
     with_entry,
 )
 from phsi_opt.model.model import Model
-from phsi_opt.model.slots import Entry
-from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
+from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.interval_map import argument_symbols
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
+from phsi_opt.transcription.parameter_vector import Theta
 
 LEAST_NORM = 1e-12  # of a coefficient's column: below it the scale is that of one
 # Singular value, of columns of norm one, below which rounding errors would set the
@@ -142,7 +142,7 @@ class _ConvexStart:
         group.
         """
         grid = self.grid
-        entries = [self.model.entries[self.model.free[i]] for i in group]
+        unknown = Theta.of(self.model, ("",))
         known = self._defects.at(theta)
         jacobian = known.slopes[:, group]
         d = known.d.ravel()
@@ -151,21 +151,14 @@ class _ConvexStart:
         A = weight * jacobian[is_usable]
         b = A @ theta[group] - weight * d[is_usable]
         scale = 1 / np.maximum(np.linalg.norm(A, axis=0), LEAST_NORM)
-        lower = np.array([e.parameter.lower for e in entries])
-        upper = np.array([e.parameter.upper for e in entries])
-        bounds = (lower / scale, upper / scale)
-        z = _optimum(A * scale, b, bounds, self._l1_weights(entries) * scale)
+        lower = unknown.lower[group]
+        upper = unknown.upper[group]
+        l1 = unknown.weights(self.l1)[group] / mean_square_rate(grid)
+        z = _optimum(A * scale, b, (lower / scale, upper / scale), l1 * scale)
         result = theta.copy()
         if z is not None and np.all(np.isfinite(z)):
             result[group] = np.clip(z * scale, lower, upper)
         return result
-
-    def _l1_weights(self, entries: Sequence[Entry]) -> np.ndarray:
-        """Weight of each coefficient's size in the loss."""
-        weights = []
-        for entry in entries:
-            weights.append(self.l1.get(entry.slot, 0.0) if entry.prunable else 0.0)
-        return np.array(weights) / mean_square_rate(self.grid)
 
 
 def _optimum(

@@ -6,7 +6,6 @@ follows from it. These are rough states to start from: their noise is that of
 differences.
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -24,20 +23,7 @@ LEAST_CURVATURE = 1e-6
 SETTLED_STATES = 1e-4  # share of them that the last step moves: they are a start
 
 
-@dataclass(frozen=True, eq=False)
-class KinematicStates:
-    """Rough states of a record.
-
-    Attributes:
-        x: (n_nodes, n_states) states; zero where nothing tells them.
-        is_complete: whether every state is measured or follows, but for a memory.
-    """
-
-    x: np.ndarray
-    is_complete: bool
-
-
-def kinematic_states(model: Model, grid: Grid) -> KinematicStates:
+def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
     """States at the nodes for the model's present parameters.
 
     Those that make the rates of measured states follow from these; in turn those that
@@ -47,6 +33,10 @@ def kinematic_states(model: Model, grid: Grid) -> KinematicStates:
     Args:
         model: the model.
         grid: one interval between neighbouring samples.
+
+    Returns:
+        (n_nodes, n_states) rough states, zero where nothing tells them, and whether
+        every state is measured or follows, but for a memory.
     """
     grid = invert_sensors(model, grid)
     x = interpolated(grid)
@@ -59,7 +49,7 @@ def kinematic_states(model: Model, grid: Grid) -> KinematicStates:
             break
         known = np.union1d(known, found)
         unknown = np.setdiff1d(unknown, found)
-    return KinematicStates(x, not len(unknown))
+    return x, not len(unknown)
 
 
 def _driving(
@@ -131,12 +121,8 @@ def _least_squares_steps(slopes: np.ndarray, missing: np.ndarray) -> np.ndarray 
         return None
     ridge = LEAST_CURVATURE * np.diag(size**2)
     right = np.einsum("aki,ak->ai", slopes, missing)
-    step = _solved(gram + ridge, right)
+    if right.shape[1] == 1:  # without LAPACK
+        step = right / (gram + ridge)[:, :, 0]
+    else:
+        step = np.linalg.solve(gram + ridge, right[:, :, None])[:, :, 0]
     return step if np.all(np.isfinite(step)) else None
-
-
-def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solutions (n, k) of a small system each; of one unknown without LAPACK."""
-    if right.shape[1] == 1:
-        return right / matrices[:, :, 0]
-    return np.asarray(np.linalg.solve(matrices, right[:, :, None])[:, :, 0])

@@ -52,7 +52,10 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
             name = term.inner_name(inner, place_of(slot, equation))
             value = parameter.value
             if isinstance(guess, Share) and value is None:
-                size = root_mean_square(model, grid, x, guess.of)
+                values = values_at(model, grid, x, guess.of)
+                values = values[np.isfinite(values)]
+                size = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+                size = size if size > 0 else 1.0  # where the formula vanishes
                 model = model.with_values({name: guess.share * size})
             is_open = value is None or not parameter.fixed
             if isinstance(guess, Tried) and is_open:
@@ -99,15 +102,8 @@ def _largest(model: Model, grid: Grid, x: np.ndarray, of: str) -> float:
     if of == "dt":
         is_inside = np.diff(grid.trajectory[grid.sample]) == 0
         return float(np.median(np.diff(grid.t[grid.sample])[is_inside]))
-    values = _finite_values(model, grid, x, of)
-    return float(np.max(np.abs(values), initial=0.0)) or 1.0
-
-
-def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:
-    """Root mean square of a formula at x (n_nodes, n_states); 1 where it vanishes."""
-    values = _finite_values(model, grid, x, expression)
-    size = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-    return size if size > 0 else 1.0
+    values = values_at(model, grid, x, of)
+    return float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values))) or 1.0
 
 
 def intervals_at_rest(
@@ -136,14 +132,6 @@ def intervals_at_rest(
     stretch = np.cumsum(np.r_[True, is_changed | is_next_trajectory]) - 1
     duration = np.bincount(stretch, grid.h)[stretch]
     return is_slow & (duration * acceleration > STAYING * 2 * STILL * width)
-
-
-def _finite_values(
-    model: Model, grid: Grid, x: np.ndarray, expression: str
-) -> np.ndarray:
-    """Values of a formula at the nodes, those that are finite."""
-    values = values_at(model, grid, x, expression)
-    return values[np.isfinite(values)]
 
 
 def values_at(

@@ -49,15 +49,8 @@ def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Po
     grid = invert_sensors(model, grid)
     theta = model.theta if theta is None else theta
     x = interpolated(grid)
-    x_scale = _state_scale(model, grid, theta, x)
+    x_scale = _with_unmeasured_scale(model, grid, theta, x, _measured_scale(grid))
     return Point(theta, x, theta_scale(model, grid, theta, x, x_scale), x_scale)
-
-
-def _state_scale(
-    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
-) -> np.ndarray:
-    """Size of each state, (n_states,), of those that were measured by the data."""
-    return _with_unmeasured_scale(model, grid, theta, x, _measured_scale(grid))
 
 
 def point_at(
@@ -108,11 +101,6 @@ def invert_sensors(model: Model, grid: Grid) -> Grid:
             is_steep = np.abs(own_slope) > SHALLOW
             step = (grid.y - shown) / np.where(is_steep, own_slope, np.nan)
             x = x + np.where(np.isfinite(step), step, 0.0)
-    return replace(grid, y=x)
-
-
-def with_states(grid: Grid, x: np.ndarray) -> Grid:
-    """The grid as if x, (n_nodes, n_states), had been measured at every node."""
     return replace(grid, y=x)
 
 

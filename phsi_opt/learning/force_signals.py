@@ -13,7 +13,7 @@ import numpy as np
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.stages import StageRule, stage_rule
+from phsi_opt.transcription.integrators import Integrator, integrator
 
 NODES_OF_A_LINE = 2
 # c (1 - c) at the middle of a step is a quarter.
@@ -25,14 +25,14 @@ FALL = "network_{}_fall"
 BEND = f"{RISE}*{FALL}"
 
 
-def is_bent(rule: StageRule) -> bool:
+def is_bent(rule: Integrator) -> bool:
     """Whether a straight line cannot hold the force at all nodes."""
     return len(rule.nodes) > NODES_OF_A_LINE
 
 
 def with_signals(model: Model, equations: Sequence[str], scheme: str = "srk4") -> Model:
     """The model with the force's inputs, each added to its equation."""
-    bent = is_bent(stage_rule(scheme))
+    bent = is_bent(integrator(scheme))
     bodies = [LINE, BEND] if bent else [LINE]
     F = dict(model.F)
     for equation in equations:
@@ -62,7 +62,7 @@ def with_force(grid: Grid, force: np.ndarray, scheme: str = "srk4") -> Grid:
     Over each interval they pass through the force at the nodes of the scheme; where two
     stages are at one node (RK4's middle), through the mean of both.
     """
-    rule = stage_rule(scheme)
+    rule = integrator(scheme)
     shares = np.array(rule.shares)
     nodes = rule.nodes
     at_nodes = [force[:, shares == node].mean(axis=1) for node in nodes]

@@ -18,9 +18,9 @@ from phsi_opt.learning.hybrid_training import TrainingSet
 from phsi_opt.learning.ridge import cross_validated
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.integrators import Integrator, integrator
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals
-from phsi_opt.transcription.stages import StageRule, stage_rule
 
 # Least size of coefficients and of a force: keeps relative changes finite where all
 # are zero.
@@ -41,7 +41,7 @@ class HybridProblem:
     equations: tuple[str, ...]
     rows: list[int]
     scheme: str
-    rule: StageRule
+    rule: Integrator
 
     @classmethod
     def of(
@@ -53,7 +53,7 @@ class HybridProblem:
             ModelError: there is no such integrator.
         """
         grid = complete_intervals(model, grid_of(data))
-        return cls(grid, force.equations, force.rows, scheme, stage_rule(scheme))
+        return cls(grid, force.equations, force.rows, scheme, integrator(scheme))
 
     def forced(self, model: Model) -> Model:
         """A model with the network's force as an input."""
@@ -87,7 +87,7 @@ class HybridProblem:
             stages.append(np.column_stack([x.T, u, t]))
         data = TrainingSet(
             np.stack(stages, axis=1),
-            np.array(self.rule.weights),
+            np.array(self.rule.weights) / sum(self.rule.weights),
             KnownDefects(forced, grid, self.scheme).at(forced.theta).d[:, self.rows],
             self.folds(),
         )

@@ -7,7 +7,8 @@ average information, of which only solutions for further right-hand sides are ne
 evaluations of the evidence, however many sizes there are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,8 +20,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     solve_border,
 )
-from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.model_error.signs import random_signs
+from phsi_opt.model_error.processes import Process, Whitener, random_signs
 from phsi_opt.statistics import TINY
 
 PROBED_VALUES = 8_000  # values that all random vectors together look at, at least
@@ -190,75 +190,48 @@ def _newton_step(
 class _Prior:
     """A process, its values, and how its prior changes with its time.
 
-    The inverse covariance of the values has two diagonals; ``d_diagonal`` and
-    ``d_below`` are their slopes in the logarithm of the time.
+    Attributes:
+        process: with its size.
+        whitener: of its values at size one.
+        later: the same for a time that is a little longer.
+        places: of the values among all unknowns.
     """
 
     process: Process
     whitener: Whitener
+    later: Whitener
     places: slice
-    d_diagonal: np.ndarray
-    d_below: np.ndarray
-    d_log_det: float
-
-    @classmethod
-    def of(
-        cls, process: Process, whitener: Whitener, later: Whitener, places: slice
-    ) -> "_Prior":
-        step = PRIOR_STEP
-        diagonal = later.precision_diagonal - whitener.precision_diagonal
-        below = later.precision_below - whitener.precision_below
-        scale = process.size**2 * step
-        d_log_det = (later.log_det - whitener.log_det) / step
-        return cls(
-            process, whitener, places, diagonal / scale, below / scale, d_log_det
-        )
 
     @property
     def n(self) -> int:
+        """Number of its values."""
         return len(self.whitener.diagonal)
+
+    @property
+    def d_log_det(self) -> float:
+        """Slope of the whitener's log determinant in the logarithm of the time."""
+        return (self.later.log_det - self.whitener.log_det) / PRIOR_STEP
+
+    @cached_property
+    def _changes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes of the two diagonals of the inverse covariance, likewise."""
+        scale = self.process.size**2 * PRIOR_STEP
+        now, later = self.whitener, self.later
+        diagonal = (later.precision_diagonal - now.precision_diagonal) / scale
+        return diagonal, (later.precision_below - now.precision_below) / scale
 
     def changed(self, values: np.ndarray) -> np.ndarray:
         """Slope of the inverse covariance times values (n, ...)."""
-        result = (self.d_diagonal * values.T).T
-        result[1:] += (self.d_below * values[:-1].T).T
-        result[:-1] += (self.d_below * values[1:].T).T
+        diagonal, below = self._changes
+        result = (diagonal * values.T).T
+        result[1:] += (below * values[:-1].T).T
+        result[:-1] += (below * values[1:].T).T
         return result
-
-    def whitened(self, values: np.ndarray) -> np.ndarray:
-        """Standard normals of values (n, ...)."""
-        return self.whitener.whitened(values) / self.process.size
-
-    def transposed(self, normals: np.ndarray) -> np.ndarray:
-        """The transposed whitener times (n, ...)."""
-        return self.whitener.transposed(normals) / self.process.size
-
-    def coloured(self, normals: np.ndarray) -> np.ndarray:
-        """Values with this prior from standard normals (n, ...)."""
-        return self.whitener.coloured(normals) * self.process.size
-
-    def covariance_times(self, values: np.ndarray) -> np.ndarray:
-        """The covariance times values (n,)."""
-        covered = self.whitener.covariance_times(values[:, None])[:, 0]
-        return covered * self.process.size**2
-
-
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """Right-hand sides: in the unknowns and dynamics, in the border, and in the data.
-
-    Attributes:
-        inner: (n_inner, k).
-        border: (n_border, k).
-        data: (n_values, k), the part of it that is a change of the data.
-    """
-
-    inner: np.ndarray
-    border: np.ndarray
-    data: np.ndarray
 
 
 class _Derivatives:
+    """What the slopes at given disturbances are worked out from."""
+
     def __init__(
         self,
         likelihood: MarginalLikelihood,
@@ -266,104 +239,129 @@ class _Derivatives:
         channels: tuple[int, ...],
     ) -> None:
         self.likelihood = likelihood
-        self.disturbances = disturbances
         self.channels = channels
         self.problem = likelihood.problem
         self.parts: Eliminated = likelihood.eliminated(disturbances)
-        self.sizes = np.array([f.size for f in disturbances.functions])
+        self.sizes = disturbances.function_sizes
         border = likelihood.border_of(self.parts)
         self.information = border.with_priors(self.sizes)
         marginal = border.marginal(self.sizes)
         self.log_evidence = marginal.log_evidence
         self.step = marginal.border
-        self.n_theta = border.n_theta
-        self.owner = border.owner
         solved = self.parts.solved
         self.unknowns = solved[:, -1] - solved[:, :-1] @ self.step
-        n = likelihood.n_unknowns
-        shown = likelihood.shown @ self.unknowns[:n]
-        self.residual = (
-            self.problem.residual - shown - likelihood.border_in_shown @ self.step
-        )
-        self.priors = self._priors()
+        shown = likelihood.shown @ self.unknowns[: likelihood.n_unknowns]
+        in_border = likelihood.border_in_shown @ self.step
+        self.residual = self.problem.residual - shown - in_border
+        # Places of each function's coefficients in the border.
+        self.coefficients = []
+        for number in range(len(self.sizes)):
+            own = np.flatnonzero(border.owner == number)
+            self.coefficients.append(border.n_theta + own)
+        self.priors = self._priors(disturbances)
 
-    def _priors(self) -> list[_Prior]:
-        forces = self.disturbances.forces
-        processes = self.disturbances.processes
-        later = []
-        for process in processes:
-            time = process.time * float(np.exp(PRIOR_STEP))
-            later.append(Process(process.place, process.size, time))
-        n = len(forces)
-        moved = Disturbances(
-            self.disturbances.sigma, tuple(later[:n]), tuple(later[n:])
+    def _priors(self, disturbances: Disturbances) -> list[_Prior]:
+        factor = float(np.exp(PRIOR_STEP))
+
+        def later(processes: tuple[Process, ...]) -> tuple[Process, ...]:
+            return tuple(replace(one, time=one.time * factor) for one in processes)
+
+        moved = replace(
+            disturbances,
+            forces=later(disturbances.forces),
+            sensors=later(disturbances.sensors),
         )
-        now = self.parts.whiteners
-        then = self.likelihood.whiteners(moved)
         priors = []
-        places = self.likelihood.places_of_processes()
-        for number, process in enumerate(processes):
-            first, length = places[number]
-            where = slice(first, first + length)
-            priors.append(_Prior.of(process, now[number], then[number], where))
+        for process, now, then, (first, n) in zip(
+            disturbances.processes,
+            self.parts.whiteners,
+            self.likelihood.whiteners(moved),
+            self.likelihood.places_of_processes(),
+            strict=True,
+        ):
+            priors.append(_Prior(process, now, then, slice(first, first + n)))
         return priors
 
     def slopes(self, sums: np.ndarray | None = None) -> Slopes:
         """Gradient and average information."""
         n_slopes = len(self.channels) + 2 * len(self.priors) + len(self.sizes)
-        changes = self._changes(np.eye(n_slopes) if sums is None else sums)
-        probes = self._probes()
-        inner = np.hstack([changes.inner, probes.inner])
-        border = np.hstack([changes.border, probes.border])
-        k = changes.inner.shape[1]
+        changes, data = self._changes(np.eye(n_slopes) if sums is None else sums)
+        n_values = self.problem.n_values
+        n_probes = int(np.clip(PROBED_VALUES // n_values, LEAST_PROBES, MOST_PROBES))
+        lengths = (n_values, *(prior.n for prior in self.priors))
+        signs = random_signs(lengths, n_probes)
+        probes = self._probes(signs)
+        inner = np.hstack([changes[0], probes[0]])
+        border = np.hstack([changes[1], probes[1]])
+        k = data.shape[1]
         alone = self.parts.factors.solve(inner)
         open_border = border - self.parts.right[:, :-1].T @ alone
         of_border = solve_border(self.information, open_border)
-        information = self._information(
-            changes, alone[:, :k], open_border[:, :k], of_border[:, :k]
-        )
+        # Half the change of the data, over the covariance that is left of them.
+        squares = data.T @ (self.parts.weights[:, None] * data)
+        explained = changes[0].T @ alone[:, :k]
+        explained = explained + open_border[:, :k].T @ of_border[:, :k]
+        information = (squares - explained) / 2
         answer = alone[:, k:] - self.parts.solved[:, :-1] @ of_border[:, k:]
-        gradient = self._gradient(answer, of_border[:, k:])
+        of_values = answer[:, :n_probes], of_border[:, k : k + n_probes]
+        gradient = np.concatenate(
+            [
+                self._in_noise(signs[0], *of_values),
+                *self._in_processes(signs[1:], answer[:, n_probes:]),
+                self._in_functions(),
+            ]
+        )
         if sums is not None:
             gradient = sums @ gradient
-        return Slopes(self.log_evidence, gradient, information)
+        return Slopes(self.log_evidence, gradient, (information + information.T) / 2)
 
-    def _changes(self, sums: np.ndarray) -> _Columns:
-        """How the data would move with sums of sizes and times, as right-hand sides.
+    def _right(
+        self, values: np.ndarray, dynamics: np.ndarray | float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Right-hand sides in the unknowns, dynamics and border, of weighted values.
 
-        What a force adds to the states, the data would show; so it is taken from the
-        dynamics where it is added to the data.
+        Args:
+            values: (n_values, k).
+            dynamics: (n_intervals * n_states, k).
+        """
+        likelihood = self.likelihood
+        n = likelihood.n_unknowns
+        inner = np.empty((len(self.parts.right), values.shape[1]), order="F")
+        inner[:n] = likelihood.shown_transposed @ values
+        inner[n:] = dynamics
+        return inner, likelihood.border_in_shown.T @ values
+
+    def _changes(
+        self, sums: np.ndarray
+    ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """How the data would move with sums of sizes and times, (n_values, k).
+
+        As right-hand sides, and as they are. What a force adds to the states, the data
+        would show; so it is taken from the dynamics where it is added to the data.
 
         Args:
             sums: (k, n_slopes).
         """
         likelihood = self.likelihood
-        n_inner = len(self.parts.right)
-        n = likelihood.n_unknowns
-        weights = self.parts.weights
         n_channels = len(self.channels)
         n_functions = len(self.sizes)
         of_processes = slice(n_channels, sums.shape[1] - n_functions)
         is_in = self.problem.channel[:, None] == np.array(self.channels, dtype=int)
         of_noise = np.where(is_in, 2 * self.residual[:, None], 0.0)
         shifts = of_noise @ sums[:, :n_channels].T
-        offsets = np.zeros((n_inner - n, len(sums)))
+        n_dynamics = len(self.parts.right) - likelihood.n_unknowns
+        offsets = np.zeros((n_dynamics, len(sums)))
         if self.priors:
             moved = self._moved_processes() @ sums[:, of_processes].T
             shifts += likelihood.values_of_processes(moved)
             offsets -= likelihood.dynamics_of_processes(moved)
         if n_functions:
-            step = self._moved_functions() @ sums[:, of_processes.stop :].T
+            coefficients = np.zeros((len(self.step), n_functions))
+            for number, places in enumerate(self.coefficients):
+                coefficients[places, number] = 2 * self.step[places]
+            step = coefficients @ sums[:, of_processes.stop :].T
             offsets += likelihood.border_in_dynamics @ step
-        weighted = weights[:, None] * shifts
-        inner = np.empty((n_inner, len(sums)), order="F")
-        inner[:n] = likelihood.shown_transposed @ weighted
-        inner[n:] = offsets
-        return _Columns(
-            inner=inner,
-            border=likelihood.border_in_shown.T @ weighted,
-            data=shifts,
-        )
+        return self._right(self.parts.weights[:, None] * shifts, offsets), shifts
 
     def _moved_processes(self) -> np.ndarray:
         """Values of all processes, as each size and then each time would move them.
@@ -374,104 +372,59 @@ class _Derivatives:
         moved = np.zeros((self.likelihood.n_unknowns, 2 * n_processes))
         for number, prior in enumerate(self.priors):
             values = self.unknowns[prior.places]
-            by_time = prior.covariance_times(prior.changed(values))
+            changed = prior.changed(values)[:, None]
+            by_time = prior.whitener.covariance_times(changed)[:, 0]
             moved[prior.places, number] = 2 * values
+            by_time = by_time * prior.process.size**2
             moved[prior.places, n_processes + number] = -by_time
         return moved
 
-    def _moved_functions(self) -> np.ndarray:
-        """Coefficients as each size would move them, (n_border, n_functions)."""
-        moved = np.zeros((len(self.step), len(self.sizes)))
-        for number in range(len(self.sizes)):
-            places = self.n_theta + np.flatnonzero(self.owner == number)
-            moved[places, number] = 2 * self.step[places]
-        return moved
-
-    def _probes(self) -> _Columns:
+    def _probes(self, signs: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Random signs: first of the measured values, then of the processes."""
-        likelihood = self.likelihood
-        n_values = self.problem.n_values
-        n_probes = int(np.clip(PROBED_VALUES // n_values, LEAST_PROBES, MOST_PROBES))
-        self.n_probes = n_probes
-        lengths = (n_values, *(prior.n for prior in self.priors))
-        self.value_signs, *self.process_signs = random_signs(lengths, n_probes)
-        inner = np.zeros((len(self.parts.right), 2 * n_probes), order="F")
-        border = np.zeros((len(self.step), 2 * n_probes))
-        weighted = np.sqrt(self.parts.weights)[:, None] * self.value_signs
-        n = likelihood.n_unknowns
-        inner[:n, :n_probes] = likelihood.shown_transposed @ weighted
-        border[:, :n_probes] = likelihood.border_in_shown.T @ weighted
-        for prior, signs in zip(self.priors, self.process_signs, strict=True):
-            inner[prior.places, n_probes:] = prior.transposed(signs)
-        return _Columns(inner, border, np.zeros((0, 0)))
+        n_probes = signs[0].shape[1]
+        weighted = np.sqrt(self.parts.weights)[:, None] * signs[0]
+        both = np.hstack([weighted, np.zeros_like(weighted)])
+        inner, border = self._right(both, 0.0)
+        for prior, own in zip(self.priors, signs[1:], strict=True):
+            transposed = prior.whitener.transposed(own) / prior.process.size
+            inner[prior.places, n_probes:] = transposed
+        return inner, border
 
-    def _information(
-        self,
-        changes: _Columns,
-        alone: np.ndarray,
-        open_border: np.ndarray,
-        of_border: np.ndarray,
+    def _in_noise(
+        self, signs: np.ndarray, answer: np.ndarray, of_border: np.ndarray
     ) -> np.ndarray:
-        """Half the change of the data, over the covariance that is left of them."""
-        squares = changes.data.T @ (self.parts.weights[:, None] * changes.data)
-        explained = changes.inner.T @ alone + open_border.T @ of_border
-        information: np.ndarray = (squares - explained) / 2
-        return (information + information.T) / 2
-
-    def _gradient(self, answer: np.ndarray, of_border: np.ndarray) -> np.ndarray:
-        n_probes = self.n_probes
-        return np.concatenate(
-            [
-                self._in_noise(answer[:, :n_probes], of_border[:, :n_probes]),
-                *self._in_processes(answer[:, n_probes:]),
-                self._in_functions(),
-            ]
-        )
-
-    def _in_noise(self, answer: np.ndarray, of_border: np.ndarray) -> np.ndarray:
-        squares, leverage = self._of_values(answer, of_border)
-        left = squares - 1 + leverage
-        return np.array([left[self.problem.channel == c].sum() for c in self.channels])
-
-    def _of_values(
-        self, answer: np.ndarray, of_border: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Squared residuals in units of the noise, and leverages, (n_values,) each."""
+        """From squared residuals in units of the noise, and leverages."""
         likelihood = self.likelihood
         root = np.sqrt(self.parts.weights)
         shown = likelihood.shown @ answer[: likelihood.n_unknowns]
         shown = root[:, None] * (shown + likelihood.border_in_shown @ of_border)
-        leverage = np.mean(self.value_signs * shown, axis=1)
-        return (root * self.residual) ** 2, leverage
+        leverage = np.mean(signs * shown, axis=1)
+        left = (root * self.residual) ** 2 - 1 + leverage
+        return np.array([left[self.problem.channel == c].sum() for c in self.channels])
 
-    def _of_process(
-        self, prior: _Prior, signs: np.ndarray, answer: np.ndarray
-    ) -> tuple[float, float]:
-        """Squared innovations, and how many of them the data leave to the prior."""
-        squares = float(np.sum(prior.whitened(self.unknowns[prior.places]) ** 2))
-        found = prior.whitened(answer[prior.places])
-        return squares, float(np.mean(np.sum(signs * found, axis=0)))
-
-    def _in_processes(self, answer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _in_processes(
+        self, signs: tuple[np.ndarray, ...], answer: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """From squared innovations, and how many of them the data leave to priors."""
         by_size = []
         by_time = []
-        for prior, signs in zip(self.priors, self.process_signs, strict=True):
-            squares, left = self._of_process(prior, signs, answer)
-            by_size.append(squares - prior.n + left)
-            values = self.unknowns[prior.places]
+        for prior, own in zip(self.priors, signs, strict=True):
+            whitener, size = prior.whitener, prior.process.size
+            values, found = self.unknowns[prior.places], answer[prior.places]
+            squares = float(np.sum((whitener.whitened(values) / size) ** 2))
+            left = np.mean(np.sum(own * (whitener.whitened(found) / size), axis=0))
+            by_size.append(squares - prior.n + float(left))
             change = float(values @ prior.changed(values))
-            changed = prior.changed(prior.coloured(signs))
-            found = answer[prior.places]
-            trace = float(np.mean(np.sum(found * changed, axis=0)))
+            coloured = prior.changed(whitener.coloured(own) * size)
+            trace = float(np.mean(np.sum(found * coloured, axis=0)))
             by_time.append(prior.d_log_det - (change + trace) / 2)
         return np.array(by_size), np.array(by_time)
 
     def _in_functions(self) -> np.ndarray:
         covariance = solve_border(self.information, np.eye(len(self.information)))
+        variance = np.diag(covariance)
         slopes = []
-        for number, size in enumerate(self.sizes):
-            places = self.n_theta + np.flatnonzero(self.owner == number)
-            squares = np.sum(self.step[places] ** 2)
-            trace = np.sum(np.diag(covariance)[places])
-            slopes.append((squares + trace) / size**2 - len(places))
+        for places, size in zip(self.coefficients, self.sizes, strict=True):
+            squares = np.sum(self.step[places] ** 2) + np.sum(variance[places])
+            slopes.append(squares / size**2 - len(places))
         return np.array(slopes)

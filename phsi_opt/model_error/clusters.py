@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from phsi_opt.criteria import FEWEST_TRAJECTORIES
+from phsi_opt.model_error.freedom import Spread
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, noise_weights
-from phsi_opt.model_error.spread import Spread
 from phsi_opt.statistics import chi_square_tail
 from phsi_opt.transcription.elimination import RIDGE
 

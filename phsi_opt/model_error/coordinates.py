@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.processes import Process
 from phsi_opt.statistics import TINY
 
@@ -133,38 +133,25 @@ class Coordinates:
 
     def at(self, vector: np.ndarray) -> Disturbances:
         """The disturbances of a vector (n_coordinates,)."""
-        left = list(vector)
-        sigma = self.origin.sigma.copy()
-        for group in self._groups(len(self.channels)):
-            channels = [self.channels[place] for place in group]
-            sigma[:, channels] *= np.exp(left.pop(0))
-        forces = self._moved(self.origin.forces, left)
-        sensors = self._moved(self.origin.sensors, left)
-        functions: list[StateFunction] = []
-        for function in self.origin.functions:
-            size = function.size * float(np.exp(left.pop(0)))
-            functions.append(replace(function, size=size))
+        origin = self.origin
+        n, n_processes = len(self.channels), len(origin.processes)
+        factors = np.exp(self.among_slopes().T @ vector)
+        ends = np.cumsum([n, n_processes, n_processes])
+        noises, sizes, times, of_functions = np.split(factors, ends)
+        sigma = origin.sigma.copy()
+        sigma[:, list(self.channels)] *= noises
+        processes = []
+        for one, size, time in zip(origin.processes, sizes, times, strict=True):
+            moved = replace(one, size=one.size * float(size))
+            processes.append(replace(moved, time=one.time * float(time)))
+        functions = []
+        for function, size in zip(origin.functions, of_functions, strict=True):
+            functions.append(replace(function, size=function.size * float(size)))
+        n_forces = len(origin.forces)
         return replace(
-            self.origin,
+            origin,
             sigma=sigma,
-            forces=forces,
-            sensors=sensors,
+            forces=tuple(processes[:n_forces]),
+            sensors=tuple(processes[n_forces:]),
             functions=tuple(functions),
         )
-
-    def _moved(
-        self, processes: tuple[Process, ...], left: list[float]
-    ) -> tuple[Process, ...]:
-        """Take the coordinates of these processes off the list."""
-        sizes: list[float] = []
-        for group in self._groups(len(processes)):
-            factor = float(np.exp(left.pop(0)))
-            sizes += [processes[place].size * factor for place in group]
-        is_lasting = any(self._lasts(process) for process in processes)
-        is_free = is_lasting and not self.fixed_times
-        factor = float(np.exp(left.pop(0))) if is_free else 1.0
-        moved = []
-        for process, size in zip(processes, sizes, strict=True):
-            time = process.time * factor if self._lasts(process) else process.time
-            moved.append(Process(process.place, size, time))
-        return tuple(moved)

@@ -135,16 +135,6 @@ class DisturbanceSearch:
         best = self.best_of([plain.disturbances])
         return replace(plain, log_evidence=max(best.log_evidence, plain.log_evidence))
 
-    def gain(self, found: Evidence) -> float:
-        """What something found has more of the log evidence than white noise.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
-        if found.coordinates is None:
-            return 0.0
-        return found.log_evidence - self.white.log_evidence
-
     def evidence(self, disturbances: Disturbances) -> Evidence:
         """Of given disturbances.
 
@@ -162,7 +152,7 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        return (self._pieces or self)._promising.is_any
+        return (self.pieces or self)._promising.is_any
 
     def found(self) -> Evidence:
         """What the record shows, white noise where it shows no more.
@@ -174,7 +164,7 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        pieces = self._pieces
+        pieces = self.pieces
         if not self.is_promising:
             return self.evidence(Disturbances(self.plain))
         if pieces is None:
@@ -183,7 +173,10 @@ class DisturbanceSearch:
         if in_pieces.is_white and not self.noise_differs:
             return self.evidence(Disturbances(self.plain))
         white = self.white
-        start = self.translated(in_pieces, pieces)
+        # Noises keep the ratios that neighbouring samples show.
+        ratios = np.log(in_pieces.sigma / pieces.noises()[0])
+        sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
+        start = replace(in_pieces, sigma=sigma)
         best = self.best_of([start], most_steps=STEPS_ON_WHOLE)
         is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
         return best if is_clear else white
@@ -241,9 +234,6 @@ class DisturbanceSearch:
         return MODEL_ERROR_EVIDENCE + self.problem.n_trajectories
 
     @cached_property
-    def _pieces(self) -> "DisturbanceSearch | None":
-        return self.pieces()
-
     def pieces(self) -> "DisturbanceSearch | None":
         """The same search on a part of a long record; None for one that is short."""
         n_intervals = self.problem.grid.n_intervals
@@ -266,17 +256,6 @@ class DisturbanceSearch:
             scatter=self.scatter[runs],
         )
 
-    def translated(
-        self, disturbances: Disturbances, other: "DisturbanceSearch"
-    ) -> Disturbances:
-        """Disturbances of another search, of pieces or of the whole, for this one.
-
-        Noises keep the ratios that neighbouring samples show.
-        """
-        ratios = np.log(disturbances.sigma / other.noises()[0])
-        sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
-        return replace(disturbances, sigma=sigma)
-
     def _found_directly(self) -> Evidence:
         promising = self._promising
         best = self.white
@@ -291,7 +270,7 @@ class DisturbanceSearch:
         sensor_starts = self._sensor_starts() if promising.sensors else []
         of_forces = self.best_of(force_starts, worth=worth)
         of_sensors = self.best_of(sensor_starts, worth=worth)
-        one = max(of_forces, of_sensors, key=_log_evidence)
+        one = max(of_forces, of_sensors, key=lambda found: found.log_evidence)
         if one.log_evidence > worth:
             best = one
             promises = (
@@ -334,7 +313,10 @@ class DisturbanceSearch:
             least_noise=LEAST_NOISE * np.mean(self.scatter, axis=0),
             shortest=self.shortest,
             longest=self._longest,
-            largest_functions=self._largest_functions(origin.functions),
+            largest_functions=tuple(
+                FUNCTION_SHARES[-1] * float(rate)
+                for rate in self._rates_of(origin.functions)
+            ),
         )
 
         least_gain = BRIEF_GAIN if self.is_brief else LEAST_GAIN
@@ -389,13 +371,6 @@ class DisturbanceSearch:
         rates = self.problem.grid.rates(self.problem.nodes)
         typical: np.ndarray = np.sqrt(np.mean(rates**2, axis=0))
         return np.maximum(typical, TINY ** (1 / 4))
-
-    def _largest_functions(
-        self, functions: Sequence[StateFunction]
-    ) -> tuple[float, ...]:
-        rates = self.rates()
-        largest = [FUNCTION_SHARES[-1] * rates[f.equation] for f in functions]
-        return tuple(float(size) for size in largest)
 
     def _force_starts(self) -> list[Disturbances]:
         starts = []
@@ -455,32 +430,22 @@ class DisturbanceSearch:
 
     def _function_candidates(self) -> tuple[StateFunction, ...]:
         """The functions that are tried, as large as the typical rate."""
+        problem = self.problem
         rates = self.rates()
         candidates = []
-        for equation, state in self._function_places():
-            candidates.append(StateFunction(equation, state, float(rates[equation])))
-        return tuple(candidates)
-
-    def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
-        """Typical rate in the equation of each function, (n_functions,)."""
-        return self.rates()[[function.equation for function in functions]]
-
-    def _function_places(self) -> list[tuple[int, int]]:
-        """Equation and state of the functions that are tried."""
-        problem = self.problem
-        places = []
         n_columns = 0
         for equation in problem.forced:
             for state in problem.observed:
                 n_functions = problem.function_values[state].shape[1]
                 if n_functions:
-                    places.append((equation, state))
+                    size = float(rates[equation])
+                    candidates.append(StateFunction(equation, state, size))
                     n_columns += n_functions
-        return places if n_columns <= MOST_FUNCTION_COLUMNS else []
+        return tuple(candidates) if n_columns <= MOST_FUNCTION_COLUMNS else ()
 
-
-def _log_evidence(found: Evidence) -> float:
-    return found.log_evidence
+    def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
+        """Typical rate in the equation of each function, (n_functions,)."""
+        return self.rates()[[function.equation for function in functions]]
 
 
 def _negative_evidence(

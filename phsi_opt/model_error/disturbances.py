@@ -51,6 +51,11 @@ class Disturbances:
         return (*self.forces, *self.sensors)
 
     @property
+    def function_sizes(self) -> np.ndarray:
+        """Size of every function, (n_functions,)."""
+        return np.array([function.size for function in self.functions])
+
+    @property
     def structure(self) -> "Structure":
         """Which there are, without their sizes."""
         return Structure(

@@ -1,4 +1,4 @@
-"""How well a variance is itself known: its degrees of freedom.
+"""A covariance, and how well it is itself known: its degrees of freedom.
 
 The sizes of disturbances are estimated, and so is every variance that follows from
 them. Satterthwaite's rule gives the chi-square distribution that scatters alike
@@ -12,6 +12,7 @@ Cullis, Biometrics 51, 1995), which the search for them has anyway.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +22,19 @@ LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes
 LEAST_CERTAINTY = 0.5
 FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
 MOST = 1e9  # degrees of freedom of a variance that is as good as known
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A covariance of the scaled parameters, and how well it is known.
+
+    Attributes:
+        covariance: (n_theta, n_theta).
+        freedom: (n_theta,) degrees of freedom of the variances.
+    """
+
+    covariance: np.ndarray
+    freedom: np.ndarray
 
 
 def degrees_of_freedom(
@@ -47,16 +61,7 @@ def degrees_of_freedom(
     values, vectors = np.linalg.eigh(information[np.ix_(is_free, is_free)])
     spread = 1 / np.maximum(values, LEAST_CERTAINTY)
     covariance = (vectors * spread) @ vectors.T
-    slopes = _slopes(log_variances, units)
+    changes = [log_variances(unit) - log_variances(-unit) for unit in units]
+    slopes = np.array(changes) / (2 * LOG_STEP)
     variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
     return np.maximum(2 / np.maximum(variance, 2 / MOST), FEWEST)
-
-
-def _slopes(
-    function: Callable[[np.ndarray], np.ndarray], units: np.ndarray
-) -> np.ndarray:
-    """Of several functions along every unit, (n_units, n_functions)."""
-    slopes = []
-    for unit in units:
-        slopes.append((function(unit) - function(-unit)) / (2 * LOG_STEP))
-    return np.array(slopes)

@@ -23,13 +23,8 @@ def between_samples(problem: Linearization) -> Linearization:
     number = np.cumsum(grid.sample) - 1  # of the last sample, for every node
     is_first = grid.sample[grid.begin]
     begin = number[grid.begin[is_first]]
-    coarse = replace(
-        grid,
-        t=grid.t[samples],
-        y=grid.y[samples],
-        trajectory=grid.trajectory[samples],
-        sample=grid.sample[samples],
-        u=grid.u[samples],
+    coarse = grid.at_nodes(
+        samples,
         begin=begin,
         h=grid.t[samples][begin + 1] - grid.t[samples][begin],
         u0=grid.u0[is_first],

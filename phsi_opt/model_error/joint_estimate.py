@@ -86,7 +86,6 @@ class JointEstimate:
         violation: the largest of the scaled dynamics that hold.
         n_steps: how many there were.
         has_converged: whether the last step was short.
-        is_silent: whether the data say nothing about a direction of the parameters.
         length: of the last step, in standard deviations of what is unknown.
     """
 
@@ -96,7 +95,6 @@ class JointEstimate:
     violation: float
     n_steps: int
     has_converged: bool
-    is_silent: bool
     length: float
 
     @property
@@ -164,6 +162,7 @@ class JointProblem:
         n_constraints = self.values.jacobian.shape[0]
         return np.zeros(n_constraints) if self.softness is None else self.softness
 
+    @np.errstate(all="ignore")
     def optimum(
         self,
         z: np.ndarray,
@@ -184,29 +183,16 @@ class JointProblem:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        with np.errstate(all="ignore"):
-            return self._steps(z, most_steps, beside, target, before)
-
-    def _steps(
-        self,
-        z: np.ndarray,
-        most_steps: int,
-        beside: JointPoint | None,
-        target: Target,
-        before: MarginalLikelihood | None,
-    ) -> JointEstimate:
         place = _Place.of(self, z, beside, before)
         n_steps = 0
         has_converged = False
         damping = 0.0
         length = np.inf
         objectives: list[float] = []
-        is_silent = False
         while not has_converged and n_steps < most_steps:
             n_steps += 1
             aim = place.aim(damping)
             length = aim.length
-            is_silent = aim.is_silent
             there = self._lower(place, aim)
             if there is None:
                 damping = max(STEP_DAMPING_GROWTH * damping, LEAST_STEP_DAMPING)
@@ -233,7 +219,6 @@ class JointProblem:
             violation=place.violation,
             n_steps=n_steps,
             has_converged=has_converged,
-            is_silent=is_silent,
             length=length,
         )
 
@@ -262,20 +247,17 @@ class JointProblem:
 
     def _moved(self, place: "_Place", point: JointPoint) -> "_Place":
         """At a point, or beside it within the bounds."""
-        point = replace(point, z=self._within(point.z))
-        return replace(place, point=point, known=self._at(point.z))
-
-    def _at(self, z: np.ndarray) -> PointValues:
-        with solving():
-            return self.values.at(z)
-
-    def _within(self, z: np.ndarray) -> np.ndarray:
-        return np.clip(z, self.values.lower, self.values.upper)
+        z = np.clip(point.z, self.values.lower, self.values.upper)
+        return replace(place, point=replace(point, z=z), known=self._at(z))
 
     def room(self, z: np.ndarray) -> Room:
         """How far the parameters may move, (n_moving,)."""
         own = self.moving
         return Room.at(z[own], self.values.lower[own], self.values.upper[own])
+
+    def _at(self, z: np.ndarray) -> PointValues:
+        with solving():
+            return self.values.at(z)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,13 +268,11 @@ class _Aim:
         point: there.
         length: of the way there, in standard deviations.
         largest_multiplier: of the dynamics that hold.
-        is_silent: whether the data say nothing about a direction of the parameters.
     """
 
     point: JointPoint
     length: float
     largest_multiplier: float
-    is_silent: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,7 +419,6 @@ class _Place:
             point=point,
             length=self._length(found, point),
             largest_multiplier=float(np.max(np.abs(multipliers), initial=0.0)),
-            is_silent=found.is_silent,
         )
 
     def _within_bounds(
@@ -455,11 +434,10 @@ class _Place:
         if problem.softness is None:
             curved = CURVED_BY_DEFECTS * min(self.violation, 1.0)
             silent_share = max(SILENT, curved)
-        room = problem.room(self.point.z)
-        x = values.point.of_x
-        states = self.point.z[x]
-        is_low, is_high = states <= values.lower[x], states >= values.upper[x]
-        is_held = np.zeros(len(states), dtype=bool)
+        z, x = self.point.z, values.point.of_x
+        room = problem.room(z)
+        is_low, is_high = z[x] <= values.lower[x], z[x] >= values.upper[x]
+        is_held = np.zeros(len(is_low), dtype=bool)
         while True:
             found = likelihood.smoothed(
                 problem.disturbances,

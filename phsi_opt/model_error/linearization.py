@@ -148,7 +148,7 @@ class Linearization:
         layout = BandLayout(
             interval * n + row, interval * n + column, (first + order).ravel()
         )
-        log_slopes = Banded.of(layout, slopes.data[at_end]).log_abs_det
+        log_slopes = Banded(layout, slopes.data[at_end]).log_abs_det
         return log_slopes + self.n_trajectories * float(np.sum(np.log(self.x_scale)))
 
     def effect_of_force(self, equation: int) -> np.ndarray:
@@ -224,18 +224,14 @@ class Linearization:
             kept_nodes[:, None] * self.n_states + np.arange(self.n_states)
         ).ravel()
         _, trajectory = np.unique(piece[kept_nodes], return_inverse=True)
-        shorter = replace(
-            grid,
-            t=grid.t[kept_nodes],
-            y=grid.y[kept_nodes],
-            trajectory=trajectory,
-            sample=grid.sample[kept_nodes],
-            u=grid.u[kept_nodes],
+        shorter = grid.at_nodes(
+            kept_nodes,
             begin=new_number[grid.begin[intervals]],
             h=grid.h[intervals],
             u0=grid.u0[intervals],
             u1=grid.u1[intervals],
         )
+        shorter = replace(shorter, trajectory=trajectory)
         dynamics = csc_matrix(csr_matrix(self.dynamics_in_states)[rows][:, columns])
         shown = csr_matrix(self.shown_in_states)[values][:, columns]
         return replace(

@@ -21,16 +21,10 @@ from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import Disturbances, Structure
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.optimization.along_time import TimeLayout
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.bounded_step import ANY_ROOM, SILENT, Room, bounded_step
-from phsi_opt.optimization.chained import Chained
-from phsi_opt.transcription.elimination import (
-    REGULAR,
-    RIDGE,
-    ReducedSystem,
-    chain_of,
-)
+from phsi_opt.optimization.chained import Chain, Chained, TimeLayout
+from phsi_opt.transcription.elimination import REGULAR, RIDGE
 
 NOTHING_HELD = np.zeros(0, dtype=int)
 HELD_STATE = 1e9  # share of the largest curvature by which a state does not move
@@ -69,7 +63,6 @@ class Smoothed:
         processes: (n_inner,) values of all processes, forces first.
         coefficients: (n_coefficients,) of the functions of states.
         multipliers: (n_intervals * n_states,) of the dynamics.
-        is_silent: whether the data say nothing about a direction of the parameters.
     """
 
     theta: np.ndarray
@@ -77,7 +70,6 @@ class Smoothed:
     processes: np.ndarray
     coefficients: np.ndarray
     multipliers: np.ndarray
-    is_silent: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +147,8 @@ class Border:
 
     def step(
         self, sizes: np.ndarray, damping: float, room: Room, silent_share: float
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
-        """The best step of parameters and coefficients, and whether data are silent.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The best step of parameters, and of coefficients.
 
         Arguments as those of `MarginalLikelihood.smoothed`.
 
@@ -173,7 +165,7 @@ class Border:
         left = left + damping * np.diag(np.abs(np.diag(left)))
         pull = self.gradient[:n] - mixed @ through[:, n]
         best = bounded_step(left, pull, room, silent_share)
-        return best.d, through[:, n] - through[:, :n] @ best.d, best.is_silent
+        return best, through[:, n] - through[:, :n] @ best
 
     def marginal(self, sizes: np.ndarray) -> Marginal:
         """With functions of these sizes, (n_functions,).
@@ -326,9 +318,12 @@ class MarginalLikelihood:
         every_multiplier = self.n_unknowns + np.arange(len(self._softness))
         rows.append(every_multiplier)
         columns.append(every_multiplier)
-        order = np.argsort(self._times_of_unknowns(), kind="stable")
+        grid = problem.grid
+        of_nodes = np.arange(grid.n_nodes, dtype=float)
+        order = np.argsort(self._of_unknowns(of_nodes, grid.begin + 0.5), kind="stable")
         is_soft = bool(len(self._softness))
-        chain = None if is_soft else chain_of(problem.grid, problem.n_states)
+        whole = Chain(grid.begin, grid.n_nodes, problem.n_states)
+        chain = None if is_soft else whole
         self._layout = TimeLayout(
             np.concatenate(rows), np.concatenate(columns), order, chain
         )
@@ -346,18 +341,17 @@ class MarginalLikelihood:
             first += length
         return places
 
-    def _times_of_unknowns(self) -> np.ndarray:
-        """Position of every unknown and multiplier along the nodes."""
+    def _of_unknowns(
+        self, of_nodes: np.ndarray, of_intervals: np.ndarray
+    ) -> np.ndarray:
+        """A value for every unknown and multiplier, of its node or interval."""
         problem = self.problem
-        grid = problem.grid
-        at_middles = grid.begin + 0.5
-        of_nodes = np.arange(grid.n_nodes, dtype=float)
-        positions = [np.repeat(of_nodes, problem.n_states)]
-        positions += [at_middles] * len(self.structure.forces)
+        parts = [np.repeat(of_nodes, problem.n_states)]
+        parts += [of_intervals] * len(self.structure.forces)
         for channel in self.structure.sensors:
-            positions.append(problem.node[problem.values_of(channel)])
-        positions.append(np.repeat(at_middles, problem.n_states))
-        return np.concatenate(positions)
+            parts.append(of_nodes[problem.node[problem.values_of(channel)]])
+        parts.append(np.repeat(of_intervals, problem.n_states))
+        return np.concatenate(parts)
 
     def _set_border(self) -> None:
         problem = self.problem
@@ -417,8 +411,7 @@ class MarginalLikelihood:
 
     def coefficient_sizes(self, disturbances: Disturbances) -> np.ndarray:
         """Prior standard deviation of every coefficient, (n_coefficients,)."""
-        sizes = np.array([function.size for function in disturbances.functions])
-        return sizes[self._owner]
+        return disturbances.function_sizes[self._owner]
 
     def whiteners(self, disturbances: Disturbances) -> list[Whitener]:
         """Of every process, forces first, of size one."""
@@ -485,28 +478,6 @@ class MarginalLikelihood:
             log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
         )
 
-    def reduced(self, sigma: np.ndarray) -> ReducedSystem:
-        """The likelihood with white noise sigma alone, its states eliminated.
-
-        Args:
-            sigma: (n_states,) noise.
-
-        Raises:
-            SolveError: the states do not follow from the parameters and the data.
-        """
-        problem = self.problem
-        noise = Disturbances(np.tile(sigma, (problem.n_trajectories, 1)))
-        found = self.eliminated(noise, REGULAR)
-        shown = self.border_in_shown
-        return ReducedSystem(
-            grid=problem.grid,
-            n_states=problem.n_states,
-            factors=found.factors,
-            coupling=found.right[:, :-1],
-            curvature=shown.T @ (found.weights[:, None] * shown),
-            per_theta=found.solved[:, :-1],
-        )
-
     def border(self, disturbances: Disturbances) -> Border:
         """What is left when states and processes are integrated out.
 
@@ -532,7 +503,9 @@ class MarginalLikelihood:
         eliminated = self.eliminated(disturbances)
         log_evidence = eliminated.log_evidence + self.problem.log_volume
         run_of_value = self.problem.grid.trajectory[self.problem.node]
-        run_of_unknown = self._runs_of_unknowns()
+        run_of_unknown = self._of_unknowns(
+            self.problem.grid.trajectory, self.problem.runs
+        )
         borders = []
         for run in range(self.problem.n_trajectories):
             values = np.flatnonzero(run_of_value == run)
@@ -575,10 +548,10 @@ class MarginalLikelihood:
             SolveError: the states do not follow from the data.
         """
         eliminated = self.eliminated(disturbances, REGULAR, held)
-        sizes = np.array([function.size for function in disturbances.functions])
+        sizes = disturbances.function_sizes
         everything = slice(None)
         border = self._border_of(eliminated, everything, everything, 0.0)
-        theta, of_functions, is_silent = border.step(sizes, damping, room, silent_share)
+        theta, of_functions = border.step(sizes, damping, room, silent_share)
         solved = eliminated.solved
         moved = np.concatenate([theta, of_functions])
         found = solved[:, -1] - solved[:, :-1] @ moved
@@ -593,7 +566,6 @@ class MarginalLikelihood:
             processes=unknowns[n_x:],
             coefficients=of_functions,
             multipliers=found[self.n_unknowns :],
-            is_silent=is_silent,
         )
 
     def response(self, disturbances: Disturbances) -> Response:
@@ -604,7 +576,7 @@ class MarginalLikelihood:
         """
         eliminated = self.eliminated(disturbances)
         border = self.border_of(eliminated)
-        sizes = np.array([function.size for function in disturbances.functions])
+        sizes = disturbances.function_sizes
         information = border.with_priors(sizes)
         inverse = solve_border(information, np.eye(len(information)))[: border.n_theta]
         answers = eliminated.solved[:, :-1]
@@ -639,17 +611,6 @@ class MarginalLikelihood:
             owner=self._owner,
         )
 
-    def _runs_of_unknowns(self) -> np.ndarray:
-        """Number of the trajectory of every unknown and multiplier."""
-        problem = self.problem
-        trajectory = problem.grid.trajectory
-        runs = [np.repeat(trajectory, problem.n_states)]
-        runs += [problem.runs] * len(self.structure.forces)
-        for channel in self.structure.sensors:
-            runs.append(trajectory[problem.node[problem.values_of(channel)]])
-        runs.append(np.repeat(problem.runs, problem.n_states))
-        return np.concatenate(runs)
-
     def log_likelihood(self, disturbances: Disturbances) -> float:
         """Logarithm of the likelihood of the measurements at the best parameters.
 
@@ -660,7 +621,7 @@ class MarginalLikelihood:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        sizes = np.array([function.size for function in disturbances.functions])
+        sizes = disturbances.function_sizes
         border = self.border(disturbances)
         marginal = border.marginal(sizes)
         information = border.with_priors(sizes)
@@ -689,8 +650,7 @@ class MarginalLikelihood:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        sizes = np.array([function.size for function in disturbances.functions])
-        return self.border(disturbances).marginal(sizes)
+        return self.border(disturbances).marginal(disturbances.function_sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -752,14 +712,89 @@ class _Pairs:
         return products
 
 
-def reduced(linear: Linearization, sigma: np.ndarray) -> ReducedSystem:
-    """A linearised likelihood with white noise sigma (n_states,), states eliminated.
+class ReducedSystem:
+    """A linearised likelihood with white noise alone, its states eliminated.
+
+    ::
+
+        min over z = (theta, x) of  1/2 z'Hz   subject to  Jz = e
+
+    The states of a record follow the parameters through the constraints, and what is
+    left is a small dense problem in the parameters: the information.
+
+    Args:
+        linear: the likelihood, linearised.
+        sigma: (n_states,) noise.
+
+    Attributes:
+        information: (n_theta, n_theta), the curvature that is left for theta when the
+            states follow it.
 
     Raises:
         SolveError: the states do not follow from the parameters and the data.
     """
-    everything = np.arange(linear.n_theta)
-    return MarginalLikelihood(linear, Structure(), everything).reduced(sigma)
+
+    def __init__(self, linear: Linearization, sigma: np.ndarray) -> None:
+        every = np.arange(linear.n_theta)
+        likelihood = MarginalLikelihood(linear, Structure(), every)
+        noise = Disturbances(np.tile(sigma, (linear.n_trajectories, 1)))
+        found = likelihood.eliminated(noise, REGULAR)
+        self._shape = linear.nodes.shape
+        self._factors = found.factors
+        self._coupling = found.right[:, :-1]
+        self._per_theta = found.solved[:, :-1]
+        shown = likelihood.border_in_shown
+        curvature = shown.T @ (found.weights[:, None] * shown)
+        information = curvature - self._coupling.T @ self._per_theta
+        self.information = (information + information.T) / 2
+
+    def respond(
+        self, e: np.ndarray, covariance: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Change of theta and x when the constraints are offset by ``e``.
+
+        Args:
+            e: (n_constraints,).
+            covariance: (n_theta, n_theta) inverse of the information.
+
+        Returns:
+            Scaled, (n_theta,) and (n_nodes, n_states).
+        """
+        n_x = len(self._per_theta) - len(e)
+        alone = self._factors.solve(np.concatenate([np.zeros(n_x), e]))
+        theta = covariance @ (-self._coupling.T @ alone)
+        states = alone - self._per_theta @ theta
+        return theta, states[:n_x].reshape(self._shape)
+
+    @property
+    def following(self) -> np.ndarray:
+        """How the states follow a change of theta, (n_nodes, n_states, n_theta)."""
+        n_nodes, n_states = self._shape
+        return -self._per_theta[: n_nodes * n_states].reshape(n_nodes, n_states, -1)
+
+    def start_covariances(
+        self, starts: np.ndarray, trajectory: np.ndarray
+    ) -> np.ndarray:
+        """Covariance of each node's states when theta is known.
+
+        It is that of the starting states, carried along the trajectory.
+
+        Args:
+            starts: (n_trajectories, n_states) places of the starting states in x.
+            trajectory: (n_nodes,) number of the trajectory of each node.
+
+        Returns:
+            (n_nodes, n_states, n_states).
+        """
+        n_runs, n = starts.shape
+        unit = np.zeros((self._factors.n, n))
+        # One column serves all trajectories: none touches another one.
+        unit[starts.ravel(), np.tile(np.arange(n), n_runs)] = 1.0
+        columns = self._factors.solve(unit)[: self._shape[0] * n]
+        at_start = columns[starts.ravel()].reshape(n_runs, n, n)
+        per_node = columns.reshape(-1, n, n)
+        inverses = np.linalg.pinv(at_start, hermitian=True)
+        return per_node @ inverses[trajectory] @ per_node.transpose(0, 2, 1)
 
 
 def noise_weights(problem: Linearization, sigma: np.ndarray) -> np.ndarray:

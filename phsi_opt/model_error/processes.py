@@ -5,11 +5,15 @@ its sensors that outlast a sample. What they act on is said in `disturbances`.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from phsi_opt.statistics import TINY
+
+SEED = 0  # of random signs
+MOST_SETS = 4  # sets of signs; a search asks for the same ones at every step
 
 
 @dataclass(frozen=True)
@@ -119,3 +123,20 @@ class Whitener:
     def covariance_times(self, values: np.ndarray) -> np.ndarray:
         """The covariance times values (n, k)."""
         return self.coloured(self.factor_of(values))
+
+
+@lru_cache(MOST_SETS)
+def random_signs(lengths: tuple[int, ...], n: int) -> tuple[np.ndarray, ...]:
+    """Signs, (n_values, n) for each of the lengths n_values, read-only.
+
+    For a random sign vector s, the mean of s'As is the trace of A (Hutchinson,
+    Communications in Statistics 19, 1990). The same signs everywhere make an estimate
+    the same every time, and smooth in what the matrix depends on.
+    """
+    rng = np.random.default_rng(SEED)
+    drawn = []
+    for length in lengths:
+        signs = np.asfortranarray(rng.choice([-1.0, 1.0], (length, n)))
+        signs.flags.writeable = False
+        drawn.append(signs)
+    return tuple(drawn)

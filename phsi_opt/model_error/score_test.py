@@ -6,26 +6,29 @@ gives them for many processes at once, and the Newton step that they promise say
 whether a search is worth its time. (A score test of variance components: Lin,
 Biometrika 84, 1997; the curvature is the average information of `ascent`, and traces
 are those of random signs.)
+
+Changes of the data and of the dynamics stand below each other here: (n_values +
+n_intervals * n_states, k). What a force adds to the states, the data would show; so it
+is taken from the dynamics where a sensor's error is added to the data.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
+from scipy.optimize import nnls
+from scipy.sparse import csc_matrix
 
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     solve_border,
     whitener_of_force,
     whitener_of_sensor,
 )
-from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.model_error.signs import random_signs
-from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
+from phsi_opt.model_error.processes import Process, Whitener, random_signs
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import RIDGE
 
@@ -51,138 +54,88 @@ class PromisedGain:
     sensors: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Shifts:
-    """Changes of the data and of the dynamics, a column each.
+@dataclass(frozen=True)
+class Trial:
+    """Processes that could act together, each at its time.
 
     Attributes:
-        values: (n_values, k).
-        dynamics: (n_intervals * n_states, k).
+        forces: that could act.
+        sensors: processes that could add to what is shown.
+        is_tied: whether those of one kind share a factor, as in a search; otherwise
+            sizes do not matter.
     """
 
-    values: np.ndarray
-    dynamics: np.ndarray
-
-    @classmethod
-    def none(cls, problem: Linearization, k: int) -> "_Shifts":
-        """No change, to be added to; column after column in memory."""
-        n_dynamics = problem.dynamics_in_states.shape[0]
-        values = np.zeros((problem.n_values, k), order="F")
-        return cls(values, np.zeros((n_dynamics, k), order="F"))
-
-    def columns(self, chosen: slice) -> "_Shifts":
-        """Some of the columns; the same memory."""
-        return _Shifts(self.values[:, chosen], self.dynamics[:, chosen])
-
-
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """Where processes act, and what the data say there.
-
-    Attributes:
-        effects: of a force, what its values do to the dynamics; None: of a sensor.
-        transposed: the same, transposed.
-        shown: of a sensor, places of the measured values that it is added to.
-    """
-
-    effects: csc_matrix | None = None
-    transposed: csr_matrix | None = None
-    shown: np.ndarray | None = None
-
-    @classmethod
-    def of_force(cls, effects: csc_matrix) -> "_Place":
-        """Of a force with these effects."""
-        return cls(effects, effects.T)
-
-    def add(self, shifts: _Shifts, values: np.ndarray) -> None:
-        """Add what values (n, k) do to shifts.
-
-        What a force adds to the states, the data would show; so it is taken from the
-        dynamics where it is added to the data.
-        """
-        if self.effects is not None:
-            shifts.dynamics[:] -= self.effects @ values
-        else:
-            shifts.values[self.shown] += values
-
-    def felt(self, left: _Shifts) -> np.ndarray:
-        """What it would take to bring down what is left, (n, k)."""
-        if self.transposed is not None:
-            return np.asarray(self.transposed @ left.dynamics)
-        return left.values[self.shown]
+    forces: Sequence[Process]
+    sensors: Sequence[Process]
+    is_tied: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class _Component:
-    """A process that could act beside the model, of its own size.
+    """A process that could act beside the model.
 
     Attributes:
-        place: where it acts.
+        effects: what its values do to data and dynamics, sparse, of its own size.
         whitener: of its values at size one.
-        size: its own.
         felt: (n, 1) what it would take to bring down what is left of the data.
     """
 
-    place: _Place
+    effects: csc_matrix
     whitener: Whitener
-    size: float
     felt: np.ndarray
-
-    @property
-    def n(self) -> int:
-        """Number of its values."""
-        return len(self.whitener.diagonal)
 
     @cached_property
     def factor(self) -> np.ndarray:
         """F'F is the variance that the prior gives what is felt, (n, 1)."""
         return self.whitener.factor_of(self.felt)
 
-    def add(self, shifts: _Shifts, values: np.ndarray) -> None:
-        """Add what its values (n, k) do."""
-        self.place.add(shifts, self.size * values)
 
-    def felt_of(self, left: _Shifts) -> np.ndarray:
-        """What it would take to bring down what is left, (n, k)."""
-        return self.size * self.place.felt(left)
+M = TypeVar("M")
+_Kind = list[_Component]  # whose variances share a factor: of small systems one alone
 
 
-@dataclass(frozen=True, eq=False)
-class _Kind:
-    """Components whose variances share a factor: of small systems one alone.
+class Asked:
+    """The processes of a trial, and what a record says of them.
+
+    Args:
+        kinds: those of forces first.
+        n_forces: number of kinds of forces.
 
     Attributes:
-        components: with sizes in the ratios that they keep.
+        information: (n, n) about the variances.
+        excess: (n,) slopes of the log evidence in the variances times their sizes.
     """
 
-    components: Sequence[_Component]
-
-    def add_moved(self, shifts: _Shifts) -> None:
-        """Add what they do to the data where they follow what they feel, one column."""
-        for component in self.components:
-            component.add(shifts, component.whitener.coloured(component.factor))
+    def __init__(self, kinds: list[_Kind], n_forces: int) -> None:
+        self.kinds = kinds
+        self.n_forces = n_forces
+        self.information = np.zeros((0, 0))
+        self.excess = np.zeros(0)
 
     @property
-    def seen(self) -> float:
-        """What is felt, squared, as far as the kind could bring it down."""
-        return float(sum(np.sum(one.factor**2) for one in self.components))
+    def size(self) -> np.ndarray:
+        """Root of the information about each variance, (n,)."""
+        return np.sqrt(np.maximum(np.diag(self.information), TINY))
 
+    @property
+    def seen(self) -> np.ndarray:
+        """What each kind feels, squared, as far as it could bring it down, (n,)."""
+        seen = [sum(np.sum(one.factor**2) for one in kind) for kind in self.kinds]
+        return np.array(seen)
 
-@dataclass(frozen=True, eq=False)
-class _Signal:
-    """A random signal of a component.
-
-    Attributes:
-        component: whose it is.
-        values: (n, N_SIGNS).
-    """
-
-    component: _Component
-    values: np.ndarray
-
-    def product(self, left: _Shifts) -> float:
-        """With what the component feels of what is left."""
-        return float(np.sum(self.values * self.component.felt_of(left)))
+    @property
+    def gain(self) -> PromisedGain:
+        """What the first step of a search promises."""
+        size = self.size
+        with np.errstate(over="ignore"):  # a component that leaves no trace
+            correlation = self.information / np.outer(size, size)
+        information = np.clip(correlation, -1.0, 1.0)
+        of_forces = slice(0, self.n_forces)
+        of_sensors = slice(self.n_forces, len(size))
+        return PromisedGain(
+            _gain(self.excess[of_forces], information[of_forces, of_forces]),
+            _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
+        )
 
 
 class WhiteRecord:
@@ -201,7 +154,7 @@ class WhiteRecord:
     """
 
     def __init__(self, likelihood: MarginalLikelihood, white: Disturbances) -> None:
-        self.problem = likelihood.problem
+        self.problem = problem = likelihood.problem
         self._likelihood = likelihood
         self._parts = likelihood.eliminated(white)
         self.border = likelihood.border_of(self._parts)
@@ -211,40 +164,40 @@ class WhiteRecord:
         self._solved = self._parts.solved[:, :n_theta]
         ridge = RIDGE * np.eye(n_theta)
         self._information = self.border.information[:n_theta, :n_theta] + ridge
-        residual = self.problem.residual[:, None]
-        data = _Shifts(residual, -self.problem.offset[:, None])
+        self._n_rows = problem.n_values + len(problem.offset)
+        data = np.concatenate([problem.residual, -problem.offset])[:, None]
         self.left = self._answered(data, self._parts.solved[:, -1:].copy())
+        self._made: dict[tuple[bool, int], tuple[csc_matrix, np.ndarray]] = {}
 
-    def _left(self, shifts: _Shifts) -> _Shifts:
+    def _left(self, shifts: np.ndarray) -> np.ndarray:
         """What states and parameters leave of shifts, weighted by the noise.
 
-        Of the values, and as multipliers of the dynamics.
+        Of the values, and as multipliers of the dynamics, less than zero.
         """
         likelihood = self._likelihood
         n = likelihood.n_unknowns
-        shape = (n + len(shifts.dynamics), shifts.values.shape[1])
-        inner = np.empty(shape, order="F")
-        weighted = self._parts.weights[:, None] * shifts.values
+        n_values = self.problem.n_values
+        inner = np.empty((len(self._right), shifts.shape[1]), order="F")
+        weighted = self._parts.weights[:, None] * shifts[:n_values]
         inner[:n] = likelihood.shown_transposed @ weighted
-        inner[n:] = shifts.dynamics
+        inner[n:] = shifts[n_values:]
         return self._answered(shifts, self._parts.factors.solve(inner))
 
-    def _answered(self, shifts: _Shifts, answer: np.ndarray) -> _Shifts:
+    def _answered(self, shifts: np.ndarray, answer: np.ndarray) -> np.ndarray:
         """The same, once the states have answered; their answer is written over."""
-        likelihood = self._likelihood
-        n = likelihood.n_unknowns
+        n = self._likelihood.n_unknowns
+        values = shifts[: self.problem.n_values]
         weights = self._parts.weights[:, None]
-        in_theta = self._in_shown.T @ (weights * shifts.values)
         # The matrix is symmetric: what was solved for the parameters serves again.
-        in_theta -= self._right.T @ answer
+        in_theta = self._in_shown.T @ (weights * values) - self._right.T @ answer
         theta = solve_border(self._information, in_theta)
         answer -= self._solved @ theta
-        shown = likelihood.shown @ answer[:n] + self._in_shown @ theta
-        return _Shifts(weights * (shifts.values - shown), answer[n:])
+        shown = self._likelihood.shown @ answer[:n] + self._in_shown @ theta
+        return np.concatenate([weights * (values - shown), -answer[n:]])
 
     def promised_gains(
-        self, trials: Sequence["Trial"], channels: Sequence[int]
-    ) -> "list[PromisedGain]":
+        self, trials: Sequence[Trial], channels: Sequence[int]
+    ) -> list[PromisedGain]:
         """Gains of the log evidence by the processes of each trial.
 
         What few columns need is solved for together; the random signals of each trial
@@ -254,200 +207,107 @@ class WhiteRecord:
             trials: processes that could act.
             channels: states whose noise is estimated, and would follow.
         """
-        places = _Places(self)
-        together = [places.asked(trial) for trial in trials]
-        worth_asking = [asked for asked in together if asked.kinds]
-        if worth_asking:
+        every = [self.asked(trial) for trial in trials]
+        together = [asked for asked in every if asked.kinds]
+        if together:
             are_tied = any(trial.is_tied for trial in trials)
-            self._set_information(worth_asking, _groups(channels, are_tied))
-            self._set_excess(worth_asking)
-        return [asked.gain for asked in together]
+            self._set_information(together, _kinds(list(channels), are_tied))
+            for asked in together:
+                self.set_excess(asked)
+        return [asked.gain for asked in every]
 
-    def _set_information(
-        self, together: Sequence["_Asked"], groups: Sequence[Sequence[int]]
-    ) -> None:
-        """Average information about variances, while noises follow them."""
-        n = len(groups)
-        n_kinds = sum(len(asked.kinds) for asked in together)
-        shifts = _Shifts.none(self.problem, n + n_kinds)
-        self._add_noise(shifts.columns(slice(0, n)), groups)
-        owned = []
-        first = n
-        for asked in together:
-            owned.append(slice(first, first + len(asked.kinds)))
-            asked.add_moved(shifts.columns(owned[-1]))
-            first = owned[-1].stop
-        products = _products(shifts, self._left(shifts)) / 2
-        of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
-        for asked, own in zip(together, owned, strict=True):
-            mixed = products[own, :n]
-            asked.information = products[own, own] - mixed @ of_noise @ mixed.T
-
-    def _set_excess(self, together: Sequence["_Asked"]) -> None:
-        """Slopes of the log evidence in the variances times their sizes."""
-        for asked in together:
-            shifts = _Shifts.none(self.problem, N_SIGNS)
-            asked.add_signals(shifts)
-            asked.set_excess(self._left(shifts))
-
-    def _add_noise(self, shifts: _Shifts, groups: Sequence[Sequence[int]]) -> None:
-        """Add how the data would move with the logarithm of each group's noise."""
-        residual = self.left.values / self._parts.weights[:, None]
-        for number, channels in enumerate(groups):
-            is_in = np.isin(self.problem.channel, channels)
-            shifts.values[is_in, number] += 2 * residual[is_in, 0]
-
-
-class _Places:
-    """The places of a record's processes, each made once for all trials.
-
-    Args:
-        record: the record, with what is left of its data.
-    """
-
-    def __init__(self, record: WhiteRecord) -> None:
-        self._problem = record.problem
-        self._left = record.left
-        self._made: dict[tuple[str, int], tuple[_Place, np.ndarray]] = {}
-
-    def asked(self, trial: "Trial") -> "_Asked":
-        """A trial's kinds, forces first."""
-        problem = self._problem
+    def asked(self, trial: Trial) -> Asked:
+        """A trial, nothing worked out about it."""
+        problem = self.problem
         forces = []
         for force in trial.forces:
             whitener = whitener_of_force(problem, force)
-            forces.append(self._component("force", force, whitener))
+            forces.append(self._component(force, whitener, is_force=True))
         sensors = []
         for sensor in trial.sensors:
             whitener = whitener_of_sensor(problem, sensor)
-            sensors.append(self._component("sensor", sensor, whitener))
+            sensors.append(self._component(sensor, whitener, is_force=False))
         of_forces = _kinds(forces, trial.is_tied)
-        kinds = of_forces + _kinds(sensors, trial.is_tied)
-        return _Asked(kinds, len(of_forces))
+        return Asked(of_forces + _kinds(sensors, trial.is_tied), len(of_forces))
 
-    def _component(self, kind: str, process: Process, whitener: Whitener) -> _Component:
-        place, felt = self._place(kind, process.place)
-        return _Component(place, whitener, process.size, process.size * felt)
+    def _component(
+        self, process: Process, whitener: Whitener, *, is_force: bool
+    ) -> _Component:
+        """A process; what its place does is made once for all trials."""
+        key = (is_force, process.place)
+        if key not in self._made:
+            effects = self._effects(*key)
+            self._made[key] = (effects, effects.T @ self.left)
+        effects, felt = self._made[key]
+        return _Component(process.size * effects, whitener, process.size * felt)
 
-    def _place(self, kind: str, number: int) -> tuple[_Place, np.ndarray]:
-        if (kind, number) not in self._made:
-            if kind == "force":
-                place = _Place.of_force(self._problem.dynamics_of_force(number))
-            else:
-                place = _Place(shown=self._problem.values_of(number))
-            self._made[kind, number] = (place, place.felt(self._left))
-        return self._made[kind, number]
+    def _effects(self, is_force: bool, place: int) -> csc_matrix:
+        """What values of a force, or of a sensor's error, do to data and dynamics."""
+        problem = self.problem
+        if is_force:
+            own = problem.dynamics_of_force(place).tocoo()
+            entries = (-own.data, (problem.n_values + own.row, own.col))
+            return csc_matrix(entries, shape=(self._n_rows, own.shape[1]))
+        row = problem.values_of(place)
+        ones = (np.ones(len(row)), (row, np.arange(len(row))))
+        return csc_matrix(ones, shape=(self._n_rows, len(row)))
 
+    def _set_information(
+        self, together: Sequence[Asked], groups: Sequence[Sequence[int]]
+    ) -> None:
+        """Average information about variances, while noises follow them."""
+        columns = []
+        n_values = self.problem.n_values
+        residual = self.left[:n_values, 0] / self._parts.weights
+        for channels in groups:
+            # How the data would move with the logarithm of the noise.
+            column = np.zeros(self._n_rows)
+            is_in = np.isin(self.problem.channel, channels)
+            column[:n_values] = np.where(is_in, 2 * residual, 0.0)
+            columns.append(column)
+        for asked in together:
+            for kind in asked.kinds:
+                # What they do to the data where they follow what they feel.
+                followed = [e.effects @ e.whitener.coloured(e.factor) for e in kind]
+                columns.append(np.sum(followed, axis=0)[:, 0])
+        shifts = np.array(columns).T
+        products = shifts.T @ self._left(shifts)
+        products = (products + products.T) / 4
+        n = len(groups)
+        of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
+        for asked in together:
+            own = slice(n, n + len(asked.kinds))
+            mixed = products[own, : len(groups)]
+            asked.information = products[own, own] - mixed @ of_noise @ mixed.T
+            n = own.stop
 
-@dataclass(frozen=True)
-class Trial:
-    """Processes that could act together, each at its time.
-
-    Attributes:
-        forces: that could act.
-        sensors: processes that could add to what is shown.
-        is_tied: whether those of one kind share a factor, as in a search; otherwise
-            sizes do not matter.
-    """
-
-    forces: Sequence[Process]
-    sensors: Sequence[Process]
-    is_tied: bool = False
-
-
-class _Asked:
-    """The processes of a trial, and what the record says of them.
-
-    Args:
-        kinds: those of forces first.
-        n_forces: number of kinds of forces.
-
-    Attributes:
-        information: (n, n) about the variances.
-        excess: (n,) slopes of the log evidence in the variances times their sizes.
-    """
-
-    def __init__(self, kinds: Sequence[_Kind], n_forces: int) -> None:
-        self.kinds = kinds
-        self.n_forces = n_forces
-        self.information = np.zeros((0, 0))
-        self.excess = np.zeros(0)
-        self._signals: list[list[_Signal]] = []
-
-    @property
-    def size(self) -> np.ndarray:
-        """Root of the information about each variance, (n,)."""
-        return np.sqrt(np.maximum(np.diag(self.information), TINY))
-
-    def add_moved(self, shifts: _Shifts) -> None:
-        """Add what each kind does to the data where it follows what it feels.
-
-        Args:
-            shifts: a column per kind.
-        """
-        for k, kind in enumerate(self.kinds):
-            kind.add_moved(shifts.columns(slice(k, k + 1)))
-
-    def add_signals(self, shifts: _Shifts) -> None:
-        """Add what random signals of all components do together.
-
-        Args:
-            shifts: a column per sign.
-        """
-        lengths = [one.n for kind in self.kinds for one in kind.components]
-        signs = iter(random_signs(tuple(lengths), N_SIGNS))
-        self._signals = []
-        for kind, scale in zip(self.kinds, self.size, strict=True):
-            signals = []
-            for one in kind.components:
-                values = one.whitener.coloured(next(signs)) / np.sqrt(scale)
-                signals.append(_Signal(one, values))
-                one.add(shifts, values)
-            self._signals.append(signals)
-
-    def set_excess(self, left: _Shifts) -> None:
-        """From what is left of the signals."""
-        slopes = []
-        for kind, signals, scale in zip(
-            self.kinds, self._signals, self.size, strict=True
-        ):
-            by_chance = sum(signal.product(left) for signal in signals) / N_SIGNS
-            slopes.append((kind.seen / scale - by_chance) / 2)
-        self.excess = np.maximum(slopes, MOST_UNWANTED)
-
-    @property
-    def gain(self) -> PromisedGain:
-        """What the first step of a search promises."""
-        size = self.size
-        with np.errstate(over="ignore"):  # a component that leaves no trace
-            correlation = self.information / np.outer(size, size)
-        information = np.clip(correlation, -1.0, 1.0)
-        of_forces = slice(0, self.n_forces)
-        of_sensors = slice(self.n_forces, len(size))
-        return PromisedGain(
-            _gain(self.excess[of_forces], information[of_forces, of_forces]),
-            _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
-        )
+    def set_excess(self, asked: Asked) -> None:
+        """Slopes of the log evidence in the variances times their sizes."""
+        components = []
+        for kind, scale in zip(asked.kinds, asked.size, strict=True):
+            components += [(one, np.sqrt(scale)) for one in kind]
+        lengths = tuple(len(one.felt) for one, _ in components)
+        signs = random_signs(lengths, N_SIGNS)
+        shifts = np.zeros((self._n_rows, N_SIGNS), order="F")
+        signals = []
+        for (one, scale), own in zip(components, signs, strict=True):
+            signals.append(one.whitener.coloured(own) / scale)
+            shifts += one.effects @ signals[-1]
+        left = self._left(shifts)
+        products = []
+        for (one, _), signal in zip(components, signals, strict=True):
+            products.append(float(np.sum(signal * (one.effects.T @ left))))
+        ends = np.cumsum([0, *(len(kind) for kind in asked.kinds)])
+        by_chance = np.add.reduceat(products, ends[:-1]) / N_SIGNS
+        slopes = (asked.seen / asked.size - by_chance) / 2
+        asked.excess = np.maximum(slopes, MOST_UNWANTED)
 
 
-def _groups(channels: Sequence[int], is_tied: bool) -> list[Sequence[int]]:
-    """Channels whose noises share a factor."""
+def _kinds(members: list[M], is_tied: bool) -> list[list[M]]:
+    """Members that share a factor together, else each by itself."""
     if is_tied:
-        return [channels] if channels else []
-    return [[channel] for channel in channels]
-
-
-def _kinds(components: Sequence[_Component], is_tied: bool) -> list[_Kind]:
-    """Components of one kind, together or one by one."""
-    if is_tied:
-        return [_Kind(components)] if components else []
-    return [_Kind([component]) for component in components]
-
-
-def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:
-    """Products of shifts with what is left of shifts, (k, k)."""
-    products = shifts.values.T @ left.values - shifts.dynamics.T @ left.dynamics
-    return (products + products.T) / 2
+        return [members] if members else []
+    return [[member] for member in members]
 
 
 def _gain(slopes: np.ndarray, information: np.ndarray) -> float:
@@ -459,12 +319,9 @@ def _gain(slopes: np.ndarray, information: np.ndarray) -> float:
     """
     if not np.any(slopes > 0):
         return 0.0
-    ridge = ALMOST_NONE * np.eye(len(slopes))
-    free = np.linalg.solve(information + ridge, slopes)
-    if np.all(free >= 0):
-        return float(slopes @ free - free @ information @ free / 2)
-    lower = np.linalg.cholesky(information + ridge)
-    right = np.linalg.solve(lower, slopes)
-    none = np.zeros(len(slopes))
-    found = bounded_least_squares(lower.T, right, none, none + np.inf)
+    regular = information + ALMOST_NONE * np.eye(len(slopes))
+    found = np.linalg.solve(regular, slopes)
+    if np.any(found < 0):
+        lower = np.linalg.cholesky(regular)
+        found, _ = nnls(lower.T, np.linalg.solve(lower, slopes))
     return float(slopes @ found - found @ information @ found / 2)

@@ -19,11 +19,14 @@ from phsi_opt.errors import SolveError
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.freedom import LOG_STEP, degrees_of_freedom
+from phsi_opt.model_error.freedom import LOG_STEP, Spread, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Response
-from phsi_opt.model_error.sandwich import covariance_under
-from phsi_opt.model_error.spread import Spread
+from phsi_opt.model_error.marginal_likelihood import (
+    MarginalLikelihood,
+    Response,
+    whitener_of_force,
+    whitener_of_sensor,
+)
 
 
 class Source(StrEnum):
@@ -98,14 +101,12 @@ class StandardErrors:
         source: of those that are given.
         spreads: all that were worked out, by source.
         disturbances: what was found beside the model.
-        evidence: gain of the log evidence by it.
         log_evidence: of the model beside it; NaN where numbers do not hold it.
     """
 
     source: Source
     spreads: Mapping[Source, Spread]
     disturbances: Disturbances
-    evidence: float
     log_evidence: float
 
     @property
@@ -118,19 +119,15 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     """The standard errors of a plain estimate."""
     of_noise = Spread(plain.covariance, plain.noise_freedom)
     spreads = {Source.NOISE: of_noise}
-    white = Disturbances(plain.sigma)
-    gain = 0.0
-    found = white
-    try:
+    found = Disturbances(plain.sigma)
+    # Beyond what numbers hold are slopes of 1e300, noise of 1e-14.
+    with suppress(SolveError, np.linalg.LinAlgError):
         if plain.search.is_promising:
             best = plain.search.found()
             if best.coordinates is not None:
                 spread = under_disturbances(plain.search, plain.response, best)
                 spreads[Source.DISTURBANCES] = spread
                 found = best.disturbances
-            gain = plain.search.gain(best)
-    except (SolveError, np.linalg.LinAlgError):
-        gain = 0.0  # beyond what numbers hold: slopes of 1e300, noise of 1e-14
     clusters = _clusters(plain)
     if clusters is not None:
         of_clusters = clusters.spread(plain.moving, len(plain.covariance))
@@ -145,7 +142,7 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     log_evidence = np.nan
     with suppress(SolveError, np.linalg.LinAlgError):
         log_evidence = plain.search.likelihood(found).log_model_evidence(found)
-    return StandardErrors(source, spreads, found, gain, log_evidence)
+    return StandardErrors(source, spreads, found, log_evidence)
 
 
 def _clusters(plain: PlainEstimate) -> Clusters | None:
@@ -188,3 +185,48 @@ def under_disturbances(
     found = degrees_of_freedom(best.information, log_variances, is_free)
     freedom[search.moving] = np.minimum(found, freedom[search.moving])
     return Spread(covariance_at(np.zeros(len(is_free))), freedom)
+
+
+def covariance_under(
+    problem: Linearization, response: Response, disturbances: Disturbances
+) -> np.ndarray:
+    """Covariance of the scaled plain estimate, (n_theta, n_theta).
+
+    Estimates that count every residual as independent noise are still good ones when it
+    is not; their covariance is another one. To first order an estimate moves with every
+    error in what was shown and with every force in the dynamics; the covariance of
+    these, under the disturbances that the record itself tells, gives that of the
+    estimate (White, Econometrica 50, 1982, with the covariance of the scores from a
+    model of them).
+
+    Args:
+        problem: the linearised record.
+        response: of the estimate to errors.
+        disturbances: with their sizes.
+    """
+    run = problem.grid.trajectory[problem.node]
+    sigma = disturbances.sigma[run, problem.channel]
+    of_noise = response.to_values * sigma
+    covariance = of_noise @ of_noise.T
+    for force in disturbances.forces:
+        weights = _weights_of_force(problem, response, force.place)
+        factor = whitener_of_force(problem, force).factor_of(weights)
+        covariance = covariance + force.size**2 * (factor.T @ factor)
+    for sensor in disturbances.sensors:
+        weights = response.to_values[:, problem.values_of(sensor.place)].T
+        factor = whitener_of_sensor(problem, sensor).factor_of(weights)
+        covariance = covariance + sensor.size**2 * (factor.T @ factor)
+    for function in disturbances.functions:
+        weights = _weights_of_force(problem, response, function.equation)
+        values = problem.function_values[function.state]
+        answer = function.size * (values.T @ weights)
+        covariance = covariance + answer.T @ answer
+    return covariance
+
+
+def _weights_of_force(
+    problem: Linearization, response: Response, equation: int
+) -> np.ndarray:
+    """Answer to a force of one in each interval, (n_intervals, n_theta)."""
+    weights: np.ndarray = problem.dynamics_of_force(equation).T @ response.to_dynamics.T
+    return weights

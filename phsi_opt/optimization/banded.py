@@ -6,8 +6,6 @@ columns of the parameters. Its factors cost time and memory in proportion to the
 of samples. The border is dealt with elsewhere (`transcription.elimination`).
 """
 
-from typing import Any
-
 import numpy as np
 from scipy.linalg.lapack import dgbtrf, dgbtrs
 
@@ -31,6 +29,8 @@ class BandLayout:
         rank: (n,) place of every unknown in that order.
         kl: number of diagonals below the main one.
         ku: number of diagonals above it.
+        height: of the band's storage, (height, n).
+        places: (n_entries,) of the entries in it, column after column.
     """
 
     def __init__(
@@ -51,62 +51,35 @@ class BandLayout:
         self.kl = int(np.max(offsets, initial=0))
         self.ku = int(np.max(-offsets, initial=0))
         # LAPACK's band storage, with kl more rows for what pivoting fills in.
-        self._height = 2 * self.kl + self.ku + 1
-        self._places = sorted_columns * self._height + self.diagonal + offsets
-
-    @property
-    def diagonal(self) -> int:
-        """Row of the band storage that holds the main diagonal."""
-        return self.kl + self.ku
-
-    def filled(self, entries: np.ndarray) -> np.ndarray:
-        """The band of a matrix with these entries, (height, n)."""
-        size = self.n * self._height
-        band = np.bincount(self._places, weights=entries, minlength=size)
-        return band.reshape(self.n, self._height).T
+        self.height = 2 * self.kl + self.ku + 1
+        self.places = sorted_columns * self.height + self.kl + self.ku + offsets
 
 
 class Banded:
     """LU factors (LAPACK, partial pivoting) of a matrix that is banded once sorted.
 
     Args:
-        matrix: square, SciPy sparse, (n, n).
-        order: (n,), the unknowns in the order in which they make a band.
-        is_symmetric: whether the matrix is.
+        layout: of its pattern.
+        entries: (n_entries,) in the order of the layout.
+
+    Attributes:
+        layout: likewise.
+        n: number of unknowns.
 
     Raises:
         SolveError: the matrix is singular.
     """
 
-    def __init__(
-        self, matrix: Any, order: np.ndarray, is_symmetric: bool = False
-    ) -> None:
-        entries = matrix.tocoo()
-        layout = BandLayout(entries.row, entries.col, order, is_symmetric)
-        self._factor(layout, entries.data)
-
-    @classmethod
-    def of(cls, layout: BandLayout, entries: np.ndarray) -> "Banded":
-        """Of the matrix with these entries (n_entries,) in a layout made before.
-
-        Raises:
-            SolveError: the matrix is singular.
-        """
-        banded = cls.__new__(cls)
-        banded._factor(layout, entries)
-        return banded
-
-    def _factor(self, layout: BandLayout, entries: np.ndarray) -> None:
-        self.order = layout.order
-        self._rank = layout.rank
+    def __init__(self, layout: BandLayout, entries: np.ndarray) -> None:
+        self.layout = layout
         self.n = layout.n
-        self.kl = layout.kl
-        self.ku = layout.ku
-        self._is_symmetric = layout.is_symmetric
-        self._diagonal = layout.diagonal
-        band = layout.filled(entries)
-        self.factors, self.pivots, info = dgbtrf(
-            band, self.kl, self.ku, overwrite_ab=True
+        size = layout.n * layout.height
+        band = np.bincount(layout.places, weights=entries, minlength=size)
+        self._factors, self._pivots, info = dgbtrf(
+            band.reshape(layout.n, layout.height).T,
+            layout.kl,
+            layout.ku,
+            overwrite_ab=True,
         )
         if info > 0:
             raise SolveError(
@@ -124,23 +97,24 @@ class Banded:
             right: one or several.
             is_transposed: whether the matrix is taken transposed.
         """
-        columns = np.take(right.reshape(self.n, -1).T, self.order, axis=1)
-        if self._is_symmetric:
+        layout = self.layout
+        columns = np.take(right.reshape(self.n, -1).T, layout.order, axis=1)
+        if layout.is_symmetric:
             is_transposed = len(columns) >= TRANSPOSED_FROM
         found, _ = dgbtrs(
-            self.factors,
-            self.kl,
-            self.ku,
+            self._factors,
+            layout.kl,
+            layout.ku,
             columns.T,
-            self.pivots,
+            self._pivots,
             trans=int(is_transposed),
             overwrite_b=True,
         )
-        result = np.take(found.T, self._rank, axis=1)
+        result = np.take(found.T, layout.rank, axis=1)
         return result[0] if right.ndim == 1 else result.T
 
     @property
     def log_abs_det(self) -> float:
         """Logarithm of the absolute value of the determinant."""
-        diagonal = self.factors[self._diagonal]
+        diagonal = self._factors[self.layout.kl + self.layout.ku]
         return float(np.sum(np.log(np.abs(diagonal))))

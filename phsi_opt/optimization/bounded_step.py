@@ -1,4 +1,4 @@
-"""The best step of a few parameters within their bounds, where a quadratic is known.
+"""Linear least squares within bounds, and the best step where a quadratic is known.
 
 By a primal active set: of what is free the full step, cut where it meets a bound, which
 then holds its parameter; what is held and would rather move inwards is released.
@@ -7,6 +7,7 @@ then holds its parameter; what is held and would rather move inwards is released
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 # Share of the largest curvature of (scaled) parameters below which a direction is as
 # good as rounding: it is the difference of numbers as large as the largest.
@@ -48,23 +49,10 @@ class Room:
 ANY_ROOM = Room(np.array(-np.inf), np.array(np.inf))
 
 
-@dataclass(frozen=True, eq=False)
-class BoundedStep:
-    """What minimises a quadratic within bounds.
-
-    Attributes:
-        d: (n,).
-        is_silent: whether the quadratic is flat in a direction.
-    """
-
-    d: np.ndarray
-    is_silent: bool
-
-
 def bounded_step(
     curvature: np.ndarray, pull: np.ndarray, room: Room, silent_share: float = SILENT
-) -> BoundedStep:
-    """The d within the room that minimises ``d'Cd/2 - p'd``.
+) -> np.ndarray:
+    """The d (n,) within the room that minimises ``d'Cd/2 - p'd``.
 
     None is taken in directions on which the data are silent: there it would be as large
     as rounding makes it.
@@ -77,14 +65,13 @@ def bounded_step(
     """
     n = len(pull)
     if not n:
-        return BoundedStep(pull, False)
+        return pull
     curvature = (curvature + curvature.T) / 2
     values, vectors = np.linalg.eigh(curvature)
     silent = silent_share * values[-1]
-    is_silent = bool(values[0] <= silent)
     whole = _told_step(values, vectors, pull, silent)
     if room.holds(whole):
-        return BoundedStep(whole, is_silent)
+        return whole
     d = np.zeros(n)
     is_free = np.ones(n, dtype=bool)
     loose = SILENT * np.max(np.abs(pull))
@@ -109,7 +96,7 @@ def bounded_step(
         if inwards[loosest] <= loose:
             break
         is_free[loosest] = True
-    return BoundedStep(d, is_silent)
+    return d
 
 
 def _told_step(
@@ -127,3 +114,22 @@ def _told_step(
     told = vectors[:, is_told]
     step: np.ndarray = told @ ((told.T @ slope) / values[is_told])
     return step
+
+
+def bounded_least_squares(
+    A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """The x within bounds that minimises ``|A x - b|^2``, (n,).
+
+    By an active set (Stark and Parker, Comput. Stat. 10, 1995), which always ends:
+    where the columns of A differ by many orders of magnitude, the line search of
+    SciPy's other method goes on for ever.
+
+    Args:
+        A: matrix, (m, n).
+        b: right-hand side, (m,).
+        lower: least values, (n,), each below that of ``upper``.
+        upper: largest values, (n,).
+    """
+    found: np.ndarray = lsq_linear(A, b, (lower, upper), method="bvls").x
+    return found

@@ -1,4 +1,4 @@
-"""Linear algebra along the time, for many states.
+"""Linear algebra along the time, by what patterns and sizes allow.
 
 Where samples measure every state, states are solved for by their own curvature, and
 what is left for the multipliers is positive definite and couples neighbours in time: a
@@ -16,12 +16,14 @@ Nodes between samples, on which nothing was measured, follow from the sample bef
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse import csr_matrix, diags
 
 from phsi_opt.errors import SolveError
+from phsi_opt.optimization.banded import Banded, BandLayout
 from phsi_opt.optimization.passage import Passage, neighbours_first
 
 # From this number of states on: below, the band is as fast.
@@ -34,15 +36,28 @@ MOST_UNCURVED = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
+class Chain:
+    """Nodes along the time, and intervals that join neighbours.
+
+    Attributes:
+        begin: (n_intervals,) first node of each interval; the next node is its end.
+        n_nodes: number of nodes.
+        n_states: number of states at a node.
+    """
+
+    begin: np.ndarray
+    n_nodes: int
+    n_states: int
+
+
+@dataclass(frozen=True, eq=False)
 class ChainLayout:
     """Where the entries of matrices of one pattern stand: H, J and the nodes.
 
     Attributes:
         order: (n_states,) the states of a node, those that touch near each other. All
             that follows, and all that factors do inside, has them in this order.
-        begin: (n_intervals,) first node of each interval, in the order of time; the
-            next node is its end.
-        n_nodes: number of nodes.
+        chain: nodes and intervals, in the order of time.
         curved: entries of the diagonal of H among all.
         state: (n_curved,) unknown on which each of them stands.
         sloped: entries of J among all.
@@ -51,8 +66,7 @@ class ChainLayout:
     """
 
     order: np.ndarray
-    begin: np.ndarray
-    n_nodes: int
+    chain: Chain
     curved: np.ndarray
     state: np.ndarray
     sloped: np.ndarray
@@ -61,23 +75,17 @@ class ChainLayout:
 
     @classmethod
     def of(
-        cls,
-        rows: np.ndarray,
-        columns: np.ndarray,
-        begin: np.ndarray,
-        n_nodes: int,
-        n_states: int,
+        cls, rows: np.ndarray, columns: np.ndarray, chain: Chain
     ) -> "ChainLayout | None":
         """Of a pattern; None where it is not of this kind, or too small to gain.
 
         Args:
             rows: (n_entries,) row of every entry; entries at one place are added.
             columns: (n_entries,) its column.
-            begin: (n_intervals,) first node of each interval.
-            n_nodes: number of nodes.
-            n_states: number of states at a node.
+            chain: nodes and intervals.
         """
-        n_x = n_nodes * n_states
+        begin, n_states = chain.begin, chain.n_states
+        n_x = chain.n_nodes * n_states
         n_unknowns = n_x + len(begin) * n_states
         is_larger = max(np.max(rows, initial=0), np.max(columns, initial=0))
         in_time = bool(np.all(np.diff(begin) > 0))
@@ -97,22 +105,19 @@ class ChainLayout:
         rank = np.argsort(order)
         state = _renamed(rows[curved], rank)
         row, column = _renamed(row, rank), _renamed(column, rank)
-        return cls(order, begin, n_nodes, curved, state, sloped, row, column)
-
-    @property
-    def n_states(self) -> int:
-        """Number of states at a node."""
-        return len(self.order)
+        return cls(order, chain, curved, state, sloped, row, column)
 
     def curvature(self, entries: np.ndarray) -> np.ndarray:
         """Diagonal of H at every node, (n_nodes, n_states)."""
-        n_x = self.n_nodes * self.n_states
+        shape = (self.chain.n_nodes, self.chain.n_states)
+        n_x = shape[0] * shape[1]
         diagonal = np.bincount(self.state, entries[self.curved], minlength=n_x)
-        return diagonal.reshape(self.n_nodes, self.n_states)
+        return diagonal.reshape(shape)
 
     def slopes(self, entries: np.ndarray) -> csr_matrix:
         """J, (n_intervals * n_states, n_nodes * n_states)."""
-        shape = (len(self.begin) * self.n_states, self.n_nodes * self.n_states)
+        n = self.chain.n_states
+        shape = (len(self.chain.begin) * n, self.chain.n_nodes * n)
         return csr_matrix((entries[self.sloped], (self.row, self.column)), shape=shape)
 
 
@@ -143,12 +148,13 @@ class Chained:
     ) -> None:
         self._layout = layout
         slopes = layout.slopes(entries)
-        rank = np.arange(layout.n_states)
-        self._passage = Passage(slopes, layout.begin, is_sample, rank)
+        n_states = layout.chain.n_states
+        rank = np.arange(n_states)
+        self._passage = Passage(slopes, layout.chain.begin, is_sample, rank)
         self._over_gaps = self._passage.slopes()
         self._inverse = 1 / curvature[is_sample].ravel()
         self.n = curvature.size + slopes.shape[0]
-        band = _band_of_squares(self._over_gaps, self._inverse, layout.n_states)
+        band = _band_of_squares(self._over_gaps, self._inverse, n_states)
         self._factors, info = dpbtrf(band, lower=True, overwrite_ab=True)
         if info:
             raise np.linalg.LinAlgError("multipliers do not follow")
@@ -161,7 +167,7 @@ class Chained:
     def of(cls, layout: ChainLayout, entries: np.ndarray) -> "Chained | None":
         """Of the matrix with these entries; None where samples do not measure all."""
         curvature = layout.curvature(entries)
-        is_sample = _samples(layout.begin, curvature)
+        is_sample = _samples(layout.chain.begin, curvature)
         if is_sample is None or not np.all(np.isfinite(entries)):
             return None
         with suppress(np.linalg.LinAlgError, SolveError):
@@ -170,15 +176,15 @@ class Chained:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution for one right-hand side (n,) or several (n, k)."""
-        layout = self._layout
-        n_x = layout.n_nodes * layout.n_states
+        order = self._layout.order
+        n_x = self._layout.chain.n_nodes * len(order)
         columns = right.reshape(self.n, -1)
-        shape = (-1, layout.n_states, columns.shape[1])
-        sorted_columns = columns.reshape(shape)[:, layout.order]
+        shape = (-1, len(order), columns.shape[1])
+        sorted_columns = columns.reshape(shape)[:, order]
         flat = sorted_columns.reshape(columns.shape)
         x, multipliers = self._solved(flat[:n_x], flat[n_x:])
         found = np.empty_like(sorted_columns)
-        found[:, layout.order] = np.concatenate([x, multipliers]).reshape(shape)
+        found[:, order] = np.concatenate([x, multipliers]).reshape(shape)
         return found.reshape(right.shape)
 
     def _solved(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -204,6 +210,42 @@ class Chained:
         """S^-1 of right-hand sides (n_last, k)."""
         found: np.ndarray = dpbtrs(self._factors, right, lower=True)[0]
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLayout:
+    """A symmetric pattern of states and multipliers, filled again and again.
+
+    Attributes:
+        rows: (n_entries,) row of every entry; entries at one place are added.
+        columns: (n_entries,) its column.
+        order: (n,), the unknowns in the order in which they make a band.
+        chain: nodes and intervals that the unknowns belong to; None: a band is all.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    order: np.ndarray
+    chain: Chain | None
+
+    @cached_property
+    def _banded(self) -> BandLayout:
+        return BandLayout(self.rows, self.columns, self.order, is_symmetric=True)
+
+    @cached_property
+    def _chained(self) -> ChainLayout | None:
+        if self.chain is None:
+            return None
+        return ChainLayout.of(self.rows, self.columns, self.chain)
+
+    def factors(self, entries: np.ndarray) -> Banded | Chained:
+        """Of the matrix with these entries (n_entries,).
+
+        Raises:
+            SolveError: the matrix is singular.
+        """
+        chained = self._chained and Chained.of(self._chained, entries)
+        return chained or Banded(self._banded, entries)
 
 
 def _band_of_squares(

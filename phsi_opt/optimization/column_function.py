@@ -4,11 +4,11 @@ CasADi's interpreter goes through a function's instructions once for every inter
 record. Here each instruction is carried out for all intervals together, which takes a
 fraction of the time, and what has one value for all of them (parameters, numbers in
 formulas) is worked out once. The instructions are those that CasADi lists of a function
-of scalars; nothing is generated or compiled.
+of scalars; nothing is generated or compiled. `in_columns` does the same with CasADi's
+symbols in place of numbers.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from threading import get_ident
 from typing import Any
@@ -26,6 +26,11 @@ LEAST_AT_ONCE = 256
 MOST_LISTINGS = 128
 MOST_MACHINES = 32  # memories that are kept
 
+# A number, or one per place: an entry of an argument, of a result, or what an
+# instruction writes.
+Cell = tuple[str, int, int]
+Instruction = tuple[Callable[..., Any], list[Cell], Cell]  # reads cells, writes one
+
 
 def _if_else_zero(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> None:
     np.copyto(out, np.where(condition != 0, value, 0.0))
@@ -37,6 +42,7 @@ def _twice(value: np.ndarray, out: np.ndarray) -> None:
 
 OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_ASSIGN: np.positive,
+    ca.OP_OUTPUT: np.positive,
     ca.OP_ADD: np.add,
     ca.OP_SUB: np.subtract,
     ca.OP_MUL: np.multiply,
@@ -86,102 +92,56 @@ OPERATIONS: dict[int, Callable[..., Any]] = {
 }
 
 
-@dataclass(frozen=True)
-class _Instruction:
-    """One operation: numbers of the cells that it reads, and of the one it writes."""
-
-    operation: Callable[..., Any]
-    read: tuple[int, ...]
-    written: int
-
-
-@dataclass
 class _Listing:
     """The instructions of a function, and the cells that they read and write.
 
-    A cell is a number, or a number per place: an entry of an argument, a constant, or
-    what an instruction writes.
-
-    Attributes:
-        constants: cell and value of every number.
-        shared_inputs: cell, argument and entry of arguments with one value for all.
-        inputs: cell, argument and entry of the others.
-        shared: instructions whose results have one value for all places.
-        columns: the others, in their order.
-        outputs: cell, result and entry of every result.
-        n_cells: number of cells.
-        wide: cells with a number per place that instructions write.
-    """
-
-    constants: list[tuple[int, float]] = field(default_factory=list)
-    shared_inputs: list[tuple[int, int, int]] = field(default_factory=list)
-    inputs: list[tuple[int, int, int]] = field(default_factory=list)
-    shared: list[_Instruction] = field(default_factory=list)
-    columns: list[_Instruction] = field(default_factory=list)
-    outputs: list[tuple[int, int, int]] = field(default_factory=list)
-    n_cells: int = 0
-    wide: set[int] = field(default_factory=set)
-
-    @property
-    def at_once(self) -> int:
-        """Number of places that are worked on at once."""
-        n_wide = len(self.wide) + len(self.inputs)
-        return min(AT_ONCE, max(NUMBERS_AT_ONCE // n_wide, LEAST_AT_ONCE))
-
-    def new_cell(self) -> int:
-        """Number of a further cell."""
-        self.n_cells += 1
-        return self.n_cells - 1
-
-
-@lru_cache(MOST_LISTINGS)
-def _listing(function: ca.Function, is_shared: tuple[bool, ...]) -> _Listing:
-    """The instructions, for arguments that have one value for all places or many.
-
     CasADi's registers are used again and again; a register that holds a number per
     place is one cell, and a single number has a cell of its own.
+
+    Attributes:
+        constants: cells of numbers, with their values.
+        shared: instructions whose results have one value for all places.
+        columns: the others, in their order.
+        at_once: number of places that are worked on at once.
     """
-    simpler = _without_repetitions(function)
-    listing = _Listing()
-    cell_of: dict[int, int] = {}  # by register, what it holds now
-    register_cells: dict[int, int] = {}
-    is_wide: set[int] = set()
-    for k in range(simpler.n_instructions()):
-        kind = simpler.instruction_id(k)
-        read = simpler.instruction_input(k)
-        written = simpler.instruction_output(k)
-        if kind == ca.OP_OUTPUT:
-            # Kept apart: the register may be written again before the end.
-            cell = listing.new_cell()
-            listing.wide.add(cell)
-            copied = _Instruction(np.positive, (cell_of[read[0]],), cell)
-            listing.columns.append(copied)
-            listing.outputs.append((cell, written[0], written[1]))
-            continue
-        if kind == ca.OP_CONST:
-            cell = listing.new_cell()
-            listing.constants.append((cell, simpler.instruction_constant(k)))
-        elif kind == ca.OP_INPUT:
-            cell = listing.new_cell()
-            one_for_all = is_shared[read[0]]
-            places = listing.shared_inputs if one_for_all else listing.inputs
-            places.append((cell, read[0], read[1]))
-            if not one_for_all:
-                is_wide.add(cell)
-        else:
-            cells = tuple(cell_of[register] for register in read)
-            if is_wide.isdisjoint(cells):
-                cell = listing.new_cell()
-                listing.shared.append(_Instruction(OPERATIONS[kind], cells, cell))
+
+    def __init__(self, function: ca.Function, is_shared: tuple[bool, ...]) -> None:
+        self.constants: dict[Cell, float] = {}
+        self.shared: list[Instruction] = []
+        self.columns: list[Instruction] = []
+        held: dict[int, Cell] = {}  # by register
+        wide: set[Cell] = set()
+        simpler = _without_repetitions(function)
+        for k in range(simpler.n_instructions()):
+            kind = simpler.instruction_id(k)
+            read = simpler.instruction_input(k)
+            written = simpler.instruction_output(k)
+            if kind == ca.OP_CONST:
+                cell: Cell = ("constant", k, 0)
+                self.constants[cell] = simpler.instruction_constant(k)
+            elif kind == ca.OP_INPUT:
+                cell = ("argument", read[0], read[1])
+                if not is_shared[read[0]]:
+                    wide.add(cell)
             else:
-                if written[0] not in register_cells:
-                    register_cells[written[0]] = listing.new_cell()
-                cell = register_cells[written[0]]
-                is_wide.add(cell)
-                listing.wide.add(cell)
-                listing.columns.append(_Instruction(OPERATIONS[kind], cells, cell))
-        cell_of[written[0]] = cell
-    return listing
+                cells = [held[register] for register in read]
+                if kind == ca.OP_OUTPUT:
+                    result = ("result", written[0], written[1])
+                    self.columns.append((OPERATIONS[kind], cells, result))
+                    continue
+                is_wide = not wide.isdisjoint(cells)
+                cell = ("column", written[0], 0) if is_wide else ("shared", k, 0)
+                if is_wide:
+                    wide.add(cell)
+                instructions = self.columns if is_wide else self.shared
+                instructions.append((OPERATIONS[kind], cells, cell))
+            held[written[0]] = cell
+        n_results = sum(function.nnz_out(i) for i in range(function.n_out()))
+        fitting = NUMBERS_AT_ONCE // max(len(wide) + n_results, 1)
+        self.at_once = min(AT_ONCE, max(fitting, LEAST_AT_ONCE))
+
+
+_listing = lru_cache(MOST_LISTINGS)(_Listing)
 
 
 def _without_repetitions(function: ca.Function) -> ca.Function:
@@ -193,66 +153,67 @@ def _without_repetitions(function: ca.Function) -> ca.Function:
     return ca.Function("columns", arguments, ca.cse(results))
 
 
-_Bound = list[tuple[Callable[..., Any], tuple[np.ndarray, ...], np.ndarray]]
-
-
+@lru_cache(MOST_MACHINES)
 class _Machine:
-    """A listing with memory for a number of places; constants stand in it already.
+    """A listing with memory for a number of places; each thread has its own."""
 
-    Attributes:
-        listing: the instructions.
-        cells: their memory.
-        shared: instructions for all places at once, bound to it.
-        columns: the others.
-    """
+    def __init__(
+        self,
+        function: ca.Function,
+        is_shared: tuple[bool, ...],
+        size: int,
+        thread: int,
+    ) -> None:
+        listing = _listing(function, is_shared)
+        self._common = [i for i, one_for_all in enumerate(is_shared) if one_for_all]
+        self._own = [i for i, one_for_all in enumerate(is_shared) if not one_for_all]
+        self._arguments = []
+        for i, one_for_all in enumerate(is_shared):
+            shape = (function.nnz_in(i), 1 if one_for_all else size)
+            self._arguments.append(np.zeros(shape))
+        self._results = []
+        for i in range(function.n_out()):
+            self._results.append(np.zeros((function.nnz_out(i), size)))
+        self._memory: dict[Cell, np.ndarray] = {}
+        for cell, value in listing.constants.items():
+            self._memory[cell] = np.full(1, value)
+        for _, _, cell in listing.shared:
+            self._memory[cell] = np.zeros(1)
+        for _, _, cell in listing.columns:
+            self._memory[cell] = np.zeros(size)
+        self._shared = [self._bound(one) for one in listing.shared]
+        self._columns = [self._bound(one) for one in listing.columns]
 
-    def __init__(self, listing: _Listing, size: int) -> None:
-        wide = listing.wide | {cell for cell, _, _ in listing.inputs}
-        cells = []
-        for cell in range(listing.n_cells):
-            cells.append(np.zeros(size if cell in wide else 1))
-        for cell, value in listing.constants:
-            cells[cell][0] = value
-        self.listing = listing
-        self.cells = cells
-        self.shared = _bound(listing.shared, cells)
-        self.columns = _bound(listing.columns, cells)
+    def _bound(self, instruction: Instruction) -> tuple[Any, ...]:
+        """The instruction with the memory that it reads and writes."""
+        operation, read, written = instruction
+        return operation, [self._array(cell) for cell in read], self._array(written)
+
+    def _array(self, cell: Cell) -> np.ndarray:
+        kind, number, entry = cell
+        if kind == "argument":
+            return self._arguments[number][entry]
+        if kind == "result":
+            return self._results[number][entry]
+        return self._memory[cell]
 
     def share(self, arguments: Sequence[np.ndarray]) -> None:
         """Take in what has one value for all places."""
-        for cell, argument, entry in self.listing.shared_inputs:
-            self.cells[cell][0] = arguments[argument][entry]
-        for operation, read, written in self.shared:
+        for i in self._common:
+            self._arguments[i][:, 0] = arguments[i]
+        for operation, read, written in self._shared:
             operation(*read, written)
 
     def work(
         self, place: slice, arguments: Sequence[np.ndarray], results: list[np.ndarray]
     ) -> None:
         """Fill in the results at some places."""
-        cells = self.cells
-        for cell, argument, entry in self.listing.inputs:
-            cells[cell][:] = arguments[argument][entry, place]
-        for operation, read, written in self.columns:
+        for i in self._own:
+            self._arguments[i][:] = arguments[i][:, place]
+        for operation, read, written in self._columns:
             operation(*read, written)
-        for cell, result, entry in self.listing.outputs:
-            results[result][entry, place] = cells[cell]
-
-
-def _bound(instructions: list[_Instruction], cells: list[np.ndarray]) -> _Bound:
-    """The instructions with the memory that they read and write."""
-    bound = []
-    for one in instructions:
-        read = tuple(cells[cell] for cell in one.read)
-        bound.append((one.operation, read, cells[one.written]))
-    return bound
-
-
-@lru_cache(MOST_MACHINES)
-def _machine(
-    function: ca.Function, is_shared: tuple[bool, ...], size: int, thread: int
-) -> _Machine:
-    """Each thread has its own memory."""
-    return _Machine(_listing(function, is_shared), size)
+        for own, result in zip(self._results, results, strict=True):
+            result[:, place] = own
 
 
 class ColumnFunction:
@@ -280,7 +241,7 @@ class ColumnFunction:
             return results
         n_stretches = -(-n // _listing(self._function, self._is_shared).at_once)
         size = -(-n // n_stretches)
-        machine = _machine(self._function, self._is_shared, size, get_ident())
+        machine = _Machine(self._function, self._is_shared, size, get_ident())
         with np.errstate(all="ignore"):
             machine.share(arguments)
             # The last stretch ends with the record, and may overlap the one before.
@@ -288,3 +249,41 @@ class ColumnFunction:
                 first = min(begin, n - size)
                 machine.work(slice(first, first + size), arguments, results)
         return results
+
+
+def in_columns(
+    function: ca.Function, arguments: Sequence[Sequence[ca.MX | ca.DM]]
+) -> list[list[ca.MX]]:
+    """The same in symbols: a program's function at many places at once.
+
+    `Function.map` goes through the instructions once for every place. Here CasADi's
+    interpreter has one step for all of them: SRK4's defects and their slopes take a
+    fifth to a tenth of the time (0.6 ms for 8.5 with 3000 intervals and 34 parameters).
+
+    Args:
+        function: of scalars (SX), with dense arguments.
+        arguments: the entries of each argument: a column (n_places,), or a number that
+            all places share.
+
+    Returns:
+        Entries of each result, column by column as CasADi stores them; what is the same
+        at all places may be a number.
+    """
+    held: dict[int, ca.MX] = {}  # by register
+    results = [[ca.MX(0)] * function.nnz_out(i) for i in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        kind = function.instruction_id(k)
+        read = function.instruction_input(k)
+        written = function.instruction_output(k)
+        if kind == ca.OP_OUTPUT:
+            results[written[0]][written[1]] = held[read[0]]
+        elif kind == ca.OP_INPUT:
+            held[written[0]] = ca.MX(arguments[read[0]][read[1]])
+        elif kind == ca.OP_CONST:
+            held[written[0]] = ca.MX(function.instruction_constant(k))
+        elif len(read) == 1:
+            held[written[0]] = ca.MX.unary(kind, held[read[0]])
+        else:
+            first, second = (held[register] for register in read)
+            held[written[0]] = ca.MX.binary(kind, first, second)
+    return results

@@ -18,8 +18,7 @@ import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
-from phsi_opt.optimization.endings import Ending, ending_of_ipopt
-from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.outcome import USABLE, Outcome, words_of_ipopt
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 
@@ -62,7 +61,10 @@ def solve(
     Raises:
         SolveError: it ended without an optimum, and ``raise_on_failure``.
     """
-    return Solver(program, settings).solve(raise_on_failure=raise_on_failure)
+    solution = Solver(program, settings).solve()
+    if raise_on_failure and not solution.outcome.success:
+        raise SolveError(f"The solver failed: {solution.outcome}")
+    return solution
 
 
 class Solver:
@@ -83,19 +85,24 @@ class Solver:
     ) -> None:
         self.program = program
         self.limits = settings or SolverSettings()
-        self.is_exact = exact and program.exact is not None
-        hessian = program.hessian
-        if exact and program.exact is not None:
-            hessian = program.exact()
-        problem = {
+        self.is_exact = exact and program.curvature is not None
+        problem: dict[str, Any] = {
             "x": program.z,
             "p": program.settings,
             "f": program.objective,
             "g": program.g,
         }
         self._listener = _Listener(program)
-        options = {
-            **_options(program, hessian, self.limits),
+        options: dict[str, Any] = {
+            "no_nlp_grad": True,
+            "calc_lam_p": False,
+            "hess_lag": program.hessian(exact),
+            "jac_g": program.jacobian(),
+            "print_time": False,
+            "error_on_fail": False,
+            "show_eval_warnings": False,
+            "record_time": True,
+            "ipopt": _ipopt_options(self.limits),
             "iteration_callback": self._listener,
         }
         self._ipopt = ca.nlpsol("program", "ipopt", problem, options)
@@ -104,46 +111,34 @@ class Solver:
         )
 
     def solve(
-        self,
-        start: np.ndarray | None = None,
-        set_to: np.ndarray | None = None,
-        raise_on_failure: bool = True,
+        self, start: np.ndarray | None = None, set_to: np.ndarray | None = None
     ) -> Solution:
         """Solve from a start with given values of the program's settings.
 
         Args:
             start: scaled variables, (n_variables,); by default the program's start.
             set_to: values of ``program.settings``; by default those of the program.
-            raise_on_failure: False returns what was reached.
 
         Raises:
-            SolveError: it ended without an optimum, and ``raise_on_failure``.
             KeyboardInterrupt: Ctrl-C was pressed.
         """
         program = self.program
         set_to = program.set_to if set_to is None else set_to
-        z, outcome = self._run(program.start if start is None else start, set_to)
-        if raise_on_failure and not outcome.success:
-            raise SolveError(f"The solver failed: {outcome}")
-        return self.solution(z, set_to, outcome)
-
-    def _run(self, start: np.ndarray, set_to: np.ndarray) -> tuple[np.ndarray, Outcome]:
-        """Scaled variables where IPOPT ends, and how it ended."""
-        program = self.program
+        lower, upper = program.bounds
+        g_lower, g_upper = program.g_bounds
         began = time.perf_counter()
         with solving():
             result = self._ipopt(
-                x0=start,
+                x0=program.start if start is None else start,
                 p=set_to,
-                lbx=program.lower,
-                ubx=program.upper,
-                lbg=program.g_lower,
-                ubg=program.g_upper,
+                lbx=lower,
+                ubx=upper,
+                lbg=g_lower,
+                ubg=g_upper,
             )
-        outcome = self._outcome(
-            self._ipopt.stats(), result, time.perf_counter() - began
-        )
-        return np.array(result["x"]).ravel(), outcome
+        seconds = time.perf_counter() - began
+        outcome = self._outcome(self._ipopt.stats(), result, seconds)
+        return self.solution(np.array(result["x"]).ravel(), set_to, outcome)
 
     def solution(self, z: np.ndarray, set_to: np.ndarray, outcome: Outcome) -> Solution:
         """What is known at a point, together with how it was found.
@@ -153,44 +148,37 @@ class Solver:
             set_to: values of ``program.settings``.
             outcome: of the solve that led there.
         """
-        values = self.program.values(z)
         residual = np.array(self._residual(z, set_to)).ravel()
-        return Solution(values, z, residual, outcome)
-
-    def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
-        """The same point with other settings (n_settings,), which leave it optimal."""
-        return self.solution(solution.z, set_to, solution.outcome)
+        return Solution(self.program.values(z), z, residual, outcome)
 
     def _outcome(
         self, stats: Mapping[str, Any], result: Mapping[str, ca.DM], seconds: float
     ) -> Outcome:
+        program = self.program
         status = str(stats["return_status"])
-        ending = self._ending(status, stats)
-        violation = _largest_violation(self.program, np.array(result["g"]).ravel())
-        sentence = ending.sentence
-        if not ending.is_usable and violation.size > VIOLATED:
-            sentence += (
-                f"; the largest violation is {violation.size:.1e} in {violation.name}"
-            )
-        z = np.array(result["x"]).ravel()
+        sentence, advice = words_of_ipopt(status, self.limits.max_seconds)
+        success = status in USABLE
+        n_residuals = program.residual.numel()
+        if not success and self.is_exact and _is_settled(stats, n_residuals):
+            success, sentence, advice = True, SETTLED_AT_KINK, ""
+        g = np.array(result["g"]).ravel()
+        g_lower, g_upper = program.g_bounds
+        outside = np.maximum(g_lower - g, g - g_upper)
+        violation = float(np.max(outside, initial=0.0))
+        if not success and violation > VIOLATED:
+            where = program.name_of(int(np.argmax(outside)), program.constraints)
+            sentence += f"; the largest violation is {violation:.1e} in {where}"
         return Outcome(
-            success=ending.is_usable,
-            status=ending.status,
+            success=success,
+            status=status,
             sentence=sentence,
-            advice=ending.advice,
+            advice=advice,
             iterations=int(stats["iter_count"]),
             seconds=seconds,
             objective=float(result["f"]),
-            infeasibility=violation.size,
-            at_bounds=at_bounds(self.program, z),
+            infeasibility=violation,
+            at_bounds=at_bounds(program, np.array(result["x"]).ravel()),
         )
-
-    def _ending(self, status: str, stats: Mapping[str, Any]) -> Ending:
-        ending = ending_of_ipopt(status, self.limits.max_seconds)
-        if ending.is_usable or not self.is_exact:
-            return ending
-        is_settled = _is_settled(stats, self.program.residual.numel())
-        return Ending(status, True, SETTLED_AT_KINK) if is_settled else ending
 
 
 class _Listener(ca.Callback):
@@ -227,23 +215,6 @@ class _Listener(ca.Callback):
         return [int(is_noted())]
 
 
-def _options(
-    program: Program, hessian: ca.Function, settings: SolverSettings
-) -> dict[str, Any]:
-    """The options of CasADi's interface, and in them those of IPOPT."""
-    return {
-        "no_nlp_grad": True,
-        "calc_lam_p": False,
-        "hess_lag": hessian,
-        "jac_g": program.jacobian,
-        "print_time": False,
-        "error_on_fail": False,
-        "show_eval_warnings": False,
-        "record_time": True,
-        "ipopt": _ipopt_options(settings),
-    }
-
-
 def _ipopt_options(settings: SolverSettings) -> dict[str, Any]:
     options: dict[str, Any] = {
         "print_level": 5 if settings.show else 0,
@@ -278,23 +249,6 @@ def _ipopt_options(settings: SolverSettings) -> dict[str, Any]:
     return options
 
 
-@dataclass(frozen=True)
-class _Violation:
-    """The constraint that is violated most, by name, and by how much (scaled)."""
-
-    name: str
-    size: float
-
-
-def _largest_violation(program: Program, g: np.ndarray) -> _Violation:
-    outside = np.maximum(program.g_lower - g, g - program.g_upper)
-    if not outside.size:
-        return _Violation("", 0.0)
-    worst = int(np.argmax(outside))
-    name = program.name_of(worst, program.constraints)
-    return _Violation(name, max(float(outside[worst]), 0.0))
-
-
 def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
     """Whether the last iterates go to and fro over a kink (`SETTLING`)."""
     history = stats.get("iterations", {})
@@ -312,13 +266,13 @@ def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
     if "theta" not in program.variables:
         return ()
     block = program.variables["theta"]
-    names = [block.label(i) for i in range(block.stop - block.start)]
-    own = block.slice
-    return names_at_bounds(names, z[own], (program.lower[own], program.upper[own]))
+    names = [block.label(i) for i in range(block.slice.stop - block.slice.start)]
+    lower, upper = program.bounds[:, block.slice]
+    return names_at_bounds(names, z[block.slice], (lower, upper))
 
 
 def names_at_bounds(
-    names: Sequence[str], z: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]
+    names: Sequence[str], z: np.ndarray, bounds: Sequence[np.ndarray]
 ) -> tuple[str, ...]:
     """The names of the first scaled variables z that are at a bound.
 

@@ -6,11 +6,69 @@ it is raised as an error is decided elsewhere.
 
 from dataclasses import dataclass
 
-from phsi_opt.optimization.endings import (
-    DIRECT_STEPS,
-    ITERATION_LIMITS,
-    TIME_LIMITS,
-)
+DIRECT_STEPS = "Direct_Steps"  # status of full Gauss-Newton steps
+TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded")
+OTHERWISE = "Start from other values, or use more steps per sample."
+FOUND = "a local optimum was found"
+STALLED = "the steps stalled before an optimum"
+
+# What IPOPT's return statuses mean but for its limits of time, and what to do.
+USABLE = {
+    "Solve_Succeeded": (FOUND, ""),
+    "Solved_To_Acceptable_Level": (
+        "a local optimum was found to the looser, acceptable tolerance",
+        "Check the standard errors, or scale the data.",
+    ),
+}
+FAILURES = {
+    "Infeasible_Problem_Detected": (
+        "no states satisfy the model exactly",
+        "Check signs and bounds of the model, or start from other values.",
+    ),
+    "Search_Direction_Becomes_Too_Small": (
+        "the iteration stalled before an optimum",
+        "A term may not be smooth enough; widen its transition or use more steps per "
+        "sample.",
+    ),
+    "Diverging_Iterates": (
+        "the iterates grew without limit",
+        "Bound the parameters; the model may be unstable.",
+    ),
+    "Maximum_Iterations_Exceeded": (
+        "the iteration limit was reached before an optimum",
+        "Give starting values nearer to the solution (start in [parameters] of a study "
+        "file), or allow more iterations (in Python, "
+        "ph.SolverSettings(max_iterations=...)).",
+    ),
+    "Restoration_Failed": ("no feasible states could be found", OTHERWISE),
+    "Invalid_Number_Detected": (
+        "the model gave NaN or infinity",
+        "Look for a division by zero, a logarithm or root of a negative number, or a "
+        "missing bound.",
+    ),
+    "Not_Enough_Degrees_Of_Freedom": (
+        "there are more equations than unknowns",
+        "Free a parameter.",
+    ),
+    "User_Requested_Stop": ("the solve was interrupted", "Run it again to finish."),
+}
+
+
+def words_of_ipopt(status: str, max_seconds: float) -> tuple[str, str]:
+    """What IPOPT's return status means, and what to do.
+
+    Args:
+        status: as IPOPT names it.
+        max_seconds: the user's limit of time, in s.
+    """
+    if status in TIME_LIMITS:
+        return (
+            f"the time limit of {max_seconds:g} s ended the solve",
+            "Use fewer samples, or allow more time "
+            "(ph.SolverSettings(max_seconds=...)).",
+        )
+    unknown = (f"the solver stopped: {status}", "Try other starting values.")
+    return (USABLE | FAILURES).get(status, unknown)
 
 
 @dataclass(frozen=True)
@@ -42,19 +100,7 @@ class Outcome:
     @property
     def solver(self) -> str:
         """Which method it was that ended there."""
-        if self.status == DIRECT_STEPS:
-            return "Gauss-Newton steps"
-        return "IPOPT"
-
-    @property
-    def is_out_of_iterations(self) -> bool:
-        """Whether a limit of iterations ended the solve."""
-        return self.status in ITERATION_LIMITS
-
-    @property
-    def is_out_of_time(self) -> bool:
-        """Whether the user's limit of time ended the solve."""
-        return self.status in TIME_LIMITS
+        return "Gauss-Newton steps" if self.status == DIRECT_STEPS else "IPOPT"
 
     def __str__(self) -> str:
         effort = f"{self.iterations} iterations, {self.seconds:.2f} s"

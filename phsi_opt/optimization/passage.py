@@ -96,7 +96,7 @@ class Passage:
         for order in (np.lexsort((number, rank, gap)), np.lexsort((rank, number))):
             layouts.append(BandLayout(slopes.row, slopes.col, order))
         narrower = min(layouts, key=lambda layout: layout.kl + layout.ku)
-        return Banded.of(narrower, slopes.data)
+        return Banded(narrower, slopes.data)
 
     @property
     def log_abs_det(self) -> float:

@@ -1,19 +1,19 @@
-"""One nonlinear program, made of named blocks.
+"""One nonlinear program, written in CasADi's symbols block by block.
 
 ::
 
     minimise    1/2 sum r(z)^2 + linear cost
     subject to  lower <= g(z) <= upper, bounds on z
 
-Variables are scaled where they enter, so that the solver sees numbers near one and its
-tolerance means the same for every block. The Hessian is the Gauss-Newton one, J'J of
-the residuals: it leaves out the curvature of the constraints, which is nearly all of
-the cost of the exact Hessian and of use only where residuals are large
+A loss adds named blocks of variables, residuals and constraints in the units of the
+model. Variables are scaled where they enter, so that the solver sees numbers near one
+and its tolerance means the same for every block. The Hessian is the Gauss-Newton one,
+J'J of the residuals: it leaves out the curvature of the constraints, which is nearly
+all of the cost of the exact Hessian and of use only where residuals are large
 (docs/design.md). A loss that knows this curvature adds it as a second choice.
 
-This file holds the finished program; `Assembly` puts it together. No solver is named
-here. Expressions and their derivatives are CasADi's (Andersson, Gillis, Horn, Rawlings
-and Diehl 2019).
+No solver is named here. Expressions and their derivatives are CasADi's (Andersson,
+Gillis, Horn, Rawlings and Diehl 2019).
 """
 
 from collections.abc import Callable, Mapping
@@ -22,69 +22,210 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from phsi_opt.errors import ModelError
+
+Label = Callable[[int], str]
+
+# A slack variable starts above the absolute value that it bounds, by this share of the
+# value's scale, so that the start is inside the constraints.
+SLACK_ABOVE = 0.1
+# CasADi's name of the BLAS in its wheel, for dense products; its own loops take eight
+# times as long for 69 parameters and 40 000 residuals.
+BLAS = "classic"
+
 
 @dataclass(frozen=True)
 class Block:
-    """A named part of the variables or constraints, from ``start`` to before ``stop``.
+    """A part of the variables or constraints.
 
-    ``label(i)`` names its entry i in messages.
+    Attributes:
+        slice: where it stands in the whole vector.
+        label: names its entries in messages.
     """
 
-    name: str
-    start: int
-    stop: int
-    label: Callable[[int], str]
-
-    @property
-    def slice(self) -> slice:
-        """Where the block stands in the whole vector."""
-        return slice(self.start, self.stop)
+    slice: slice
+    label: Label
 
 
-@dataclass(frozen=True)
 class Program:
-    """A finished nonlinear program in scaled variables z; ``scale * z`` are the values.
+    """A nonlinear program in scaled variables z; ``scale * z`` are the values.
 
-    Args:
+    Attributes:
         variables: blocks of z by name.
         constraints: blocks of g by name.
-        z: symbol, (n_variables,).
-        settings: symbol of numbers that may change between two solves, such as the
+        z: symbols, (n_variables,).
+        settings: symbols of numbers that may change between two solves, such as the
             noise.
         set_to: their values.
-        objective: of z and the settings.
         residual: (n_residuals,), whose squares the objective halves.
-        g: (n_constraints,).
-        jacobian: function (z, settings) -> g and its Jacobian.
-        hessian: function (z, settings, factor, multipliers) -> upper triangle of the
-            Gauss-Newton Hessian times the factor.
-        exact: makes the same function with the curvature of the constraints; None where
-            no loss knows it.
+        cost: that is linear in the variables.
+        g: constraints, (n_constraints,).
         start: scaled variables to start from, (n_variables,).
         scale: (n_variables,).
-        lower: bounds of z, (n_variables,).
-        upper: bounds of z, (n_variables,).
-        g_lower: bounds of g, (n_constraints,).
-        g_upper: bounds of g, (n_constraints,).
+        bounds: lower and upper bounds of z, (2, n_variables).
+        g_bounds: those of g, (2, n_constraints).
+        curvature: from the multipliers what the first constraints add to the Hessian,
+            upper triangle, in the first variables; None: not known.
     """
 
-    variables: dict[str, Block]
-    constraints: dict[str, Block]
-    z: ca.MX
-    settings: ca.MX
-    set_to: np.ndarray
-    objective: ca.MX
-    residual: ca.MX
-    g: ca.MX
-    jacobian: ca.Function
-    hessian: ca.Function
-    exact: Callable[[], ca.Function] | None
-    start: np.ndarray
-    scale: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    g_lower: np.ndarray
-    g_upper: np.ndarray
+    def __init__(self) -> None:
+        self.variables: dict[str, Block] = {}
+        self.constraints: dict[str, Block] = {}
+        self.z = self.settings = self.residual = self.g = ca.MX(0, 1)
+        self.cost = ca.MX(0)
+        self.set_to = self.start = self.scale = np.zeros(0)
+        self.bounds = self.g_bounds = np.zeros((2, 0))
+        self.curvature: Callable[[ca.MX], ca.MX] | None = None
+        self._jacobians: list[Callable[[], ca.MX]] = []
+        self._dense_slopes: ca.MX | None = None
+
+    def setting(self, name: str, value: np.ndarray) -> ca.MX:
+        """Numbers (n_values,) that may change between two solves of one program."""
+        symbol = ca.MX.sym(name, len(value))
+        self.settings = ca.vertcat(self.settings, symbol)
+        self.set_to = np.append(self.set_to, value)
+        return symbol
+
+    def variable(
+        self,
+        name: str,
+        start: np.ndarray,
+        lower: float | np.ndarray = -np.inf,
+        upper: float | np.ndarray = np.inf,
+        scale: float | np.ndarray = 1.0,
+        label: Label = str,
+    ) -> ca.MX:
+        """Add a block of variables and return it, unscaled, as a column.
+
+        Args:
+            name: of the block.
+            start: (n,) values to start from.
+            lower: bounds, a number or one per value.
+            upper: bounds likewise.
+            scale: sizes that make the values numbers near one.
+            label: names an entry in messages.
+
+        Raises:
+            ModelError: the start is not finite.
+        """
+        n_bad = np.sum(~np.isfinite(start))
+        if n_bad:
+            raise ModelError(
+                f"the start of {name} has {n_bad} values that are not finite."
+            )
+        symbol = ca.MX.sym(name, len(start))
+        first = len(self.start)
+        self.variables[name] = Block(slice(first, first + len(start)), label)
+        sizes, low, high = np.broadcast_arrays(scale, lower, upper, start)[:3]
+        self.z = ca.vertcat(self.z, symbol)
+        self.start = np.append(self.start, start / sizes)
+        self.scale = np.append(self.scale, sizes)
+        self.bounds = np.hstack([self.bounds, [low / sizes, high / sizes]])
+        return symbol * ca.DM(sizes)
+
+    def constrain(
+        self,
+        name: str,
+        expression: ca.MX,
+        upper: float = 0.0,
+        label: Label = str,
+        jacobian: ca.MX | None = None,
+    ) -> None:
+        """Add 0 <= expression <= upper.
+
+        Args:
+            name: of the block.
+            expression: scaled by the caller to numbers near one.
+            upper: bound of every entry.
+            label: names an entry in messages.
+            jacobian: in the first variables, scaled, where the caller knows one that
+                costs less than automatic differentiation of the whole.
+        """
+        column = ca.vec(expression)
+        first = self.g.numel()
+        place = slice(first, first + column.numel())
+        self.constraints[name] = Block(place, label)
+        self.g = ca.vertcat(self.g, column)
+        limits = np.tile([[0.0], [upper]], column.numel())
+        self.g_bounds = np.hstack([self.g_bounds, limits])
+
+        def slopes() -> ca.MX:
+            if jacobian is None:
+                return ca.jacobian(column, self.z)
+            n_others = self.z.numel() - jacobian.size2()
+            return ca.horzcat(jacobian, ca.MX(jacobian.size1(), n_others))
+
+        self._jacobians.append(slopes)
+
+    def add_residual(self, expression: ca.MX, slopes: ca.MX | None = None) -> None:
+        """Add 1/2 sum(expression^2) to the objective.
+
+        Args:
+            expression: of any shape.
+            slopes: where it is the only one, and depends on the first variables alone:
+                its slopes in their values, dense. The Gauss-Newton Hessian is then a
+                product of dense matrices, made by BLAS.
+        """
+        self.residual = ca.vertcat(self.residual, ca.vec(expression))
+        self._dense_slopes = slopes
+
+    def add_l1(
+        self,
+        name: str,
+        expression: ca.MX,
+        weight: np.ndarray,
+        start: np.ndarray,
+        scale: np.ndarray,
+    ) -> None:
+        """Add ``sum(weight |expression|)`` through slack variables s.
+
+        -s <= expression <= s, at the cost weight s; all arrays (n_entries,) have one
+        entry per entry of ``expression``, ``start`` its values at the start.
+        """
+        above = np.abs(start) + SLACK_ABOVE * scale
+        slack = self.variable(f"slack_{name}", above, lower=0.0, scale=scale)
+        inverse = ca.DM(1 / scale)
+        self.constrain(f"l1_upper_{name}", (slack - expression) * inverse, np.inf)
+        self.constrain(f"l1_lower_{name}", (slack + expression) * inverse, np.inf)
+        self.cost = self.cost + ca.dot(ca.DM(weight), slack)
+
+    @property
+    def objective(self) -> ca.MX:
+        """Of z and the settings."""
+        return ca.sumsqr(self.residual) / 2 + self.cost
+
+    def jacobian(self) -> ca.Function:
+        """Function (z, settings) -> g and its Jacobian."""
+        rows = [ca.MX(0, self.z.numel()), *(slopes() for slopes in self._jacobians)]
+        both = [self.g, ca.vertcat(*rows)]
+        return ca.Function("jac_g", [self.z, self.settings], both)
+
+    def hessian(self, exact: bool = False) -> ca.Function:
+        """Function (z, settings, factor, multipliers) -> upper triangle of the Hessian.
+
+        Args:
+            exact: with the curvature of the constraints, where it is known. That of the
+                residuals is zero but for sensors, which are linear or nearly so.
+        """
+        slopes = self._dense_slopes
+        if slopes is None:
+            slopes = ca.jacobian(self.residual, self.z)
+            product = ca.mtimes(slopes.T, slopes)
+        else:
+            scale = ca.DM(self.scale[: slopes.size2()])
+            product = ca.mtimes(slopes.T, slopes, BLAS) * ca.mtimes(scale, scale.T)
+        factor = ca.MX.sym("factor")
+        multipliers = ca.MX.sym("lam", self.g.numel())
+        hessian = factor * self._of_all(ca.triu(product))
+        if exact and self.curvature is not None:
+            hessian = hessian + self._of_all(self.curvature(multipliers))
+        arguments = [self.z, self.settings, factor, multipliers]
+        return ca.Function("hessian", arguments, [hessian])
+
+    def _of_all(self, matrix: ca.MX) -> ca.MX:
+        """A square matrix of the first variables as one of all."""
+        n_others = self.z.numel() - matrix.size1()
+        return ca.diagcat(matrix, ca.MX(n_others, n_others))
 
     def values(self, z: np.ndarray) -> dict[str, np.ndarray]:
         """Unscaled values of every block of variables."""
@@ -93,7 +234,7 @@ class Program:
 
     def name_of(self, index: int, blocks: Mapping[str, Block]) -> str:
         """Name of one entry, such as 'defect (trajectory 2, t = 1.7 to 1.8, row 1)'."""
-        for block in blocks.values():
-            if block.start <= index < block.stop:
-                return f"{block.name} ({block.label(index - block.start)})"
+        for name, block in blocks.items():
+            if block.slice.start <= index < block.slice.stop:
+                return f"{name} ({block.label(index - block.slice.start)})"
         raise IndexError(f"no block has the entry {index}.")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
+from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.screening.sensitivities import Trial
 from phsi_opt.statistics import TINY
 

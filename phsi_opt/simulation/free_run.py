@@ -22,7 +22,6 @@ from scipy.integrate import RK45
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.statistics import TINY
 
@@ -166,7 +165,7 @@ class Runs:
     def __init__(self, rhs: ca.Function, watched: int | None = None) -> None:
         self.n_watched = watched or rhs.size1_in(0)
         step = _step(rhs, self.n_watched)
-        self.loop = Evaluated(step.mapaccum(CHUNK))
+        self.loop = _Evaluated(step.mapaccum(CHUNK))
 
     def run(
         self,
@@ -365,3 +364,43 @@ def _cut(steps: _Steps, parts: np.ndarray) -> _Steps:
     place = np.arange(len(h)) - first
     since = np.repeat(steps.since, parts) + place * h
     return _Steps(np.repeat(steps.interval, parts), since, h)
+
+
+class _Evaluated:
+    """A CasADi function that is called many times, on NumPy's own memory.
+
+    CasADi's own conversion of a result walks over it as a list of Python's numbers.
+
+    Args:
+        function: with dense arguments and results.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function  # its memory must outlive the buffer
+        made: Any = function.buffer()
+        self._buffer, self._evaluate = made
+        self._arguments = []
+        for i in range(function.n_in()):
+            argument: Any = np.zeros(function.numel_in(i))
+            self._arguments.append(argument)
+            if argument.size:
+                self._buffer.set_arg(i, memoryview(argument))
+        self._results = []
+        for i in range(function.n_out()):
+            result: Any = np.zeros((function.size2_out(i), function.size1_out(i)))
+            self._results.append(result)
+            if result.size:
+                self._buffer.set_res(i, memoryview(result))
+
+    def __call__(self, *arguments: Any) -> list[np.ndarray]:
+        """The results, each transposed: a row per column of CasADi's.
+
+        They are written over by the next call.
+
+        Args:
+            arguments: arrays in the shapes of CasADi's arguments.
+        """
+        for own, given in zip(self._arguments, arguments, strict=True):
+            own[:] = np.ravel(np.asarray(given, dtype=float), order="F")
+        self._evaluate()
+        return self._results

@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.point import StateBounds
+from phsi_opt.transcription.point import UNBOUNDED
 
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 
@@ -41,7 +41,7 @@ def with_memory(
 
 def memory_start_bounds(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
-) -> StateBounds | None:
+) -> np.ndarray:
     """Bounds of the memory that a trajectory begins with; other states have none.
 
     It is such as the records show later on: within the values that it takes from rest,
@@ -55,21 +55,21 @@ def memory_start_bounds(
         theta: parameters, as those of `with_memory`.
 
     Returns:
-        None where the model has no memory, or not as its last states.
+        (2, n_nodes, n_states), or what is broadcast to it where the model has no
+        memory, or not as its last states.
     """
     n_old = model.n_states - len(model.memory)
     if n_old == model.n_states or model.states[n_old:] != model.memory:
-        return None
+        return UNBOUNDED
     integration = MemoryIntegration(model, grid, x[:, :n_old])
     memory = integration(theta).states[:, n_old:]
     lowest = memory.min(axis=0)
     highest = memory.max(axis=0)
     reach = np.where(highest > lowest, highest - lowest, np.inf)
-    lower = np.full(x.shape, -np.inf)
-    upper = np.full(x.shape, np.inf)
-    lower[grid.first, n_old:] = lowest - reach
-    upper[grid.first, n_old:] = highest + reach
-    return StateBounds(lower, upper)
+    bounds = np.broadcast_to(UNBOUNDED, (2, *x.shape)).copy()
+    bounds[0, grid.first, n_old:] = lowest - reach
+    bounds[1, grid.first, n_old:] = highest + reach
+    return bounds
 
 
 def padded(model: Model, x: np.ndarray) -> np.ndarray:
@@ -91,14 +91,6 @@ class MemoryRecord:
     interval_means: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _RunIntegration:
-    """The integration along one trajectory: its intervals, and the steps over them."""
-
-    intervals: np.ndarray
-    integrate: ca.Function
-
-
 class MemoryIntegration:
     """The memory of a model's effects along given states, of the parameters.
 
@@ -115,17 +107,14 @@ class MemoryIntegration:
         self.grid = grid
         self.x = x
         self._rest = _memory_at_rest(model, x.shape[1])
-        self._runs = self._run_integrations()
-
-    def _run_integrations(self) -> list[_RunIntegration]:
-        interval = _memory_over_interval(self.model, self.x.shape[1])
-        trajectory = self.grid.trajectory[self.grid.begin]
-        runs = []
-        for run in range(len(self.grid.first)):
+        # Of every trajectory its intervals, and the steps over them.
+        self._runs = []
+        interval = _memory_over_interval(model, x.shape[1])
+        trajectory = grid.trajectory[grid.begin]
+        for run in range(len(grid.first)):
             intervals = np.flatnonzero(trajectory == run)
             integrate = interval.mapaccum("memory", len(intervals))
-            runs.append(_RunIntegration(intervals, integrate))
-        return runs
+            self._runs.append((intervals, integrate))
 
     def __call__(self, theta: np.ndarray) -> MemoryRecord:
         """States with their memory, and its means over the intervals.
@@ -138,16 +127,16 @@ class MemoryIntegration:
         states = padded(self.model, self.x)
         means = np.zeros((self.grid.n_intervals, n_memory))
         by_run = theta if theta.ndim == 2 else theta[:, None]
-        for number, run in enumerate(self._runs):
+        for number, (intervals, integrate) in enumerate(self._runs):
             values = by_run[:, number % by_run.shape[1]]
             first = self.grid.first[number]
-            start = self._start(first, run.intervals[0], values)
-            repeated = np.repeat(values[:, None], len(run.intervals), axis=1)
-            arguments = self._interval_arguments(run.intervals)
-            at_ends, run_means = run.integrate(start, *arguments, repeated)
+            start = self._start(first, intervals[0], values)
+            repeated = np.repeat(values[:, None], len(intervals), axis=1)
+            arguments = self._interval_arguments(intervals)
+            at_ends, run_means = integrate(start, *arguments, repeated)
             states[first, n_old:] = start
-            states[self.grid.begin[run.intervals] + 1, n_old:] = at_ends.full().T
-            means[run.intervals] = run_means.full().T
+            states[self.grid.begin[intervals] + 1, n_old:] = at_ends.full().T
+            means[intervals] = run_means.full().T
         return MemoryRecord(states, means)
 
     def _start(self, node: int, interval: int, values: np.ndarray) -> np.ndarray:

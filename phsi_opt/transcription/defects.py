@@ -6,7 +6,6 @@ made from them. Their second derivatives, and the first ones interval by interva
 in `defect_derivatives`.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -25,36 +24,17 @@ from phsi_opt.transcription.interval_map import (
 FINE_STEPS = 8  # of RK4 along the interval by which one step of a scheme is checked
 
 
-@dataclass(frozen=True, eq=False)
-class _Interval:
+def _interval(model: Model) -> list[ca.SX]:
     """Symbols of one interval: start, length, inputs at both ends, parameters."""
+    sizes = {"t0": 1, "h": 1, "u0": model.n_inputs, "u1": model.n_inputs}
+    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    return [*symbols, ca.SX.sym("theta", len(model.free))]
 
-    t0: ca.SX
-    h: ca.SX
-    u0: ca.SX
-    u1: ca.SX
-    theta: ca.SX
 
-    @classmethod
-    def of(cls, model: Model) -> "_Interval":
-        return cls(
-            ca.SX.sym("t0"),
-            ca.SX.sym("h"),
-            ca.SX.sym("u0", model.n_inputs),
-            ca.SX.sym("u1", model.n_inputs),
-            ca.SX.sym("theta", len(model.free)),
-        )
-
-    @property
-    def symbols(self) -> list[ca.SX]:
-        """The symbols as arguments of a function, in their order."""
-        return [self.t0, self.h, self.u0, self.u1, self.theta]
-
-    def rates(self, rhs: ca.Function, x: Any, share: Any) -> Any:
-        """Right-hand side at a state, where a share of the interval lies behind."""
-        u = self.u0 + share * (self.u1 - self.u0)
-        t = self.t0 + share * self.h
-        return rhs(x, u, t, self.theta)
+def _rates(rhs: ca.Function, interval: list[ca.SX], x: Any, share: Any) -> Any:
+    """Right-hand side at a state, where a share of the interval lies behind."""
+    t0, h, u0, u1, theta = interval
+    return rhs(x, u0 + share * (u1 - u0), t0 + share * h, theta)
 
 
 def defect(model: Model, scheme: str, n_moving: int | None = None) -> ca.Function:
@@ -83,17 +63,18 @@ def _defect(model: Model, scheme: str, n_moving: int | None) -> ca.Function:
     psi = integrator(scheme).psi
     x0 = ca.SX.sym("x0", n_states)
     x1 = ca.SX.sym("x1", n_states)
-    interval = _Interval.of(model)
+    interval = _interval(model)
 
     def g(x: Any, share: float) -> Any:
-        rates = interval.rates(rhs, x, share)
+        rates = _rates(rhs, interval, x, share)
         if n_moving is None:
             return rates
         return ca.vertcat(rates[:n_moving], ca.SX.zeros(n_states - n_moving))
 
-    value = (x1 - x0) / interval.h - psi(g, x0, x1, interval.h)
+    h = interval[1]
+    value = (x1 - x0) / h - psi(g, x0, x1, h)
     names = ["x0", "x1", "t0", "h", "u0", "u1", "theta"]
-    arguments = [x0, x1, *interval.symbols]
+    arguments = [x0, x1, *interval]
     return ca.Function("defect", arguments, [ca.densify(value)], names, ["d"])
 
 
@@ -148,15 +129,15 @@ def _fine_integration(model: Model) -> ca.Function:
     psi = integrator("rk4").psi
     x0 = ca.SX.sym("x0", model.n_states)
     n_done = ca.SX.sym("n_done")
-    interval = _Interval.of(model)
-    h_fine = interval.h / FINE_STEPS
+    interval = _interval(model)
+    h_fine = interval[1] / FINE_STEPS
 
     def g(at: Any, c: float) -> Any:
-        return interval.rates(rhs, at, (n_done + c) / FINE_STEPS)
+        return _rates(rhs, interval, at, (n_done + c) / FINE_STEPS)
 
     behind = x0 + h_fine * psi(g, x0, x0, h_fine)
-    step = ca.Function("step", [x0, n_done, *interval.symbols], [behind])
+    step = ca.Function("step", [x0, n_done, *interval], [behind])
     x = x0
     for k in range(FINE_STEPS):
-        x = step(x, k, *interval.symbols)
-    return ca.Function("exact", [x0, *interval.symbols], [x])
+        x = step(x, k, *interval)
+    return ca.Function("exact", [x0, *interval], [x])

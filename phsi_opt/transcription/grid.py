@@ -8,7 +8,7 @@ stays small where the sampling is coarse. Arrays are still rows (n_nodes, n_stat
 `interval_map` turns them into CasADi's columns.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -102,55 +102,48 @@ class Grid:
             u1=self.u1[keep],
         )
 
-    def apart(self) -> "Grid":
-        """The same intervals, each with two nodes of its own, one after the other."""
-        node = np.column_stack([self.begin, self.begin + 1]).ravel()
+    def at_nodes(self, nodes: np.ndarray, **intervals: np.ndarray) -> "Grid":
+        """Some of the nodes (n,), given by their numbers, with other intervals."""
         return replace(
             self,
-            t=self.t[node],
-            y=self.y[node],
-            trajectory=self.trajectory[node],
-            sample=self.sample[node],
-            u=self.u[node],
-            begin=2 * np.arange(self.n_intervals),
+            t=self.t[nodes],
+            y=self.y[nodes],
+            trajectory=self.trajectory[nodes],
+            sample=self.sample[nodes],
+            u=self.u[nodes],
+            **intervals,
         )
+
+    def apart(self) -> "Grid":
+        """The same intervals, each with two nodes of its own, one after the other."""
+        nodes = np.column_stack([self.begin, self.begin + 1]).ravel()
+        return self.at_nodes(nodes, begin=2 * np.arange(self.n_intervals))
 
     def rates(self, x: np.ndarray) -> np.ndarray:
         """(x1 - x0)/h per interval, of values (n_nodes, n_states)."""
         return (x[self.begin + 1] - x[self.begin]) / self.h[:, None]
 
-    def interval_label(self, n_rows: int) -> Callable[[int], str]:
-        """Labels of values that stand in ``n_rows`` rows per interval.
+    def interval_label(self, n_rows: int, place: int) -> str:
+        """Where a value is that stands in ``n_rows`` rows per interval.
 
         Such as 'trajectory 3, t = 1.7 to 1.8, row 1': trajectories and rows are counted
         from one.
         """
-        trajectory = self.trajectory[self.begin]
+        interval, row = divmod(place, n_rows)
+        begin = self.begin[interval]
+        return (
+            f"trajectory {self.trajectory[begin] + 1}, "
+            f"t = {self.t[begin]:g} to {self.t[begin + 1]:g}, row {row + 1}"
+        )
 
-        def label(place: int) -> str:
-            interval, row = divmod(place, n_rows)
-            begin = self.begin[interval]
-            return (
-                f"trajectory {trajectory[interval] + 1}, "
-                f"t = {self.t[begin]:g} to {self.t[begin + 1]:g}, row {row + 1}"
-            )
-
-        return label
-
-    def node_label(self, n_rows: int) -> Callable[[int], str]:
-        """Labels of values that stand in ``n_rows`` rows per node.
+    def node_label(self, n_rows: int, place: int) -> str:
+        """Where a value is that stands in ``n_rows`` rows per node.
 
         Such as 'trajectory 3, t = 0.5, state 1'.
         """
-
-        def label(place: int) -> str:
-            node, row = divmod(place, n_rows)
-            return (
-                f"trajectory {self.trajectory[node] + 1}, t = {self.t[node]:g}, "
-                f"state {row + 1}"
-            )
-
-        return label
+        node, row = divmod(place, n_rows)
+        run = self.trajectory[node] + 1
+        return f"trajectory {run}, t = {self.t[node]:g}, state {row + 1}"
 
 
 def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:

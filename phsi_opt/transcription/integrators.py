@@ -1,9 +1,16 @@
 """One-step schemes: the mean derivative Psi over a step.
 
+::
+
+    Psi = sum_j weight_j g(x_j, c_j) / sum_j weight_j
+
+with the state x_j at the share c_j of the step.
+
 A defect (x1 - x0)/h - Psi is made from it (`defects`). A scheme sees the right-hand
 side as ``g(x, c)``: the state x at the fraction c of the step (time and input at that
 fraction are filled in by the caller). Schemes may use both ends, so none of them needs
-an inner solve.
+an inner solve. What a part of g adds to Psi follows from its values at the stages, up
+to what it changes of the x_j themselves.
 """
 
 from collections.abc import Callable
@@ -14,6 +21,7 @@ from typing import Any
 from phsi_opt.errors import ModelError, did_you_mean
 
 RightHandSide = Callable[[Any, float], Any]
+Stages = Callable[[RightHandSide, Any, Any, Any], tuple[Any, ...]]
 
 
 @dataclass(frozen=True)
@@ -24,29 +32,46 @@ class Integrator:
         name: what users call it.
         order: the error of the approximation is of this order in h.
         symmetric: whether exchanging the two ends, with h negative, changes nothing.
-        psi: the mean derivative, of numbers, symbols or tensors alike.
+        shares: of the step at which its stages are, one per stage.
+        weights: of the stages, whole numbers.
+        states: (g, x0, x1, h) -> the states of the stages, numbers, symbols or tensors
+            alike.
     """
 
     name: str
     order: int
     symmetric: bool
-    psi: Callable[[RightHandSide, Any, Any, Any], Any]
+    shares: tuple[float, ...]
+    weights: tuple[int, ...]
+    states: Stages
+
+    def psi(self, g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
+        """The mean derivative over a step."""
+        parts = []
+        states = self.states(g, x0, x1, h)
+        for x, share, weight in zip(states, self.shares, self.weights, strict=True):
+            parts.append(weight * g(x, share) if weight > 1 else g(x, share))
+        total = sum(parts[1:], start=parts[0])
+        return total / sum(self.weights) if len(parts) > 1 else total
+
+    @property
+    def nodes(self) -> tuple[float, ...]:
+        """The distinct shares, increasing."""
+        return tuple(sorted(set(self.shares)))
 
 
-def _euler(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
-    return g(x0, 0.0)
+def _euler(g: RightHandSide, x0: Any, x1: Any, h: Any) -> tuple[Any, ...]:
+    return (x0,)
 
 
-def _midpoint(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
-    return g((x0 + x1) / 2, 0.5)
+def _midpoint(g: RightHandSide, x0: Any, x1: Any, h: Any) -> tuple[Any, ...]:
+    return ((x0 + x1) / 2,)
 
 
-def _rk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
-    k1 = g(x0, 0.0)
-    k2 = g(x0 + h / 2 * k1, 0.5)
-    k3 = g(x0 + h / 2 * k2, 0.5)
-    k4 = g(x0 + h * k3, 1.0)
-    return (k1 + 2 * k2 + 2 * k3 + k4) / 6
+def _rk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> tuple[Any, ...]:
+    second = x0 + h / 2 * g(x0, 0.0)
+    third = x0 + h / 2 * g(second, 0.5)
+    return x0, second, third, x0 + h * g(third, 0.5)
 
 
 # SRK4 evaluates the right-hand side at these shares of the step, the nodes of Gauss's
@@ -55,25 +80,15 @@ FIRST_NODE = 0.5 - sqrt(3) / 6
 SECOND_NODE = 0.5 + sqrt(3) / 6
 
 
-@dataclass(frozen=True)
-class Stages:
-    """States of SRK4 at the nodes of a step, in the form of x0 and x1."""
-
-    first: Any
-    second: Any
-
-
-def srk4_stages(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Stages:
-    """States at `FIRST_NODE` and `SECOND_NODE`, at which SRK4 averages the derivative.
-
-    The inner stage at the second node feeds the outer one at the first node and the
+def _srk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> tuple[Any, ...]:
+    """The inner stage at the second node feeds the outer one at the first node and the
     other way round; swapped, the order drops to two.
     """
     middle = (x0 + x1) / 2
     reach = sqrt(3) / 6 * h
     at_second = g(FIRST_NODE * x0 + SECOND_NODE * x1, SECOND_NODE)
     at_first = g(SECOND_NODE * x0 + FIRST_NODE * x1, FIRST_NODE)
-    return Stages(middle - reach * at_second, middle + reach * at_first)
+    return middle - reach * at_second, middle + reach * at_first
 
 
 def srk4_one_way(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
@@ -83,16 +98,14 @@ def srk4_one_way(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
     return g(first, FIRST_NODE)
 
 
-def _srk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
-    stages = srk4_stages(g, x0, x1, h)
-    return (g(stages.first, FIRST_NODE) + g(stages.second, SECOND_NODE)) / 2
-
-
 INTEGRATORS = {
-    "euler": Integrator("euler", 1, False, _euler),  # thesis Eq. 5.7
-    "midpoint": Integrator("midpoint", 2, True, _midpoint),  # thesis Eq. 5.8
-    "rk4": Integrator("rk4", 4, False, _rk4),  # thesis Eq. 5.9
-    "srk4": Integrator("srk4", 4, True, _srk4),  # thesis Eq. 5.11
+    one.name: one
+    for one in (
+        Integrator("euler", 1, False, (0.0,), (1,), _euler),  # thesis Eq. 5.7
+        Integrator("midpoint", 2, True, (0.5,), (1,), _midpoint),  # thesis Eq. 5.8
+        Integrator("rk4", 4, False, (0.0, 0.5, 0.5, 1.0), (1, 2, 2, 1), _rk4),  # 5.9
+        Integrator("srk4", 4, True, (FIRST_NODE, SECOND_NODE), (1, 1), _srk4),  # 5.11
+    )
 }
 # For starting values: one evaluation of the right-hand side at states that are known,
 # so its defects are linear wherever the model is.

@@ -5,7 +5,6 @@ as there are intervals. Here, and in `defects`, the rows (n_nodes, n_states) of 
 meet CasADi's columns (n_states, n_nodes).
 """
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -48,6 +47,17 @@ def known_arguments(grid: Grid) -> list[np.ndarray]:
     return [t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
 
 
+def _of_each(theta: Any, trajectory: np.ndarray) -> tuple[Any, bool]:
+    """Parameters theta, a column per interval or node unless all share one.
+
+    And whether they do.
+    """
+    shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
+    if len(shape) < 2 or shape[1] == 1:
+        return theta, True
+    return theta[:, trajectory.tolist()], False
+
+
 def map_intervals(
     function: ca.Function, grid: Grid, arguments: list[Any], theta: Any
 ) -> Any:
@@ -59,32 +69,15 @@ def map_intervals(
         arguments: the other arguments, a column per interval.
         theta: (n_free,) parameters, or (n_free, n_trajectories).
     """
-    shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
-    n_intervals = len(grid.begin)
-    if len(shape) < 2 or shape[1] == 1:
-        return mapped(function, n_intervals, True)(*arguments, theta)
-    by_interval = theta[:, grid.trajectory[grid.begin].tolist()]
-    return mapped(function, n_intervals, False)(*arguments, by_interval)
+    own, is_shared = _of_each(theta, grid.trajectory[grid.begin])
+    return mapped(function, grid.n_intervals, is_shared)(*arguments, own)
 
 
-def in_intervals(
-    function: ca.Function, grid: Grid, arguments: list[Any], theta: np.ndarray
-) -> list[np.ndarray]:
-    """`map_intervals` in numbers: entries of every result, (n_entries, n_intervals)."""
-    last = function.n_in() - 1
-    if theta.ndim < 2 or theta.shape[1] == 1:
-        shared = theta.reshape(len(theta))
-        return ColumnFunction(function, (last,))(*arguments, shared)
-    by_interval = theta[:, grid.trajectory[grid.begin]]
-    return ColumnFunction(function)(*arguments, by_interval)
-
-
-def at_nodes(
-    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
-) -> list[np.ndarray]:
-    """`map_nodes` in numbers: entries of every result, (n_entries, n_nodes)."""
-    nodes = replace(grid, begin=np.arange(grid.n_nodes))
-    return in_intervals(function, nodes, node_arguments(grid, x), theta)
+def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:
+    """A function of (x, u, t, theta) at every node; ``x`` is (n_states, n_nodes)."""
+    own, is_shared = _of_each(theta, grid.trajectory)
+    arguments = node_arguments(grid, x)
+    return mapped(function, grid.n_nodes, is_shared)(*arguments, own)
 
 
 @lru_cache(MOST_KEPT)
@@ -95,12 +88,34 @@ def mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
     return function.map(n, "serial")
 
 
+def in_intervals(
+    function: ca.Function, grid: Grid, arguments: list[Any], theta: np.ndarray
+) -> list[np.ndarray]:
+    """`map_intervals` in numbers: entries of every result, (n_entries, n_intervals)."""
+    return _in_columns(function, arguments, theta, grid.trajectory[grid.begin])
+
+
+def at_nodes(
+    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
+) -> list[np.ndarray]:
+    """`map_nodes` in numbers: entries of every result, (n_entries, n_nodes)."""
+    arguments = node_arguments(grid, x)
+    return _in_columns(function, arguments, theta, grid.trajectory)
+
+
+def _in_columns(
+    function: ca.Function,
+    arguments: list[Any],
+    theta: np.ndarray,
+    trajectory: np.ndarray,
+) -> list[np.ndarray]:
+    own, is_shared = _of_each(theta, trajectory)
+    if not is_shared:
+        return ColumnFunction(function)(*arguments, own)
+    last = function.n_in() - 1
+    return ColumnFunction(function, (last,))(*arguments, own.ravel())
+
+
 def node_arguments(grid: Grid, x: Any) -> list[Any]:
     """x, u and t of every node, as columns; ``x`` is (n_states, n_nodes)."""
     return [x, grid.u.T, grid.t[None, :]]
-
-
-def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:
-    """A function of (x, u, t, theta) at every node; ``x`` is (n_states, n_nodes)."""
-    nodes = replace(grid, begin=np.arange(grid.n_nodes))
-    return map_intervals(function, nodes, node_arguments(grid, x), theta)

@@ -4,13 +4,14 @@ In symbols for a program (`known_defects`), and in numbers for all else
 (`KnownDefects`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.column_symbols import in_columns, stacked
+from phsi_opt.optimization.column_function import in_columns
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
@@ -34,39 +35,40 @@ class ParameterSlopes:
 
 
 def known_defects(
-    model: Model, grid: Grid, scheme: str, weight: float
-) -> tuple[ca.Function, ca.Function]:
-    """Weighted defects between the measurements, as functions of the parameters.
+    model: Model, grid: Grid, scheme: str, theta: ca.MX
+) -> tuple[ca.MX, ca.MX]:
+    """Defects between the measurements in symbols, and their slopes.
 
     Args:
         model: the model.
         grid: nodes and intervals, every state measured at both ends.
         scheme: name of the integrator.
-        weight: of all defects.
+        theta: (n_free,) parameters.
 
     Returns:
-        theta (n_free,) -> defects (n_states * n_intervals,), one equation after the
-        other; and theta -> their slopes, (n_states * n_intervals, n_free).
+        Defects (n_states * n_intervals,), one equation after the other, and slopes
+        (n_states * n_intervals, n_free).
     """
     n_free = len(model.free)
-    theta = ca.MX.sym("theta", n_free)
-    arguments = [_columns(one) for one in interval_arguments(grid, grid.y.T)]
+    arguments: list[Sequence[ca.DM | ca.MX]] = []
+    for rows in interval_arguments(grid, grid.y.T):
+        # One number where all are alike.
+        arguments.append([ca.DM(row if np.ptp(row) else row[:1]) for row in rows])
     arguments.append(ca.vertsplit(theta))
     together = _with_slopes(model, scheme, list(range(n_free)))
     d, slopes = in_columns(together, arguments)
-    by_parameter = []
-    for j in range(n_free):
-        by_parameter.append(stacked(slopes[j::n_free], grid.n_intervals))
-    residual = weight * stacked(d, grid.n_intervals)
-    return (
-        ca.Function("defects", [theta], [residual]),
-        ca.Function("slopes", [theta], [weight * ca.horzcat(*by_parameter)]),
-    )
+    columns = []
+    for entries in (d, *(slopes[j::n_free] for j in range(n_free))):
+        filled = [_filled(entry, grid.n_intervals) for entry in entries]
+        columns.append(ca.vertcat(*filled))
+    return columns[0], ca.horzcat(*columns[1:])
 
 
-def _columns(rows: np.ndarray) -> list[ca.MX]:
-    """A column of numbers for each row (n_places,), one number if all are alike."""
-    return [ca.MX(ca.DM(row if np.ptp(row) else row[:1])) for row in rows]
+def _filled(entry: ca.MX, n_places: int) -> ca.MX:
+    """A column, where it may be one number for all places."""
+    if entry.numel() == n_places:
+        return entry
+    return ca.MX.zeros(n_places) if entry.is_zero() else ca.repmat(entry, n_places, 1)
 
 
 class KnownDefects:

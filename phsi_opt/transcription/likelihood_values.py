@@ -7,20 +7,65 @@ the places of the entries, and other noise asks for no evaluation.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.sparse import coo_matrix
 
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.column_function import ColumnFunction
-from phsi_opt.transcription.defect_derivatives import linear_function
-from phsi_opt.transcription.defects import defect
+from phsi_opt.transcription.defect_derivatives import linear_defect, linear_function
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import known_arguments, node_arguments
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.pattern import Pattern
 from phsi_opt.transcription.point import Point
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """Where entries of a sparse matrix stand, while their values come and go.
+
+    Attributes:
+        rows: (n_entries,); entries at one place are added.
+        columns: (n_entries,).
+        shape: of the matrix.
+        places: (n_entries,) of them among the values that are given.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    shape: tuple[int, int]
+    places: np.ndarray
+
+    @classmethod
+    def of(
+        cls, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]
+    ) -> "Pattern":
+        """Of entries in the order in which their values come."""
+        return cls(rows, columns, shape, np.arange(len(rows)))
+
+    def part(self, columns: slice) -> "Pattern":
+        """The same of a range of columns; the values of all are given as before."""
+        own = (self.columns >= columns.start) & (self.columns < columns.stop)
+        return Pattern(
+            rows=self.rows[own],
+            columns=self.columns[own] - columns.start,
+            shape=(self.shape[0], columns.stop - columns.start),
+            places=self.places[own],
+        )
+
+    def sparse(self, values: np.ndarray) -> coo_matrix:
+        """The matrix with values (n_values,) of the whole pattern."""
+        own = (values[self.places], (self.rows, self.columns))
+        return coo_matrix(own, shape=self.shape)
+
+    def dense(self, values: np.ndarray) -> np.ndarray:
+        """The same as an array."""
+        n_rows, n_columns = self.shape
+        places = self.rows * n_columns + self.columns
+        filled = np.bincount(places, values[self.places], n_rows * n_columns)
+        return filled.reshape(self.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +88,27 @@ class PointValues:
 class LikelihoodValues:
     """Values of a likelihood at scaled variables z: parameters, then states.
 
+    A constraint is the defect times the interval's length over the state's size: an
+    error of the state in units of its size, comparable between equations and between
+    lengths.
+
     Args:
         model: the model.
         grid: nodes, intervals and measurements.
         scheme: name of the integrator.
         point: with the sizes of the unknowns.
         unknown: the parameters in z.
+
+    Attributes:
+        scale: sizes of the variables, (n_variables,).
+        lower: bounds of z, (n_variables,).
+        upper: likewise.
+        linear_defect: one interval's defect and its slopes.
+        order: (n_entries,) of these slopes, as they follow each other in ``jacobian``.
+        per_size: (n_intervals, n_states) length over the state's size.
+        factor: (n_intervals, n_entries) of each slope.
+        jacobian: places of the slopes of the constraints, interval by interval.
+        shown: places of the slopes of what is shown, a row per measured value.
     """
 
     def __init__(
@@ -56,141 +116,106 @@ class LikelihoodValues:
     ) -> None:
         self.model = model
         self.grid = grid
+        self.scheme = scheme
         self.point = point
         self.unknown = unknown
         self.n_states = model.n_states
-        self._scale = point.scale
+        self.scale = point.scale
+        x_bounds = np.broadcast_to(point.x_bounds, (2, *point.x.shape)).reshape(2, -1)
+        bounds = np.hstack([[unknown.lower, unknown.upper], x_bounds]) / self.scale
+        self.lower, self.upper = bounds
         self._measured = np.flatnonzero(grid.measured.ravel())
-        self._channel = self._measured % self.n_states
         self._y = grid.y.ravel()[self._measured]
-        self._set_defects(scheme)
+        self._set_defects()
         self._set_shown()
+
+    def __reduce__(self) -> tuple[Any, ...]:  # made anew where it travels to
+        own = (self.model, self.grid, self.scheme, self.point, self.unknown)
+        return LikelihoodValues, own
 
     def _function(self, function: ca.Function) -> ColumnFunction:
         """Parameters of all trajectories are one column where they are shared."""
         last = function.n_in() - 1
         return ColumnFunction(function, (last,) if self.unknown.is_shared else ())
 
-    def _of_runs(self, theta: np.ndarray, trajectory: np.ndarray) -> np.ndarray:
-        """The model's parameters, a column per interval or node unless all share one.
-
-        Args:
-            theta: (n_theta,).
-            trajectory: (n,) number of each one's trajectory.
-        """
+    def _of_runs(self, theta: np.ndarray, node: np.ndarray) -> np.ndarray:
+        """The model's parameters theta, a column per node unless all share one."""
         by_trajectory: np.ndarray = self.unknown.by_trajectory(theta)
         if self.unknown.is_shared:
             return by_trajectory
-        return by_trajectory[:, trajectory]
+        return by_trajectory[:, self.grid.trajectory[node]]
 
-    def _columns(
-        self, local: np.ndarray, n_x: int, trajectory: np.ndarray
-    ) -> np.ndarray:
-        """Places in z of the unknowns of every interval, or node, (n, n_entries).
+    def places(self, node: np.ndarray, n_nodes: int) -> np.ndarray:
+        """Places in z of the states at a node and the next ones, then of parameters.
 
         Args:
-            local: (n_entries,) numbers among its states and then parameters.
-            n_x: number of its states.
-            trajectory: (n,) number of each one's trajectory.
-        """
-        columns = np.empty((len(trajectory), len(local)), dtype=np.int64)
-        is_state = local < n_x
-        columns[:, is_state] = len(self.unknown) + local[is_state]
-        table = self.unknown.table[local[~is_state] - n_x]
-        columns[:, ~is_state] = table[:, trajectory].T
-        return columns
+            node: (n,) first of the nodes.
+            n_nodes: how many follow each other.
 
-    def _set_defects(self, scheme: str) -> None:
-        """Places of the slopes of the defects: row by row, interval by interval."""
+        Returns:
+            (n, n_nodes * n_states + n_free).
+        """
+        first = len(self.unknown) + self.n_states * node[:, None]
+        states = first + np.arange(n_nodes * self.n_states)
+        return np.hstack([states, self.unknown.table.T[self.grid.trajectory[node]]])
+
+    def _set_defects(self) -> None:
         grid = self.grid
         n = self.n_states
-        model = self.model
-        one = model.built(
-            ("linear", scheme), lambda: linear_function(defect(model, scheme), 2)
-        )
-        equation, local = one.places.T
-        is_state = local < 2 * n
+        self.linear_defect = linear_defect(self.model, self.scheme)
+        equation, local = self.linear_defect.places.T
         # Parameters are the first columns of z.
-        self._order = np.lexsort((local, is_state, equation))
-        equation, local, is_state = (
-            part[self._order] for part in (equation, local, is_state)
-        )
-        trajectory = grid.trajectory[grid.begin]
-        columns = self._columns(local, 2 * n, trajectory)
-        columns[:, is_state] += n * grid.begin[:, None]
+        self.order = np.lexsort((local, local < 2 * n, equation))
+        equation, local = equation[self.order], local[self.order]
+        columns = self.places(grid.begin, 2)[:, local]
         rows = n * np.arange(grid.n_intervals)[:, None] + equation
-        shape = (n * grid.n_intervals, len(self._scale))
-        self.jacobian = Pattern(rows.ravel(), columns.ravel(), shape)
-        self._per_size = grid.h[:, None] / self.point.x_scale
-        self._factor = self._per_size[:, equation] * self._scale[columns]
-        self._defect = self._function(one.entries)
+        shape = (n * grid.n_intervals, len(self.scale))
+        self.jacobian = Pattern.of(rows.ravel(), columns.ravel(), shape)
+        self.per_size = grid.h[:, None] / self.point.x_scale
+        self.factor = self.per_size[:, equation] * self.scale[columns]
+        self._defect = self._function(self.linear_defect.function)
         self._known = known_arguments(grid)
 
     def _set_shown(self) -> None:
-        """Places of the slopes of what is shown, a row per measured value."""
         n_values = len(self._measured)
-        n = self.n_states
-        shape = (n_values, len(self._scale))
-        first = len(self.unknown)
+        shape = (n_values, len(self.scale))
         if not self.model.sensor:
-            self.shown = Pattern(np.arange(n_values), first + self._measured, shape)
-            self._sensor = None
+            columns = len(self.unknown) + self._measured
+            self.shown = Pattern.of(np.arange(n_values), columns, shape)
             return
         model = self.model
         one = model.built("linear output", lambda: linear_function(model.output(), 1))
         channel, local = one.places.T
-        columns = self._columns(local, n, self.grid.trajectory)
-        columns[:, local < n] += n * np.arange(self.grid.n_nodes)[:, None]
-        is_shown = self.grid.measured[:, channel]
-        row = np.zeros(self.grid.measured.size, dtype=np.int64)
-        row[self._measured] = np.arange(n_values)
-        rows = row.reshape(self.grid.measured.shape)[:, channel]
-        self._is_shown = is_shown
-        self.shown = Pattern(rows[is_shown], columns[is_shown], shape)
-        self._sensor = self._function(one.entries)
+        columns = self.places(np.arange(self.grid.n_nodes), 1)[:, local]
+        row = np.cumsum(self.grid.measured).reshape(self.grid.measured.shape) - 1
+        self._is_shown = self.grid.measured[:, channel]
+        rows = row[:, channel][self._is_shown]
+        self.shown = Pattern.of(rows, columns[self._is_shown], shape)
+        self._sensor = self._function(one.function)
 
     def at(self, z: np.ndarray) -> PointValues:
         """Defects and what is shown, with their slopes, at z (n_variables,)."""
         grid = self.grid
-        n = self.n_states
-        values = z * self._scale
+        values = z * self.scale
         theta = values[self.point.of_theta]
-        x = values[self.point.of_x].reshape(-1, n)
+        x = values[self.point.of_x].reshape(-1, self.n_states)
         states = [x[grid.begin].T, x[grid.begin + 1].T]
-        of_intervals = self._of_runs(theta, grid.trajectory[grid.begin])
+        of_intervals = self._of_runs(theta, grid.begin)
         d, entries = self._defect(*states, *self._known, of_intervals)
         misfit, slopes = self._misfit(x, theta)
         return PointValues(
-            g=(d.T * self._per_size).ravel(),
-            jacobian=(entries[self._order].T * self._factor).ravel(),
+            g=(d.T * self.per_size).ravel(),
+            jacobian=(entries[self.order].T * self.factor).ravel(),
             misfit=misfit,
-            slopes=slopes * self._scale[self.shown.columns],
+            slopes=slopes * self.scale[self.shown.columns],
         )
 
     def _misfit(
         self, x: np.ndarray, theta: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Measured minus shown (n_values,), and unscaled slopes of what is shown."""
-        if self._sensor is None:
+        if not self.model.sensor:
             return self._y - x.ravel()[self._measured], np.ones(len(self._y))
-        of_nodes = self._of_runs(theta, self.grid.trajectory)
+        of_nodes = self._of_runs(theta, np.arange(self.grid.n_nodes))
         shown, entries = self._sensor(*node_arguments(self.grid, x.T), of_nodes)
         return self._y - shown.T.ravel()[self._measured], entries.T[self._is_shown]
-
-    @cached_property
-    def lower(self) -> np.ndarray:
-        """Lower bounds of z, (n_variables,)."""
-        bounds = self.point.x_bounds
-        of_states = np.full(self.point.x.size, -np.inf)
-        if bounds is not None:
-            of_states = bounds.lower.ravel()
-        return np.concatenate([self.unknown.lower, of_states]) / self._scale
-
-    @cached_property
-    def upper(self) -> np.ndarray:
-        """Upper bounds of z, (n_variables,)."""
-        bounds = self.point.x_bounds
-        of_states = np.full(self.point.x.size, np.inf)
-        if bounds is not None:
-            of_states = bounds.upper.ravel()
-        return np.concatenate([self.unknown.upper, of_states]) / self._scale

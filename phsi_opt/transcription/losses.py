@@ -13,29 +13,31 @@ program is the business of `identify`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Program
-from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.presentation.short_repr import short_number
-from phsi_opt.transcription.defect_constraint import DefectConstraint
+from phsi_opt.transcription.defect_constraint import (
+    constraint_curvature,
+    constraint_jacobian,
+)
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import known_defects
-from phsi_opt.transcription.loss_blocks import (
-    ThetaVariable,
-    measurement_residual,
-    outlier_slack,
-    state_variable,
-)
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.sensors import outputs
 
+# Slacks of outliers begin here, in standard deviations: inside their bound at zero.
+OUTLIER_START = 0.1
 MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
 
@@ -71,12 +73,13 @@ class PHSILoss:
         used = complete_intervals(model, grid)
         size = mean_square_rate(used)
         weight = np.sqrt(2 / (size * used.n_intervals))
-        build = Assembly()
-        one_trajectory = Theta.of(model, ("",))
-        theta = ThetaVariable.added_to(build, one_trajectory, point)
-        build.dense_residual(*known_defects(model, used, self.integrator, weight))
-        theta.add_l1(build, l1, 1 / size)
-        return build.finish()
+        program = Program()
+        unknown = Theta.of(model, ("",))
+        theta = _theta_variable(program, unknown, point)
+        residual, slopes = known_defects(model, used, self.integrator, theta)
+        program.add_residual(weight * residual, weight * slopes)
+        _add_l1(program, theta, unknown, point, l1, 1 / size)
+        return program
 
 
 @dataclass(frozen=True)
@@ -115,61 +118,134 @@ class MaximumLikelihood:
     model_error: bool = False
 
     def __post_init__(self) -> None:
-        self._check_model_error()
-        _check_positive("huber", self.huber)
-        _check_count("steps", self.steps)
-        _check_count("starts", self.starts)
-        _check_noise(self.noise)
-
-    def _check_model_error(self) -> None:
-        if not self.model_error:
-            return
-        if self.huber is not None:
+        huber = self.huber
+        if huber is not None and self.model_error:
             raise ModelError(
-                f"huber={self.huber!r} and model_error=True of MaximumLikelihood do "
+                f"huber={huber!r} and model_error=True of MaximumLikelihood do "
                 "not go together: outliers are no model error; take one of them."
             )
+        if huber is not None and not _is_size(huber):
+            raise ModelError(
+                f"huber={huber!r} of MaximumLikelihood must be a number above zero, or "
+                "None."
+            )
+        for name in ("steps", "starts"):
+            n = getattr(self, name)
+            is_count = isinstance(n, int) and 1 <= n <= MOST_COUNTED
+            if not is_count and (n is not None or name == "starts"):
+                raise ModelError(
+                    f"{name}={short_number(n)} of MaximumLikelihood must be a whole "
+                    f"number of at least 1, and at most {MOST_COUNTED}."
+                )
+        noise = {} if self.noise is None else self.noise
+        if not isinstance(noise, Mapping):
+            raise ModelError(
+                f"noise={noise!r} of MaximumLikelihood must be standard deviations by "
+                "state, such as {'q': 0.01}, or None."
+            )
+        for name, size in noise.items():
+            if not _is_size(size):
+                raise ModelError(
+                    f"noise[{name!r}]={size!r} of MaximumLikelihood must be a standard "
+                    "deviation: a number above zero."
+                )
+
+    def has_slacks(self, unknown: Theta, l1: Mapping[str, float]) -> bool:
+        """Whether the program has variables beside parameters and states."""
+        return self.huber is not None or bool(np.any(unknown.weights(l1) > 0))
 
     def program(
-        self,
-        model: Model,
-        grid: Grid,
-        point: Point,
-        l1: Mapping[str, float],
-        sigma: np.ndarray,
-        unknown: Theta,
+        self, values: LikelihoodValues, l1: Mapping[str, float], sigma: np.ndarray
     ) -> Program:
         """The program in theta, x and the slacks.
 
         Args:
-            model: the model.
-            grid: nodes, intervals and measurements.
-            point: where the solver begins, and the sizes of the unknowns.
+            values: of the likelihood: model, layout, start and sizes of the unknowns.
             l1: weight by slot.
             sigma: (n_states,) noise of each channel, a setting of the program.
-            unknown: the parameters of ``model`` in the trajectories of ``grid``.
         """
-        build = Assembly()
-        theta = ThetaVariable.added_to(build, unknown, point)
-        x = state_variable(build, grid, point)
-        of_runs = theta.by_trajectory
-        d = defects(model, grid, self.integrator, x, of_runs)
-        constraint = DefectConstraint(model, grid, self.integrator, point, unknown)
-        build.constrain(
-            "defect",
-            constraint.scaled(d),
-            label=grid.interval_label(model.n_states),
-            jacobian=constraint.jacobian,
+        model, grid, point = values.model, values.grid, values.point
+        n_states = model.n_states
+        program = Program()
+        theta = _theta_variable(program, values.unknown, point)
+        lower, upper = np.broadcast_to(point.x_bounds, (2, *point.x.shape))
+        scale = np.tile(point.x_scale, grid.n_nodes)
+        label = partial(grid.node_label, n_states)
+        column = program.variable(
+            "x", point.x.ravel(), lower.ravel(), upper.ravel(), scale, label
         )
-        noise = build.setting("sigma", sigma)
-        residual = measurement_residual(model, grid, x, of_runs, noise)
-        n_measured = len(grid.channel)
+        x = ca.reshape(column, n_states, -1)
+        of_runs = values.unknown.by_trajectory(theta)
+        d = defects(model, grid, self.integrator, x, of_runs)
+        program.constrain(
+            "defect",
+            d * ca.DM(values.per_size.T),
+            label=partial(grid.interval_label, n_states),
+            jacobian=constraint_jacobian(values, x, of_runs),
+        )
+        program.curvature = partial(constraint_curvature, values, x, of_runs)
+        # Row by row (n_nodes, n_states) is CasADi's order column by column.
+        measured = np.flatnonzero(grid.measured.ravel()).tolist()
+        shown = outputs(model, grid, x, of_runs) if model.sensor else x
+        misfit = ca.DM(grid.y.ravel()[measured]) - ca.vec(shown)[measured]
+        noise = program.setting("sigma", sigma)
+        residual = misfit / ca.vec(noise[grid.channel.tolist()])
         if self.huber is not None:
-            residual = residual - outlier_slack(build, n_measured, self.huber)
-        build.residual(residual * np.sqrt(2 / n_measured))
-        theta.add_l1(build, l1, 1.0)
-        build.curvature(constraint.curvature)
-        return build.finish()
+            residual = residual - _outlier_slack(program, len(measured), self.huber)
+        program.add_residual(residual * np.sqrt(2 / len(measured)))
+        _add_l1(program, theta, values.unknown, point, l1, 1.0)
+        return program
+
+
+def _theta_variable(program: Program, unknown: Theta, point: Point) -> ca.MX:
+    """Add the block "theta", with the bounds of the parameters, (n_theta,)."""
+    return program.variable(
+        "theta",
+        point.theta,
+        unknown.lower,
+        unknown.upper,
+        point.theta_scale,
+        unknown.names.__getitem__,
+    )
+
+
+def _outlier_slack(program: Program, n_measured: int, limit: float) -> ca.MX:
+    """Add slacks that take over what of a residual is beyond the limit.
+
+    At a linear cost, so that both together are Huber's function. Returns what they
+    take, (n_measured,).
+
+    Source: P. J. Huber, Robust estimation of a location parameter, 1964.
+    """
+    start = np.full(n_measured, OUTLIER_START)
+    above = program.variable("outlier_above", start, lower=0.0)
+    below = program.variable("outlier_below", start, lower=0.0)
+    program.cost += 2 * limit / n_measured * (ca.sum1(above) + ca.sum1(below))
+    return above - below
+
+
+def _add_l1(
+    program: Program,
+    theta: ca.MX,
+    unknown: Theta,
+    point: Point,
+    l1: Mapping[str, float],
+    factor: float,
+) -> None:
+    """Add ``factor * sum_j lambda_j |xi_j|`` over the coefficients of terms.
+
+    ``l1`` holds a weight lambda per slot; a slot that it does not name has none.
+    """
+    weights = unknown.weights(l1)
+    places = np.flatnonzero(weights > 0).tolist()
+    if places:
+        program.add_l1(
+            "theta",
+            theta[places],
+            factor * weights[places],
+            point.theta[places],
+            point.theta_scale[places],
+        )
 
 
 def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
@@ -206,7 +282,12 @@ def complete_intervals(model: Model, grid: Grid) -> Grid:
             for `PHSILoss`.
         DataError: a state was never measured, or there is no such interval.
     """
-    _check_shared_without_sensors(model)
+    refusal = "PHSILoss has no place for {}; use MaximumLikelihood()."
+    for name, entry in model.entries.items():
+        if entry.parameter.per_trajectory:
+            raise ModelError(refusal.format(f"the parameter per trajectory {name!r}"))
+    for name in model.sensor:
+        raise ModelError(refusal.format(f"the sensor of {name!r}"))
     for name, is_measured in zip(model.states, grid.measured.T, strict=True):
         if not np.any(is_measured):
             raise DataError(
@@ -234,46 +315,5 @@ def mean_square_rate(grid: Grid) -> float:
     return size if size > 0 else 1.0
 
 
-def _check_shared_without_sensors(model: Model) -> None:
-    refusal = "PHSILoss has no place for {}; use MaximumLikelihood()."
-    for name, entry in model.entries.items():
-        if entry.parameter.per_trajectory:
-            raise ModelError(refusal.format(f"the parameter per trajectory {name!r}"))
-    if model.sensor:
-        first = next(iter(model.sensor))
-        raise ModelError(refusal.format(f"the sensor of {first!r}"))
-
-
-def _check_positive(name: str, value: float | None) -> None:
-    is_number = isinstance(value, Real) and 0 < value < np.inf
-    if value is not None and not is_number:
-        raise ModelError(
-            f"{name}={value!r} of MaximumLikelihood must be a number above zero, or "
-            "None."
-        )
-
-
-def _check_count(name: str, value: int | None) -> None:
-    if value is None:
-        return
-    if not isinstance(value, int) or not 1 <= value <= MOST_COUNTED:
-        raise ModelError(
-            f"{name}={short_number(value)} of MaximumLikelihood must be a whole number "
-            f"of at least 1, and at most {MOST_COUNTED}."
-        )
-
-
-def _check_noise(noise: Any) -> None:
-    if noise is None:
-        return
-    if not isinstance(noise, Mapping):
-        raise ModelError(
-            f"noise={noise!r} of MaximumLikelihood must be standard deviations by "
-            "state, such as {'q': 0.01}, or None."
-        )
-    for name, size in noise.items():
-        if not isinstance(size, Real) or not 0 < float(size) < np.inf:
-            raise ModelError(
-                f"noise[{name!r}]={size!r} of MaximumLikelihood must be a standard "
-                "deviation: a number above zero."
-            )
+def _is_size(value: Any) -> bool:
+    return isinstance(value, Real) and 0 < float(value) < np.inf

@@ -5,22 +5,11 @@ numbers near one whatever the units are. How they are found from the data is the
 business of ``phsi_opt.initialization``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-
-@dataclass(frozen=True, eq=False)
-class StateBounds:
-    """Bounds of the states at the nodes; infinite where there is none.
-
-    Attributes:
-        lower: (n_nodes, n_states).
-        upper: (n_nodes, n_states).
-    """
-
-    lower: np.ndarray
-    upper: np.ndarray
+UNBOUNDED = np.array([-np.inf, np.inf])[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +21,14 @@ class Point:
         x: (n_nodes, n_states) states at the nodes.
         theta_scale: (n_theta,) size of each parameter.
         x_scale: (n_states,) size of each state.
-        x_bounds: bounds of ``x``; None: it has none.
+        x_bounds: lower and upper bounds of ``x``, (2, n_nodes, n_states).
     """
 
     theta: np.ndarray
     x: np.ndarray
     theta_scale: np.ndarray
     x_scale: np.ndarray
-    x_bounds: StateBounds | None = None
+    x_bounds: np.ndarray = field(default_factory=lambda: UNBOUNDED)
 
     @property
     def scale(self) -> np.ndarray:

@@ -125,7 +125,7 @@ def floor(problem: Problem, model: ph.Model, case: Drawn) -> float:
 
 def _iteration(estimate: LikelihoodEstimate) -> float:
     """Processor seconds of one iteration, at least."""
-    values = estimate.transcription.values
+    values = estimate.likelihood
     linearizer = Linearizer(values)
     problem = JointProblem.white(linearizer, estimate.sigma)
     z = estimate.solution.z

@@ -22,7 +22,6 @@ from phsi_opt.initialization.scaling import first_point
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.torch_threads import one_thread
-from phsi_opt.transcription.known_defects import KnownDefects
 from problems.peers.joint_force import HybridBaseline, JointForce
 from problems.peers.torch_networks import (
     PlacedForce,
@@ -107,13 +106,10 @@ class _TestedRun(DescentRun):
         scheme = self.settings.integrator
         theta = kept.theta
         scale = first_point(kept, self.grid, theta).theta_scale
-        slopes = KnownDefects(kept, self.grid, scheme).at(theta)
         with torch.no_grad():
             f = self.rates(self.dynamics, self.theta)
             d = self.steps.defects(f, self.steps.tables).double().numpy()
-        found = of_defects(
-            kept, self.grid, scheme, theta, scale, (), replace(slopes, d=d)
-        )
+        found = of_defects(kept, self.grid, scheme, theta, scale, (), d)
         return self.pruning.insignificant(
             kept, kept.values, found.covariance, self.n_tests
         )
