@@ -10,6 +10,26 @@ batteries of hidden effects and measured machines are what they were judged by. 
 one; "share" is a fraction of one.
 """
 
+# --- Words that are used everywhere
+
+# Share from which something is more than everything else together: of a missing force
+# (mean square) or of the evidence that an effect takes over, of a force that is
+# constant, of an effort that follows the inputs.
+MOST_OF_IT = 0.5
+# p-values below which chance is no explanation: of residuals that are not white (all
+# channels together), of trajectories that do not share one noise.
+SURE_LEVEL = 1e-3
+# And below which chance is a poor one: of trajectories that differ by noise alone, of a
+# peak in the spectrum of a force.
+CHANCE_LEVEL = 0.05
+# Standard deviations by which a size differs from zero where it is surely there.
+SURE_DEVIATIONS = 2.0
+# Logarithm of the Bayes factor from which an effect, or a disturbance beside white
+# noise, is decisively or strongly there: odds of 100 and of 20 to 1 (Kass and Raftery,
+# J. Am. Stat. Assoc. 90, 1995).
+DECISIVE_EVIDENCE = 4.6
+STRONG_EVIDENCE = 3.0
+
 # --- The free run against measurements (`comparison`)
 
 # Standard deviations of the measurements: stands for a free run that broke off.
@@ -34,8 +54,6 @@ FAILING_ERROR = 1.1
 # The same where residuals are white: beside a strong missing force the floor itself is
 # estimated too low. What is hidden by noise is less.
 WHITE_ERROR = 1.25
-# p-value, for all channels together, below which residuals are not white.
-WHITENESS_LEVEL = 1e-3
 # Steps of a quantised channel by which it must move (standard deviation) for an effect
 # to be named: errors of quantisation are like noise from about one on (Widrow 1956);
 # below, a complete model of an oscillator seen in three values was given dry friction.
@@ -54,27 +72,14 @@ DOUBTFUL_NOISE = 1.5
 # Correlation time of a sensor's noise, in sampling intervals, up to which it is noise:
 # neighbours with a correlation of 0.7 have 2.8. What lasts longer may be an effect.
 BRIEF_NOISE = 5.0
-# Gain of the log evidence from which a disturbance beside white noise is taken as
-# there. Of 60 records of 60 samples without any, 4 had a gain of 2 by chance.
-MODEL_ERROR_EVIDENCE = 3.0
 # Trajectories of equal weight from which their scatter gives the standard errors: with
 # ten a standard error is itself known to a quarter.
 FEWEST_TRAJECTORIES = 10.0
-# p-value of the hypothesis that trajectories differ by noise alone, below which it is
-# given up.
-AGREEMENT_LEVEL = 0.05
-# p-value of the hypothesis that all trajectories have one noise, below which each gets
-# its own.
-DIFFERENT_RUNS_LEVEL = 1e-3
 # Ratio of two standard errors beyond which both are told.
 DIFFERENT_STD_ERRORS = 4 / 3
 
 # --- Evidence (`screening.weighing`, `diagnosis`)
 
-# Logarithm of the Bayes factor from which an effect is decisively, or strongly, there:
-# odds of 100 and of 20 to 1 (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
-DECISIVE_EVIDENCE = 4.6
-STRONG_EVIDENCE = 3.0
 # Share of the gain that screening expects of the likeliest effect so far, below which
 # no other is weighed: gains that were expected and weighed differ by up to three.
 FAR_BEHIND = 0.2
@@ -83,12 +88,6 @@ FAR_BEHIND = 0.2
 FEWEST_WEIGHED = 5
 MOST_WEIGHED = 12
 MOST_REFITTED = 3
-# Standard errors by which the size of an effect must differ from zero in its re-fit.
-PROPOSED_Z = 2.0
-# Share of the missing force (mean square), and of what an unknown function of a state
-# would gain of the evidence, that an effect must explain to be named although a force
-# remains: more than all else together.
-LEAST_EXPLAINED = 0.5
 # Share of the squared error above the noise floor that does as well: of the force on a
 # measured machine most may be weather, people and gearing.
 LEAST_ERROR_EXPLAINED = 0.3
@@ -146,13 +145,6 @@ CLEAR_PATTERN = 0.3  # for "it follows"
 SECOND_CAUSE = 0.2  # beside a stronger cause
 NAMED_CAUSE = 0.1  # for a row, or a word
 TIED_CAUSES = 0.05  # difference up to which two causes are alike
-# Share of a force's mean square from which it is mostly constant, or mostly what other
-# values of the model's parameters would give: more than everything else together.
-MOSTLY_CONSTANT = 0.5
-MOSTLY_PARAMETERS = 0.5
-# Share of an effort's variance that functions of the inputs give from which the two go
-# together, as they do under a controller.
-GOING_TOGETHER = 0.5
 # Mean power over rms force times rms effort (-1: linear damping) below which a force
 # takes energy out; nearer to zero its direction is not clear.
 OPPOSING_POWER = -CLEAR_PATTERN
@@ -164,12 +156,6 @@ VISITED_BIN = 0.02
 # Ranges of one state in which a force is strong, at most: one, or both ends; strong in
 # more of them it follows no region of that state.
 MOST_STRONG_RANGES = 2
-# Standard deviations by which a force differs from zero where it is surely there.
-SURE_DEVIATIONS = 2
-# Quantile of the spectra of random errors above which a peak of the force stands out:
-# one frequency in twenty is higher by chance.
-SPECTRUM_LEVEL = 0.95
-
 # --- The experiment that separates two effects
 
 # Standard deviations of the whole experiment from which two models count as told apart.

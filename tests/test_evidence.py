@@ -46,7 +46,7 @@ def test_a_run_fails_beyond_a_share_of_its_floor() -> None:
 
 def test_noise_is_small_and_white_in_all_channels_together() -> None:
     small = criteria.WHITE_ERROR * 2.0 * 0.999
-    level = criteria.WHITENESS_LEVEL
+    level = criteria.SURE_LEVEL
     assert evidence.is_like_noise(judged(small, 2.0))
     assert not evidence.is_like_noise(judged(small * 1.002, 2.0))
     assert evidence.is_like_noise(judged(small, 2.0, (level / 2 * 1.01, 0.5)))

@@ -13,7 +13,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import t as student_t
 
 from phsi_opt.comparison.profile_likelihood import profile
-from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
+from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.verdict import Verdict
@@ -1159,15 +1159,15 @@ def test_many_channels_promise_nothing_by_their_number() -> None:
         (gain,) = record.promised_gains([trial], search.channels)
         gains.append(gain.sensors)
     alone, tied = gains
-    assert alone > MODEL_ERROR_EVIDENCE  # by chance, with a size for each
-    assert tied < MODEL_ERROR_EVIDENCE / 2
+    assert alone > STRONG_EVIDENCE  # by chance, with a size for each
+    assert tied < STRONG_EVIDENCE / 2
     assert search.found().disturbances.is_white
 
 
 def test_tied_sizes_are_searched_for_with_less_of_a_promise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    little = score_test.PromisedGain(forces=0.4 * MODEL_ERROR_EVIDENCE)
+    little = score_test.PromisedGain(forces=0.4 * STRONG_EVIDENCE)
 
     def promised(
         _: WhiteRecord, trials: list[Trial], channels: tuple[int, ...]

@@ -6,8 +6,8 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import (
     EXPLAINED_IF_NAMED,
     FAILING_ERROR,
+    SURE_LEVEL,
     WHITE_ERROR,
-    WHITENESS_LEVEL,
 )
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.statistics import TINY
@@ -29,7 +29,7 @@ def is_white_noise(comparison: Comparison) -> bool:
     The whiteness of several channels is tested together (Bonferroni).
     """
     p_values = comparison.table["whiteness"].to_numpy()
-    is_white = np.nanmin(p_values) * len(p_values) > WHITENESS_LEVEL
+    is_white = np.nanmin(p_values) * len(p_values) > SURE_LEVEL
     return bool(is_white and is_small_as_noise(comparison))
 
 

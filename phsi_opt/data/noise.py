@@ -12,7 +12,7 @@ noises of their own.
 
 import numpy as np
 
-from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
+from phsi_opt.criteria import SURE_LEVEL
 from phsi_opt.data.measurements import Measurements, worked_out_once
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
@@ -229,4 +229,4 @@ def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
     weights = 1 / variances
     mean = np.sum(weights * values) / np.sum(weights)
     statistic = np.sum(weights * (values - mean) ** 2)
-    return chi_square_tail(statistic, len(values) - 1) < DIFFERENT_RUNS_LEVEL
+    return chi_square_tail(statistic, len(values) - 1) < SURE_LEVEL

@@ -19,10 +19,10 @@ from phsi_opt.comparison.model_selection import (
 from phsi_opt.criteria import (
     DECISIVE_EVIDENCE,
     LEAST_ERROR_EXPLAINED,
-    LEAST_EXPLAINED,
+    MOST_OF_IT,
     MOST_REFITTED,
-    PROPOSED_Z,
     STRONG_EVIDENCE,
+    SURE_DEVIATIONS,
 )
 from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.candidate import Candidate, Grade
@@ -185,7 +185,7 @@ class _Judge:
         first, second = self.ranking[0], beside.ranking[0]
         assert beside.done is not None
         size = fitted_size(self.base.fit, beside.done.fit, first.effect)
-        if size.z >= PROPOSED_Z:
+        if size.z >= SURE_DEVIATIONS:
             return None
         place = [one.effect for one in self.ranking].index(second.effect)
         done = self.refit(place)
@@ -241,7 +241,7 @@ class _Judge:
             self.ranking[place] = replace(one, lost=lost)
             return None
         size = fitted_size(base.fit, done.fit, one.effect)
-        if not size.z >= PROPOSED_Z:
+        if not size.z >= SURE_DEVIATIONS:
             lost = f"its size, {size}, may as well be zero"
             self.ranking[place] = replace(one, lost=lost)
             return None
@@ -272,7 +272,7 @@ class _Judge:
         if is_wave(first.effect) and first.effect.needs_clock:
             return "a force remains, and any force in time has waves like it in it"
         of_force = 1 - first.force_left**2
-        if of_force < LEAST_EXPLAINED and not first.share > LEAST_ERROR_EXPLAINED:
+        if of_force < MOST_OF_IT and not first.share > LEAST_ERROR_EXPLAINED:
             return (
                 f"it explains only {100 * of_force:.0f} % of the force (mean square) "
                 f"and {100 * first.share:.0f} % of the error"
@@ -302,7 +302,7 @@ class _Judge:
         if function is None:
             return ""
         gain = function.log_evidence - self.record.base.log_evidence
-        if not first.log_evidence < LEAST_EXPLAINED * gain:
+        if not first.log_evidence < MOST_OF_IT * gain:
             return ""
         (kind,) = function.disturbances.functions
         return (

@@ -13,8 +13,7 @@ import numpy as np
 
 from phsi_opt.criteria import (
     CLEAR_PATTERN,
-    GOING_TOGETHER,
-    MOSTLY_PARAMETERS,
+    MOST_OF_IT,
     NAMED_CAUSE,
     SECOND_CAUSE,
     TIED_CAUSES,
@@ -66,7 +65,7 @@ class Causes:
             return []
         named = []
         for cause, share in self.contributions.items():
-            if share > (NAMED_CAUSE if cause in CAUSES else MOSTLY_PARAMETERS):
+            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT):
                 named.append(cause)
         return named
 
@@ -187,4 +186,4 @@ def _is_closed_loop(force: Force) -> bool:
         return False
     functions = np.hstack(bases)
     fitted = functions @ np.linalg.lstsq(functions, force.effort, rcond=None)[0]
-    return bool(1 - np.var(force.effort - fitted) / variance >= GOING_TOGETHER)
+    return bool(1 - np.var(force.effort - fitted) / variance >= MOST_OF_IT)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOSTLY_CONSTANT
+from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOST_OF_IT
 from phsi_opt.force_analysis.causes import Causes, causes_of
 from phsi_opt.force_analysis.dependence import (
     CONSTANT,
@@ -105,7 +105,7 @@ class EquationForce(Force):
     def is_constant(self) -> bool:
         """Whether the mean predicts most of the force, and better than any variable."""
         best = self.follows.iloc[0]
-        return bool(best["variable"] == CONSTANT and best["share"] > MOSTLY_CONSTANT)
+        return bool(best["variable"] == CONSTANT and best["share"] > MOST_OF_IT)
 
     def share_of(self, variable: str) -> float:
         """Share of the force that a variable predicts."""

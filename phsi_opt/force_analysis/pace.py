@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.criteria import MOSTLY_CONSTANT
+from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.localization import rms
 from phsi_opt.force_analysis.spectrum import spectrum
@@ -109,7 +109,7 @@ class Pace:
 
 def is_mostly_constant(w: np.ndarray) -> bool:
     """Whether most of the mean square of a force (n_intervals,) is that of its mean."""
-    return bool(np.mean(w) ** 2 > MOSTLY_CONSTANT * np.mean(w**2))
+    return bool(np.mean(w) ** 2 > MOST_OF_IT * np.mean(w**2))
 
 
 def _frequency(record: ForceRecord, signals: np.ndarray) -> float:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phsi_opt.criteria import CLEAR_PATTERN, SPECTRUM_LEVEL, SURE_DEVIATIONS
+from phsi_opt.criteria import CHANCE_LEVEL, CLEAR_PATTERN, SURE_DEVIATIONS
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
@@ -235,5 +235,5 @@ def _level(force: EquationForce) -> np.ndarray:
     record = force.record
     draws = record.estimate.posterior.error_draws()[:, force.number]
     of_draws = spectrum(record.t, record.run, draws).amplitudes
-    rough = np.quantile(of_draws, SPECTRUM_LEVEL, axis=1)
+    rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
     return np.asarray(uniform_filter1d(rough, N_SMOOTHED, mode="nearest"))

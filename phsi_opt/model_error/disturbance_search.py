@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
+from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.ascent import LEAST_GAIN, MOST_STEPS, climbed
 from phsi_opt.model_error.coordinates import MOST_SIZES, Coordinates
@@ -178,7 +178,7 @@ class DisturbanceSearch:
         sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
         start = replace(in_pieces, sigma=sigma)
         best = self.best_of([start], most_steps=STEPS_ON_WHOLE)
-        is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
+        is_clear = best.log_evidence > white.log_evidence + STRONG_EVIDENCE
         return best if is_clear else white
 
     @cached_property
@@ -199,7 +199,7 @@ class DisturbanceSearch:
         gains = record.promised_gains(trials, self.channels)
         is_tied = any(trial.is_tied for trial in trials)
         share = PROMISING_SHARE_TIED if is_tied else PROMISING_SHARE
-        limit = share * MODEL_ERROR_EVIDENCE
+        limit = share * STRONG_EVIDENCE
         sizes = _chosen_sizes(record.border, self._rates_of(white.functions))
         return _Promising(
             noises=self.noise_differs and self._noise_by_run_promises(),
@@ -231,7 +231,7 @@ class DisturbanceSearch:
     @property
     def _evidence_of_runs(self) -> float:
         """Gain that is asked for where each trajectory's noise is from the data."""
-        return MODEL_ERROR_EVIDENCE + self.problem.n_trajectories
+        return STRONG_EVIDENCE + self.problem.n_trajectories
 
     @cached_property
     def pieces(self) -> "DisturbanceSearch | None":
@@ -265,7 +265,7 @@ class DisturbanceSearch:
             by_run = self.best_of([noises], worth=worth)
             if by_run.log_evidence > worth:
                 best = by_run
-        worth = best.log_evidence + MODEL_ERROR_EVIDENCE
+        worth = best.log_evidence + STRONG_EVIDENCE
         force_starts = self._force_starts() if promising.forces else []
         sensor_starts = self._sensor_starts() if promising.sensors else []
         of_forces = self.best_of(force_starts, worth=worth)
@@ -287,7 +287,7 @@ class DisturbanceSearch:
 
     def _clearer(self, best: Evidence, starts: Sequence[Disturbances]) -> Evidence:
         """What is found from some starts, where the evidence for it is clear."""
-        worth = best.log_evidence + MODEL_ERROR_EVIDENCE
+        worth = best.log_evidence + STRONG_EVIDENCE
         found = self.best_of(starts, worth=worth)
         return found if found.log_evidence > worth else best
 
@@ -477,7 +477,7 @@ def _chosen_sizes(border: Border, rates: np.ndarray) -> np.ndarray:
             best = int(np.argmax(gains))
             trials.append((gains[best] - gains[-1], number, tried[best]))
         gain, number, size = max(trials, key=lambda found: found[0])
-        if gain < MODEL_ERROR_EVIDENCE / 2:
+        if gain < STRONG_EVIDENCE / 2:
             break
         sizes[number] = size
     return sizes

@@ -14,7 +14,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from phsi_opt.criteria import AGREEMENT_LEVEL
+from phsi_opt.criteria import CHANCE_LEVEL
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
@@ -132,7 +132,7 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     if clusters is not None:
         of_clusters = clusters.spread(plain.moving, len(plain.covariance))
         spreads[Source.TRAJECTORIES] = of_clusters
-    differ = clusters is not None and clusters.agreement() < AGREEMENT_LEVEL
+    differ = clusters is not None and clusters.agreement() < CHANCE_LEVEL
     is_disturbed = Source.DISTURBANCES in spreads
     source = Source.NOISE
     if clusters is not None and (differ or is_disturbed):

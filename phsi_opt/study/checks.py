@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import FAILING_ERROR, WHITE_ERROR, WHITENESS_LEVEL
+from phsi_opt.criteria import FAILING_ERROR, SURE_LEVEL, WHITE_ERROR
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Check
 from phsi_opt.presentation.durations import scale_of_time
@@ -53,7 +53,7 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
             "whiteness",
             "neighbouring residuals",
             whiteness,
-            whiteness >= WHITENESS_LEVEL,
+            whiteness >= SURE_LEVEL,
             not is_small,
         ),
         (
