@@ -113,7 +113,9 @@ class DictionaryDynamics:
         """What the terms that are evaluated from their text read."""
         self.text_energy = [placed for placed in self.text if placed.slot == "H"]
         self.text_rates = [placed for placed in self.text if placed.slot != "H"]
-        names = [entry.name for placed in self.text for entry in placed.entries()]
+        names: list[str] = []
+        for placed in self.text:
+            names += (entry.name for entry in placed.entries())
         self.read = list(dict.fromkeys(names))
         places = [self.names.index(name) for name in self.read]
         self.read_at = torch.tensor(places, dtype=torch.long)

@@ -245,5 +245,7 @@ def _digest(fit: Fit, plan: _Plan, seed: int) -> str:
 def _table(fit: Fit, found: Mapping[int, Mapping[str, float]]) -> "pd.DataFrame":
     numbers = sorted(found)
     names = list(fit.estimates)
-    rows = [[found[number][name] for name in names] for number in numbers]
+    rows = []
+    for number in numbers:
+        rows.append([found[number][name] for name in names])
     return printed_table(rows, index=numbers, columns=names)

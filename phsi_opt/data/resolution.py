@@ -57,9 +57,10 @@ def quantisation_noise(data: Measurements) -> np.ndarray:
     Returns:
         (n_states,) in the states' units; zero where nothing is quantised.
     """
-    runs = [run.x for run in data.trajectories]
-    steps = [resolution([x[:, k] for x in runs]) for k in range(data.n_states)]
-    return DEVIATION_PER_STEP * np.array(steps)
+    steps = np.zeros(data.n_states)
+    for k in range(data.n_states):
+        steps[k] = resolution([run.x[:, k] for run in data.trajectories])
+    return DEVIATION_PER_STEP * steps
 
 
 def unresolved_channels(data: Measurements) -> tuple[str, ...]:

@@ -347,7 +347,9 @@ class _Judge:
             second = beside.ranking[0]
             others = [one for one in self.ranking[1:] if one.effect != second.effect]
             self.ranking = [first, second, *others]
-        names = [str(effect) for finding in findings for effect in finding.effects[1:]]
+        names: list[str] = []
+        for finding in findings:
+            names += map(str, finding.effects[1:])
         for place, one in enumerate(self.ranking):
             if one.name in names:
                 lost = one.lost or "the data do not tell it from what is named"

@@ -7,7 +7,7 @@ run as code.
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.reading import file_text, why_not_read
@@ -31,8 +31,29 @@ def made_of(kind: type[Result], content: dict[str, Any]) -> Result:
     Raises:
         LookupError, TypeError, ValueError: The content is damaged.
     """
-    types = get_type_hints(kind)
-    return kind(**{name: types[name](content[name]) for name in types})
+    fields = {}
+    for name, type_ in get_type_hints(kind).items():
+        fields[name] = _converted(type_, content[name])
+    return kind(**fields)
+
+
+def _converted(kind: Any, value: Any) -> Any:
+    """A value of a field's type; whole numbers pass for others, nothing else does.
+
+    Raises:
+        TypeError: It is of another type.
+    """
+    if get_origin(kind) is tuple:
+        item, *_ = get_args(kind)
+        if not isinstance(value, list):
+            raise TypeError(f"{value!r} is no list")
+        return tuple(_converted(item, one) for one in value)
+    is_whole = isinstance(value, int) and not isinstance(value, bool)
+    if kind is float and is_whole:
+        return float(value)
+    if not isinstance(value, kind) or (kind is int and not is_whole):
+        raise TypeError(f"{value!r} is not of type {kind.__name__}")
+    return value
 
 
 def read_json(

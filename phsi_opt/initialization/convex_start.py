@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -54,7 +55,7 @@ def starting_values(
     groups = _linear_groups(model)
     start = _ConvexStart(model, grid, l1, groups)
     starts = [start.improved(model.theta, rounds=1)]
-    linear = [place for group in groups for place in group]
+    linear = list(chain.from_iterable(groups))
     for scan in frequency_scans(model):
         frequency = model.free.index(scan.name)
         scanned = []

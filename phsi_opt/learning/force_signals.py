@@ -39,14 +39,18 @@ def with_signals(model: Model, equations: Sequence[str], scheme: str = "srk4") -
         added = [Term(body.format(equation, equation)) for body in bodies]
         F[equation] = Dictionary((*model.F.get(equation, ()), *added))
     carriers = [LINE, RISE, FALL] if bent else [LINE]
-    names = [name.format(equation) for name in carriers for equation in equations]
+    names: list[str] = []
+    for name in carriers:
+        names += map(name.format, equations)
     return replace(model, inputs=(*model.inputs, *names), F=F)
 
 
 def without_signals(model: Model, equations: Sequence[str]) -> Model:
     """The inverse of `with_signals`, with the values that the model has now."""
     forms = (LINE, RISE, FALL, BEND)
-    added = {form.format(name, name) for form in forms for name in equations}
+    added: set[str] = set()
+    for form in forms:
+        added.update(form.format(name, name) for name in equations)
     F = {}
     for equation, terms in model.F.items():
         kept = tuple(term for term in terms if term.body not in added)

@@ -7,7 +7,7 @@ inside the functions that train.
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -129,6 +129,6 @@ def layers_of(net: Any) -> Layers:
 
 def begin_at(net: Any, layers: Layers) -> None:
     """Continue a training in torch at layers in NumPy."""
-    arrays = [array for layer in layers for array in layer]
+    arrays = chain.from_iterable(layers)
     for tensor, array in zip(net.parameters(), arrays, strict=True):
         tensor.data = tensor.data.new_tensor(array)

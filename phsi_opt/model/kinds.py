@@ -102,8 +102,9 @@ def kind_of_unit(unit: str) -> str:
             return kind
     for kind in KINDS:
         units = WITH_PREFIX[kind].split()
-        if any(f"{prefix}{one}" == written for one in units for prefix in PREFIXES):
-            return kind
+        for one in units:
+            if one and written.endswith(one) and written.removesuffix(one) in PREFIXES:
+                return kind
     return ""
 
 

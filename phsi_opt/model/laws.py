@@ -226,8 +226,10 @@ LOSS_PARAMETERS = {
 
 def _rows(table: str) -> list[list[str]]:
     """The cells of a table, a list per line."""
-    lines = [line.split("|") for line in table.strip().splitlines()]
-    return [[cell.strip() for cell in cells] for cells in lines]
+    rows = []
+    for line in table.strip().splitlines():
+        rows.append([cell.strip() for cell in line.split("|")])
+    return rows
 
 
 def _roles(names: str) -> tuple[Role, ...]:

@@ -120,8 +120,11 @@ class Asked:
     @property
     def seen(self) -> np.ndarray:
         """What each kind feels, squared, as far as it could bring it down, (n,)."""
-        seen = [sum(np.sum(one.factor**2) for one in kind) for kind in self.kinds]
-        return np.array(seen)
+        seen = np.zeros(len(self.kinds))
+        for number, kind in enumerate(self.kinds):
+            for one in kind:
+                seen[number] += np.sum(one.factor**2)
+        return seen
 
     @property
     def gain(self) -> PromisedGain:

@@ -347,8 +347,10 @@ def plotly(chart: Chart) -> dict[str, Any]:
             notes.append({**look["noise"], "y": top})
         top = end - PANEL_GAP
     if chart.ticks:
-        lines = [[escape(line, quote=False) for line in one] for one in chart.ticks]
-        x_axis["ticktext"] = ["<br>".join(one) for one in lines]
+        lines = []
+        for one in chart.ticks:
+            lines.append("<br>".join(escape(line, quote=False) for line in one))
+        x_axis["ticktext"] = lines
         x_axis["tickvals"] = list(range(len(lines)))
         x_axis["range"] = [-0.5, max(len(lines) - 1 + BEHIND, 1.5)]
     if chart.window is not None:

@@ -313,7 +313,10 @@ class EvidenceRecord:
         unknown = Theta.of(model, self.runs)
         theta = np.zeros(len(unknown))
         theta[unknown.table] = np.hstack([one.record.theta for one in comparisons])
-        states = np.concatenate([run for one in comparisons for run in one.simulated])
+        runs: list[np.ndarray] = []
+        for one in comparisons:
+            runs += one.simulated
+        states = np.concatenate(runs)
         noise = replace(self.base.disturbances, forces=())
         return self._weighing.weighed(Start(model, theta, states, None, noise))
 

@@ -37,7 +37,9 @@ def best_frequency(
     gains: dict[int, float] = {}
     tops = _likely_frequencies(sensitivities, name, tried)
     while True:
-        wanted = {place for top in tops for place in _beside(top, len(tried))}
+        wanted: set[int] = set()
+        for top in tops:
+            wanted.update(_beside(top, len(tried)))
         new = sorted(wanted - gains.keys())
         if not new:
             break

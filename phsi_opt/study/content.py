@@ -200,8 +200,10 @@ def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
 def _time(study: StudyRecord) -> TimeScale:
     """The unit in which times are told: that of the longest run."""
     parts = [study.train] if study.held_out is None else [study.train, study.held_out]
-    longest = max(float(run.t[-1]) for part in parts for run in part.trajectories)
-    return scale_of_time(longest, study.train.units.get("t", ""))
+    ends: list[float] = []
+    for part in parts:
+        ends += (float(run.t[-1]) for run in part.trajectories)
+    return scale_of_time(max(ends), study.train.units.get("t", ""))
 
 
 def _drawn_steps(study: StudyRecord) -> dict[int, Step]:
@@ -226,7 +228,9 @@ def _runs(
     if study.held_out is not None:
         held_out = [step.held_out for step in steps if step.held_out is not None]
         parts = {HELD_OUT: held_out, **parts}
-    places = [(part, k) for part in parts for k in range(len(parts[part][0].data))]
+    places = []
+    for part, compared in parts.items():
+        places += [(part, k) for k in range(len(compared[0].data))]
     places = places[:MOST_DRAWN_RUNS]
     n_curves = max(len(places) * len(study.last.judged.noise), 1)
     most = int(np.clip(MOST_DRAWN_SAMPLES / n_curves, FEWEST_PER_CURVE, MOST_PER_CURVE))

@@ -59,7 +59,8 @@ def ranking_of(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
     classes: dict[str, list[str]] = {}
     for finding in diagnosis.findings:
         names = [str(effect) for effect in finding.effects]
-        classes |= {name: [one for one in names if one != name] for name in names}
+        for name in names:
+            classes[name] = [one for one in names if one != name]
     return tuple(_ranked(one, size, classes) for one in diagnosis.ranking)
 
 

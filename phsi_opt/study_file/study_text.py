@@ -6,6 +6,7 @@ tables, and what a study file has no form for is refused by name.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -175,7 +176,7 @@ def shared_parameters(
     for effect in own_effects:
         sums += [effect.term, *effect.memory.values()]
     found: dict[str, Parameter] = {}
-    for term in (term for terms in sums for term in terms if term.is_formula):
+    for term in filter(lambda one: one.is_formula, chain.from_iterable(sums)):
         for name, parameter in term.inner.items():
             if found.setdefault(name, parameter) != parameter:
                 raise ModelError(
