@@ -67,7 +67,10 @@ nitpick_ignore_regex = [
         "py:.*",
         r"(abc|ast|collections|concurrent|datetime|enum|functools|os|pathlib|types|typing)(\..*)?",
     ),
-    ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
+    (
+        "py:.*",
+        r"(jinja2|multiprocessing|nicegui|ui|events)(\..*)?|Environment|Template",
+    ),
     (
         "py:class",
         r"(.*\.)?(Annotated|Content)",

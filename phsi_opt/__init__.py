@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from phsi_opt.optimization.settings import SolverSettings
     from phsi_opt.simulation.simulate import simulate
     from phsi_opt.study.study import Study
-    from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+    from phsi_opt.study_file.sections import Channel, DataSection, HeldOut, Times
     from phsi_opt.study_file.study_file import StudyFile
     from phsi_opt.sweeps.sweep import sweep
     from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
@@ -68,7 +68,7 @@ MODULES = {
     "optimization.settings": "SolverSettings",
     "simulation.simulate": "simulate",
     "study.study": "Study",
-    "study_file.sections": "Channel DataSection HeldOut",
+    "study_file.sections": "Channel DataSection HeldOut Times",
     "study_file.study_file": "StudyFile",
     "sweeps.sweep": "sweep",
     "transcription.losses": "MaximumLikelihood PHSILoss",
@@ -104,6 +104,7 @@ __all__ = [
     "Study",
     "StudyFile",
     "StudyFileError",
+    "Times",
     "Trajectory",
     "Verdict",
     "bootstrap",
