@@ -474,7 +474,8 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
         ax.set_xlim(-0.5, len(chart.ticks) - 1 + BEHIND)
         ax.set_xticks(range(len(chart.ticks)), map("\n".join, chart.ticks))
     if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=4)
+        room = {"handlelength": 3.5, "columnspacing": 1.2}  # for the longest marker
+        ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=4, **room)
 
 
 def _draw_curve(ax: Axes, curve: Curve) -> None:
