@@ -412,7 +412,7 @@ class _Judge:
             one = nearest[0]
             reason += f"; the nearest, {one.name}, has {_grade_words(one)}"
             if one.lost:
-                reason += f", and {one.lost}"
+                reason += f", but {one.lost}"
         return Conclusion(Verdict.UNEXPLAINED, reason, ranking)
 
     def tell_others(self, told: Sequence[Effect]) -> None:
