@@ -103,7 +103,8 @@ def joined_pairs(
             n_axes = 1 if label == "t" else 2
             arrays[label] = read_only_floats(values, n_axes, f"{label}_{place}")
     _check_pairs(starts, ends)
-    start, end = (np.column_stack(list(one.values())) for one in (starts, ends))
+    start = np.column_stack(list(starts.values()))
+    end = np.column_stack(list(ends.values()))
     same = (start[1:] == end[:-1]) | (np.isnan(start[1:]) & np.isnan(end[:-1]))
     if n_inputs == len(names):  # else refused with the names
         same[:, same.shape[1] - n_inputs :] |= is_held

@@ -20,7 +20,6 @@ from phsi_opt.screening.weighing import Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.ahead import Ahead
 
-MOST_BASES = 3  # points at which the base is weighed, at most
 FORCE_DOES = "it would explain no more than a force without a law"
 
 
@@ -40,14 +39,13 @@ def weighed_round(
     Returns:
         The record with the base where it is most likely, and the candidates.
     """
-    for _ in range(MOST_BASES):
+    while True:  # the evidence of the base rises each time
         candidates, likeliest = _weighed_beside(base, record, effects)
         better = None if likeliest is None else record.better_from(likeliest)
         if better is None:
-            break
+            return record, candidates
         base.say("the model is likelier from where the likeliest effect was weighed")
         record = better
-    return record, candidates
 
 
 def _weighed_beside(

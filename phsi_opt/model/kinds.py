@@ -103,7 +103,7 @@ def kind_of_unit(unit: str) -> str:
     for kind in KINDS:
         units = WITH_PREFIX[kind].split()
         for one in units:
-            if one and written.endswith(one) and written.removesuffix(one) in PREFIXES:
+            if written.endswith(one) and written.removesuffix(one) in PREFIXES:
                 return kind
     return ""
 

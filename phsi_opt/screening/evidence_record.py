@@ -32,7 +32,7 @@ from phsi_opt.transcription.parameter_vector import Theta
 SCAN_FACTOR = 1.15
 MOST_SCANNED = 4
 SMALLER = 0.01  # factor on the force of a second attempt
-LIKELIER = 0.5  # of the log evidence, from which a base is weighed anew
+LIKELIER = 0.5  # gain of the log evidence from which another base is the better one
 
 
 @dataclass(frozen=True, eq=False)
