@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from phsi_opt.estimation.likelihood_steps import Optimum
-from phsi_opt.estimation.noise_estimation import NoiseIteration
+from phsi_opt.estimation.noise_estimation import NOISE_TOLERANCE, NoiseIteration
 from phsi_opt.optimization.ipopt import Solution, Solver
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
@@ -69,7 +69,7 @@ def _settled(
         if not solution.outcome.success or not noise.is_estimated.any():
             break
         updated = noise.updated(sigma, solution.residual)
-        has_settled = noise.has_settled(sigma, updated)
+        has_settled = noise.change(sigma, updated) < NOISE_TOLERANCE
         z, sigma = solution.z, updated
         if has_settled:
             settled = solver.solution(z, sigma, solution.outcome)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.noise_estimation import NoiseIteration
+from phsi_opt.estimation.noise_estimation import NOISE_TOLERANCE, NoiseIteration
 from phsi_opt.model_error.joint_estimate import (
     EXACTLY,
     SETTLED_VIOLATION,
@@ -82,24 +82,26 @@ def by_steps(
     is_found = False
     for _ in range(MOST_NOISE_UPDATES):
         problem = JointProblem.white(linearizer, sigma)
-        before = None if joint is None else joint.likelihood
         try:
-            joint = problem.optimum(z, most, target=target, before=before)
+            if joint is None:
+                joint = problem.optimum(z, most, target=target)
+            else:
+                joint = problem.onward(joint, most, target)
         except (SolveError, np.linalg.LinAlgError):
             break
-        z = joint.point.z
         n_steps += joint.n_steps
         is_late = time.perf_counter() - began > settings.max_seconds
         if not joint.has_converged or is_late:
             break
         updated = noise.updated(sigma, _mean_residual(joint.residual, sigma, values))
-        has_settled = noise.has_settled(sigma, updated)
+        change = noise.change(sigma, updated)
         sigma = updated
-        is_found = has_settled and target is EXACTLY
+        is_found = max(joint.remaining, change) < EXACTLY.length
         if is_found:
             break
-        if has_settled:
+        if change < NOISE_TOLERANCE:
             target = EXACTLY
+    z = z if joint is None else joint.point.z
     is_found = is_found and joint is not None and joint.violation < SETTLED_VIOLATION
     known = values.at(z)
     solution = solution_of_steps(
@@ -160,18 +162,18 @@ def continued(values: LikelihoodValues, sigma: np.ndarray) -> np.ndarray | None:
     """
     rates = _sizes_of_rates(values)
     linearizer = Linearizer(values)
-    z = values.point.scaled
-    before = None
+    found = None
     for size in FORCE_SIZES:
         problem = JointProblem.white(linearizer, sigma, (size * rates) ** 2)
         try:
-            found = problem.optimum(
-                z, MOST_STEPS_OF_A_SIZE, target=NEXT_SIZE, before=before
-            )
+            if found is None:
+                z, most = values.point.scaled, MOST_STEPS_OF_A_SIZE
+                found = problem.optimum(z, most, target=NEXT_SIZE)
+            else:
+                found = problem.onward(found, MOST_STEPS_OF_A_SIZE, NEXT_SIZE)
         except (SolveError, np.linalg.LinAlgError):
             return None
-        z, before = found.point.z, found.likelihood
-    return z
+    return None if found is None else found.point.z
 
 
 def _sizes_of_rates(values: LikelihoodValues) -> np.ndarray:

@@ -59,17 +59,16 @@ class NoiseIteration:
         is_measured = self.grid.measured.any(axis=0)
         return np.where(is_measured, least_noise(self.grid.y), 0.0)
 
-    def has_settled(self, sigma: np.ndarray, updated: np.ndarray) -> bool:
-        """Whether the estimates would stay if the program were solved again."""
+    def change(self, sigma: np.ndarray, updated: np.ndarray) -> float:
+        """Of the logarithm of the noise, the largest that moves the estimates."""
         is_measured = self.grid.measured.any(axis=0)
         change = np.log(updated / sigma)[is_measured]
         # One factor for all channels leaves the estimates where they are.
         is_scale_free = (
             self.is_estimated.all() and self.huber is None and not self.has_l1
         )
-        if is_scale_free and np.ptp(change) < NOISE_TOLERANCE:
-            return True
-        return bool(np.max(np.abs(change)) < NOISE_TOLERANCE)
+        largest = float(np.max(np.abs(change)))
+        return min(largest, float(np.ptp(change))) if is_scale_free else largest
 
 
 def estimated_noise(

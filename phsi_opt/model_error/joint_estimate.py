@@ -80,27 +80,48 @@ class JointEstimate:
     """Where the steps ended.
 
     Attributes:
-        point: there.
-        likelihood: of the record linearised there.
-        residual: (n_values,) measured less shown, errors of sensors included.
-        violation: the largest of the scaled dynamics that hold.
+        place: there.
         n_steps: how many there were.
-        has_converged: whether the last step was short.
+        has_converged: whether the next step would be short.
         length: of the last step, in standard deviations of what is unknown.
+        contraction: length of the last whole step over that of the one before.
     """
 
-    point: JointPoint
-    likelihood: MarginalLikelihood
-    residual: np.ndarray
-    violation: float
+    place: "_Place"
     n_steps: int
     has_converged: bool
     length: float
+    contraction: float
+
+    @property
+    def remaining(self) -> float:
+        """Length of the step that would be next."""
+        return self.length * self.contraction
+
+    @property
+    def point(self) -> JointPoint:
+        """Parameters, states and disturbances."""
+        return self.place.point
+
+    @property
+    def likelihood(self) -> MarginalLikelihood:
+        """Of the record linearised there."""
+        return self.place.likelihood
 
     @property
     def linear(self) -> Linearization:
         """The record linearised there."""
         return self.likelihood.problem
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Measured less shown, errors of sensors included, (n_values,)."""
+        return self.place.residual
+
+    @property
+    def violation(self) -> float:
+        """The largest of the scaled dynamics that hold."""
+        return self.place.violation
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +129,8 @@ class Target:
     """Where steps end.
 
     Attributes:
-        length: of a step, in standard deviations of what is unknown, up to which the
-            next ones lead nowhere.
+        length: of the next step, in standard deviations of what is unknown, up to which
+            it need not be taken. Lengths fall by one factor, or faster.
         fall: share of the objective that a step lowers it by, up to which they need not
             be taken.
     """
@@ -162,14 +183,12 @@ class JointProblem:
         n_constraints = self.values.jacobian.shape[0]
         return np.zeros(n_constraints) if self.softness is None else self.softness
 
-    @np.errstate(all="ignore")
     def optimum(
         self,
         z: np.ndarray,
         most_steps: int,
         beside: JointPoint | None = None,
         target: Target = EXACTLY,
-        before: MarginalLikelihood | None = None,
     ) -> JointEstimate:
         """The most likely point, as far as the steps lead there.
 
@@ -178,12 +197,33 @@ class JointProblem:
             most_steps: at most.
             beside: disturbances to start from; None: there are none.
             target: where they end.
-            before: of the same structure, at another point; None: there is none.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        place = _Place.of(self, z, beside, before)
+        return self._stepped(_Place.of(self, z, beside), 1.0, most_steps, target)
+
+    def onward(
+        self, before: JointEstimate, most_steps: int, target: Target = EXACTLY
+    ) -> JointEstimate:
+        """The same from where steps ended, if with disturbances of other sizes.
+
+        Args:
+            before: of the same record, structure and kind of softness.
+            most_steps: at most.
+            target: where they end.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        likelihood = before.likelihood.with_softness(self.softness)
+        place = replace(before.place, problem=self, likelihood=likelihood)
+        return self._stepped(place, before.contraction, most_steps, target)
+
+    @np.errstate(all="ignore")
+    def _stepped(
+        self, place: "_Place", contraction: float, most_steps: int, target: Target
+    ) -> JointEstimate:
         n_steps = 0
         has_converged = False
         damping = 0.0
@@ -192,6 +232,11 @@ class JointProblem:
         while not has_converged and n_steps < most_steps:
             n_steps += 1
             aim = place.aim(damping)
+            if damping == 0:
+                if n_steps > 1:
+                    contraction = min(aim.length / length, 1.0)
+            else:
+                contraction = 1.0
             length = aim.length
             there = self._lower(place, aim)
             if there is None:
@@ -205,22 +250,14 @@ class JointProblem:
             )
             objectives.append(there.cost(0.0))
             fall = target.fall * objectives[-1]
-            is_short = is_whole and aim.length < target.length
+            is_short = is_whole and length * contraction < target.length
             has_converged = is_short and there.violation < SETTLED_VIOLATION
-            if place.cost(0.0) - objectives[-1] < fall and aim.length**2 / 2 < fall:
+            if place.cost(0.0) - objectives[-1] < fall and length**2 / 2 < fall:
                 has_converged = True
             if _is_level(objectives) and there.violation < NEARLY_HELD:
                 has_converged = True
             place = there
-        return JointEstimate(
-            point=place.point,
-            likelihood=place.likelihood,
-            residual=place.residual,
-            violation=place.violation,
-            n_steps=n_steps,
-            has_converged=has_converged,
-            length=length,
-        )
+        return JointEstimate(place, n_steps, has_converged, length, contraction)
 
     def _lower(self, place: "_Place", aim: "_Aim") -> "_Place | None":
         """The first place on the way to the aim, halved again and again, that is lower.
@@ -297,18 +334,14 @@ class _Place:
         problem: JointProblem,
         z: np.ndarray,
         beside: JointPoint | None,
-        before: MarginalLikelihood | None,
     ) -> "_Place":
         """Of a start; arguments as those of `JointProblem.optimum`."""
         known = problem._at(z)
         linear = replace(problem.linearizer.at(z, known), linear_share=0.0)
         structure = problem.disturbances.structure
-        if before is not None:
-            likelihood = before.with_softness(problem.softness).relinearized(linear)
-        else:
-            likelihood = MarginalLikelihood(
-                linear, structure, problem.moving, problem.softness
-            )
+        likelihood = MarginalLikelihood(
+            linear, structure, problem.moving, problem.softness
+        )
         if beside is None:
             n_x = linear.nodes.size
             processes = np.zeros(likelihood.n_unknowns - n_x)
@@ -413,7 +446,7 @@ class _Place:
             SolveError: the states do not follow from the data.
         """
         found = self._within_bounds(self.likelihood, damping)
-        point = self._stepped(found)
+        point = self._moved_by(found)
         multipliers = found.multipliers[self._holds]
         return _Aim(
             point=point,
@@ -461,9 +494,9 @@ class _Place:
             return None
         known = self.known
         other = self.likelihood.at_values(known.misfit, known.g)
-        return self._stepped(self._within_bounds(other, 0.0))
+        return self._moved_by(self._within_bounds(other, 0.0))
 
-    def _stepped(self, found: Smoothed) -> JointPoint:
+    def _moved_by(self, found: Smoothed) -> JointPoint:
         step = np.concatenate([found.theta, found.x.ravel()])
         return JointPoint(
             z=self.point.z + step,
