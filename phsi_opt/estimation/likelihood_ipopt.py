@@ -45,13 +45,14 @@ def by_ipopt(
         sigma: (n_states,) noise to start from.
         by_steps: where full steps ended that did not settle; None: there were none.
     """
-    starts = {False: program.start, True: program.start}  # by whether it is exact
+    starts = [(False, program.start), (True, program.start)]  # whether it is exact
     if by_steps is not None:
         if by_steps.solution.outcome.infeasibility < NEARLY_HOLDING:
-            starts[True] = by_steps.solution.z
+            # Steps are Gauss-Newton's: where they stalled, IPOPT's creep.
+            starts = [(True, by_steps.solution.z), (False, program.start)]
         if not settings.thorough:
-            del starts[False]
-    for is_exact, z in starts.items():
+            starts = [start for start in starts if start[0]]
+    for is_exact, z in starts:
         solver = Solver(program, _limits(settings, is_exact), exact=is_exact)
         optimum = _settled(solver, noise, z, sigma)
         if optimum.solution.outcome.success:

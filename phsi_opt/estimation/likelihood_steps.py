@@ -96,10 +96,12 @@ def by_steps(
         updated = noise.updated(sigma, _mean_residual(joint.residual, sigma, values))
         change = noise.change(sigma, updated)
         sigma = updated
-        is_found = max(joint.remaining, change) < EXACTLY.length
+        has_settled = change < NOISE_TOLERANCE
+        is_exact = max(joint.remaining, change) < EXACTLY.length
+        is_found = is_exact or (has_settled and target is EXACTLY)
         if is_found:
             break
-        if change < NOISE_TOLERANCE:
+        if has_settled:
             target = EXACTLY
     z = z if joint is None else joint.point.z
     is_found = is_found and joint is not None and joint.violation < SETTLED_VIOLATION
