@@ -61,6 +61,11 @@ def test_a_fit_agrees_with_itself_and_a_changed_estimate_is_told(
     row = fits.compared(reference, moved)
     assert (row["status"], row["objective"]) == (fits.OTHER, fits.LESS)
     assert fits.is_worse(row)
+    # Far from the optimum of many steps, where the reference is near it.
+    apart = fits.distances(PROBLEMS["Duffing, q alone"], reference, moved)
+    assert apart[fits.NOW] == pytest.approx(1.0, abs=0.1)
+    assert apart[fits.BEFORE] < 0.1
+    assert fits.is_worse(row | apart)
 
 
 def test_terms_failures_and_moved_predictions_are_told(
