@@ -28,7 +28,7 @@ from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.finding import Finding, class_of
-from phsi_opt.diagnosis.refit import Refit, refit
+from phsi_opt.diagnosis.refit import Refit, refit, thorough_refit
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.diagnosis.weighed_round import weighed_round
 from phsi_opt.errors import SolveError
@@ -48,7 +48,7 @@ class Conclusion:
         reason: a sentence or more with the errors before and after.
         ranking: the candidates, with what re-fits gave and why the others lost.
         findings: what is established.
-        effects: what is added next; ``fit``: the brief re-fit with it.
+        effects: what is added next; ``fit``: the thorough re-fit with it.
     """
 
     verdict: Verdict
@@ -245,7 +245,14 @@ class _Judge:
             lost = f"its size, {size}, may as well be zero"
             self.ranking[place] = replace(one, lost=lost)
             return None
-        self.ranking[place] = replace(
+        self.ranking[place] = self.refitted(one, done)
+        return done
+
+    def refitted(self, one: Candidate, done: Refit) -> Candidate:
+        """A candidate with what its re-fit gave."""
+        base = self.base
+        size = fitted_size(base.fit, done.fit, one.effect)
+        return replace(
             one,
             coefficient=size.value,
             std_error=size.std_error,
@@ -256,7 +263,6 @@ class _Judge:
             held_out_rmse=done.judged.rmse if base.is_held_out else one.held_out_rmse,
             share=base.share_explained(done.judged.rmse),
         )
-        return done
 
     def doubt(self, done: Refit) -> str:
         """Why what is decisive is not named; empty where it is."""
@@ -338,8 +344,12 @@ class _Judge:
 
     def named(self, done: Refit, beside: "_Judge | None" = None) -> Conclusion:
         """The first, with what is missing beside it, or alone."""
+        if beside is None or beside.done is None:
+            last = thorough_refit(self.base, done)
+            self.ranking[0] = self.refitted(self.ranking[0], last)
+        else:
+            last = thorough_refit(self.base, beside.done)
         first = self.ranking[0]
-        last = done if beside is None or beside.done is None else beside.done
         findings = [self.finding(last)]
         leaves_nothing = beside is not None or self.leaves_nothing(done)
         if beside is not None:

@@ -79,7 +79,7 @@ class Diagnosis(Summarised):
         findings: what is established to be missing, an effect or a class each; empty
             where nothing is.
         proposed: what a study adds next, the first effect of the finding; empty where
-            nothing is found. ``proposed_fit``: the brief re-fit with it.
+            nothing is found. ``proposed_fit``: the re-fit with it.
     """
 
     record: Record = field(repr=False)

@@ -6,19 +6,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison, compare_record
+from phsi_opt.comparison.model_selection import deviance
 from phsi_opt.criteria import (
     ONE_ATTEMPT_INTERVALS,
+    OTHER_OPTIMUM_DEVIANCE,
     STRAYED_STATES,
 )
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel, n_intervals
 from phsi_opt.diagnosis.friction_sharpening import CornerSharpening
-from phsi_opt.diagnosis.refit_effort import BRIEF, THOROUGH
-from phsi_opt.errors import PhsiOptError
+from phsi_opt.diagnosis.refit_effort import ADDED, BRIEF, THOROUGH
+from phsi_opt.errors import PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_scanned
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 
@@ -48,6 +52,29 @@ def refit(base: DiagnosedModel, candidate: Candidate) -> Refit | None:
     except PhsiOptError as error:
         base.say(f"not re-fitted: {error}")
         return None
+
+
+def thorough_fit(aligned: AlignedData, loss: MaximumLikelihood, brief: Fit) -> Fit:
+    """A brief re-fit made thorough; itself where that fails or is worse."""
+    try:
+        thorough = identify_aligned(
+            brief.model, aligned, loss, start=brief, settings=ADDED
+        )
+    except SolveError:
+        return brief
+    if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
+        return thorough
+    return brief
+
+
+def thorough_refit(base: DiagnosedModel, brief: Refit) -> Refit:
+    """A brief re-fit made thorough, with its free runs."""
+    aligned = brief.trained.record.aligned
+    fit = thorough_fit(aligned, base.loss, brief.fit)
+    trained = judged = compare_record(brief.trained.record.refitted(fit))
+    if base.is_held_out:
+        judged = compare_record(brief.judged.record.refitted(fit))
+    return Refit(fit, trained, judged)
 
 
 class _Refitting:

@@ -4,13 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from phsi_opt.comparison.compare import compare_record
-from phsi_opt.comparison.model_selection import deviance
-from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.refit_effort import ADDED
-from phsi_opt.errors import ModelError, PhsiOptError, SolveError
+from phsi_opt.diagnosis.refit import thorough_fit
+from phsi_opt.errors import ModelError, PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
@@ -82,22 +80,10 @@ class StudyFitting:
             held_out = compare_record(Record.of_aligned(fit, self.held_out))
         return Step(label, added, fit, train, held_out)
 
-    def refined(self, brief: Fit) -> Fit:
-        """A brief re-fit made thorough; kept itself where that fails or is worse."""
-        try:
-            thorough = identify_aligned(
-                brief.model, self.train, self.loss, start=brief, settings=ADDED
-            )
-        except SolveError:
-            return brief
-        if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
-            return thorough
-        return brief
-
     def larger(self, fit: Fit, effect: Effect, found: Candidate | None) -> Fit:
         """The model of a fit with one effect, from what a diagnosis found of it."""
         if found is not None and found.fit is not None:
-            return self.refined(found.fit)
+            return thorough_fit(self.train, self.loss, found.fit)
         values = {} if found is None else found.values
         model = fit.model.add(effect)
         free = set(model.free)

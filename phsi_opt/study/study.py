@@ -219,6 +219,9 @@ class Study(Summarised):
         """
         if isinstance(effect, str):
             effect = effect_named(self.model, effect, equation, self.train.units)
+        present = self.record.present
+        if present and present.proposed_fit and present.proposed == (effect,):
+            return self._add_all(present.proposed, present.proposed_fit)
         found = self._known_candidate(effect)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
@@ -446,15 +449,13 @@ class Study(Summarised):
     def _without(self, effect: Effect) -> tuple[Effect, ...]:
         return tuple(known for known in self.added if known is not effect)
 
-    def _add_all(self, effects: tuple[Effect, ...], brief: Fit | None) -> None:
+    def _add_all(self, effects: tuple[Effect, ...], fit: Fit | None) -> Fit:
         """Add effects in one step; of several, each was needed beside the other."""
-        if len(effects) == 1 or brief is None:
-            self.add(effects[0])
-            return
+        if fit is None:
+            return self.add(effects[0])
         label = " and ".join(map(str, effects))
         self._say(f"adding {label}")
-        fit = self._fitting.refined(brief)
-        self._take(label, (*self.added, *effects), fit)
+        return self._take(label, (*self.added, *effects), fit)
 
     def _check_earlier(self) -> None:
         """Take out effects of earlier steps without which the evidence is higher."""
