@@ -724,7 +724,7 @@ def test_a_model_counts_as_made_before_it_is_seen(
 
 def test_a_worker_that_is_lost_is_told(session: Session) -> None:
     session.fit()
-    wait_for(lambda: bool(session.job and session.job.lines))
+    wait_for(lambda: bool(session.job and session.job.line))
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None, ENDS_WITHIN)
@@ -747,7 +747,7 @@ from tests.test_page_session import filled
 def main():
     session = filled(Path(tempfile.mkdtemp()))
     session.fit()
-    while not (session.job and session.job.lines):
+    while not (session.job and session.job.line):
         time.sleep(0.02)
     print(session._worker.pid, flush=True)
     time.sleep(60)

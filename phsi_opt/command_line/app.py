@@ -23,7 +23,6 @@ from phsi_opt.errors import DataError
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
 REPORT_NAME = "report.html"  # written by --report without a name
 LOOPBACK = "127.0.0.1"  # the page is for this machine alone, unless told otherwise
-PORT = 8080
 
 CODES = "\n\n".join(f"{code.value}: {said}" for code, said in MEANINGS.items())
 app = typer.Typer(
@@ -187,7 +186,7 @@ def page(
         Path | None, typer.Argument(help="The study file to open.", metavar="STUDY")
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen at.")] = LOOPBACK,
-    port: Annotated[int, typer.Option(help="Port to listen at.")] = PORT,
+    port: Annotated[int, typer.Option(help="Port to listen at.")] = 8080,
     show: Annotated[bool, typer.Option(help="Open a browser.")] = True,
 ) -> None:
     """The same in a browser."""

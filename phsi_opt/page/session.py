@@ -57,7 +57,6 @@ WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 REPORT_FILE = "report.html"
-MOST_LINES = 200  # of progress that are kept
 LOOKING = "looking for what is missing"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
@@ -96,7 +95,7 @@ class Job:
 
     Attributes:
         label: such as "Fitting the base model".
-        lines: what the worker said, the oldest first.
+        line: what the worker said last of the present model; "" for nothing yet.
         done: what it has done once its model is there, in words; "" where it goes on.
         is_shown: whether this model is there; what is missing may still be looked for.
         compares: whether it changes a model whose charts are shown already.
@@ -104,7 +103,7 @@ class Job:
     """
 
     label: str
-    lines: list[str] = field(default_factory=list)
+    line: str = ""
     done: str = ""
     is_shown: bool = False
     compares: bool = False
@@ -112,14 +111,13 @@ class Job:
 
     def say(self, line: str) -> None:
         """Keep a line of the worker."""
-        self.lines.append(line)
-        del self.lines[:-MOST_LINES]
+        self.line = line
         self.forecast.said(line)
 
     def show(self) -> None:
         """Note that the model is there; what was said before is of its making."""
         self.is_shown = True
-        self.lines.clear()
+        self.line = ""
 
     @property
     def words(self) -> str:
@@ -127,9 +125,9 @@ class Job:
         label = self.label
         if self.done and self.is_shown:
             label = f"{self.done}; {LOOKING}"
-            if not self.lines:
+            if not self.line:
                 return label
-        line = self.lines[-1] if self.lines else "starting"
+        line = self.line or "starting"
         is_said = line.lower() == label.lower()
         return label if is_said else f"{label}: {line}"
 

@@ -18,7 +18,6 @@ from phsi_opt.page.study_view import StudyView
 
 PRIMARY = "#1f5fa8"  # 6.5:1 below white text
 ON_PRIMARY = "#ffffff"
-ASK_EVERY = 0.25  # s between looks at the session; faster than a reader notices
 # The next key acts on the part that is shown, and its top is seen.
 FOCUS_CONTENT = """
 window.scrollTo(0, 0);
@@ -84,7 +83,7 @@ class Shell:
                 self._study.build()
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
-        self._asking = ui.timer(ASK_EVERY, self._keep_up)
+        self._asking = ui.timer(0.25, self._keep_up)  # s: no reader waits
 
     def _header(self) -> None:
         with ui.header().classes("items-center justify-between q-py-xs"):

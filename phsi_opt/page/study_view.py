@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from nicegui import events, ui
 
-from phsi_opt.criteria import FAILING_ERROR
+from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.page.parts import alert, button, card, choice, heading
@@ -37,7 +37,6 @@ from phsi_opt.presentation.html_report import report_environment
 from phsi_opt.presentation.numbers import number, proper_names, with_error
 
 N_SHOWN = 5  # candidates that are shown at once
-SURE = 2.0  # standard deviations beyond which a force counts as sure at one time
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
 FOCUS_ON = """setTimeout(() => {
   const now = document.activeElement;
@@ -405,7 +404,11 @@ def force_near(content: StudyContent, force: ForceRun, t: float) -> str:
     """What an equation lacks at a time, in a sentence."""
     place = int(np.argmin(np.abs(force.t - t)))
     value, std = force.force[place], force.std[place]
-    sure = "surely not zero" if abs(value) > SURE * std else "may as well be zero"
+    sure = (
+        "surely not zero"
+        if abs(value) > SURE_DEVIATIONS * std
+        else "may as well be zero"
+    )
     date = date_words(t * content.time.size, force.origin)
     when = f"{number(t, 3)}{spaced(content.time.unit)}"
     when = f"{when} ({date})" if date else when

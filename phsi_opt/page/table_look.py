@@ -14,11 +14,10 @@ from phsi_opt.data.file_opening import NamedFile
 from phsi_opt.data.tables import Table, numbers_in
 from phsi_opt.errors import DataError
 from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
+from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.study_file.columns import UNUSED, Column
 from phsi_opt.study_file.data_files import table_at
 from phsi_opt.study_file.survey import survey
-
-N_EXAMPLES = 3  # cells shown of each column
 
 
 def look_at(places: Mapping[str, Path]) -> DataDraft:
@@ -67,7 +66,7 @@ def _check_header(table: Table) -> None:
 def _draft_of(seen: Column) -> ColumnDraft:
     """The draft of a column; parts have the same words here and there but for one."""
     role = NOT_USED if seen.part == UNUSED else seen.part
-    examples = tuple(seen.cells[:N_EXAMPLES])
+    examples = tuple(seen.cells[:3])
     return ColumnDraft(
         seen.column, role, seen.name, seen.unit, "", examples, seen.is_numeric
     )
@@ -100,14 +99,12 @@ MOST_UPLOADED = 20_000_000
 MOST_FILES = 50  # of one study; each is a run
 # What the name of an uploaded table may end in; the ending tells how it is read.
 TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
-MOST_NAME_BYTES = 255  # of the name of a file, in UTF-8: what file systems take
 # Names that mean a device in Windows, whatever they end in.
 DEVICE = re.compile(
     r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])\s*(\.|$)",
     re.IGNORECASE,
 )
 UNPRINTED = ("Cc", "Cs")  # categories of Unicode: control characters, half characters
-MOST_SHOWN = 40  # characters of a name that is refused
 
 
 def in_megabytes(size: int) -> str:
@@ -127,16 +124,13 @@ def suffix_of(name: str) -> str:
 
 def name_refusal(name: str) -> str:
     """Why a file of this name is not taken, in a sentence; "" where it is."""
-    shown = repr(name if len(name) <= MOST_SHOWN else f"{name[:MOST_SHOWN]}...")
+    shown = repr(shortened(name, 40))
     if not name.strip(" ."):
         return f"{shown} is no name of a file; expected one such as bench.csv."
     if any(unicodedata.category(sign) in UNPRINTED for sign in name):
         return f"the name {shown} has control characters; expected letters."
-    if len(name.encode()) > MOST_NAME_BYTES:
-        n_bytes = len(name.encode())
-        return (
-            f"the name {shown} has {n_bytes} bytes; expected at most {MOST_NAME_BYTES}."
-        )
+    if len(name.encode()) > 255:
+        return f"the name {shown} is too long; expected at most 255 bytes."
     if DEVICE.match(name):
         return f"{shown} means a device in Windows; expected another name."
     if suffix_of(name) not in TABLE_KINDS:

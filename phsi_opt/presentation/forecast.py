@@ -14,15 +14,11 @@ FITTING = "fitting the base model"
 SCREENING = "screening"
 WEIGHING = "weighing"
 ADDING = "adding"
-MISSING = "missing:"  # the verdict of a diagnosis; "nothing missing" is the last one
 NOTHING_MISSING = "nothing missing"
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
 # each unit); single ones differ by a factor of three.
 SIZES = {FITTING: 1.0, SCREENING: 1.5, WEIGHING: 1.0, ADDING: 2.0}
 DIAGNOSIS = (SCREENING, *[WEIGHING] * 4)  # 1 to 12 effects are weighed
-# Times its expected length after which a work is said to take longer than expected.
-OVERDUE = 1.5
-MOST_SAID = 99 * 3600.0  # s; beyond that no forecast is worth saying
 
 
 @dataclass
@@ -52,11 +48,9 @@ class Forecast:
 
     def said(self, line: str) -> None:
         """Note a line; most say nothing of the progress."""
-        if line.startswith((NOTHING_MISSING, MISSING)):
+        if line.startswith(NOTHING_MISSING):  # the last diagnosis
             self._begin("")
-            ends = ADDING if line.startswith(MISSING) else ""
-            place = self.plan.index(ends) if ends in self.plan else len(self.plan)
-            self.plan = self.plan[place:]
+            self.plan = []
         for kind in SIZES:
             if line.startswith(kind):
                 self._begin(kind)
@@ -85,7 +79,7 @@ class Forecast:
         if self.done == 0.0 or not self.current:
             return False
         expected = SIZES[self.current] * self._pace
-        return self.clock() - self.current_began > OVERDUE * expected
+        return self.clock() - self.current_began > 1.5 * expected
 
     @property
     def elapsed(self) -> float:
@@ -112,8 +106,7 @@ class Forecast:
             return None
         half = SIZES.get(self.current, 0.0) / 2
         remaining = half + sum(SIZES[kind] for kind in self.plan)
-        seconds = remaining * self.elapsed / (self.done + half)
-        return seconds if seconds < MOST_SAID else None
+        return remaining * self.elapsed / (self.done + half)
 
 
 def duration(seconds: float) -> str:

@@ -16,13 +16,13 @@ from phsi_opt import __all__ as public
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.tables import LINE_WIDTH
 from phsi_opt.study_file.effects import own_effect
 from phsi_opt.study_file.sections import Sections, told
 from phsi_opt.study_file.study_text import shared_parameters
 from phsi_opt.study_file.toml_text import text_template
 
 IN_SCRIPT = "parameters"  # the variable in which the script keeps them
-LINE_WIDTH = 80  # of source; what a call is given to stands before it
 INDENT = "    "
 SCRIPT_BEGIN = '''\
 """A study of phsi_opt, as a script."""

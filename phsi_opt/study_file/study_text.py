@@ -17,12 +17,12 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.tables import LINE_WIDTH
 from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
 from phsi_opt.study_file.sections import Sections, told
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 Content = dict[str, Any]
-TEXT_WIDTH = 88  # of a line, where a list can be broken
 HEAD = """\
 # A study of phsi_opt: what was measured, what is known, which effects were added.
 # `phsi-opt check` reads it; docs/command_line.md lists every key.
@@ -85,7 +85,7 @@ def _entries(path: str, table: Mapping[str, Any]) -> Iterator[str]:
         if f"{path}.{key}" in COMMENTS and isinstance(value, dict):
             continue
         line = f"{key_text(key)} = {toml_value(value)}"
-        if len(line) > TEXT_WIDTH and isinstance(value, list):
+        if len(line) > LINE_WIDTH and isinstance(value, list):
             items = [f"    {toml_value(one)},\n" for one in value]
             line = f"{key_text(key)} = [\n{''.join(items)}]"
         yield line
