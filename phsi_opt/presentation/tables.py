@@ -14,6 +14,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     import pandas as pd
+    from markupsafe import Markup
     from rich.table import Table
     from rich.text import Text
 
@@ -176,9 +177,10 @@ def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
     return html_shown("table", columns, n_rows, _remark(table, most_rows))
 
 
-def html_shown(name: str, *facts: Any) -> str:
+def html_shown(name: str, *facts: Any) -> "Markup":
     """What a macro of ``shown.html.jinja`` makes of facts."""
-    return str(getattr(_shown(), name)(*facts)).strip()
+    made: Markup = getattr(_shown(), name)(*facts)
+    return made.strip()
 
 
 @cache
