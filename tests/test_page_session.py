@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.errors import Complaint
 from phsi_opt.force_analysis.localization import THROUGHOUT, window_of
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
@@ -27,7 +28,7 @@ from phsi_opt.page.parts import complaint_words
 from phsi_opt.page.serve import MOST_SESSIONS, Sessions, is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
-from phsi_opt.page.study_view import force_near, preview_words
+from phsi_opt.page.study_view import words
 from phsi_opt.page.table_look import MOST_UPLOADED
 from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
 from phsi_opt.presentation.charts import force_chart, plotly, run_chart
@@ -437,9 +438,9 @@ def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all
     held_out: float | None, after: float | None, expected: str
 ) -> None:
     step = ErrorStep("base model", 0.05, held_out, 0.042)
-    content = SimpleNamespace(steps=(step,), unit="m")
     row = SimpleNamespace(held_out=after, train=0.0501)
-    assert preview_words(content, row) == expected  # type: ignore[arg-type]
+    said = words("preview", row, step, "m", FAILING_ERROR)
+    assert " ".join(said.replace("&nbsp;", " ").split()) == expected
 
 
 def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None:
@@ -455,7 +456,7 @@ def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None
         assert force.equation == "p"
         assert force.unit == "N"
         assert run.holds(force.t[0]) and run.holds(force.t[-1])
-        assert "dp/dt lacks" in force_near(content, force, 1.0)
+        assert "dp/dt lacks" in words("at_time", [force], 1.0, content.time, 2.0)
 
 
 def test_the_charts_open_where_the_verdict_says(studied: Session) -> None:
@@ -510,7 +511,9 @@ def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
     assert figure["data"][0]["x"][-1] == 20.0
     assert figure["layout"]["xaxis"]["title"]["text"] == "t (days)"
     force = ForceRun("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
-    assert "At t = 0.25 days of house" in force_near(house, force, 0.25)
+    assert "At t = 0.25 days of house" in words(
+        "at_time", [force], 0.25, house.time, 2.0
+    )
     *_, line = plotly(force_chart([force], "days"))["data"]
     assert line["name"] == "missing in dTi/dt"
     assert line["y"][0] == 1.0
