@@ -6,17 +6,16 @@ from pathlib import Path
 from phsi_opt.command_line.job import Answer
 from phsi_opt.command_line.supervision import answer_to
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.wording import number_of
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
 from phsi_opt.model.catalogue import catalogue
+from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.reading import file_bytes
 from phsi_opt.study_file.adding import add_effects
 from phsi_opt.study_file.effects import ON
-from phsi_opt.study_file.first_text import first_text
+from phsi_opt.study_file.filling_in import first_text, unfilled
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import TableSurvey, survey
-from phsi_opt.study_file.unfilled import unfilled
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.writing import write_whole
 

@@ -15,10 +15,10 @@ from phsi_opt.data.checks import (
     check_values,
     from_first,
     hold_of_each,
+    numbered_names,
     read_only_floats,
 )
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.data.wording import numbered_names
 from phsi_opt.errors import DataError
 
 

@@ -25,25 +25,27 @@ from phsi_opt.data.checks import (
     checked_hold,
     checked_names,
     hold_of_each,
+    numbered_names,
 )
 from phsi_opt.data.selection import (
     check_fraction,
     check_interval,
     check_slice,
+    checked_group_size,
     number_of_trajectory,
     part_between,
     size_of_first_part,
+    thinned_run,
 )
 from phsi_opt.data.table_readers import TableReaders
-from phsi_opt.data.thinning import checked_group_size, thinned_run
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
     checked_trajectories,
     part_of,
 )
-from phsi_opt.data.wording import number_of, numbered_names
 from phsi_opt.errors import DataError
+from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.summary import Part, Summarised, Summary, text_of_summary
 from phsi_opt.presentation.table_making import printed_table
 

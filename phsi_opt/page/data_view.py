@@ -6,7 +6,6 @@ from typing import Any
 
 from nicegui import events, run, ui
 
-from phsi_opt.data.wording import number_of
 from phsi_opt.page.drafts import (
     AFTER,
     HELD_OUT_WAYS,
@@ -38,6 +37,7 @@ from phsi_opt.page.table_look import (
     TABLE_KINDS,
     in_megabytes,
 )
+from phsi_opt.presentation.numbers import number_of
 
 ABOUT = (
     "A table as CSV, text or Excel workbook: one line per sample below a header. At "

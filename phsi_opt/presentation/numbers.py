@@ -110,6 +110,17 @@ def listed(names: Sequence[str], nothing: str = "", most: int = 4) -> str:
     return ", ".join(names) or nothing
 
 
+def number_of(n: int, noun: str, plural: str | None = None) -> str:
+    """A number with its noun, such as "1 sample" and "3 samples".
+
+    Args:
+        n: The number.
+        noun: The noun for one.
+        plural: The noun for several, where an s at the end is not enough.
+    """
+    return f"{n} {noun if n == 1 else plural or noun + 's'}"
+
+
 def lowered(text: str) -> str:
     """The text with a small first letter; the others stay as they are."""
     return f"{text[:1].lower()}{text[1:]}"
