@@ -40,8 +40,9 @@ class BaseModel:
         for one in draft.parameters:
             one.is_assumed = one.is_known
         for state, formula in self.driven.items() if inputs else ():
-            terms = [draft.F.get(state, ""), formula.format(u=inputs[0])]
-            draft.F[state] = " + ".join(filter(None, terms))
+            forces = draft.table["F"]
+            terms = [forces.get(state, ""), formula.format(u=inputs[0])]
+            forces[state] = " + ".join(filter(None, terms))
         return draft
 
 
@@ -80,8 +81,8 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
         for column in columns:
             fitting = [name for name, unit in free.items() if agrees(column.unit, unit)]
             if fitting:
-                column.name = fitting[0]
-                del free[column.name]
+                column.table["name"] = fitting[0]
+                del free[fitting[0]]
             else:
                 left.append(column)
     for column in left:

@@ -213,7 +213,7 @@ def _can_begin(session: Session) -> bool:
     if session.job is not None or session.draft.data is None:
         return False
     is_new = session.content is None or session.is_stale or bool(session.failure)
-    return is_new and bool(session.draft.model.states)
+    return is_new and bool(session.draft.model.names("states"))
 
 
 def _standing(session: Session) -> str:
@@ -222,15 +222,13 @@ def _standing(session: Session) -> str:
         return READY
     if session.draft.data is None:
         return "Begin with the measurements: part 1."
-    if not session.draft.model.states:
+    if not session.draft.model.names("states"):
         return "Next, the model: part 2."
     if session.complaints:
         return f"Open: {len(session.complaints)}; part 2 says what."
     said = "Data and model can be used: press Fit."
-    assumed = []
-    for one in session.draft.model.parameters:
-        if one.is_assumed:
-            assumed.append(f"{one.name} = {one.value} {one.unit}".rstrip())
+    parameters = session.draft.model.parameters
+    assumed = [one.words for one in parameters if one.is_assumed]
     if assumed:
         said += f" Assumed, not measured: {', '.join(assumed)}."
     return said

@@ -16,7 +16,6 @@ from phsi_opt.errors import DataError
 from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
 from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.study_file.columns import UNUSED, Column
-from phsi_opt.study_file.data_files import table_at
 from phsi_opt.study_file.survey import survey
 
 
@@ -37,15 +36,14 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
 
 
 def _take_file(draft: DataDraft, file: NamedFile) -> None:
-    table = table_at(file)
-    _check_header(table)
     surveyed = survey(file)
+    table = surveyed.table
     for column in surveyed.columns:
         if column.is_numeric:
             numbers_in(table, column.column, may_be_missing=True)
     columns = list(map(_draft_of, surveyed.columns))
     if surveyed.step is not None:
-        draft.step = f"{surveyed.step:g}"
+        draft.time = {"step": surveyed.step}
     if not draft.columns:
         draft.columns = columns
     _check_same_columns(draft.columns, columns, table.title)
@@ -53,23 +51,12 @@ def _take_file(draft: DataDraft, file: NamedFile) -> None:
     draft.runs += _runs(table, columns)
 
 
-def _check_header(table: Table) -> None:
-    headers = [str(name) for name in table.frame.columns]
-    for name in headers:
-        if headers.count(name) > 1:
-            raise DataError(
-                f"{table.title}: the header has {name!r} twice; give each column a "
-                "name of its own."
-            )
-
-
 def _draft_of(seen: Column) -> ColumnDraft:
     """The draft of a column; parts have the same words here and there but for one."""
     role = NOT_USED if seen.part == UNUSED else seen.part
     examples = tuple(seen.cells[:3])
-    return ColumnDraft(
-        seen.column, role, seen.name, seen.unit, "", examples, seen.is_numeric
-    )
+    told = {"name": seen.name, "unit": seen.unit}
+    return ColumnDraft(seen.column, role, told, examples, seen.is_numeric)
 
 
 def _check_same_columns(
