@@ -142,14 +142,18 @@ def _parameter(parameter: Parameter) -> Content | float:
     return content["value"] if list(content) == ["value"] else content
 
 
-def _model(model: Model) -> Content:
+def model_parts(model: Model) -> dict[str, Any]:
+    """The parts of a model that say something, by their names, without S."""
+    energy = {"H": model.H} if model.has_energy else {}
     names = ("states", "inputs", "memory", "kind", *BY_EQUATION)
-    content = {name: getattr(model, name) for name in names if getattr(model, name)}
-    if model.has_energy:
-        slots = {name: content.pop(name) for name in BY_EQUATION if name in content}
-        content |= {**_structure(model), "H": model.H, **slots}
+    parts = {name: getattr(model, name) for name in names}
+    return {name: one for name, one in parts.items() if one} | energy
+
+
+def _model(model: Model) -> Content:
+    structure = _structure(model) if model.has_energy else {}
     kind = WITH_ENERGY if model.has_energy else WITHOUT_ENERGY
-    return {"type": kind, **_plain(content)}
+    return {"type": kind, **structure, **_plain(model_parts(model))}
 
 
 def _structure(model: Model) -> Content:
