@@ -6,7 +6,6 @@ guessed as for a first study file.
 """
 
 import re
-import unicodedata
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
@@ -86,12 +85,6 @@ MOST_UPLOADED = 20_000_000
 MOST_FILES = 50  # of one study; each is a run
 # What the name of an uploaded table may end in; the ending tells how it is read.
 TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
-# Names that mean a device in Windows, whatever they end in.
-DEVICE = re.compile(
-    r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])\s*(\.|$)",
-    re.IGNORECASE,
-)
-UNPRINTED = ("Cc", "Cs")  # categories of Unicode: control characters, half characters
 
 
 def in_megabytes(size: int) -> str:
@@ -112,14 +105,8 @@ def suffix_of(name: str) -> str:
 def name_refusal(name: str) -> str:
     """Why a file of this name is not taken, in a sentence; "" where it is."""
     shown = repr(shortened(name, 40))
-    if not name.strip(" ."):
-        return f"{shown} is no name of a file; expected one such as bench.csv."
-    if any(unicodedata.category(sign) in UNPRINTED for sign in name):
+    if not name.isprintable():
         return f"the name {shown} has control characters; expected letters."
-    if len(name.encode()) > 255:
-        return f"the name {shown} is too long; expected at most 255 bytes."
-    if DEVICE.match(name):
-        return f"{shown} means a device in Windows; expected another name."
     if suffix_of(name) not in TABLE_KINDS:
         kinds = ", ".join(TABLE_KINDS)
         return f"{shown} does not end as a table does; expected {kinds}."

@@ -42,43 +42,31 @@ class Forecast:
 
     def __post_init__(self) -> None:
         self.began = self.current_began = self.clock()
-        self.plan = [*DIAGNOSIS, *[ADDING, *DIAGNOSIS] * (self.n_diagnoses - 1)]
-        if not self.n_diagnoses:
-            self.plan = []
+        rounds = [*DIAGNOSIS, ADDING] * self.n_diagnoses
+        self.plan = rounds[:-1]
 
     def said(self, line: str) -> None:
         """Note a line; most say nothing of the progress."""
-        if line.startswith(NOTHING_MISSING):  # the last diagnosis
-            self._begin("")
-            self.plan = []
-        for kind in SIZES:
-            if line.startswith(kind):
-                self._begin(kind)
-                self._go_on_from(kind)
-
-    def _begin(self, kind: str) -> None:
+        kind = next(filter(line.startswith, (NOTHING_MISSING, *SIZES)), None)
+        if kind is None:
+            return
         self.done += SIZES.get(self.current, 0.0)
         self.current = kind
         self.current_began = self.clock()
-
-    def _go_on_from(self, kind: str) -> None:
-        """Leave out of the plan what was expected up to a kind of work."""
-        if kind == ADDING and self.n_diagnoses and SCREENING not in self.plan:
+        if kind == NOTHING_MISSING:
+            self.plan = []  # the last diagnosis
+        elif kind == ADDING and self.n_diagnoses and SCREENING not in self.plan:
             self.plan = list(DIAGNOSIS)  # one more than was expected
         elif kind in self.plan and (kind != WEIGHING or self.plan[0] == WEIGHING):
             self.plan = self.plan[self.plan.index(kind) + 1 :]
 
     @property
-    def _pace(self) -> float:
-        """Seconds that a unit of the work took so far, the current one left out."""
-        return (self.current_began - self.began) / self.done
-
-    @property
     def is_overdue(self) -> bool:
         """Whether the current work takes far longer than others of its kind."""
-        if self.done == 0.0 or not self.current:
+        if self.done == 0.0 or self.current not in SIZES:
             return False
-        expected = SIZES[self.current] * self._pace
+        pace = (self.current_began - self.began) / self.done
+        expected = SIZES[self.current] * pace
         return self.clock() - self.current_began > 1.5 * expected
 
     @property

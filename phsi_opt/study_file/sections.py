@@ -257,19 +257,16 @@ def _by_runs(
     data: Measurements, runs: tuple[str, ...]
 ) -> tuple[Measurements, Measurements]:
     held_out = {data.trajectory_number(run) for run in runs}
-    kept: list[Trajectory] = []
-    judging: list[Trajectory] = []
+    parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
     for number, run in enumerate(data.trajectories):
-        (judging if number in held_out else kept).append(run)
+        parts[number in held_out].append(run)
+    kept, judging = (tuple(part) for part in parts)
     if not kept or not judging:
         raise DataError(
             f"{len(judging)} of {data.n_trajectories} runs are held out; expected at "
             "least one, and at least one to fit."
         )
-    return (
-        replace(data, trajectories=tuple(kept)),
-        replace(data, trajectories=tuple(judging)),
-    )
+    return replace(data, trajectories=kept), replace(data, trajectories=judging)
 
 
 @dataclass(frozen=True)
