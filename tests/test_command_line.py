@@ -446,7 +446,10 @@ def test_a_matlab_file_without_columns_is_refused_with_what_it_holds(
     savemat(tmp_path / "log.mat", {"k": 2.0, "A": np.ones((30, 30)), "name": "x"})
     result = said("init", tmp_path / "log.mat", "-o", tmp_path / "s.toml")
     assert result.code == ExitCode.BAD_INPUT
-    assert "'k' (the number 2), 'A' (30 x 30 numbers), 'name' (text)" in result.err
+    assert (
+        "'k' (the number 2), 'A' (30 x 30 numbers: A(:,1), ...), 'name' (text)"
+        in result.err
+    )
 
 
 def complained(study: Path) -> list[str]:

@@ -456,7 +456,7 @@ def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None
         assert force.equation == "p"
         assert force.unit == "N"
         assert run.holds(force.t[0]) and run.holds(force.t[-1])
-        assert "dp/dt lacks" in words("at_time", [force], 1.0, content.time, 2.0)
+        assert "dp/dt lacks" in words("at_time", [force], run, 1.0, content.time, 2.0)
 
 
 def test_the_charts_open_where_the_verdict_says(studied: Session) -> None:
@@ -512,7 +512,7 @@ def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
     assert figure["layout"]["xaxis"]["title"]["text"] == "t (days)"
     force = ForceRun("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
     assert "At t = 0.25 days of house" in words(
-        "at_time", [force], 0.25, house.time, 2.0
+        "at_time", [force], run, 0.25, house.time, 2.0
     )
     *_, line = plotly(force_chart([force], "days"))["data"]
     assert line["name"] == "missing in dTi/dt"

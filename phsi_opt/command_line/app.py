@@ -7,18 +7,16 @@ and completion come at once.
 import signal
 import sys
 from dataclasses import replace
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from phsi_opt.command_line import job as kinds
 from phsi_opt.command_line.job import MEANINGS, ExitCode, Job, Reach
 from phsi_opt.command_line.output import do, finish, told_errors
-from phsi_opt.errors import DataError
 
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
 REPORT_NAME = "report.html"  # written by --report without a name
@@ -191,22 +189,9 @@ def page(
 ) -> None:
     """The same in a browser."""
     with told_errors():
-        page_server()(study, host=host, port=port, show=show)
+        from phsi_opt.page.serve import serve
 
-
-def page_server() -> Any:
-    """The function that serves the page.
-
-    Raises:
-        DataError: the extra with the libraries of the page is not installed.
-    """
-    try:
-        return import_module("phsi_opt.page.serve").serve
-    except ImportError as error:
-        raise DataError(
-            f"the page needs the extra app ({error}); "
-            'install it: pip install "phsi_opt[app]"'
-        ) from None
+        serve(study, host=host, port=port, show=show)
 
 
 @app.command()

@@ -97,8 +97,6 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
 
 def _n_repeated(runs: Sequence[np.ndarray]) -> int:
     """Number of values that stand in their trajectory before."""
-    if np.all(np.diff(np.sort(np.concatenate(runs)))):
-        return 0  # as measurements are that are not quantised: no two are equal
     return sum(len(values) - len(np.unique(values)) for values in runs)
 
 

@@ -76,15 +76,13 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
     free = dict(units)
     left = data.with_role(STATE)
     for agrees in (is_same_unit, _is_open):
-        columns = left
-        left = []
-        for column in columns:
-            fitting = [name for name, unit in free.items() if agrees(column.unit, unit)]
-            if fitting:
-                column.table["name"] = fitting[0]
-                del free[fitting[0]]
-            else:
-                left.append(column)
+        for column in list(left):
+            names = (name for name in free if agrees(column.unit, free[name]))
+            name = next(names, None)
+            if name is not None:
+                column.table["name"] = name
+                del free[name]
+                left.remove(column)
     for column in left:
         column.role = NOT_USED
         column.fits_no_state = True

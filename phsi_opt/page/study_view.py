@@ -14,7 +14,6 @@ from nicegui import events, ui
 
 from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.page.parts import alert, button, card, choice, heading
 from phsi_opt.page.session import Look, Session
 from phsi_opt.presentation.charts import (
@@ -232,16 +231,8 @@ class StudyView:
         if t is None:
             return
         with ui.element("div").props('role="status"'):
-            if run.holds(t):
-                forces = content.forces_along(run)
-                said_by("at_time", forces, t, content.time, SURE_DEVIATIONS)
-                return
-            begin, end = run.channels[0].t[[0, -1]]
-            unit = spaced(content.time.unit)
-            ui.label(
-                f"{run.name} was measured from t = {number(begin)} to "
-                f"{number(end)}{unit}; there is nothing at {number(t)}{unit}."
-            ).classes("bad")
+            forces = content.forces_along(run)
+            said_by("at_time", forces, run, t, content.time, SURE_DEVIATIONS)
 
     @ui.refreshable_method
     def force(self) -> None:

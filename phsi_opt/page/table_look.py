@@ -10,12 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from phsi_opt.data.file_opening import NamedFile
-from phsi_opt.data.tables import Table, numbers_in
-from phsi_opt.errors import DataError
-from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
+from phsi_opt.data.tables import numbers_in
+from phsi_opt.page.drafts import NOT_USED, ColumnDraft, DataDraft
 from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.study_file.columns import UNUSED, Column
-from phsi_opt.study_file.survey import survey
+from phsi_opt.study_file.survey import check_alike, survey
 
 
 def look_at(places: Mapping[str, Path]) -> DataDraft:
@@ -28,26 +27,19 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
         DataError: a file cannot be read, or has other columns than the first.
     """
     draft = DataDraft(dict(places))
-    for name, place in places.items():
-        _take_file(draft, NamedFile(place, name))
+    seen = [survey(NamedFile(place, name)) for name, place in places.items()]
+    for one in seen:
+        for column in one.columns:
+            if column.is_numeric:
+                numbers_in(one.table, column.column, may_be_missing=True)
+        check_alike(seen[0].columns, one.columns, one.table.title)
+        draft.n_samples += one.n_lines
+        draft.runs += one.run.cells.tolist() if one.run else [one.table.run]
+        if one.step is not None:
+            draft.time = {"step": one.step}
     draft.runs = list(dict.fromkeys(draft.runs))
+    draft.columns = list(map(_draft_of, seen[0].columns))
     return draft
-
-
-def _take_file(draft: DataDraft, file: NamedFile) -> None:
-    surveyed = survey(file)
-    table = surveyed.table
-    for column in surveyed.columns:
-        if column.is_numeric:
-            numbers_in(table, column.column, may_be_missing=True)
-    columns = list(map(_draft_of, surveyed.columns))
-    if surveyed.step is not None:
-        draft.time = {"step": surveyed.step}
-    if not draft.columns:
-        draft.columns = columns
-    _check_same_columns(draft.columns, columns, table.title)
-    draft.n_samples += len(table.frame)
-    draft.runs += _runs(table, columns)
 
 
 def _draft_of(seen: Column) -> ColumnDraft:
@@ -56,26 +48,6 @@ def _draft_of(seen: Column) -> ColumnDraft:
     examples = tuple(seen.cells[:3])
     told = {"name": seen.name, "unit": seen.unit}
     return ColumnDraft(seen.column, role, told, examples, seen.is_numeric)
-
-
-def _check_same_columns(
-    first: list[ColumnDraft], columns: list[ColumnDraft], title: str
-) -> None:
-    expected = [str(column.column) for column in first]
-    found = [str(column.column) for column in columns]
-    if expected != found:
-        raise DataError(
-            f"{title} has the columns {', '.join(found)}; expected "
-            f"{', '.join(expected)}, as in the first file."
-        )
-
-
-def _runs(table: Table, columns: list[ColumnDraft]) -> list[str]:
-    """Names of the runs: of a column, else that of the file."""
-    for column in columns:
-        if column.role == RUN:
-            return [str(cell) for cell in table.frame[column.column].unique()]
-    return [table.run]
 
 
 # ---- which tables are taken ----------------------------------------------------------

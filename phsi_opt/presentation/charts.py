@@ -43,6 +43,7 @@ from phsi_opt.presentation.content import (
 )
 from phsi_opt.presentation.durations import date_words
 from phsi_opt.presentation.numbers import number, proper_names
+from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.presentation.thinning import rounded
 
 FORCE_COLORS = (FORCE, ATTENTION, FLOOR, MODEL)
@@ -267,8 +268,8 @@ def time_label(unit: str, origin: dt.datetime | None = None) -> str:
 
 
 def _short(name: str) -> str:
-    """A name that leaves room for the curves."""
-    return name if len(name) <= 44 else f"{name[:43]}\N{HORIZONTAL ELLIPSIS}"
+    """A name that leaves room for the curves; the text has it whole."""
+    return shortened(name, 44)
 
 
 # ---- by plotly -----------------------------------------------------------------------

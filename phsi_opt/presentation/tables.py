@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from phsi_opt.presentation.sentences import environment
+
 if TYPE_CHECKING:
     import pandas as pd
     from markupsafe import Markup
@@ -185,8 +187,7 @@ def html_shown(name: str, *facts: Any) -> "Markup":
 
 @cache
 def _shown() -> Any:
-    from jinja2 import Environment, PackageLoader  # slow to load
-
-    loader = PackageLoader("phsi_opt.presentation")
-    environment = Environment(loader=loader, autoescape=True, trim_blocks=True)
-    return environment.get_template("shown.html.jinja").module
+    found = environment(
+        "phsi_opt.presentation", "templates", autoescape=True, trim_blocks=True
+    )
+    return found.get_template("shown.html.jinja").module

@@ -5,6 +5,7 @@ is decided by them. The reader of ``phsi_opt.data`` reads the table, so that wha
 seen here can be read later.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, count
@@ -168,6 +169,23 @@ def survey(path: DataFile) -> TableSurvey:
             f"{path} has no column of numbers that a state could be: {listed}."
         )
     return seen
+
+
+def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> None:
+    """Refuse a further file that is no further run of the same measurement.
+
+    Raises:
+        DataError: it has other columns than the first.
+    """
+    known = [column.column for column in first]
+    found = [column.column for column in other]
+    if sorted(known) != sorted(found):
+        differ = sorted(set(known) ^ set(found))
+        raise DataError(
+            f"{file} has other columns than the first file: {', '.join(differ)} "
+            "stand in one of them alone. Files of one study are runs of the same "
+            "machine with the same columns; give one kind of file, or rename them."
+        )
 
 
 def _is_run(one: Column) -> bool:
