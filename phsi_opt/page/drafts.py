@@ -26,7 +26,7 @@ INPUT = "input"
 NOT_USED = "not used"
 ROLES = (TIME, RUN, STATE, INPUT, NOT_USED)
 CHANNELS = {STATE: "states", INPUT: "inputs"}  # sections of [data]
-COLUMNS = ("files", "trajectory", "time", *CHANNELS.values())  # other keys are settings
+KEYS_OF_COLUMNS = ("files", "trajectory", "time", *CHANNELS.values())
 
 NOTHING = "nothing"
 SHARE = "the last share"
@@ -217,7 +217,7 @@ class DataDraft:
         by_column = {column.column: column for column in self.columns}
         for column in self.columns:
             column.role = NOT_USED
-        self.settings = _without(content, *COLUMNS)
+        self.settings = _without(content, *KEYS_OF_COLUMNS)
         self.way = NOTHING
         for way, key in HELD_OUT_KEYS.items():
             if key in held_out:
