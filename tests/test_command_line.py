@@ -43,9 +43,9 @@ from phsi_opt.presentation.forecast import (
     Forecast,
     duration,
 )
+from phsi_opt.study_file.filling_in import unfilled
 from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.survey import survey
-from phsi_opt.study_file.unfilled import unfilled
 from problems.examples.friction_spring import CSV
 from problems.tools.data_paths import folder
 
@@ -446,7 +446,10 @@ def test_a_matlab_file_without_columns_is_refused_with_what_it_holds(
     savemat(tmp_path / "log.mat", {"k": 2.0, "A": np.ones((30, 30)), "name": "x"})
     result = said("init", tmp_path / "log.mat", "-o", tmp_path / "s.toml")
     assert result.code == ExitCode.BAD_INPUT
-    assert "'k' (the number 2), 'A' (30 x 30 numbers), 'name' (text)" in result.err
+    assert (
+        "'k' (the number 2), 'A' (30 x 30 numbers: A(:,1), ...), 'name' (text)"
+        in result.err
+    )
 
 
 def complained(study: Path) -> list[str]:
@@ -904,13 +907,10 @@ def test_the_demonstration_ships_and_overwrites_nothing(
 def test_the_page_says_how_to_install_what_it_needs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def missing(name: str) -> None:
-        raise ImportError("No module named 'nicegui'")
-
-    monkeypatch.setattr(commands, "import_module", missing)
+    monkeypatch.setitem(sys.modules, "nicegui", None)  # as where it is not installed
     result = said("page")
     assert result.code == ExitCode.BAD_INPUT
-    assert 'pip install "phsi_opt[app]"' in result.err
+    assert "pip install 'phsi_opt[app]'" in result.err
 
 
 def test_the_reach_of_the_command_is_that_of_the_study(

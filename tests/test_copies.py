@@ -81,7 +81,7 @@ def test_a_copy_is_told_by_what_was_measured_whatever_its_name_and_clock() -> No
     )
     assert copies_in(data) == {"later": "a", "again": "a"}
     assert sentence_about(copies_in(data)).startswith(
-        "'later' and 'again' are exact copies of 'a': counted once"
+        "'later', 'again' are exact copies of 'a': counted once"
     )
 
 

@@ -261,7 +261,7 @@ def test_tables_of_matlab_are_no_hindrance_and_are_named() -> None:
             (14, matrix),
         )
         content += elements("<", (14, table))
-    with pytest.raises(DataError, match=r"'second' is .* a table or an object"):
+    with pytest.raises(DataError, match=r"'second' \(.* a table or an object"):
         from_mat(io.BytesIO(content), time="t", states=["second"])
 
 

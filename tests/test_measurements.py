@@ -554,12 +554,14 @@ def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
         units={"q": "m", "t": "s"},
         noise={"q": 0.1},
     )
-    assert repr(data).splitlines() == [
-        "Measurements: 1 trajectory, 2 samples, t = 0 to 2.5 [s]",
-        "  state q [m]: 2 of 2 samples measured, -2.5 to 1, noise 0.1",
-        "  state p: 1 of 2 samples measured, 3 to 3",
-        "  state r: not measured",
-        "  input u: 2 of 2 samples measured, 0 to 1",
+    lines = repr(data).splitlines()
+    assert lines[0] == "Measurements: 1 trajectory, 2 samples, t = 0 to 2.5 [s]"
+    assert [line.split() for line in lines[1:]] == [
+        ["channel", "part", "unit", "measured", "lowest", "highest", "noise"],
+        ["q", "state", "m", "2", "of", "2", "-2.5", "1", "0.1"],
+        ["p", "state", "1", "of", "2", "3", "3", "-"],
+        ["r", "state", "0", "of", "2", "-", "-", "-"],
+        ["u", "input", "2", "of", "2", "0", "1", "-"],
     ]
     assert str(data) == repr(data)
     assert repr(data.trajectories[0]) == "Trajectory('run 1', 2 samples, t = 0 to 2.5)"

@@ -31,8 +31,6 @@ SWITCHED = 101  # to a websocket
 TABLE = b"t,q\n0,1\n1,3\n2,2\n"
 STRANGE_NAMES = [
     *("", ".", "..", "\0.csv", "a\nb.csv", "\udcff.csv"),
-    *("con.csv", "NUL.txt", "com1 .csv", "lpt9.data.csv", "CONOUT$.csv"),
-    *("x" * 300 + ".csv", "\u00fc" * 150 + ".csv"),
     *("study.checkpoint", "study.toml", "table", ".csv.exe"),
 ]
 
@@ -380,7 +378,7 @@ def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence() -> 
     for number in range(MOST_SESSIONS):
         made = sessions.of(str(number))
         if number == 0:
-            made.draft.model.states = "q, p"  # typed, no table yet
+            made.draft.model.table["states"] = ["q", "p"]  # typed, no table yet
         else:
             assert made.upload("a.csv", TABLE)
             made.rest()
@@ -415,7 +413,7 @@ def test_a_study_file_that_was_given_is_no_work_of_a_user(tmp_path: Path) -> Non
     sessions = Sessions(path)
     session = sessions.of("a")
     assert session.is_empty
-    session.draft.model.parameters[0].value = "3"
+    session.draft.model.parameters[0].table["value"] = 3
     assert not session.is_empty
     sessions.close()
 

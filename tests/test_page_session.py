@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.errors import Complaint
 from phsi_opt.force_analysis.localization import THROUGHOUT, window_of
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
@@ -27,7 +28,7 @@ from phsi_opt.page.parts import complaint_words
 from phsi_opt.page.serve import MOST_SESSIONS, Sessions, is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
-from phsi_opt.page.study_view import force_near, preview_words
+from phsi_opt.page.study_view import words
 from phsi_opt.page.table_look import MOST_UPLOADED
 from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
 from phsi_opt.presentation.charts import force_chart, plotly, run_chart
@@ -62,7 +63,7 @@ def filled(folder: Path) -> Session:
     assert session.upload("spring.csv", spring_table()), session.upload_error
     session.choose(GALLERY["Spring"])
     mass = next(one for one in session.draft.model.parameters if one.name == "m")
-    mass.value = "2.5"
+    mass.table["value"] = 2.5
     assert session.check() == ()
     return session
 
@@ -116,7 +117,7 @@ def test_a_bad_table_is_refused_with_its_line_and_column(session: Session) -> No
     [
         ("", "is empty"),
         ("t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
-        ("t,q,q\n0,1,1\n1,2,2\n", "the header has 'q' twice"),
+        ("t,q,q\n0,1,1\n1,2,2\n", "q: 2 columns are called so"),
     ],
 )
 def test_what_is_no_table_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -150,7 +151,7 @@ def test_a_second_table_with_the_same_columns_is_a_second_run(tmp_path: Path) ->
     session = Session(tmp_path)
     session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
     assert session.draft.data is not None
-    session.draft.data.columns[1].unit = "mm"
+    session.draft.data.columns[1].table["unit"] = "mm"
     session.upload("b.csv", b"t,q\n0,2\n1,1\n2,4\n")
     session.close()
     assert session.draft.data.files == ["a.csv", "b.csv"]
@@ -204,9 +205,9 @@ def test_every_base_model_of_the_gallery_is_a_model(
 
 def test_columns_become_the_states_of_the_same_unit() -> None:
     columns = [
-        ColumnDraft("v", STATE, "v", "m/s"),
-        ColumnDraft("x", STATE, "x", "mm"),
-        ColumnDraft("u", INPUT, "u", "N"),
+        ColumnDraft("v", STATE, {"name": "v", "unit": "m/s"}),
+        ColumnDraft("x", STATE, {"name": "x", "unit": "mm"}),
+        ColumnDraft("u", INPUT, {"name": "u", "unit": "N"}),
     ]
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
     match_states(data, {"q": "m", "p": "kg m/s"})
@@ -218,7 +219,7 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
 def test_a_column_that_one_base_model_has_no_state_for_comes_back_with_another() -> (
     None
 ):
-    column = ColumnDraft("x", STATE, "x", "m")
+    column = ColumnDraft("x", STATE, {"name": "x", "unit": "m"})
     data = DataDraft({"a.csv": Path("a.csv")}, [column])
     match_states(data, {"q": "rad", "p": "kg m^2 rad/s"})
     assert column.role == "not used"
@@ -250,7 +251,7 @@ def test_a_mass_of_the_gallery_is_an_assumption_until_it_is_given(
 def test_the_live_check_evaluates_the_formulas_at_the_data(session: Session) -> None:
     assert session.check() == ()
     (mass,) = [one for one in session.draft.model.parameters if one.name == "m"]
-    mass.value = "0"
+    mass.table["value"] = 0
     (found,) = session.check()
     assert "has no finite value at" in found.said
     assert "m = 0" in found.said
@@ -261,7 +262,7 @@ def test_tables_are_taken_away_one_by_one(tmp_path: Path) -> None:
     session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
     session.upload("b.csv", b"t,q\n0,2\n1,1\n2,4\n")
     assert session.draft.data is not None
-    session.draft.data.columns[1].unit = "mm"
+    session.draft.data.columns[1].table["unit"] = "mm"
     session.remove_file("a.csv")
     assert session.draft.data.files == ["b.csv"]
     assert session.draft.data.columns[1].unit == "mm", "what was said of it stays"
@@ -272,9 +273,9 @@ def test_tables_are_taken_away_one_by_one(tmp_path: Path) -> None:
 
 
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
-    session.draft.model.H = "kk*q**2/2 + p**2/(2*m)"
-    session.draft.model.R["p"] = "c*("
-    session.draft.model.parameters[0].lower = "twenty"
+    session.draft.model.table["H"] = "kk*q**2/2 + p**2/(2*m)"
+    session.draft.model.table["R"]["p"] = "c*("
+    session.draft.model.parameters[0].table["lower"] = "twenty"
     words = {one.key: complaint_words(one) for one in session.check()}
     assert "Energy H" in words["model.H"]
     assert "'kk' is not known here" in words["model.H"]
@@ -361,7 +362,7 @@ a = { start = 1.0 }
     session = Session(tmp_path / "session", path)
     assert session.complaints == ()
     assert session.draft.data is not None
-    assert session.draft.data.step == "0.5"
+    assert session.draft.data.time["step"] == 0.5
     assert [one.column for one in session.draft.data.with_role(STATE)] == [1]
     (tmp_path / "again.toml").write_text(session.draft.text())
     again = ph.StudyFile.read(tmp_path / "again.toml")
@@ -393,7 +394,7 @@ added = "constant force on level"
     )
     session = Session(tmp_path / "session", path)
     assert session.complaints == ()
-    assert session.draft.model.state_names == ["level"]
+    assert session.draft.model.names("states") == ["level"]
     (tmp_path / "again.toml").write_text(session.draft.text())
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.text() == ph.StudyFile.read(path).text()
@@ -437,9 +438,9 @@ def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all
     held_out: float | None, after: float | None, expected: str
 ) -> None:
     step = ErrorStep("base model", 0.05, held_out, 0.042)
-    content = SimpleNamespace(steps=(step,), unit="m")
     row = SimpleNamespace(held_out=after, train=0.0501)
-    assert preview_words(content, row) == expected  # type: ignore[arg-type]
+    said = words("preview", row, step, "m", FAILING_ERROR)
+    assert " ".join(said.replace("&nbsp;", " ").split()) == expected
 
 
 def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None:
@@ -455,7 +456,7 @@ def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None
         assert force.equation == "p"
         assert force.unit == "N"
         assert run.holds(force.t[0]) and run.holds(force.t[-1])
-        assert "dp/dt lacks" in force_near(content, force, 1.0)
+        assert "dp/dt lacks" in words("at_time", [force], run, 1.0, content.time, 2.0)
 
 
 def test_the_charts_open_where_the_verdict_says(studied: Session) -> None:
@@ -510,7 +511,9 @@ def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
     assert figure["data"][0]["x"][-1] == 20.0
     assert figure["layout"]["xaxis"]["title"]["text"] == "t (days)"
     force = ForceRun("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
-    assert "At t = 0.25 days of house" in force_near(house, force, 0.25)
+    assert "At t = 0.25 days of house" in words(
+        "at_time", [force], run, 0.25, house.time, 2.0
+    )
     *_, line = plotly(force_chart([force], "days"))["data"]
     assert line["name"] == "missing in dTi/dt"
     assert line["y"][0] == 1.0
@@ -634,11 +637,11 @@ def test_samples_are_averaged_and_fitted_again(session: Session) -> None:
     n_whole = session.draft.data.n_samples if session.draft.data is not None else 0
     n_left = sum(len(run.channels[0].t) for run in session.content.runs)
     assert abs(n_left - n_whole / 2) <= len(session.content.runs)
-    session.draft.model.H = "broken +"
+    session.draft.model.table["H"] = "broken +"
     session.average(3)
     assert session.job is None, "what cannot be fitted is told, not begun"
     assert session.draft.content()["data"]["thinned"] == 6
-    session.draft.data.averaged = "two"
+    session.draft.data.settings["thinned"] = "two"
     assert any("thinned" in one.key for one in session.check())
 
 
@@ -656,10 +659,10 @@ def test_undo_takes_back_the_step(studied: Session) -> None:
 
 def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     mass = next(one for one in session.draft.model.parameters if one.name == "m")
-    mass.value = ""
+    del mass.table["value"]
     said = [complaint_words(one) for one in session.check()]
     assert "Parameter m: a value that is known needs its number, such as 2.5." in said
-    session.draft.model.states = ""
+    del session.draft.model.table["states"]
     said = [complaint_words(one) for one in session.check()]
     assert "Field states: expected the names of the states, such as q, p." in said
 
@@ -724,7 +727,7 @@ def test_a_model_counts_as_made_before_it_is_seen(
 
 def test_a_worker_that_is_lost_is_told(session: Session) -> None:
     session.fit()
-    wait_for(lambda: bool(session.job and session.job.lines))
+    wait_for(lambda: bool(session.job and session.job.line))
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None, ENDS_WITHIN)
@@ -747,7 +750,7 @@ from tests.test_page_session import filled
 def main():
     session = filled(Path(tempfile.mkdtemp()))
     session.fit()
-    while not (session.job and session.job.lines):
+    while not (session.job and session.job.line):
         time.sleep(0.02)
     print(session._worker.pid, flush=True)
     time.sleep(60)

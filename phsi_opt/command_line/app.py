@@ -7,23 +7,20 @@ and completion come at once.
 import signal
 import sys
 from dataclasses import replace
-from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from phsi_opt.command_line import job as kinds
 from phsi_opt.command_line.job import MEANINGS, ExitCode, Job, Reach
 from phsi_opt.command_line.output import do, finish, told_errors
-from phsi_opt.errors import DataError
 
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
 REPORT_NAME = "report.html"  # written by --report without a name
 LOOPBACK = "127.0.0.1"  # the page is for this machine alone, unless told otherwise
-PORT = 8080
 
 CODES = "\n\n".join(f"{code.value}: {said}" for code, said in MEANINGS.items())
 app = typer.Typer(
@@ -187,27 +184,14 @@ def page(
         Path | None, typer.Argument(help="The study file to open.", metavar="STUDY")
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen at.")] = LOOPBACK,
-    port: Annotated[int, typer.Option(help="Port to listen at.")] = PORT,
+    port: Annotated[int, typer.Option(help="Port to listen at.")] = 8080,
     show: Annotated[bool, typer.Option(help="Open a browser.")] = True,
 ) -> None:
     """The same in a browser."""
     with told_errors():
-        page_server()(study, host=host, port=port, show=show)
+        from phsi_opt.page.serve import serve
 
-
-def page_server() -> Any:
-    """The function that serves the page.
-
-    Raises:
-        DataError: the extra with the libraries of the page is not installed.
-    """
-    try:
-        return import_module("phsi_opt.page.serve").serve
-    except ImportError as error:
-        raise DataError(
-            f"the page needs the extra app ({error}); "
-            'install it: pip install "phsi_opt[app]"'
-        ) from None
+        serve(study, host=host, port=port, show=show)
 
 
 @app.command()

@@ -6,17 +6,16 @@ from pathlib import Path
 from phsi_opt.command_line.job import Answer
 from phsi_opt.command_line.supervision import answer_to
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.wording import number_of
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
 from phsi_opt.model.catalogue import catalogue
+from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.reading import file_bytes
 from phsi_opt.study_file.adding import add_effects
 from phsi_opt.study_file.effects import ON
-from phsi_opt.study_file.first_text import first_text
+from phsi_opt.study_file.filling_in import first_text, unfilled
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.study_file.survey import TableSurvey, survey
-from phsi_opt.study_file.unfilled import unfilled
+from phsi_opt.study_file.survey import check_alike, survey
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.writing import write_whole
 
@@ -36,7 +35,8 @@ def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
         )
     table = survey(tables[0])
     for further in tables[1:]:
-        _check_alike(table, survey(further))
+        other = survey(further)
+        check_alike(table.columns, other.columns, str(other.path))
     write_whole(study, first_text(table, tables, study.parent))
     needs: tuple[Complaint, ...] = ()
     try:
@@ -51,19 +51,6 @@ def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
         "needs": [vars(need) for need in needs],
     }
     return Answer(lines(__package__, "first_study", **facts), content)
-
-
-def _check_alike(first: TableSurvey, other: TableSurvey) -> None:
-    """Refuse a further file that is no further run of the same measurement."""
-    known = [column.column for column in first.columns]
-    found = [column.column for column in other.columns]
-    if sorted(known) != sorted(found):
-        differ = sorted(set(known) ^ set(found))
-        raise DataError(
-            f"{other.path} has other columns than {first.path}: {', '.join(differ)} "
-            "stand in one of them alone. Files of one study are runs of the same "
-            "machine with the same columns; give one kind of file, or rename them."
-        )
 
 
 def checked(path: Path) -> Answer:

@@ -1,7 +1,7 @@
 """The work itself: fit, compare, diagnose, study; in the working process alone."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -195,16 +195,11 @@ def table_content(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 def plain(value: Any) -> Any:
     """A value for JSON: what is not finite becomes null, what is unknown its text."""
-    if isinstance(value, Mapping):
-        return {str(name): plain(one) for name, one in value.items()}
-    if isinstance(value, str):
-        return str(value)
+    text = json.dumps(value, default=_simpler)
+    return json.loads(text, parse_constant=lambda _: None)
+
+
+def _simpler(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, Sequence):
-        return [plain(one) for one in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int):
-        return value
-    return str(value)
+        return value.tolist()
+    return dict(value) if isinstance(value, Mapping) else str(value)

@@ -22,8 +22,6 @@ from phsi_opt.errors import PhsiOptError, SolveError, StudyFileError
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.sweeps.local_workers import begin_worker
 
-REFRESH = 0.2  # s between looks at the pipe; the clock on the screen goes by it
-END_WAIT = 0.5  # s for the system to take a process away that was killed
 Show = Callable[[str | None], None]
 
 
@@ -57,7 +55,7 @@ def supervise(job: Job) -> Supervised:
         ended.answer = _listen(here, process, show, ended)
     with _ignored_interrupts():
         process.kill()
-        process.join(END_WAIT)
+        process.join(timeout=0.5)
         here.close()
         _remove_parts(job)
     ended.seconds = forecast.elapsed
@@ -103,7 +101,8 @@ def _listen(
     """The answer; progress is shown, and finished steps are remembered."""
     while True:
         try:
-            message = pipe.recv() if pipe.poll(REFRESH) else None
+            # The clock on the screen goes by the wait.
+            message = pipe.recv() if pipe.poll(0.2) else None
         except EOFError:
             return _died(process)
         if isinstance(message, Answer):
@@ -115,7 +114,7 @@ def _listen(
 
 
 def _died(process: BaseProcess) -> Answer:
-    process.join(END_WAIT)
+    process.join(timeout=0.5)
     text = (
         f"The working process ended without an answer (exit code {process.exitcode}); "
         "the memory may have been too small. What was finished before is kept."

@@ -15,10 +15,10 @@ from phsi_opt.data.checks import (
     check_values,
     from_first,
     hold_of_each,
+    numbered_names,
     read_only_floats,
 )
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.data.wording import numbered_names
 from phsi_opt.errors import DataError
 
 
@@ -93,24 +93,22 @@ def joined_pairs(
         )
     first = np.asarray(t[0]).flat[0] if np.size(t[0]) else None
     t = (from_first(t[0], first), from_first(t[1], first))
-    starts: dict[str, np.ndarray] = {}
-    ends: dict[str, np.ndarray] = {}
-    for label, both in {"x": x, "t": t, "u": u}.items():
-        for arrays, place, values in (
-            (starts, "start", both[0]),
-            (ends, "end", both[1]),
-        ):
-            n_axes = 1 if label == "t" else 2
-            arrays[label] = read_only_floats(values, n_axes, f"{label}_{place}")
-    _check_pairs(starts, ends)
-    start = np.column_stack(list(starts.values()))
-    end = np.column_stack(list(ends.values()))
+    sides = []
+    for k, side in enumerate(("start", "end")):
+        told = {"x": x[k], "t": from_first(t[k], first), "u": u[k]}
+        arrays = {}
+        for label, values in told.items():
+            title = f"{label}_{side}"
+            arrays[title] = read_only_floats(values, 1 if label == "t" else 2, title)
+        sides.append(arrays)
+    _check_pairs(*sides)
+    start, end = (np.column_stack(list(one.values())) for one in sides)
     same = (start[1:] == end[:-1]) | (np.isnan(start[1:]) & np.isnan(end[:-1]))
     if n_inputs == len(names):  # else refused with the names
         same[:, same.shape[1] - n_inputs :] |= is_held
     runs = np.split(np.arange(len(start)), np.flatnonzero(~same.all(axis=1)) + 1)
     samples = [np.vstack([start[rows], end[rows[-1:]]]) for rows in runs]
-    k = starts["x"].shape[1]
+    k = sides[0]["x_start"].shape[1]
     return (
         [one[:, k] for one in samples],
         [one[:, :k] for one in samples],
@@ -121,25 +119,23 @@ def joined_pairs(
 def _check_pairs(
     starts: Mapping[str, np.ndarray], ends: Mapping[str, np.ndarray]
 ) -> None:
-    for label, start in starts.items():
-        if start.shape != ends[label].shape:
+    for (name, start), (other, end) in zip(starts.items(), ends.items(), strict=True):
+        if start.shape != end.shape:
             raise DataError(
-                f"{label}_start has the shape {start.shape} and {label}_end "
-                f"{ends[label].shape}; expected the same shape."
+                f"{name} has the shape {start.shape} and {other} {end.shape}; "
+                "expected the same shape."
             )
-    lengths = {f"{label}_start": start for label, start in starts.items()}
-    check_same_length(lengths, "one row per pair")
-    if not len(starts["t"]):
+    check_same_length(starts, "one row per pair")
+    t, t_end = starts["t_start"], ends["t_end"]
+    if not len(t):
         raise DataError(
             "there are no pairs; expected at least one row in x_start and t_start."
         )
-    check_values(starts["t"], "t_start[{}]".format, may_be_missing=False)
-    check_values(ends["t"], "t_end[{}]".format, may_be_missing=False)
-    is_late = ends["t"] <= starts["t"]
-    if is_late.any():
-        k = int(np.argmax(is_late))
+    check_values(t, "t_start[{}]".format, may_be_missing=False)
+    check_values(t_end, "t_end[{}]".format, may_be_missing=False)
+    for k in np.flatnonzero(t_end <= t)[:1]:
         raise DataError(
-            f"pair {k}: t_end[{k}]={float(ends['t'][k])} is not after "
-            f"t_start[{k}]={float(starts['t'][k])}; each pair must go forward in time. "
+            f"pair {k}: t_end[{k}]={float(t_end[k])} is not after "
+            f"t_start[{k}]={float(t[k])}; each pair must go forward in time. "
             "Exchange the two ends or drop the pair."
         )

@@ -291,3 +291,8 @@ def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
         return hold
     words = list(dict.fromkeys(by_input.values())) or ["linear"]
     return by_input if len(words) > 1 else words[0]
+
+
+def numbered_names(prefix: str, n: int) -> list[str]:
+    """The names of n things that nobody named: "u1", "u2", ..."""
+    return [f"{prefix}{i}" for i in range(1, n + 1)]

@@ -14,14 +14,7 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
-
-# Different measured values that a run must have: at rest, or in two or three samples of
-# a coarse sensor, independent runs are equal by chance.
-TELLING_VALUES = 5
-SAME_TIME = 1e-9  # share of a run's length
-# share of the times, which lose it when shifted
-CLOCK_ROUNDING = 4 * np.finfo(float).eps
-NAMED_COPIES = 3
+from phsi_opt.presentation.numbers import listed
 
 AnyMeasurements = TypeVar("AnyMeasurements", bound=Measurements)
 
@@ -76,7 +69,8 @@ def _copies(
         alike = seen.setdefault(_key(run), [])
         found = [other for other in alike if _is_equal(run, other)]
         measured = run.x[np.isfinite(run.x)]
-        if found and len(np.unique(measured)) >= TELLING_VALUES:
+        # At rest, or in a few samples of a coarse sensor, runs are equal by chance.
+        if found and len(np.unique(measured)) >= 5:
             copies[run.name] = found[0].name
         elif not originals:
             alike.append(run)
@@ -91,13 +85,14 @@ def _key(run: Trajectory) -> tuple[object, ...]:
 
 def _is_equal(run: Trajectory, other: Trajectory) -> bool:
     """Whether states and inputs are the same, and the times since both began."""
-    since_begin = run.t - run.t[0]
-    apart = np.abs(since_begin - (other.t - other.t[0]))
-    largest = max(np.abs(run.t).max(), np.abs(other.t).max())
-    allowed = SAME_TIME * since_begin[-1] + CLOCK_ROUNDING * largest
-    has_same_states = np.array_equal(run.x, other.x, equal_nan=True)
-    has_same_inputs = np.array_equal(run.u, other.u)
-    return has_same_states and has_same_inputs and bool(np.all(apart <= allowed))
+    apart = np.abs((run.t - run.t[0]) - (other.t - other.t[0]))
+    # Times lose some 1e-15 of themselves where a clock is set.
+    allowed = 1e-9 * np.ptp(run.t) + 1e-15 * np.abs([run.t, other.t]).max()
+    return (
+        np.array_equal(run.x, other.x, equal_nan=True)
+        and np.array_equal(run.u, other.u)
+        and bool(np.all(apart <= allowed))
+    )
 
 
 def _told(copies: Mapping[str, str]) -> str:
@@ -108,11 +103,5 @@ def _told(copies: Mapping[str, str]) -> str:
     told = []
     for original, group in names.items():
         verb = "is an exact copy" if len(group) == 1 else "are exact copies"
-        shown = group[:NAMED_COPIES]
-        if len(group) > NAMED_COPIES:
-            shown.append(f"{len(group) - NAMED_COPIES} more")
-        listed = " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
-        told.append(f"{listed} {verb} of {original!r}")
-    if len(told) > NAMED_COPIES:
-        told[NAMED_COPIES:] = [f"{len(told) - NAMED_COPIES} more runs have copies too"]
-    return ", ".join(told)
+        told.append(f"{listed(group)} {verb} of {original!r}")
+    return listed(told)

@@ -27,10 +27,6 @@ NO_TEXT_TABLES = {  # what to do with files that are no text, by their suffix
 }
 KINDS_READ = "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat)"
 GUESSED = "its text is not UTF-8 and was read as Windows-1252"
-EXPECTED: dict[type, str] = {
-    str: "text. Open it in text mode: open(path)",
-    bytes: "bytes. Open it in binary mode: open(path, 'rb')",
-}
 PATHS = (str, os.PathLike)
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # signs that no text table has
 
@@ -88,21 +84,19 @@ def text_files(source: Source | Iterable[Source]) -> Iterator[OpenedFile]:
     """The files one after the other; each is read when its turn comes.
 
     Args:
-        source: A path, an open text file, or several of them.
+        source: A path, an open file, or several of them.
 
     Raises:
         DataError: This is no source, or a file cannot be read as text.
     """
-    for one, path, file in _named(source, "an open text file"):
+    for one, path, file in _named(source, "an open file"):
         instead = NO_TEXT_TABLES.get(Path(path or "").suffix.lower())
         if instead:
             raise DataError(f"{file.title} is no text table; {instead}.")
-        remark = ""
-        if hasattr(one, "read"):
-            text = _content(one, file.title, str)
-            text = text.removeprefix("\ufeff")  # spreadsheets write a byte order mark
-        else:
-            text, remark = _decoded(_content(one, file.title, bytes), file.title)
+        content = _content(one, file.title, str, bytes)
+        is_text = isinstance(content, str)
+        text, remark = (content, "") if is_text else _decoded(content, file.title)
+        text = text.removeprefix("\ufeff")  # spreadsheets write a byte order mark
         text = text.replace("\r\n", "\n").replace("\r", "\n")
         yield replace(file, content=text, remark=remark)
 
@@ -184,7 +178,7 @@ def _decoded(content: bytes, title: str) -> tuple[str, str]:
     columns alone look strange.
     """
     is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    encodings = {"utf-16": ""} if is_utf_16 else {"utf-8-sig": "", "cp1252": GUESSED}
+    encodings = {"utf-16": ""} if is_utf_16 else {"utf-8": "", "cp1252": GUESSED}
     for encoding, remark in encodings.items():
         with suppress(UnicodeDecodeError):
             text = content.decode(encoding)
@@ -196,24 +190,21 @@ def _decoded(content: bytes, title: str) -> tuple[str, str]:
     )
 
 
-def _content(source: Any, title: str, kind: type) -> Any:
-    """All of a file: bytes of a path, bytes or text of an open file."""
+def _content(source: Any, title: str, *kinds: type) -> Any:
+    """All of a file: bytes of a path; bytes or text of an open file, as asked for."""
     try:
         if hasattr(source, "read"):
             content = reading.read_at_most(source, reading.LARGEST_FILE)
         else:
             content = reading.file_bytes(source)
-    except UnicodeDecodeError as error:
-        byte = error.object[error.start]
-        raise DataError(
-            f"{title} is not UTF-8 text: it has the byte {byte:#04x}. Give its "
-            "path, or open it with its encoding: open(path, encoding='latin-1')."
-        ) from error
-    except (OSError, ValueError) as error:  # a ValueError: it is closed
-        why = reading.why_not_read(error) if isinstance(error, OSError) else error
+    except (OSError, ValueError) as error:  # a ValueError: it is closed, or not UTF-8
+        why: object = f"{error}. Give its path"
+        if isinstance(error, OSError):
+            why = reading.why_not_read(error)
         raise DataError(f"{title} cannot be read: {why}.") from error
-    if not isinstance(content, kind):
+    if not isinstance(content, kinds):
         raise DataError(
-            f"{title} gives {type(content).__name__}; expected {EXPECTED[kind]}."
+            f"{title} gives {type(content).__name__}; expected "
+            f"{' or '.join(kind.__name__ for kind in kinds)}, as open(path, 'rb') does."
         )
     return content

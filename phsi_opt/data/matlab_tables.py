@@ -105,21 +105,13 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
         found = [one for one in whole if vectors[one].shape[axis] == 1]
     if len(found) == 1:
         return vectors[found[0]].ravel()
-    said = f"{title} has no column {name!r}"
     if found:
-        said = f"{title}: {name!r} is a field of several structs; say which one of "
-        raise DataError(f"{said}{found}.")
-    for variable, of_variable in variables.items():
-        if variable.name == wanted.partition("(")[0]:
-            said = f"{title}: {name!r} is {variable.said}"
-            if of_variable:
-                raise DataError(
-                    f"{title} has no column {name!r}: {variable.name!r} is a matrix of "
-                    f"{variable.said}, counted from 1; choose one of its columns or "
-                    f"rows, such as {next(iter(of_variable))!r}."
-                )
+        raise DataError(
+            f"{title}: {name!r} is a field of several structs; say which one of "
+            f"{found}."
+        )
     hint = did_you_mean(wanted, vectors)
-    raise DataError(f"{said}. {_listing(variables)}{hint}")
+    raise DataError(f"{title} has no column {name!r}. {_listing(variables)}{hint}")
 
 
 def _fitting(wanted: str, vectors: Iterable[str]) -> list[str]:
@@ -143,9 +135,9 @@ def _vectors_of(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     if 1 in values.shape:
         return {name: values}
     is_high = values.shape[0] >= values.shape[1]
-    place = "(:,{})" if is_high else "({},:)"
+    form = f"{name}(:,{{}})" if is_high else f"{name}({{}},:)"
     vectors = values.T if is_high else values
-    return {name + place.format(i): one for i, one in enumerate(vectors, 1)}
+    return {form.format(i): one for i, one in enumerate(vectors, 1)}
 
 
 def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
@@ -160,7 +152,8 @@ def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.nd
     vectors = _vectors_of(name, values)
     if values.size > 1:
         sizes = " x ".join(str(n) for n in values.shape if n > 1)
-        return Variable(name, f"{sizes} numbers"), vectors
+        first = f": {next(iter(vectors))}, ..." if len(vectors) > 1 else ""
+        return Variable(name, f"{sizes} numbers{first}"), vectors
     number = None if np.iscomplexobj(values) else float(values.item())
     return Variable(name, f"the number {values.item():g}", number), vectors
 

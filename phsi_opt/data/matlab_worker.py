@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from scipy.io.matlab import MatlabOpaque, loadmat
 
-MOST_MEMORY = 3_000_000_000  # bytes of addresses; a file of 500 MB takes less than half
 UNREAD = (
     "a sparse matrix, a table or an object, which is not read; see full and writetable"
 )
@@ -26,7 +25,8 @@ def main(most: int) -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+        most_memory = 3_000_000_000  # bytes; a file of 500 MB takes less than half
+        resource.setrlimit(resource.RLIMIT_AS, (most_memory, most_memory))
     # SciPy calls each table "None": several are no duplicates. `_named` names them.
     lost = 'Duplicate variable name "(?!None")|Unreadable variable'
     warnings.filterwarnings("error", lost)

@@ -25,26 +25,28 @@ from phsi_opt.data.checks import (
     checked_hold,
     checked_names,
     hold_of_each,
+    numbered_names,
 )
 from phsi_opt.data.selection import (
     check_fraction,
     check_interval,
     check_slice,
+    checked_group_size,
     number_of_trajectory,
     part_between,
     size_of_first_part,
+    thinned_run,
 )
 from phsi_opt.data.table_readers import TableReaders
-from phsi_opt.data.thinning import checked_group_size, thinned_run
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
     checked_trajectories,
     part_of,
 )
-from phsi_opt.data.wording import number_of, numbered_names
 from phsi_opt.errors import DataError
-from phsi_opt.presentation.summary import Part, Summarised, Summary
+from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.summary import Part, Summarised, Summary, text_of_summary
 from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
@@ -251,9 +253,7 @@ class Measurements(TableReaders, Summarised):
     @property
     def measured(self) -> tuple[str, ...]:
         """The states with at least one finite value."""
-        is_measured = np.zeros(self.n_states, dtype=bool)
-        for run in self.trajectories:
-            is_measured |= np.isfinite(run.x).any(axis=0)
+        is_measured = np.isfinite(self.stacked("x")).any(axis=0)
         return tuple(itertools.compress(self.states, is_measured))
 
     def stacked(self, what: str) -> np.ndarray:
@@ -434,28 +434,17 @@ class Measurements(TableReaders, Summarised):
             yield name, part, self.units[name], measured, lowest, highest, sigma
 
     def _summary(self) -> Summary:
-        table = printed_table(self._channels(), columns=list(COLUMNS_OF_CHANNELS))
-        return Summary(self._title(), (Part(table=table),))
-
-    def _title(self) -> str:
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
-        begin = min(run.t[0] for run in self.trajectories)
-        end = max(run.t[-1] for run in self.trajectories)
+        t = self.stacked("t")
         unit = f" [{self.units['t']}]" if self.units["t"] else ""
-        span = f"t = {begin:g} to {end:g}{unit}"
-        return f"Measurements: {runs}, {self.n_samples} samples, {span}"
+        span = f"t = {t.min():g} to {t.max():g}{unit}"
+        title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
+        table = printed_table(self._channels(), columns=list(COLUMNS_OF_CHANNELS))
+        return Summary(title, (Part(table=table),))
 
     def __repr__(self) -> str:
         """Number of trajectories and samples, span of time, and a line per channel."""
-        lines = [self._title()]
-        for name, part, unit, measured, lowest, highest, sigma in self._channels():
-            channel = f"  {part} {name} [{unit}]" if unit else f"  {part} {name}"
-            said = f"{measured} samples measured, {lowest:g} to {highest:g}"
-            noise = "" if np.isnan(sigma) else f", noise {sigma:g}"
-            lines.append(
-                f"{channel}: {'not measured' if np.isnan(lowest) else said}{noise}"
-            )
-        return "\n".join(lines)
+        return text_of_summary(self._summary(), between="\n")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""

@@ -19,8 +19,6 @@ from phsi_opt.errors import DataError
 from phsi_opt.statistics import chi_square_tail
 
 NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the middle
-N_STENCIL = 5  # samples of a channel and a trajectory below which it tells no noise
-MEDIAN_OF_NORMAL = 0.6745  # median of |z| for a standard normal z
 
 # least noise that is assumed, as a share of the spread of a channel: weights stay
 # within double precision
@@ -28,16 +26,7 @@ LEAST_NOISE_SHARE = 1e-5
 # share of a channel's spread with which the estimation starts where no trajectory has
 # enough samples for `difference_noise`
 UNKNOWN_NOISE_SHARE = 0.1
-# share of a channel's size below which its spread is nothing but rounding
-ROUNDING_SHARE = 1e-12
 LEAST_SIZE = 1e-12  # taken for the size of a channel that is zero throughout, its unit
-UNMEASURED_NOISE = 1.0  # stands for the noise of a state that nobody measured
-# Standard deviation of the logarithm of a scatter, times the root of the number of
-# samples: that of a median of absolute values of normal residuals is 1.17, and these
-# residuals, whose stencils overlap, are worth about a third as many independent ones.
-MEDIAN_SPREAD = 2.0
-# Samples of a trajectory from which its scatter is asked for.
-FEWEST_SAMPLES = 30
 
 
 @worked_out_once
@@ -81,7 +70,7 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
     y = values[is_measured]
     lengths = [run.n_samples for run in data.trajectories]
     run = np.repeat(np.arange(len(lengths)), lengths)[is_measured]
-    reach = N_STENCIL // 2
+    reach = max(NEIGHBOURS)
     middle = np.arange(reach, len(t) - reach)
     middle = middle[run[middle - reach] == run[middle + reach]]
     return np.vstack([run[middle], _cubic_residuals(t, y, middle)])
@@ -90,9 +79,10 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
 def robust_deviation(residuals: np.ndarray) -> float:
     """Standard deviation of normal residuals (n,), through their median.
 
-    The median is not moved by the few samples at a jump of the force.
+    Of a standard normal z, that of |z| is 0.6745. The median is not moved by the few
+    samples at a jump of the force.
     """
-    return float(np.median(np.abs(residuals)) / MEDIAN_OF_NORMAL)
+    return float(np.median(np.abs(residuals)) / 0.6745)
 
 
 def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -147,7 +137,7 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     noise = np.maximum(noise, least_noise(y))
     is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
     noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
-    return np.where(is_measured, noise, UNMEASURED_NOISE)
+    return np.where(is_measured, noise, 1.0)
 
 
 def least_noise(y: np.ndarray) -> np.ndarray:
@@ -162,7 +152,7 @@ def least_noise(y: np.ndarray) -> np.ndarray:
     """
     spread = _spread(y)
     size = _size(y)
-    moves = spread > ROUNDING_SHARE * size
+    moves = spread > 1e-12 * size  # else it is nothing but rounding
     return LEAST_NOISE_SHARE * np.where(moves, spread, size)
 
 
@@ -201,14 +191,18 @@ def scatter_by_run(data: Measurements) -> np.ndarray:
     if data.n_trajectories == 1:
         return scatter
     n_samples = np.array([run.n_samples for run in data.trajectories])
-    if n_samples.min() < FEWEST_SAMPLES:
+    if n_samples.min() < 30:  # few samples tell no scatter
         return scatter
+    # The logarithm of a median of absolute values of normal residuals has a standard
+    # deviation of 1.17 over the root of their number; and these residuals, whose
+    # stencils overlap, are worth about a third as many independent ones.
+    variances = 2.0**2 / n_samples
     quantised = quantisation_noise(data)
     for state in range(data.n_states):
         of_state = _of_runs(data, state)
         of_state = np.maximum(of_state, quantised[state])
         is_known = np.all(np.isfinite(of_state)) and np.all(of_state > 0)
-        if is_known and _differ(np.log(of_state), MEDIAN_SPREAD**2 / n_samples):
+        if is_known and _differ(np.log(of_state), variances):
             scatter[:, state] = np.maximum(of_state, together[state] / 100)
     return scatter
 

@@ -18,9 +18,6 @@ import numpy as np
 from phsi_opt.criteria import RESOLVED_STEPS
 from phsi_opt.data.measurements import Measurements, worked_out_once
 
-# Values of a channel below which its resolution is not asked for: among a few, repeats
-# are chance.
-FEWEST_VALUES = 20
 # Share of the values, at least, that repeat another one of their trajectory: 5 to 75 %
 # of the measured channels that are quantised, none of continuous ones.
 REPEATED_SHARE = 0.03
@@ -31,10 +28,9 @@ STORED_ERRORS = (
     0.6 * float(np.finfo(np.float32).eps),
     8 * float(np.finfo(np.float64).eps),
 )
-# Errors between two values below which they are the same value.
+# Errors between two values below which they are the same value; a finer lattice has a
+# point near every value.
 SAME_VALUE = 4.0
-# Errors that a step is larger than: finer lattices have a point near every value.
-FINEST_STEP = 5.0
 # Probability up to which other values would lie as near to a lattice by chance.
 CHANCE = 1e-4
 # Errors that a value may be away from the lattice that was fitted to all values.
@@ -47,7 +43,6 @@ SPARSE_DIGITS = 2.5
 STRETCHES_PER_VALUE = 2
 EQUAL_NEIGHBOURS = 0.25
 DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one step
-MOST_CANDIDATES = 60  # steps of Euclid's algorithm
 
 
 @worked_out_once
@@ -87,8 +82,9 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
     """
     runs = [values[np.isfinite(values)] for values in runs]
     values = np.concatenate(runs)
-    is_many = len(values) >= FEWEST_VALUES
-    if not is_many or _n_repeated(runs) < REPEATED_SHARE * len(values):
+    if len(values) < 20:  # among a few, repeats are chance
+        return 0.0
+    if _n_repeated(runs) < REPEATED_SHARE * len(values):
         return 0.0
     values = np.unique(values)
     step = _even_step(values) or _step_of_each(runs)
@@ -101,8 +97,6 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
 
 def _n_repeated(runs: Sequence[np.ndarray]) -> int:
     """Number of values that stand in their trajectory before."""
-    if np.all(np.diff(np.sort(np.concatenate(runs)))):
-        return 0  # as measurements are that are not quantised: no two are equal
     return sum(len(values) - len(np.unique(values)) for values in runs)
 
 
@@ -142,9 +136,7 @@ def lattice_step(values: np.ndarray, error: float) -> float:
         return 0.0
     gaps = np.diff(values)
     step = float(gaps.min())
-    for _ in range(MOST_CANDIDATES):
-        if step <= FINEST_STEP * error:
-            break
+    while step > SAME_VALUE * error:  # a remainder is at most half of the step
         fitted, distance = _fitted_lattice(values, step, error)
         if distance <= FARTHEST * error:
             return fitted if _is_no_chance(len(values), error / fitted) else 0.0

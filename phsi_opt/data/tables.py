@@ -26,8 +26,8 @@ from phsi_opt.data.text_cells import (
     n_filled,
     separator_of,
 )
-from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
+from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.short_repr import short_number
 
 if TYPE_CHECKING:

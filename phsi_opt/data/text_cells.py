@@ -26,7 +26,6 @@ MOMENT = re.compile(
     r"\d{1,4}[-./:]\d{1,2}[-./:]\d[\d:.,]*([T ][\d:.,]+)?(Z|[+-][\d:]+)?"
 )
 SEPARATOR = re.compile(r"[^\"\r\n]")
-LINES_TRIED = 50  # lines that tell the separator: more would tell nothing else
 
 Line = tuple[int, list[str]]  # its number in the file, from 1, and its cells
 
@@ -114,8 +113,8 @@ def separator_of(file: OpenedFile, wanted_names: set[str]) -> str:
     def score(separator: str) -> tuple[int, float, int]:
         lines = []
         with suppress(DataError):  # told when the table is read with what is chosen
-            for _, line in itertools.islice(filled_lines(file, separator), LINES_TRIED):
-                lines.append(line)
+            for _, line in itertools.islice(filled_lines(file, separator), 50):
+                lines.append(line)  # more would tell nothing else
         first = lines[0][: n_filled(lines[0])] if lines else []
         n_wanted = len(set(first) & wanted_names)
         width = len(first)

@@ -30,17 +30,15 @@ from phsi_opt.errors import DataError
 SECOND = dt.timedelta(seconds=1)
 TIME_OF_DAY = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
 NUMBERS = (NUMBER, DECIMAL_COMMA, re.compile(r"[+-]?inf(inity)?", re.IGNORECASE))
-# The signs of strptime after the year, with the numbers that each may stand for.
+# The signs of strptime, with the numbers that each may stand for.
 DATE_PARTS = (
+    ("%Y", 1900, 2100),
     ("%m", 1, 12),
     ("%d", 1, 31),
     ("%H", 0, 23),
     ("%M", 0, 59),
     ("%S", 0, 59),
 )
-FEWEST_DATE_PARTS = 2  # after the year: month and day
-FIRST_YEAR = 1900
-LAST_YEAR = 2100
 WHOLE_NUMBER = re.compile(r"(\d+)(\.0*)?")
 
 Moment = dt.datetime | dt.timedelta  # of a calendar, or since midnight
@@ -117,22 +115,23 @@ def format_of_dates(values: np.ndarray) -> str:
     known = values[np.isfinite(values)]
     whole = np.floor(known)
     has_decimals = bool(np.any(known != whole))
-    fewest = len(DATE_PARTS) if has_decimals else FEWEST_DATE_PARTS  # only seconds have
+    fewest = len(DATE_PARTS) if has_decimals else 3  # only seconds have decimals
     for n_parts in range(fewest, len(DATE_PARTS) + 1):
-        if known.size and _are_dates(whole, n_parts):
+        if known.size and _are_dates(whole, DATE_PARTS[:n_parts]):
             signs = "".join(sign for sign, _, _ in DATE_PARTS[:n_parts])
-            return f"%Y{signs}.%f" if has_decimals else f"%Y{signs}"
+            return f"{signs}.%f" if has_decimals else signs
     return ""
 
 
-def _are_dates(values: np.ndarray, n_parts: int) -> bool:
-    """Whether all values are a year and so many parts of two digits each."""
+def _are_dates(values: np.ndarray, parts: Sequence[tuple[str, int, int]]) -> bool:
+    """Whether all values are a year and parts of two digits each."""
     rest = values
-    for _, low, high in reversed(DATE_PARTS[:n_parts]):
-        rest, part = np.divmod(rest, 100)
+    for sign, low, high in reversed(parts):
+        part = rest if sign == "%Y" else rest % 100
+        rest = rest // 100
         if np.any((part < low) | (part > high)):
             return False
-    return bool(np.all((rest >= FIRST_YEAR) & (rest <= LAST_YEAR)))
+    return True
 
 
 def _are_moments(table: Table, layout: Layout) -> bool:

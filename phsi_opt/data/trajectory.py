@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.checks import check_unique, check_values, read_only_floats
-from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
+from phsi_opt.presentation.numbers import number_of
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -22,7 +22,6 @@ from phsi_opt.presentation.axes import MEASURED, MODEL
 from phsi_opt.presentation.content import TRAINING, Follows, Force, ForceMap, ForceRun
 from phsi_opt.presentation.durations import TimeScale, scale_of_time
 from phsi_opt.presentation.thinning import thinned
-from phsi_opt.statistics import TINY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -196,7 +195,7 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
 
     The mean of the force is taken off.
     """
-    from phsi_opt.presentation.charts import Chart, Curve, Panel, draw
+    from phsi_opt.presentation.charts import FROM_ZERO, Chart, Curve, Panel, draw
 
     record = force.record
     found = spectrum(record.t, record.run, force.w - force.w.mean())
@@ -207,9 +206,8 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
         Curve("missing force", frequencies, amplitudes, MODEL),
         Curve("what its uncertainty explains", frequencies, level, MEASURED, "dash"),
     )
-    top = 1.3 * max(amplitudes.max(), level.max(), TINY)
     unit = frequency_unit(record.units)
-    panel = Panel(force.force_label("amplitude"), curves, limits=(0.0, top))
+    panel = Panel(force.force_label("amplitude"), curves, scale=FROM_ZERO)
     draw(ax, Chart(f"frequency ({unit})", (panel,)))
     visible = np.flatnonzero(amplitudes > SHOWN_AMPLITUDE * amplitudes.max())
     if len(visible) and len(amplitudes) > 1:

@@ -6,18 +6,19 @@ from typing import Any
 
 from nicegui import events, run, ui
 
-from phsi_opt.data.wording import number_of
 from phsi_opt.page.drafts import (
     AFTER,
     HELD_OUT_WAYS,
     INPUT,
     NOT_USED,
+    REAL,
     ROLES,
     RUN,
     RUNS,
     SHARE,
     STATE,
     TIME,
+    WHOLE,
     ColumnDraft,
     DataDraft,
 )
@@ -38,6 +39,8 @@ from phsi_opt.page.table_look import (
     TABLE_KINDS,
     in_megabytes,
 )
+from phsi_opt.presentation.numbers import number_of
+from phsi_opt.study_file.keys import listed
 
 ABOUT = (
     "A table as CSV, text or Excel workbook: one line per sample below a header. At "
@@ -50,19 +53,21 @@ TELL_REJECTED = """(rejected) => emit(
 DATA_SECTIONS = ("data", "held_out")
 UNIT_FIELD = Field("unit", "unit of {name}", "8em", "m")
 NAME_FIELD = Field("name", "name of {name}", "9em", "as in formulas")
-NOISE_FIELD = Field("noise", "noise of {name}", "14em", "estimated")
+NOISE_FIELD = Field("noise", "noise of {name}", "14em", "estimated", REAL)
 FIELDS_OF_ROLE = {
     TIME: (UNIT_FIELD,),
     STATE: (NAME_FIELD, UNIT_FIELD, NOISE_FIELD),
     INPUT: (NAME_FIELD, UNIT_FIELD),
 }
-DATA_FIELDS = (
-    Field("step", "time between lines", "14em", "no column has the times"),
-    Field("averaged", "samples that become their mean", "17em", "each by itself"),
+STEP_FIELD = Field(
+    "step", "time between lines", "14em", "no column has the times", REAL
+)
+THINNED_FIELD = Field(
+    "thinned", "samples that become their mean", "17em", "each by itself", WHOLE
 )
 HELD_OUT_FIELDS = {
-    SHARE: (Field("share", "share", "8em", "0.3"),),
-    AFTER: (Field("after", "from the time", "8em", "10"),),
+    SHARE: (Field("share", "share", "8em", "0.3", REAL),),
+    AFTER: (Field("after", "from the time", "8em", "10", REAL),),
 }
 
 
@@ -157,8 +162,9 @@ class DataView:
             self._files(data)
             for column in data.columns:
                 self._column(column)
-            has_times = bool(data.with_role(TIME))
-            text_fields(data, DATA_FIELDS[has_times:], self._checked)
+            if not data.with_role(TIME):
+                text_fields(data.time, [STEP_FIELD], self._checked)
+            text_fields(data.settings, [THINNED_FIELD], self._checked)
         with card():
             heading("Held out")
             ui.label("Kept from fitting, to judge by.").classes("faint")
@@ -188,14 +194,14 @@ class DataView:
                 width="10em",
             )
             fields = FIELDS_OF_ROLE.get(column.role, ())
-            text_fields(column, fields, self._checked, str(column.column))
+            text_fields(column.table, fields, self._checked, str(column.column))
 
     async def _set_role(self, column: ColumnDraft, role: str) -> None:
         data = self._session.draft.data
         if role in (TIME, RUN) and data is not None:
             for known in data.with_role(role):
                 known.role = NOT_USED  # there is one time, and one column of runs
-        column.role = role
+        column.becomes(role)
         self.table.refresh()
         await self._checked()
 
@@ -205,30 +211,30 @@ class DataView:
         data = self._session.draft.data
         if data is None:
             return
-        held_out = data.held_out
 
         async def set_way(way: str) -> None:
-            held_out.way = way
+            data.way = way
             self.held_out.refresh()
             await self._checked()
 
         with ui.element("div").classes("fields"):
-            choice("what is held out", HELD_OUT_WAYS, held_out.way, set_way)
-            if held_out.way == RUNS:
+            choice("what is held out", HELD_OUT_WAYS, data.way, set_way)
+            if data.way == RUNS:
                 self._runs(data)
-            fields = HELD_OUT_FIELDS.get(held_out.way, ())
-            text_fields(held_out, fields, self._checked)
+            fields = HELD_OUT_FIELDS.get(data.way, ())
+            text_fields(data.held_out, fields, self._checked)
 
     def _runs(self, data: DataDraft) -> None:
         async def changed(e: events.ValueChangeEventArguments) -> None:
-            data.held_out.runs = list(e.value)
+            data.held_out["runs"] = list(e.value)
             await self._checked()
 
+        held_out = set(listed(data.held_out.get("runs", ())))
         field = ui.select(
             data.runs,
             label="runs held out",
             multiple=True,
-            value=[run for run in data.held_out.runs if run in data.runs],
+            value=[run for run in data.runs if run in held_out],
             on_change=changed,
         )
         field.props("dense outlined use-chips").style("min-width: 14em")

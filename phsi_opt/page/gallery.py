@@ -40,8 +40,9 @@ class BaseModel:
         for one in draft.parameters:
             one.is_assumed = one.is_known
         for state, formula in self.driven.items() if inputs else ():
-            terms = [draft.F.get(state, ""), formula.format(u=inputs[0])]
-            draft.F[state] = " + ".join(filter(None, terms))
+            forces = draft.table["F"]
+            terms = [forces.get(state, ""), formula.format(u=inputs[0])]
+            forces[state] = " + ".join(filter(None, terms))
         return draft
 
 
@@ -75,15 +76,13 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
     free = dict(units)
     left = data.with_role(STATE)
     for agrees in (is_same_unit, _is_open):
-        columns = left
-        left = []
-        for column in columns:
-            fitting = [name for name, unit in free.items() if agrees(column.unit, unit)]
-            if fitting:
-                column.name = fitting[0]
-                del free[column.name]
-            else:
-                left.append(column)
+        for column in list(left):
+            names = (name for name in free if agrees(column.unit, free[name]))
+            name = next(names, None)
+            if name is not None:
+                column.table["name"] = name
+                del free[name]
+                left.remove(column)
     for column in left:
         column.role = NOT_USED
         column.fits_no_state = True

@@ -12,8 +12,10 @@ in the browser, so "unsafe-eval" cannot go; its style sheets are written there t
 import re
 import secrets
 from collections.abc import Callable
+from http import HTTPStatus
 from urllib.parse import urlsplit
 
+from starlette import status
 from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, PlainTextResponse
@@ -21,10 +23,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from phsi_opt.page.table_look import MOST_UPLOADED, in_megabytes
 
-UPLOAD_OVERHEAD = 100_000  # bytes of a request beside the file: names, boundaries
-FORBIDDEN = 403
-TOO_LARGE = 413
-POLICY_VIOLATION = 1008  # of a websocket
 READING = ("GET", "HEAD")
 SOCKET = "/_nicegui_ws"
 # Where NiceGUI puts what belongs to one page that was loaded, such as its uploads.
@@ -80,7 +78,9 @@ class OwnRequests:
         has_cookie = self._cookie in request.cookies
         is_link = request.headers.get("sec-fetch-site") == "cross-site"
         if refusal and scope["type"] == "websocket":
-            await send({"type": "websocket.close", "code": POLICY_VIOLATION})
+            await send(
+                {"type": "websocket.close", "code": status.WS_1008_POLICY_VIOLATION}
+            )
             return
         if not refusal and (has_cookie or not is_link):
             await self._app(scope, receive, send)
@@ -88,7 +88,7 @@ class OwnRequests:
         if not has_cookie:  # no new one may take the place of the one not sent
             request.session.clear()
         again = HTMLResponse(LOAD_AGAIN)
-        answer = PlainTextResponse(refusal, FORBIDDEN) if refusal else again
+        answer = PlainTextResponse(refusal, HTTPStatus.FORBIDDEN) if refusal else again
         await answer(scope, receive, send)
 
     def _refusal(self, request: HTTPConnection) -> str:
@@ -132,10 +132,10 @@ class UploadLimit:
 
     Args:
         app: the one behind it.
-        most: bytes of a request's body.
+        most: bytes of a request's body: a file, with names and boundaries.
     """
 
-    def __init__(self, app: ASGIApp, most: int = MOST_UPLOADED + UPLOAD_OVERHEAD):
+    def __init__(self, app: ASGIApp, most: int = MOST_UPLOADED + 100_000):
         self._app = app
         self._most = most
 
@@ -147,7 +147,7 @@ class UploadLimit:
         told = HTTPConnection(scope).headers.get("content-length", "")
         if told.isascii() and told.isdigit() and int(told) > self._most:
             refusal = f"A file may have at most {in_megabytes(MOST_UPLOADED)}."
-            await PlainTextResponse(refusal, TOO_LARGE)(scope, receive, send)
+            await PlainTextResponse(refusal, 413)(scope, receive, send)
             return
         n_received = 0
 

@@ -1,6 +1,7 @@
 """The second part of the page: the base model, picked or written, with a live check."""
 
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from functools import partial
 
 from nicegui import ui
@@ -12,7 +13,11 @@ from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,
     INPUT,
+    NAMES,
+    PAIRS,
+    REAL,
     STATE,
+    TERMS,
     ColumnDraft,
     ModelDraft,
     ParameterDraft,
@@ -30,6 +35,7 @@ from phsi_opt.page.parts import (
     text_fields,
 )
 from phsi_opt.page.session import Session
+from phsi_opt.study_file.keys import listed
 
 NOT_MEASURED = "not measured"
 # The tiles are drawn anew a moment after one was chosen.
@@ -37,21 +43,21 @@ FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 # A remark that goes leaves its place, so that no button moves from under a click.
 STAYING_PLACE = "min-height: 1.5em"
 NAME_FIELDS = (
-    Field("states", "states", hint="q, p", is_formula=True),
-    Field("inputs", "inputs", hint="u", is_formula=True),
+    Field("states", "states", hint="q, p", kind=NAMES),
+    Field("inputs", "inputs", hint="u", kind=NAMES),
 )
 ENERGY_FIELDS = (
-    Field("pairs", "pairs: dq/dt = dH/dp", hint="q-p", is_formula=True),
-    Field("H", "energy H", "100%", "k*q**2/2 + p**2/(2*m)", is_formula=True),
+    Field("pairs", "pairs: dq/dt = dH/dp", hint="q-p", kind=PAIRS),
+    Field("H", "energy H", "100%", "k*q**2/2 + p**2/(2*m)", TERMS),
 )
-LOSS_FIELD = Field("", "loss R of {name}", "15em", "c", is_formula=True)
-FORCE_FIELD = Field("", "force F on {name}", "15em", "u", is_formula=True)
+LOSS_FIELD = Field("", "loss R of {name}", "15em", "c", TERMS)
+FORCE_FIELD = Field("", "force F on {name}", "15em", "u", TERMS)
 PARAMETER_NAME_FIELD = Field("name", "name", "8em", "k")
-START_FIELD = Field("value", "start of {name}", "10em", "found in data")
-KNOWN_FIELD = Field("value", "known value of {name}", "10em", "found in data")
+START_FIELD = Field("start", "start of {name}", "10em", "found in data", REAL)
+KNOWN_FIELD = Field("value", "known value of {name}", "10em", "found in data", REAL)
 LIMIT_FIELDS = (
-    Field("lower", "least {name}", "8em", "none"),
-    Field("upper", "largest {name}", "8em", "none"),
+    Field("lower", "least {name}", "8em", "none", REAL),
+    Field("upper", "largest {name}", "8em", "none", REAL),
     Field("unit", "unit of {name}", "8em", "N/m"),
 )
 MODEL_TYPES = {
@@ -145,16 +151,16 @@ class ModelView:
                     self._set_type,
                     width="20em",
                 )
-                text_fields(draft, NAME_FIELDS, self._named)
+                text_fields(draft.table, NAME_FIELDS, self._named)
                 if draft.type == ENERGY:
-                    text_fields(draft, ENERGY_FIELDS, self._checked)
+                    text_fields(draft.table, ENERGY_FIELDS, self._checked)
             self.by_state()
         with card():
             heading("Parameters")
             self.parameters()
 
     async def _set_type(self, value: str) -> None:
-        self._draft.type = value
+        self._draft.table["type"] = value
         self.fields.refresh()
         await self._checked()
 
@@ -167,14 +173,14 @@ class ModelView:
     def by_state(self) -> None:
         """Loss, force and column of each state; the column of each input."""
         draft = self._draft
-        for name in draft.state_names:
+        for name in draft.names("states"):
             with ui.element("div").classes("fields candidate"):
                 ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
                 if draft.type == ENERGY:
-                    text_fields(draft.R, [LOSS_FIELD], self._checked, name)
-                text_fields(draft.F, [FORCE_FIELD], self._checked, name)
+                    text_fields(draft.table["R"], [LOSS_FIELD], self._checked, name)
+                text_fields(draft.table["F"], [FORCE_FIELD], self._checked, name)
                 self._column(STATE, name)
-        for name in draft.input_names:
+        for name in draft.names("inputs"):
             with ui.element("div").classes("fields candidate"):
                 ui.label(name).classes("formula").style("width: 5em")
                 self._column(INPUT, name)
@@ -210,16 +216,15 @@ class ModelView:
         name = one.name or "new parameter"
         with ui.element("div").classes("fields candidate"):
             value = KNOWN_FIELD if one.is_known else START_FIELD
-            text_fields(one, [PARAMETER_NAME_FIELD], self._checked)
-            text_fields(one, [value], partial(self._given, one), name)
-            text_fields(one, LIMIT_FIELDS, self._checked, name)
+            text_fields(one.table, [PARAMETER_NAME_FIELD], self._checked)
+            text_fields(one.table, [value], partial(self._given, one), name)
+            text_fields(one.table, LIMIT_FIELDS, self._checked, name)
             known = ui.checkbox("known", value=one.is_known)
             known.on_value_change(lambda e: self._set_known(one, bool(e.value)))
             remove = ui.button("Remove", on_click=lambda: self._remove(one))
             remove.props("flat").props["aria-label"] = f"Remove {name}"
             if one.is_assumed:
-                text = f"{name} = {one.value} {one.unit}".rstrip()
-                said = f"{text} is an assumption: give yours."
+                said = f"{one.words} is an assumption: give yours."
                 note = ui.label(said).classes("bad w-full").style(STAYING_PLACE)
                 note.bind_text_from(one, "is_assumed", lambda it: said if it else "")
 
@@ -228,12 +233,12 @@ class ModelView:
         await self._checked()
 
     async def _set_known(self, one: ParameterDraft, is_known: bool) -> None:
-        one.is_known = is_known
+        one.let_be_known(is_known)
         self.parameters.refresh()
         await self._checked()
 
     async def _add_parameter(self, name: str) -> None:
-        self._draft.parameters.append(ParameterDraft(name))
+        self._draft.parameters.append(ParameterDraft.of(name, {}))
         self.parameters.refresh()
         await self._checked()
 
@@ -249,25 +254,18 @@ def _tile_id(base: BaseModel) -> str:
 
 def unknown_names(draft: ModelDraft) -> list[str]:
     """The names that are neither variables nor parameters, each once."""
-    variables = Variables(tuple(draft.state_names), tuple(draft.input_names))
+    variables = Variables(tuple(draft.names("states")), tuple(draft.names("inputs")))
     known = {one.name for one in draft.parameters}
     found: dict[str, None] = {}
-    for slot, formula in _formulas(draft):
-        try:
-            names = names_of(formula)
-        except ModelError:
-            continue  # the check says what is wrong with it
-        for name in sorted(names - variables.of_slot(slot) - known):
-            found[name] = None
+    model = draft.content()
+    slots = [("H", model.get("H", "")), *((s, model.get(s, {}).values()) for s in "RF")]
+    for slot, formulas in slots:
+        for formula in filter(_is_formula, listed(formulas)):
+            with suppress(ModelError):  # the check says what is wrong with it
+                names = names_of(formula) - variables.of_slot(slot) - known
+                found |= dict.fromkeys(sorted(names))
     return list(found)
 
 
-def _formulas(draft: ModelDraft) -> list[tuple[str, str]]:
-    """The formulas that are written as such, with their slots."""
-    listed = []
-    if draft.type != FIRST_ORDER:
-        listed.append(("H", draft.H))
-    for name in draft.state_names:
-        listed.append(("R", draft.R.get(name, "")))
-        listed.append(("F", draft.F.get(name, "")))
-    return [one for one in listed if one[1].strip() and one[1].strip()[0] not in "{["]
+def _is_formula(terms: object) -> bool:
+    return isinstance(terms, str) and bool(terms.strip())

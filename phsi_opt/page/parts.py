@@ -8,8 +8,10 @@ from nicegui import events, ui
 from nicegui.elements.mixins.text_element import TextElement
 
 from phsi_opt.errors import Complaint
+from phsi_opt.page.drafts import NAMES, PAIRS, TERMS, TEXT, Content, Kind
 
 DEBOUNCE = "debounce=400"  # ms without a key before a text is checked
+FORMULAS = (NAMES, PAIRS, TERMS)  # kinds that are set in the type of formulas
 Then = Callable[[], Awaitable[None]]
 
 
@@ -29,50 +31,50 @@ def card() -> ui.element:
 
 
 class Field(NamedTuple):
-    """A text of a draft: its name there, its label, its width, what an empty one shows.
+    """A text of a table of a draft: its key, its label, its width, what shows it empty.
 
-    The label may have ``{name}`` in it, for what the draft is of.
+    The label may have ``{name}`` in it, for what the table is of; where there is no
+    key, the name is the key.
     """
 
     key: str
     label: str
     width: str = "14em"
     hint: str = ""
-    is_formula: bool = False
+    kind: Kind = TEXT
 
 
 def text_fields(
-    owner: Any, fields: Iterable[Field], then: Then, name: str = ""
+    table: Content, fields: Iterable[Field], then: Then, name: str = ""
 ) -> None:
-    """Texts of a draft, told while they are typed.
+    """Texts of a table, told while they are typed.
 
     Args:
-        owner: a record or a dictionary that has them.
+        table: of a draft; a key that is empty is taken out.
         fields: which ones.
         then: called after every change.
-        name: of the owner, in labels and keys.
+        name: of what the table is of.
     """
     for field in fields:
-        _text_field(owner, field, then, name)
+        _text_field(table, field, then, name)
 
 
-def _text_field(owner: Any, field: Field, then: Then, name: str) -> None:
-    is_table = isinstance(owner, dict)
+def _text_field(table: Content, field: Field, then: Then, name: str) -> None:
     key = field.key or name
-    value = owner.get(key, "") if is_table else getattr(owner, key)
 
     async def changed(e: events.ValueChangeEventArguments) -> None:
         text = (e.value or "").strip()
-        if is_table:
-            owner[key] = text
+        if text:
+            table[key] = field.kind.value(text)
         else:
-            setattr(owner, key, text)
+            table.pop(key, None)
         await then()
 
+    value = field.kind.text(table[key]) if key in table else ""
     made = ui.input(field.label.format(name=name), value=value, on_change=changed)
     made.props("dense outlined").props(DEBOUNCE).props["placeholder"] = field.hint
     made.style(f"width: {field.width}; max-width: 100%")
-    made.classes("formula" if field.is_formula else "")
+    made.classes("formula" if field.kind in FORMULAS else "")
 
 
 def choice(

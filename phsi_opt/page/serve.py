@@ -4,17 +4,13 @@ import ipaddress
 import secrets
 import tempfile
 import time
+from http import HTTPStatus
 from pathlib import Path
 
 from phsi_opt.errors import DataError
 from phsi_opt.page.session import Session
 from phsi_opt.study_file.study_file import StudyFile
 
-TIDY_EVERY = 60.0  # s between looks for sessions that nobody uses
-# s for which a page that lost its connection keeps its fields: a phone that slept, a
-# machine that is busy. After it the page is loaded again; the session stays anyway.
-RECONNECT_WITHIN = 30.0
-UNAVAILABLE = 503
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 
 
@@ -74,12 +70,14 @@ def serve(
         try:
             session = sessions.of(key)
         except DataError as error:
-            return PlainTextResponse(str(error), status_code=UNAVAILABLE)
+            return PlainTextResponse(
+                str(error), status_code=HTTPStatus.SERVICE_UNAVAILABLE
+            )
         Shell(session, lambda: sessions.begin_again(key)).build()
         return None
 
     ui.page("/", title="phsi_opt")(page)
-    app.on_startup(lambda: app.timer(TIDY_EVERY, sessions.tidy))
+    app.on_startup(lambda: app.timer(60.0, sessions.tidy))
     app.on_shutdown(sessions.close)
     ui.run(
         host=host,
@@ -87,7 +85,9 @@ def serve(
         show=show,
         reload=False,
         title="phsi_opt",
-        reconnect_timeout=RECONNECT_WITHIN,
+        # For so many seconds a page that lost its connection keeps its fields (a phone
+        # that slept); then it is loaded again. The session stays anyway.
+        reconnect_timeout=30.0,
         storage_secret=secrets.token_hex(32),
         session_middleware_kwargs={"session_cookie": cookie, "same_site": "strict"},
     )

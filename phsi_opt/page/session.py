@@ -11,6 +11,7 @@ import os
 import shutil
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ from phsi_opt.page.worker import (
 )
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
+from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.writing import write_whole
@@ -57,7 +59,6 @@ WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 REPORT_FILE = "report.html"
-MOST_LINES = 200  # of progress that are kept
 LOOKING = "looking for what is missing"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
@@ -96,7 +97,7 @@ class Job:
 
     Attributes:
         label: such as "Fitting the base model".
-        lines: what the worker said, the oldest first.
+        line: what the worker said last of the present model; "" for nothing yet.
         done: what it has done once its model is there, in words; "" where it goes on.
         is_shown: whether this model is there; what is missing may still be looked for.
         compares: whether it changes a model whose charts are shown already.
@@ -104,7 +105,7 @@ class Job:
     """
 
     label: str
-    lines: list[str] = field(default_factory=list)
+    line: str = ""
     done: str = ""
     is_shown: bool = False
     compares: bool = False
@@ -112,14 +113,13 @@ class Job:
 
     def say(self, line: str) -> None:
         """Keep a line of the worker."""
-        self.lines.append(line)
-        del self.lines[:-MOST_LINES]
+        self.line = line
         self.forecast.said(line)
 
     def show(self) -> None:
         """Note that the model is there; what was said before is of its making."""
         self.is_shown = True
-        self.lines.clear()
+        self.line = ""
 
     @property
     def words(self) -> str:
@@ -127,9 +127,9 @@ class Job:
         label = self.label
         if self.done and self.is_shown:
             label = f"{self.done}; {LOOKING}"
-            if not self.lines:
+            if not self.line:
                 return label
-        line = self.lines[-1] if self.lines else "starting"
+        line = self.line or "starting"
         is_said = line.lower() == label.lower()
         return label if is_said else f"{label}: {line}"
 
@@ -204,7 +204,7 @@ class Session:
         measured = StudyFile.read(path, places).measurements()
         data = DataDraft(places, n_samples=measured.n_samples)
         data.runs = [run.name for run in measured.trajectories]
-        data.columns = _columns_of(data, told_columns(content["data"]))
+        data.columns = _columns_of(data, content["data"])
         self.draft = StudyDraft.of(content, data)
         self.check()
 
@@ -321,7 +321,7 @@ class Session:
             match_states(self.draft.data, base.units)
             inputs = [one.name for one in self.draft.data.with_role(INPUT)]
         self.draft.model = base.drafted(inputs)
-        self.draft.added = []
+        self.draft.kept.get("study", {}).pop("added", None)
         self.check()
         self.shape += 1
 
@@ -389,7 +389,8 @@ class Session:
         data = self.draft.data
         if data is None:
             return
-        data.averaged = str(n * int(data.averaged or 1))
+        known = data.settings.get("thinned", 1)
+        data.settings["thinned"] = n * (known if isinstance(known, int) else 1)
         self.shape += 1
         self.fit()
 
@@ -551,17 +552,19 @@ def _look_again(data: DataDraft, places: dict[str, Path]) -> None:
     data.places = places
     data.runs = found.runs
     data.n_samples = found.n_samples
-    data.held_out.runs = [run for run in data.held_out.runs if run in found.runs]
+    runs = listed(data.held_out.get("runs", ()))
+    data.held_out["runs"] = [run for run in runs if run in found.runs]
 
 
-def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:
+def _columns_of(data: DataDraft, told: Mapping[str, Any]) -> list[ColumnDraft]:
     """The columns of a study file's tables; those that it names where no look helps."""
     try:
         columns = look_at(data.places).columns
     except DataError:  # no header, or MATLAB's variables
         columns = []
-    known = [column.column for column in columns]
-    for one in told:
-        if one not in known:
-            columns.append(ColumnDraft(one))
+    known = {column.column for column in columns}
+    for _, _, table in told_columns(told):
+        if "column" in table and table["column"] not in known:
+            columns.append(ColumnDraft(table["column"]))
+            known.add(table["column"])
     return columns

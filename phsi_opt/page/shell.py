@@ -18,7 +18,6 @@ from phsi_opt.page.study_view import StudyView
 
 PRIMARY = "#1f5fa8"  # 6.5:1 below white text
 ON_PRIMARY = "#ffffff"
-ASK_EVERY = 0.25  # s between looks at the session; faster than a reader notices
 # The next key acts on the part that is shown, and its top is seen.
 FOCUS_CONTENT = """
 window.scrollTo(0, 0);
@@ -84,7 +83,7 @@ class Shell:
                 self._study.build()
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
-        self._asking = ui.timer(ASK_EVERY, self._keep_up)
+        self._asking = ui.timer(0.25, self._keep_up)  # s: no reader waits
 
     def _header(self) -> None:
         with ui.header().classes("items-center justify-between q-py-xs"):
@@ -214,7 +213,7 @@ def _can_begin(session: Session) -> bool:
     if session.job is not None or session.draft.data is None:
         return False
     is_new = session.content is None or session.is_stale or bool(session.failure)
-    return is_new and bool(session.draft.model.states)
+    return is_new and bool(session.draft.model.names("states"))
 
 
 def _standing(session: Session) -> str:
@@ -223,15 +222,13 @@ def _standing(session: Session) -> str:
         return READY
     if session.draft.data is None:
         return "Begin with the measurements: part 1."
-    if not session.draft.model.states:
+    if not session.draft.model.names("states"):
         return "Next, the model: part 2."
     if session.complaints:
         return f"Open: {len(session.complaints)}; part 2 says what."
     said = "Data and model can be used: press Fit."
-    assumed = []
-    for one in session.draft.model.parameters:
-        if one.is_assumed:
-            assumed.append(f"{one.name} = {one.value} {one.unit}".rstrip())
+    parameters = session.draft.model.parameters
+    assumed = [one.words for one in parameters if one.is_assumed]
     if assumed:
         said += f" Assumed, not measured: {', '.join(assumed)}."
     return said

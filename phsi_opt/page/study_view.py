@@ -10,12 +10,10 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from nicegui import events, ui
 
-from phsi_opt.criteria import FAILING_ERROR
+from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.page.parts import alert, button, card, choice, heading
 from phsi_opt.page.session import Look, Session
 from phsi_opt.presentation.charts import (
@@ -27,17 +25,15 @@ from phsi_opt.presentation.charts import (
 )
 from phsi_opt.presentation.content import (
     Diagnosed,
-    ForceRun,
     Ranked,
     Run,
     StudyContent,
 )
 from phsi_opt.presentation.durations import date_words
 from phsi_opt.presentation.html_report import report_environment
-from phsi_opt.presentation.numbers import number, proper_names, with_error
+from phsi_opt.presentation.numbers import number, proper_names
 
 N_SHOWN = 5  # candidates that are shown at once
-SURE = 2.0  # standard deviations beyond which a force counts as sure at one time
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
 FOCUS_ON = """setTimeout(() => {
   const now = document.activeElement;
@@ -235,16 +231,8 @@ class StudyView:
         if t is None:
             return
         with ui.element("div").props('role="status"'):
-            if run.holds(t):
-                forces = content.forces_along(run)
-                said_by("at_time", [force_near(content, one, t) for one in forces])
-                return
-            begin, end = run.channels[0].t[[0, -1]]
-            unit = spaced(content.time.unit)
-            ui.label(
-                f"{run.name} was measured from t = {number(begin)} to "
-                f"{number(end)}{unit}; there is nothing at {number(t)}{unit}."
-            ).classes("bad")
+            forces = content.forces_along(run)
+            said_by("at_time", forces, run, t, content.time, SURE_DEVIATIONS)
 
     @ui.refreshable_method
     def force(self) -> None:
@@ -294,12 +282,7 @@ class StudyView:
                 said_by("ranked", row, is_proposed)
                 if not self._session.is_stale:
                     self._add_of_ranking(row, is_proposed)
-            _, before, after = errors_with(content, row)
-            left, floor = 1.0, 0.0
-            if before and after is not None:
-                left = min(after / before, 1.0)
-                floor = min((content.steps[-1].floor or 0.0) / before, 1.0)
-            said_by("candidate", row, preview_words(content, row), left, floor)
+            said_by("candidate", row, content.steps[-1], content.unit, FAILING_ERROR)
 
     def _add_of_ranking(self, row: Ranked, is_proposed: bool) -> None:
         """The button of a candidate; flat where something speaks against it."""
@@ -351,12 +334,18 @@ class StudyView:
 @cache
 def _texts() -> Any:
     environment = report_environment("phsi_opt.page", autoescape=True)
+    environment.filters["date"] = date_words
     return environment.get_template("study.html.jinja").module
 
 
-def said_by(name: str, *facts: Any) -> None:
+def words(name: str, *facts: Any) -> str:
     """What a macro of ``study.html.jinja`` says; names in it mean nothing in HTML."""
-    ui.html(getattr(_texts(), name)(*facts), sanitize=False).classes("told w-full")
+    return str(getattr(_texts(), name)(*facts))
+
+
+def said_by(name: str, *facts: Any) -> None:
+    """Show the `words` of a macro."""
+    ui.html(words(name, *facts), sanitize=False).classes("told w-full")
 
 
 def plotted(chart: Chart, told: str, height: int) -> ui.plotly:
@@ -370,47 +359,3 @@ def plotted(chart: Chart, told: str, height: int) -> ui.plotly:
     plot = ui.plotly({**plotly(chart), "config": config}).classes("w-full")
     plot.style(f"height: {height}px").props('role="img"').props["aria-label"] = told
     return plot
-
-
-Errors = tuple[str, float | None, float | None]
-
-
-def errors_with(content: StudyContent, row: Ranked) -> Errors:
-    """The data that judge a candidate, the present error on them and that with it."""
-    now = content.steps[-1]
-    if now.held_out is not None and row.held_out is not None:
-        return "Held-out", now.held_out, row.held_out
-    return "Training", now.train, row.train
-
-
-def preview_words(content: StudyContent, row: Ranked) -> str:
-    """The error before and after, on the data that judge where that is known."""
-    which, before, after = errors_with(content, row)
-    if before is None or after is None:
-        return "The error that it would leave is not known."
-    percent = round(100 * (after / before - 1))
-    trend = f"{abs(percent)} % {'less' if percent < 0 else 'more'}"
-    if percent == 0:
-        trend = "unchanged"
-    now = content.steps[-1]
-    floor = FAILING_ERROR * (now.floor or 0.0)
-    if before == now.judged and after <= floor < before:
-        trend += ", at the noise floor"
-    unit = spaced(content.unit)
-    errors = f"{number(before, 3)}{unit} → {number(after, 3)}{unit}"
-    return f"{which} error {errors} ({trend})"
-
-
-def force_near(content: StudyContent, force: ForceRun, t: float) -> str:
-    """What an equation lacks at a time, in a sentence."""
-    place = int(np.argmin(np.abs(force.t - t)))
-    value, std = force.force[place], force.std[place]
-    sure = "surely not zero" if abs(value) > SURE * std else "may as well be zero"
-    date = date_words(t * content.time.size, force.origin)
-    when = f"{number(t, 3)}{spaced(content.time.unit)}"
-    when = f"{when} ({date})" if date else when
-    return (
-        f"At t = {when} of {force.run}, d{force.equation}/dt lacks "
-        f"{with_error(value, std)}{spaced(force.unit)} (± one standard deviation; "
-        f"{sure})."
-    )

@@ -6,19 +6,15 @@ guessed as for a first study file.
 """
 
 import re
-import unicodedata
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from phsi_opt.data.file_opening import NamedFile
-from phsi_opt.data.tables import Table, numbers_in
-from phsi_opt.errors import DataError
-from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
+from phsi_opt.data.tables import numbers_in
+from phsi_opt.page.drafts import NOT_USED, ColumnDraft, DataDraft
+from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.study_file.columns import UNUSED, Column
-from phsi_opt.study_file.data_files import table_at
-from phsi_opt.study_file.survey import survey
-
-N_EXAMPLES = 3  # cells shown of each column
+from phsi_opt.study_file.survey import check_alike, survey
 
 
 def look_at(places: Mapping[str, Path]) -> DataDraft:
@@ -31,66 +27,27 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
         DataError: a file cannot be read, or has other columns than the first.
     """
     draft = DataDraft(dict(places))
-    for name, place in places.items():
-        _take_file(draft, NamedFile(place, name))
+    seen = [survey(NamedFile(place, name)) for name, place in places.items()]
+    for one in seen:
+        for column in one.columns:
+            if column.is_numeric:
+                numbers_in(one.table, column.column, may_be_missing=True)
+        check_alike(seen[0].columns, one.columns, one.table.title)
+        draft.n_samples += one.n_lines
+        draft.runs += one.run.cells.tolist() if one.run else [one.table.run]
+        if one.step is not None:
+            draft.time = {"step": one.step}
     draft.runs = list(dict.fromkeys(draft.runs))
+    draft.columns = list(map(_draft_of, seen[0].columns))
     return draft
-
-
-def _take_file(draft: DataDraft, file: NamedFile) -> None:
-    table = table_at(file)
-    _check_header(table)
-    surveyed = survey(file)
-    for column in surveyed.columns:
-        if column.is_numeric:
-            numbers_in(table, column.column, may_be_missing=True)
-    columns = list(map(_draft_of, surveyed.columns))
-    if surveyed.step is not None:
-        draft.step = f"{surveyed.step:g}"
-    if not draft.columns:
-        draft.columns = columns
-    _check_same_columns(draft.columns, columns, table.title)
-    draft.n_samples += len(table.frame)
-    draft.runs += _runs(table, columns)
-
-
-def _check_header(table: Table) -> None:
-    headers = [str(name) for name in table.frame.columns]
-    for name in headers:
-        if headers.count(name) > 1:
-            raise DataError(
-                f"{table.title}: the header has {name!r} twice; give each column a "
-                "name of its own."
-            )
 
 
 def _draft_of(seen: Column) -> ColumnDraft:
     """The draft of a column; parts have the same words here and there but for one."""
     role = NOT_USED if seen.part == UNUSED else seen.part
-    examples = tuple(seen.cells[:N_EXAMPLES])
-    return ColumnDraft(
-        seen.column, role, seen.name, seen.unit, "", examples, seen.is_numeric
-    )
-
-
-def _check_same_columns(
-    first: list[ColumnDraft], columns: list[ColumnDraft], title: str
-) -> None:
-    expected = [str(column.column) for column in first]
-    found = [str(column.column) for column in columns]
-    if expected != found:
-        raise DataError(
-            f"{title} has the columns {', '.join(found)}; expected "
-            f"{', '.join(expected)}, as in the first file."
-        )
-
-
-def _runs(table: Table, columns: list[ColumnDraft]) -> list[str]:
-    """Names of the runs: of a column, else that of the file."""
-    for column in columns:
-        if column.role == RUN:
-            return [str(cell) for cell in table.frame[column.column].unique()]
-    return [table.run]
+    examples = tuple(seen.cells[:3])
+    told = {"name": seen.name, "unit": seen.unit}
+    return ColumnDraft(seen.column, role, told, examples, seen.is_numeric)
 
 
 # ---- which tables are taken ----------------------------------------------------------
@@ -100,14 +57,6 @@ MOST_UPLOADED = 20_000_000
 MOST_FILES = 50  # of one study; each is a run
 # What the name of an uploaded table may end in; the ending tells how it is read.
 TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
-MOST_NAME_BYTES = 255  # of the name of a file, in UTF-8: what file systems take
-# Names that mean a device in Windows, whatever they end in.
-DEVICE = re.compile(
-    r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3])\s*(\.|$)",
-    re.IGNORECASE,
-)
-UNPRINTED = ("Cc", "Cs")  # categories of Unicode: control characters, half characters
-MOST_SHOWN = 40  # characters of a name that is refused
 
 
 def in_megabytes(size: int) -> str:
@@ -127,18 +76,9 @@ def suffix_of(name: str) -> str:
 
 def name_refusal(name: str) -> str:
     """Why a file of this name is not taken, in a sentence; "" where it is."""
-    shown = repr(name if len(name) <= MOST_SHOWN else f"{name[:MOST_SHOWN]}...")
-    if not name.strip(" ."):
-        return f"{shown} is no name of a file; expected one such as bench.csv."
-    if any(unicodedata.category(sign) in UNPRINTED for sign in name):
+    shown = repr(shortened(name, 40))
+    if not name.isprintable():
         return f"the name {shown} has control characters; expected letters."
-    if len(name.encode()) > MOST_NAME_BYTES:
-        n_bytes = len(name.encode())
-        return (
-            f"the name {shown} has {n_bytes} bytes; expected at most {MOST_NAME_BYTES}."
-        )
-    if DEVICE.match(name):
-        return f"{shown} means a device in Windows; expected another name."
     if suffix_of(name) not in TABLE_KINDS:
         kinds = ", ".join(TABLE_KINDS)
         return f"{shown} does not end as a table does; expected {kinds}."

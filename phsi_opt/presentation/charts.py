@@ -10,18 +10,16 @@ import datetime as dt
 import io
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from html import escape
 from importlib.resources import files
-from itertools import pairwise
 from textwrap import wrap
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from phsi_opt.presentation.axes import (
@@ -45,6 +43,7 @@ from phsi_opt.presentation.content import (
 )
 from phsi_opt.presentation.durations import date_words
 from phsi_opt.presentation.numbers import number, proper_names
+from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.presentation.thinning import rounded
 
 FORCE_COLORS = (FORCE, ATTENTION, FLOOR, MODEL)
@@ -54,25 +53,18 @@ MODEL_LOOKS = (
     ((ATTENTION, "dash"), (MODEL, "solid")),
     ((ATTENTION, "dash"), (FORCE, "dot"), (MODEL, "solid")),
 )
-MATPLOTLIB_LINES = {"solid": "-", "dash": "--", "dot": ":"}
 POINTS = "points"
 STEPS = "steps"
-MARKERS = {POINTS: (".", 3), STEPS: ("o", 5)}  # of matplotlib, with their sizes
-LEVEL_MARKER = ("_", 30)  # of a level with texts
+MATPLOTLIB_LOOKS: dict[str, Any] = {
+    "solid": {},
+    "dash": {"ls": "--"},
+    "dot": {"ls": ":"},
+    POINTS: {"ls": "none", "marker": ".", "ms": 3},
+    STEPS: {"marker": "o", "ms": 5},
+}
 TWO_DEVIATIONS = "two standard deviations"
 DEVIATION = "std. deviation"
-BAND_OPACITY = 0.22
-DIGITS_OF_TIME = 6  # over the range of a record: a zoomed curve has no steps
-ASIDE = 0.05  # of a step, by which training and held-out error stand aside
-BEHIND = 0.8  # of a step, that the axis goes on: room for the number of the floor
-FAR_ABOVE = 2.0  # times the noise floor: there is room above the floor's number
-LOW_SHARE = 0.2  # of the largest error, below which there is no room below a number
-DECADE = 10  # ratio of errors from which on their axis is logarithmic
 LETTERS_OF_TICKS = 60  # of all labels of steps, side by side
-TICK_LETTERS = (8, 16)  # in a line of a step's label, at least and at most
-MOST_LETTERS = 44  # of a name in a chart; the text has it whole
-PANEL_GAP = 0.1  # of the height, between two panels
-PAPER_WIDTH = 7.2  # inches: the width of a page of paper
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "report",  # the same names of parts in every run
@@ -82,6 +74,8 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+FROM_ZERO = "from zero"
+LOG = "log"
 Mark = tuple[float, str]  # a time, with what it is called
 
 
@@ -94,7 +88,7 @@ class Curve:
         look: ``POINTS``, ``STEPS`` (line and markers), or a kind of line.
         std: (n,) half the width of a band around it; None: there is none.
         band: what the band is called.
-        texts: beside the points; ``sides``: "top left", ... of each.
+        texts: beside the points, on one ``side``: "top" or "bottom".
         is_shown: whether it is drawn before somebody asks for it.
     """
 
@@ -106,7 +100,7 @@ class Curve:
     std: np.ndarray | None = None
     band: str = TWO_DEVIATIONS
     texts: tuple[str, ...] = ()
-    sides: tuple[str, ...] = ()
+    side: str = "top"
     is_shown: bool = True
 
 
@@ -117,15 +111,14 @@ class Panel:
     Attributes:
         noise: half the width of the band that noise fills; None: no band.
         height: beside that of the other panels.
-        limits: of the axis; None: as the curves ask.
+        scale: of the axis: ``FROM_ZERO``, ``LOG``, or "": as the curves ask.
     """
 
     label: str
     curves: Sequence[Curve]
     noise: float | None = None
     height: float = 1.0
-    limits: tuple[float, float] | None = None
-    is_log: bool = False
+    scale: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,62 +145,34 @@ class Chart:
 
 
 def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
-    """The errors step by step, with their values, down to the noise floor."""
+    """The errors step by step, with their values, down to the noise floor.
+
+    Of several steps whose errors span a decade the axis is logarithmic.
+    """
     n = len(steps)
     x = np.arange(n, dtype=float)
-    columns = [(step.train, step.held_out, step.floor) for step in steps]
-    train, held_out, floor = np.array(columns, dtype=float).T
-    right = ("top right",) * n
-    curves = []
-    judged, name, aside = train, "training", 0.0
-    if np.isfinite(held_out).any():
-        # Aside of each other, so that of two equal errors none is hidden.
-        aside = ASIDE
-        sides = _free_sides(train)
-        curves.append(_steps(name, x - aside, train, MEASURED, sides))
-        judged = held_out
-        name = "held out"
-    curves.append(_steps(name, x + aside, judged, MODEL, right))
-    is_low = judged[-1] > FAR_ABOVE * floor[-1]
-    lowest = f"floor {number(floor[-1], 3)}" if np.isfinite(floor[-1]) else ""
-    texts = ("",) * (n - 1) + (lowest,)
-    sides = right if is_low else ("bottom right",) * n
-    level = Curve("noise floor", x, floor, FLOOR, "dot", texts=texts, sides=sides)
-    curves.append(level)
-    limits, is_log = _error_axis(np.concatenate([train, held_out, floor]), n)
-    panel = Panel(label("error", unit), curves, limits=limits, is_log=is_log)
-    n_letters = int(np.clip(LETTERS_OF_TICKS / n, *TICK_LETTERS))
+    errors = np.array([(one.train, one.held_out, one.floor) for one in steps], float)
+    train, held_out, floor = errors.T
+    curves = [_steps("training", x, train, MODEL)]
+    if np.isfinite(held_out).any():  # of two equal errors both numbers are seen
+        trained = replace(curves[0], color=MEASURED, side="bottom")
+        curves = [trained, _steps("held out", x, held_out, MODEL)]
+    name = "noise floor"
+    if np.isfinite(floor[-1]):
+        name = f"{name} {number(floor[-1], 3)}"
+    ends = np.r_[-0.5, x, n - 0.5]  # a line where there is one step too
+    curves.append(Curve(name, ends, np.pad(floor, 1, mode="edge"), FLOOR, "dot"))
+    known = errors[errors > 0]
+    is_log = n > 1 and known.size > 0 and known.max() >= 10 * known.min()
+    panel = Panel(label("error", unit), curves, scale=LOG if is_log else FROM_ZERO)
     changes = [proper_names(step.change(k)) for k, step in enumerate(steps)]
+    n_letters = max(LETTERS_OF_TICKS // n, 8)
     return Chart("", (panel,), ticks=tuple(wrap(one, n_letters) for one in changes))
 
 
-def _steps(
-    name: str, x: np.ndarray, y: np.ndarray, color: str, sides: tuple[str, ...]
-) -> Curve:
+def _steps(name: str, x: np.ndarray, y: np.ndarray, color: str) -> Curve:
     texts = tuple(number(one, 3) if np.isfinite(one) else "" for one in y)
-    return Curve(name, x, y, color, STEPS, texts=texts, sides=sides)
-
-
-def _free_sides(errors: np.ndarray) -> tuple[str, ...]:
-    """Where numbers stand beside points on the left: below where the line falls."""
-    places = ["top left"]
-    for before, after in pairwise(errors):
-        is_free_below = LOW_SHARE * np.nanmax(errors) < after < before
-        places.append("bottom left" if is_free_below else "top left")
-    return tuple(places)
-
-
-def _error_axis(
-    errors: np.ndarray, n_steps: int
-) -> tuple[tuple[float, float] | None, bool]:
-    """From zero; by decades where the errors of several steps span more than one."""
-    known = errors[np.isfinite(errors) & (errors > 0)]
-    if not len(known):
-        return None, False
-    least, most = float(known.min()), float(known.max())
-    if most >= DECADE * least and n_steps > 1:
-        return (least / 2, 3 * most), True
-    return (0.0, 1.3 * most), False
+    return Curve(name, x, y, color, STEPS, texts=texts)
 
 
 def run_chart(
@@ -303,10 +268,8 @@ def time_label(unit: str, origin: dt.datetime | None = None) -> str:
 
 
 def _short(name: str) -> str:
-    """A name that leaves room for the curves."""
-    if len(name) <= MOST_LETTERS:
-        return name
-    return f"{name[: MOST_LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
+    """A name that leaves room for the curves; the text has it whole."""
+    return shortened(name, 44)
 
 
 # ---- by plotly -----------------------------------------------------------------------
@@ -328,15 +291,13 @@ def plotly(chart: Chart) -> dict[str, Any]:
         axes["yaxis1"] = _plotly_axis(chart.map.y_label)
         data.append(_plotly_map(chart.map))
     top = 1.0
-    room = 1 - PANEL_GAP * (len(chart.panels) - 1)
+    gap = 0.1  # of the height, between two panels
+    room = 1 - gap * (len(chart.panels) - 1)
     heights = sum(panel.height for panel in chart.panels)
     for k, panel in enumerate(chart.panels):
         end = top - room * panel.height / heights
         axis = {**_plotly_axis(panel.label), "domain": [max(end, 0.0), top]}
-        if panel.limits is not None:
-            ends = np.log10(panel.limits) if panel.is_log else np.array(panel.limits)
-            axis["type"] = "log" if panel.is_log else "linear"
-            axis["range"] = ends.tolist()
+        axis |= look.get(panel.scale, {})
         name = f"y{k + 1}"
         axes[f"yaxis{k + 1}"] = axis
         for curve in panel.curves:
@@ -345,14 +306,14 @@ def plotly(chart: Chart) -> dict[str, Any]:
             band = {"yref": name, "y0": -panel.noise, "y1": panel.noise}
             shapes.append({**look["noise band"], **band, "fillcolor": _faint(FLOOR)})
             notes.append({**look["noise"], "y": top})
-        top = end - PANEL_GAP
+        top = end - gap
     if chart.ticks:
         lines = []
         for one in chart.ticks:
             lines.append("<br>".join(escape(line, quote=False) for line in one))
         x_axis["ticktext"] = lines
         x_axis["tickvals"] = list(range(len(lines)))
-        x_axis["range"] = [-0.5, max(len(lines) - 1 + BEHIND, 1.5)]
+        x_axis["range"] = [-0.5, len(lines) - 0.5]
     if chart.window is not None:
         begin, end = chart.window
         place = {**look["along"], "x0": begin, "x1": end}
@@ -382,8 +343,8 @@ def _plotly_axis(title: str) -> dict[str, Any]:
 def _plotly_curve(curve: Curve, axis: str) -> list[dict[str, Any]]:
     """The curve; before it the edges of its band, where it has one."""
     look = _looks()
-    x = rounded(curve.x, DIGITS_OF_TIME)
-    dash = curve.look if curve.look in MATPLOTLIB_LINES else "solid"
+    x = rounded(curve.x, digits=6)  # a zoomed curve has no steps
+    dash = curve.look if curve.look in ("dash", "dot") else "solid"
     place = {"type": "scatter", "x": x, "yaxis": axis}
     trace: dict[str, Any] = {
         **place,
@@ -398,8 +359,7 @@ def _plotly_curve(curve: Curve, axis: str) -> list[dict[str, Any]]:
     }
     trace["marker"] = {**trace.get("marker", {}), "color": curve.color}
     if curve.texts:
-        texts = {"text": curve.texts, "textposition": curve.sides}
-        trace |= {"mode": "lines+markers+text", "cliponaxis": False, **texts}
+        trace |= {"text": curve.texts, "textposition": f"{curve.side} center"}
     if curve.std is None:
         return [trace]
     upper = {**place, **look["edge"], "y": rounded(curve.y + curve.std)}
@@ -424,7 +384,7 @@ def _plotly_map(found: ForceMap) -> dict[str, Any]:
 
 def _faint(color: str) -> str:
     red, green, blue = bytes.fromhex(color[1:])
-    return f"rgba({red},{green},{blue},{BAND_OPACITY})"
+    return f"rgba({red},{green},{blue},0.2)"
 
 
 # ---- by matplotlib -------------------------------------------------------------------
@@ -434,9 +394,8 @@ def svg(chart: Chart) -> str:
     """A chart as the text of an SVG file."""
     heights = [panel.height for panel in chart.panels] or [1.0]
     with rc_context(STYLE):
-        size = (PAPER_WIDTH, 1.0 + 2.4 * sum(heights))
+        size = (7.2, 1.0 + 2.4 * sum(heights))  # inches: as wide as a page of paper
         figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasSVG(figure)
         layout: Any = {"sharex": True, "squeeze": False, "height_ratios": heights}
         axes = figure.subplots(len(heights), 1, **layout)[:, 0]
         for place, ax in enumerate(axes):
@@ -463,15 +422,16 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
         ax.axhspan(-panel.noise, panel.noise, label=text, **band)
     ax.set_ylabel(_short(panel.label))
     ax.margins(y=0.25)
-    if panel.limits is not None:
-        ax.set_yscale("log" if panel.is_log else "linear")
-        ax.set_ylim(panel.limits)
+    if panel.scale == LOG:
+        ax.set_yscale("log")
+    elif panel.scale == FROM_ZERO:
+        ax.set_ylim(bottom=0)
     else:
         ax.axhline(0, color=BASELINE, lw=0.6)
     if chart.window is not None:
         ax.axvspan(*chart.window, color=ATTENTION, alpha=0.15, lw=0)
     if chart.ticks:
-        ax.set_xlim(-0.5, len(chart.ticks) - 1 + BEHIND)
+        ax.set_xlim(-0.5, len(chart.ticks) - 0.5)
         ax.set_xticks(range(len(chart.ticks)), map("\n".join, chart.ticks))
     if ax.get_legend_handles_labels()[0]:
         room = {"handlelength": 3.5, "columnspacing": 1.2}  # for the longest marker
@@ -483,26 +443,13 @@ def _draw_curve(ax: Axes, curve: Curve) -> None:
         lower, upper = curve.y - curve.std, curve.y + curve.std
         look: Any = {"color": curve.color, "alpha": 0.2, "lw": 0}
         ax.fill_between(curve.x, lower, upper, label=curve.band, **look)
-    marker, size = LEVEL_MARKER if curve.texts else ("", 0)
-    marker, size = MARKERS.get(curve.look, (marker, size))
-    look = {"marker": marker, "ms": size, "lw": 1.3, "color": curve.color}
-    line = "none" if curve.look == POINTS else MATPLOTLIB_LINES.get(curve.look, "-")
-    ax.plot(curve.x, curve.y, ls=line, label=_short(curve.name) or None, **look)
-    if not curve.texts:
-        return
-    for place, text in enumerate(curve.texts):
-        at = (curve.x[place], curve.y[place])
-        if text and np.isfinite(at[1]):
-            is_left = curve.sides[place].endswith("left")
-            is_top = curve.sides[place].startswith("top")
-            ax.annotate(
-                text,
-                at,
-                xytext=(-6 if is_left else 6, 5 if is_top else -14),
-                textcoords="offset points",
-                ha="right" if is_left else "left",
-                color=curve.color,
-            )
+    look = {"lw": 1.3, "color": curve.color, **MATPLOTLIB_LOOKS[curve.look]}
+    ax.plot(curve.x, curve.y, label=_short(curve.name) or None, **look)
+    offset, place = (4, "bottom") if curve.side == "top" else (-4, "top")
+    for x, y, text in zip(curve.x, curve.y, curve.texts, strict=False):
+        if text:
+            look = {"ha": "center", "va": place, "color": curve.color}
+            ax.annotate(text, (x, y), (0, offset), textcoords="offset points", **look)
 
 
 def _draw_map(ax: Axes, found: ForceMap) -> None:

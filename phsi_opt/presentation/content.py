@@ -176,6 +176,11 @@ class ForceRun:
     std: np.ndarray
     origin: dt.datetime | None = None
 
+    def near(self, t: float) -> tuple[float, float]:
+        """Force and standard deviation at the time nearest to one."""
+        place = int(np.argmin(np.abs(self.t - t)))
+        return float(self.force[place]), float(self.std[place])
+
 
 @dataclass(frozen=True, eq=False)
 class ForceMap:

@@ -9,10 +9,6 @@ SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told ane
 RANGE_OF_TIMES = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?) to (-?[\d.]+(?:e[+-]?\d+)?)")
 
 
-DAY = 86400.0  # s
-MANY_MINUTES = 600.0  # s, of which seconds say nothing
-
-
 @dataclass(frozen=True)
 class TimeScale:
     """A unit of time and how many of the user's unit it has."""
@@ -85,9 +81,9 @@ def date_words(t: float, origin: dt.datetime | None, span: float = 0.0) -> str:
     if origin is None:
         return ""
     moment = origin + dt.timedelta(seconds=round(t))
-    if span >= DAY:
+    if span >= 86400:  # a day
         return f"{moment:%Y-%m-%d}"
-    if span >= MANY_MINUTES:
+    if span >= 600:  # of many minutes seconds say nothing
         return f"{moment:%Y-%m-%d %H:%M}"
     return f"{moment:%Y-%m-%d %H:%M:%S}".removesuffix(":00")
 

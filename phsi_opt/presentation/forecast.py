@@ -14,15 +14,11 @@ FITTING = "fitting the base model"
 SCREENING = "screening"
 WEIGHING = "weighing"
 ADDING = "adding"
-MISSING = "missing:"  # the verdict of a diagnosis; "nothing missing" is the last one
 NOTHING_MISSING = "nothing missing"
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
 # each unit); single ones differ by a factor of three.
 SIZES = {FITTING: 1.0, SCREENING: 1.5, WEIGHING: 1.0, ADDING: 2.0}
 DIAGNOSIS = (SCREENING, *[WEIGHING] * 4)  # 1 to 12 effects are weighed
-# Times its expected length after which a work is said to take longer than expected.
-OVERDUE = 1.5
-MOST_SAID = 99 * 3600.0  # s; beyond that no forecast is worth saying
 
 
 @dataclass
@@ -46,46 +42,32 @@ class Forecast:
 
     def __post_init__(self) -> None:
         self.began = self.current_began = self.clock()
-        self.plan = [*DIAGNOSIS, *[ADDING, *DIAGNOSIS] * (self.n_diagnoses - 1)]
-        if not self.n_diagnoses:
-            self.plan = []
+        rounds = [*DIAGNOSIS, ADDING] * self.n_diagnoses
+        self.plan = rounds[:-1]
 
     def said(self, line: str) -> None:
         """Note a line; most say nothing of the progress."""
-        if line.startswith((NOTHING_MISSING, MISSING)):
-            self._begin("")
-            ends = ADDING if line.startswith(MISSING) else ""
-            place = self.plan.index(ends) if ends in self.plan else len(self.plan)
-            self.plan = self.plan[place:]
-        for kind in SIZES:
-            if line.startswith(kind):
-                self._begin(kind)
-                self._go_on_from(kind)
-
-    def _begin(self, kind: str) -> None:
+        kind = next(filter(line.startswith, (NOTHING_MISSING, *SIZES)), None)
+        if kind is None:
+            return
         self.done += SIZES.get(self.current, 0.0)
         self.current = kind
         self.current_began = self.clock()
-
-    def _go_on_from(self, kind: str) -> None:
-        """Leave out of the plan what was expected up to a kind of work."""
-        if kind == ADDING and self.n_diagnoses and SCREENING not in self.plan:
+        if kind == NOTHING_MISSING:
+            self.plan = []  # the last diagnosis
+        elif kind == ADDING and self.n_diagnoses and SCREENING not in self.plan:
             self.plan = list(DIAGNOSIS)  # one more than was expected
         elif kind in self.plan and (kind != WEIGHING or self.plan[0] == WEIGHING):
             self.plan = self.plan[self.plan.index(kind) + 1 :]
 
     @property
-    def _pace(self) -> float:
-        """Seconds that a unit of the work took so far, the current one left out."""
-        return (self.current_began - self.began) / self.done
-
-    @property
     def is_overdue(self) -> bool:
         """Whether the current work takes far longer than others of its kind."""
-        if self.done == 0.0 or not self.current:
+        if self.done == 0.0 or self.current not in SIZES:
             return False
-        expected = SIZES[self.current] * self._pace
-        return self.clock() - self.current_began > OVERDUE * expected
+        pace = (self.current_began - self.began) / self.done
+        expected = SIZES[self.current] * pace
+        return self.clock() - self.current_began > 1.5 * expected
 
     @property
     def elapsed(self) -> float:
@@ -112,8 +94,7 @@ class Forecast:
             return None
         half = SIZES.get(self.current, 0.0) / 2
         remaining = half + sum(SIZES[kind] for kind in self.plan)
-        seconds = remaining * self.elapsed / (self.done + half)
-        return seconds if seconds < MOST_SAID else None
+        return remaining * self.elapsed / (self.done + half)
 
 
 def duration(seconds: float) -> str:

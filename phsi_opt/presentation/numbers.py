@@ -4,23 +4,19 @@ import math
 import re
 from collections.abc import Sequence
 
-TEXT_DIGITS = 4  # of a number in a text
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
 SUPERSCRIPTS = dict(zip("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹", strict=True))
 POWER_OF_TEN = re.compile(
     r"(?<![\w.])(\d+(?:\.\d+)?)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
 )
-LARGEST_DECIMAL = 1e6  # up to which a number is written without a power of ten
 # Names of people; names of effects are small letters in code.
 PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
 LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
-SHOWN_DIGITS = 5  # of a constant that somebody may have chosen
 RAISED = str.maketrans(SUPERSCRIPTS)
-LEAST_P_VALUE = 1e-6  # below which it only says that chance is ruled out
 
 
-def number(value: float | None, digits: int = TEXT_DIGITS) -> str:
+def number(value: float | None, digits: int = 4) -> str:
     """The value with a few digits, "not known" where there is none."""
     if value is None or not math.isfinite(value):
         return "not known"
@@ -30,7 +26,7 @@ def number(value: float | None, digits: int = TEXT_DIGITS) -> str:
 def decimal(value: float, digits: int) -> str:
     """A number with so many digits, up to a million as 260 and not as 2.6e+02."""
     text = f"{value:.{digits}g}"
-    if "e+" in text and abs(value) < LARGEST_DECIMAL:
+    if "e+" in text and abs(value) < 1e6:
         return f"{float(text):.0f}"
     return text
 
@@ -42,7 +38,7 @@ def with_error(value: float, std_error: float) -> str:
     if not math.isfinite(std_error) or std_error <= 0:
         return number(value)
     n_decimals = 1 - math.floor(math.log10(std_error))
-    if abs(n_decimals) > TEXT_DIGITS + 1:
+    if abs(n_decimals) > 5:
         return f"{number(value)} \N{PLUS-MINUS SIGN} {number(std_error, 2)}"
     n_decimals = max(n_decimals, 0)
     text = f"{value:.{n_decimals}f}".replace("-", "\N{MINUS SIGN}", 1)
@@ -64,20 +60,21 @@ def estimate_text(value: float, std_error: float) -> str:
 
 
 def short_constants(line: str) -> str:
-    """An equation whose constants of six digits have three; estimates stay."""
+    """An equation whose constants of six digits have three; estimates stay.
+
+    One of up to five digits may be what somebody chose.
+    """
     return LONG_CONSTANT.sub(_three_digits, line)
 
 
 def _three_digits(found: re.Match[str]) -> str:
     digits = found[0].replace(".", "").lstrip("0")
-    return f"{float(found[0]):.3g}" if len(digits) > SHOWN_DIGITS else found[0]
+    return f"{float(found[0]):.3g}" if len(digits) > 5 else found[0]
 
 
 def p_value_words(p_value: float) -> str:
     """A p-value with two digits; below a millionth its size says nothing more."""
-    if p_value < LEAST_P_VALUE:
-        return f"below {LEAST_P_VALUE:g}"
-    return f"{p_value:.2g}"
+    return "below 1e-06" if p_value < 1e-6 else f"{p_value:.2g}"
 
 
 def typeset(text: str) -> str:
@@ -111,6 +108,17 @@ def listed(names: Sequence[str], nothing: str = "", most: int = 4) -> str:
     if len(names) > most:
         return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
     return ", ".join(names) or nothing
+
+
+def number_of(n: int, noun: str, plural: str | None = None) -> str:
+    """A number with its noun, such as "1 sample" and "3 samples".
+
+    Args:
+        n: The number.
+        noun: The noun for one.
+        plural: The noun for several, where an s at the end is not enough.
+    """
+    return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
 def lowered(text: str) -> str:

@@ -39,10 +39,7 @@ from phsi_opt.presentation.charts import (
 from phsi_opt.presentation.content import TRAINING, ErrorStep, ForceRun
 from phsi_opt.presentation.units import rate_unit
 
-RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
 BAND = "run, two standard deviations"
-STATE_HEIGHT = 1.8  # inches of a panel
-N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +108,11 @@ def _panel_below(ax: Axes) -> Axes:
     """New axes in the lower part of the place that the axes had."""
     place = ax.get_subplotspec()
     if place is not None:
-        rows = place.subgridspec(2, 1, height_ratios=(1.0, RESIDUAL_HEIGHT))
+        rows = place.subgridspec(2, 1, height_ratios=(2, 1))
         ax.set_subplotspec(rows[0])
         return ax.figure.add_subplot(rows[1], sharex=ax)
     box = ax.get_position()
-    lower = box.height * RESIDUAL_HEIGHT / (1 + RESIDUAL_HEIGHT)
+    lower = box.height / 3
     ax.set_position((box.x0, box.y0 + lower, box.width, box.height - lower))
     size = (box.x0, box.y0, box.width, 0.85 * lower)  # a gap between them
     return ax.figure.add_axes(size, sharex=ax)
@@ -179,9 +176,9 @@ def plot_profile(
     # points.
     signed_root = np.sign(held - value) * np.sqrt(rise)
     root = PchipInterpolator(held, signed_root)
-    inside = np.linspace(held[0], held[-1], N_CURVE)
+    inside = np.linspace(held[0], held[-1], 200)  # no corner is seen
     lower, upper = curvature
-    wide = np.linspace(min(held[0], lower), max(held[-1], upper), N_CURVE)
+    wide = np.linspace(min(held[0], lower), max(held[-1], upper), 200)
     parabola = threshold * ((wide - value) / ((upper - lower) / 2)) ** 2
     curves = (
         Curve("profile", inside, root(inside) ** 2, MODEL),
@@ -190,7 +187,8 @@ def plot_profile(
         Curve(f"{100 * level:.3g} %", wide, 0 * wide + threshold, FLOOR, "dot"),
     )
     told = "rise of -2 log likelihood"
-    draw(ax, Chart("", (Panel(told, curves, limits=(0, 2 * threshold)),)))
+    draw(ax, Chart("", (Panel(told, curves),)))
+    ax.set_ylim(0, 2 * threshold)
     return ax
 
 
@@ -225,7 +223,7 @@ def plot_states(
         t_unit: Unit of the time.
         title: Over the panels.
     """
-    size = (8.0, 0.8 + STATE_HEIGHT * len(channels))
+    size = (8.0, 0.8 + 1.8 * len(channels))
     figure, axes = plt.subplots(
         len(channels), 1, sharex=True, figsize=size, layout="constrained", squeeze=False
     )
@@ -248,12 +246,6 @@ def draw_state(ax: Axes, t: np.ndarray, channel: Channel, t_unit: str) -> None:
 
 
 # ---- how well every parameter is known -----------------------------------------------
-
-WIDTH = 8.0  # inches of a new figure
-ROW_HEIGHT = 0.32  # inches per parameter: tick labels do not touch
-FRAME_HEIGHT = 1.1  # inches for title and axis below and above the rows
-LEAST_ROWS = 2  # for which a new figure has room
-AXIS_MARGIN = 1.15  # range of the axis over the widest interval that it shows
 
 
 class Look(NamedTuple):
@@ -287,14 +279,14 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
         ax: Axes to draw on; None: a new figure, as high as the table is long.
     """
     n = len(table)
-    ax = axes_of(ax, (WIDTH, FRAME_HEIGHT + ROW_HEIGHT * max(n, LEAST_ROWS)))
+    ax = axes_of(ax, (8.0, 1.1 + 0.32 * max(n, 2)))  # tick labels do not touch
     half_width = (table["ci_upper"] - table["ci_lower"]).to_numpy(dtype=float) / 2
     percent = 100 * half_width / table["value"].abs().to_numpy(dtype=float)
     is_known = np.isfinite(half_width)
     cases = [is_known & (percent < 100), is_known, table["at_bound"].to_numpy(bool)]
     kind = np.select(cases, ["sure", "open", "held"], "unknown")
     is_sure = kind == "sure"
-    reach = AXIS_MARGIN * float(percent[is_sure].max()) if is_sure.any() else 100.0
+    reach = 1.15 * float(percent[is_sure].max()) if is_sure.any() else 100.0
     ax.axvline(0, color=BASELINE, lw=0.8)
     for name, look in LOOKS.items():
         rows = np.flatnonzero(kind == name)

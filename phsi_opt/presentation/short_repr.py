@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
 
-LONGEST = 10**12  # whole numbers beyond it are not written out
-
 
 def chosen_fields(record: Any) -> dict[str, Any]:
     """The fields of a dataclass that are not at their defaults."""
@@ -31,5 +29,10 @@ def short_repr(record: Any) -> str:
 
 def short_number(value: Any) -> str:
     """A value as Python writes it, but for whole numbers of very many digits."""
-    is_long = isinstance(value, int) and abs(value) > LONGEST
+    is_long = isinstance(value, int) and abs(value) > 10**12
     return "a number beyond 10**12" if is_long else repr(value)
+
+
+def shortened(text: str, most: int) -> str:
+    """The text, cut where it has more characters than ``most``."""
+    return text if len(text) <= most else f"{text[:most]}..."

@@ -18,7 +18,6 @@ from phsi_opt.presentation.tables import (
 
 if TYPE_CHECKING:
     import pandas as pd
-    from markupsafe import Markup
     from rich.console import Console, ConsoleOptions, RenderableType
 
 
@@ -58,14 +57,27 @@ class Summarised:
     def _summary(self) -> Summary:
         raise NotImplementedError
 
+    def __repr__(self) -> str:
+        """The summary as text; tables within 80 characters."""
+        return text_of_summary(self._summary())
+
     def _repr_html_(self) -> str:
-        return html_of_summary(self._summary())
+        return html_shown("summary", self._summary(), html_of_table)
 
     def __rich_console__(
         self, console: "Console", options: "ConsoleOptions"
     ) -> "Iterator[RenderableType]":
         """What rich prints."""
-        yield from rich_of_summary(self._summary(), options.max_width)
+        from rich.text import Text
+
+        summary = self._summary()
+        yield Text(summary.title, style="bold")
+        for part in summary.parts:
+            heading = Text(part.heading and f"\n{part.heading}", style="italic")
+            yield from filter(None, (heading, Text(part.text), Text(part.code)))
+            if part.table is not None:
+                n_rows = len(part.table)
+                yield from rich_of_table(part.table, options.max_width, n_rows)
 
 
 def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
@@ -82,29 +94,3 @@ def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
             lines.append(text_of_table(part.table, most_rows=len(part.table)))
         blocks.append("\n".join(lines))
     return between.join(block for block in blocks if block)
-
-
-def html_of_summary(summary: Summary) -> str:
-    """The summary as HTML; its colours are those of the page around it."""
-    return html_shown("summary", summary, _html_of_whole)
-
-
-def _html_of_whole(table: "pd.DataFrame") -> "Markup":
-    from markupsafe import Markup
-
-    return Markup(html_of_table(table, most_rows=len(table)))
-
-
-def rich_of_summary(summary: Summary, width: int) -> "Iterator[RenderableType]":
-    """The summary for a console of rich, whose lines have so many characters."""
-    from rich.text import Text
-
-    yield Text(summary.title, style="bold")
-    for part in summary.parts:
-        if part.heading:
-            yield Text(f"\n{part.heading}", style="italic")
-        for text in (part.text, part.code):
-            if text:
-                yield Text(text)
-        if part.table is not None:
-            yield from rich_of_table(part.table, width, most_rows=len(part.table))

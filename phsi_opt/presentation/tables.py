@@ -6,37 +6,30 @@ columns come again. No column is left out.
 """
 
 import io
-import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from phsi_opt.presentation.sentences import environment
+
 if TYPE_CHECKING:
     import pandas as pd
+    from markupsafe import Markup
     from rich.table import Table
     from rich.text import Text
 
 LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
+LEAST_TEXT = 12  # characters to which a column of texts is narrowed: a word or two
 COLUMN_GAP = 2  # characters between columns
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
-LEAST_TEXT = 12  # characters to which a column of texts is narrowed: a word or two
-KEY_SHARE = 0.5  # of the line that the first columns may take in every block
-HEADER_PIECE = re.compile(r"[^_\s]+_?|_")
-CUT = "..."
-UNKNOWN = "-"  # in place of NaN
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column as it is shown.
+class Column(NamedTuple):
+    """A column as it is shown: its name, a text per row, and whether it is numbers.
 
-    Attributes:
-        header: Its name.
-        cells: A text per row.
-        is_number: Whether its cells are numbers, which stand at the right.
+    Numbers stand at the right.
     """
 
     header: str
@@ -44,35 +37,17 @@ class Column:
     is_number: bool
 
     @property
-    def side(self) -> str:
-        """Where its cells stand, in the words of a style sheet."""
-        return "right; white-space: nowrap" if self.is_number else "left"
-
-    @property
-    def width(self) -> int:
-        """Characters that it takes where nothing is broken into lines."""
-        return max(map(len, (self.header, *self.cells)))
+    def broken_header(self) -> str:
+        """Its name in lines, which end at blanks and behind underscores."""
+        return self.header.replace("_", "_\n")
 
     @property
     def least_width(self) -> int:
-        """Characters that it takes where all is broken that may be."""
-        longest = max(map(len, ("", *self.cells)))
+        """Characters that it takes where all is broken that may be, with the gap."""
+        longest = max(map(len, self.cells), default=1)
         if not self.is_number:
             longest = min(longest, LEAST_TEXT)
-        return max(longest, 1, *map(len, HEADER_PIECE.findall(self.header)))
-
-    @property
-    def broken_header(self) -> str:
-        """Its name in lines, broken at blanks and behind underscores."""
-        lines = [""]
-        for piece in HEADER_PIECE.findall(self.header):
-            joint = "" if lines[-1].endswith("_") or not lines[-1] else " "
-            joined = f"{lines[-1]}{joint}{piece}"
-            if len(joined) <= self.least_width or not lines[-1]:
-                lines[-1] = joined
-            else:
-                lines.append(piece)
-        return "\n".join(lines)
+        return COLUMN_GAP + max(longest, 1, *map(len, self.broken_header.split()))
 
 
 def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column]:
@@ -81,7 +56,7 @@ def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column
 
     half = most_rows // 2
     columns = []
-    series = [table.iloc[:, number] for number in range(len(table.columns))]
+    series = [values for _, values in table.items()]
     if not pd.api.types.is_integer_dtype(table.index):
         series.insert(0, table.index.to_series())
     for values in series:
@@ -89,7 +64,7 @@ def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column
         is_number = pd.api.types.is_numeric_dtype(values) and not is_bool
         cells = list(map(text_of_cell, values.tolist()))
         if len(table) > most_rows:
-            cells[half:-half] = [CUT]
+            cells[half:-half] = ["..."]
         columns.append(Column(text_of_cell(values.name), tuple(cells), is_number))
     return columns
 
@@ -102,7 +77,7 @@ def text_of_cell(value: Any) -> str:
     if value is None:
         return ""
     if isinstance(value, float | np.floating):
-        return UNKNOWN if np.isnan(value) else f"{value:.4g}"
+        return "-" if np.isnan(value) else f"{value:.4g}"
     return " ".join(str(value).split())
 
 
@@ -157,16 +132,17 @@ def _table(columns: list[Column], width: int) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    is_wide = sum(column.width + COLUMN_GAP for column in columns) > width + COLUMN_GAP
+    widest = [max(map(len, (one.header, *one.cells))) for one in columns]
+    is_wide = sum(widest) + COLUMN_GAP * (len(columns) - 1) > width
     shown = Table(box=None, padding=(0, COLUMN_GAP, 0, 0), pad_edge=False)
-    for column in columns:
+    for one in columns:
         shown.add_column(
-            Text(column.broken_header if is_wide else column.header),
-            justify="right" if column.is_number else "left",
-            min_width=min(column.least_width, width),
+            Text(one.broken_header if is_wide else one.header),
+            justify="right" if one.is_number else "left",
+            min_width=min(one.least_width - COLUMN_GAP, width),
             overflow="fold",
         )
-    for cells in zip(*(column.cells for column in columns), strict=True):
+    for cells in zip(*(one.cells for one in columns), strict=True):
         shown.add_row(*map(Text, cells))
     return shown
 
@@ -174,12 +150,12 @@ def _table(columns: list[Column], width: int) -> "Table":
 def _blocks(columns: list[Column], width: int) -> Iterator[list[Column]]:
     """The columns, cut where they do not fit; those up to the first texts come again.
 
-    The first texts tell the rows apart; where they take too much of the line, nothing
-    comes again.
+    The first texts tell the rows apart; where they take half of the line, nothing comes
+    again.
     """
     texts = [k for k, column in enumerate(columns) if not column.is_number]
     key = columns[: texts[0] + 1] if texts else []
-    if _least(key) > KEY_SHARE * width:
+    if 2 * _least(key) > width:
         key = []
     block: list[Column] = []
     for column in columns:
@@ -193,7 +169,7 @@ def _blocks(columns: list[Column], width: int) -> Iterator[list[Column]]:
 
 def _least(columns: list[Column]) -> int:
     """Characters that columns take at least, with the gaps between them."""
-    return sum(column.least_width + COLUMN_GAP for column in columns) - COLUMN_GAP
+    return sum(column.least_width for column in columns) - COLUMN_GAP
 
 
 def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
@@ -203,15 +179,15 @@ def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
     return html_shown("table", columns, n_rows, _remark(table, most_rows))
 
 
-def html_shown(name: str, *facts: Any) -> str:
+def html_shown(name: str, *facts: Any) -> "Markup":
     """What a macro of ``shown.html.jinja`` makes of facts."""
-    return str(getattr(_shown(), name)(*facts)).strip()
+    made: Markup = getattr(_shown(), name)(*facts)
+    return made.strip()
 
 
 @cache
 def _shown() -> Any:
-    from jinja2 import Environment, PackageLoader  # slow to load
-
-    loader = PackageLoader("phsi_opt.presentation")
-    environment = Environment(loader=loader, autoescape=True, trim_blocks=True)
-    return environment.get_template("shown.html.jinja").module
+    found = environment(
+        "phsi_opt.presentation", "templates", autoescape=True, trim_blocks=True
+    )
+    return found.get_template("shown.html.jinja").module

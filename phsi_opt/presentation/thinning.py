@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-DIGITS_OF_RANGE = 4  # decimals over the range of a curve: finer than a pixel
-
 
 def thinned(curves: Sequence[np.ndarray], most: int) -> np.ndarray:
     """Samples to draw, (n_drawn,) increasing: first, last, and extremes of each bin.
@@ -40,8 +38,8 @@ def _extremes(curve: np.ndarray, part: np.ndarray) -> set[int]:
     return found
 
 
-def rounded(curve: np.ndarray, digits: int = DIGITS_OF_RANGE) -> list[float | None]:
-    """Values (n,) with as many digits as can be seen; None in place of NaN."""
+def rounded(curve: np.ndarray, digits: int = 4) -> list[float | None]:
+    """Values (n,) with as many digits of their range as can be seen; None for NaN."""
     known = curve[np.isfinite(curve)]
     extent = float(np.ptp(known)) if len(known) else 0.0
     size = extent or (abs(float(known[0])) if len(known) else 1.0) or 1.0

@@ -9,7 +9,6 @@ import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.wording import number_of
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_report import equation_lines
 from phsi_opt.force_analysis.localization import rms
@@ -33,6 +32,7 @@ from phsi_opt.presentation.content import (
 from phsi_opt.presentation.durations import TimeScale, scale_of_time
 from phsi_opt.presentation.numbers import (
     number,
+    number_of,
     proper_names,
     short_constants,
 )

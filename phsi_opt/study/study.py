@@ -21,7 +21,7 @@ from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
-from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
+from phsi_opt.presentation.summary import Summarised, Summary
 from phsi_opt.study.fitting import StudyFitting
 from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import check_executor
@@ -97,9 +97,6 @@ class Study(Summarised):
 
     def _summary(self) -> Summary:
         return self.record.summary
-
-    def __repr__(self) -> str:
-        return text_of_summary(self._summary())
 
     @property
     def train(self) -> Measurements:

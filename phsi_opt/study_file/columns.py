@@ -13,7 +13,8 @@ import pandas as pd
 from phsi_opt.data.tables import Table, rows_of_runs
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.data.times import format_of_dates
-from phsi_opt.data.wording import number_of
+from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.study_file.headers import TIMES, Header
 
 TIME = "time"
@@ -24,15 +25,12 @@ UNUSED = "left out"
 PERHAPS_INPUT = "perhaps an input"
 DATES = "dates"
 MOSTLY = 0.5  # share of the filled cells above which a column is of numbers, or dates
-LOOKED_AT = 50  # cells that tell whether a column holds dates
 DATE_FORMATS = tuple(  # day and month before the year, which ISO 8601 does not have
     f"{day}{clock}"
     for day in ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
     for clock in ("", " %H:%M", " %H:%M:%S", " %H:%M:%S.%f")
 )
 OF_UNITS = "if that line has units, write them into the header: q [m]"
-EXAMPLES = 3  # different texts that are shown of a column of text
-CELL_CHARACTERS = 20  # of a cell
 
 
 @dataclass(eq=False)
@@ -217,22 +215,19 @@ def _and_more(said: str, n_found: int, noun: str) -> str:
 
 def _shown(cell: str) -> str:
     """A cell in quotes, cut where it is long."""
-    one_line = " ".join(cell.split())
-    if len(one_line) > CELL_CHARACTERS:
-        one_line = f"{one_line[:CELL_CHARACTERS]}..."
-    return f'"{one_line}"'
+    return f'"{shortened(" ".join(cell.split()), 20)}"'
 
 
 def _look_at_texts(one: Column) -> None:
     """A column of dates, or of texts, which are left out."""
     cells = one.cells[~one.is_missing]
     one.date_format = _date_format(cells)
-    if one.date_format or _share_of_dates(cells[:LOOKED_AT], "mixed") > MOSTLY:
+    some = cells[:50]  # more would tell nothing else
+    if one.date_format or _share_of_dates(some, "mixed") > MOSTLY:
         return one.left_out(DATES)
-    different = cells[:LOOKED_AT].unique()
-    shown = ", ".join(map(_shown, different[:EXAMPLES]))
-    more = ", ..." if len(different) > EXAMPLES else ""
-    return one.left_out(f"text: {shown}{more}")
+    different = some.unique()
+    more = ", ..." if len(different) > 3 else ""
+    return one.left_out(f"text: {', '.join(map(_shown, different[:3]))}{more}")
 
 
 def _date_format(cells: pd.Series) -> str:

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, ModelError
+from phsi_opt.presentation.short_repr import shortened
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
-SHOWN_CHARACTERS = 60  # of a value, in a message
-MOST_TOLD = 100  # complaints; a person corrects fewer before the next look
 Place = tuple[str | int, ...]
 
 
@@ -23,9 +22,7 @@ class TooManyComplaintsError(Exception):
 
 def shown(value: Any) -> str:
     """A value as the file has it, cut where it is long."""
-    text = toml_value(value)
-    is_short = len(text) <= SHOWN_CHARACTERS
-    return text if is_short else f"{text[:SHOWN_CHARACTERS]}..."
+    return shortened(toml_value(value), 60)
 
 
 def key_of(place: Place) -> str:
@@ -50,8 +47,8 @@ class Complaints:
 
     @property
     def is_full(self) -> bool:
-        """Whether as many are noted as are told."""
-        return len(self.listed) >= MOST_TOLD
+        """Whether more are noted than a person corrects before the next look."""
+        return len(self.listed) >= 100
 
     def place(self, place: Place) -> Place:
         """The place without the number of one that stands for a list of it."""

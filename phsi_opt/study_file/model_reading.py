@@ -144,18 +144,20 @@ class ModelReader:
             return KINDS[kind](**parts)
         return None
 
+    def _is_state(self, name: str, *place: str | int) -> bool:
+        """Whether the model has a state of this name; else it is noted."""
+        if name not in self.states:
+            listed = ", ".join(self.states) or "none"
+            said = f"{name!r} is not a state of the model; its states are {listed}."
+            self.found.add(said + did_you_mean(name, self.states), *place)
+        return name in self.states
+
     def _slot(self, slot: str) -> dict[str, Dictionary]:
         sums = {}
         for state, terms in self.section.get(slot, {}).items():
             place = ("model", slot, state)
-            if state in self.states:
+            if self._is_state(state, *place):
                 sums[state] = self._terms(terms, slot, *place)
-            else:
-                listed = ", ".join(self.states) or "none"
-                said = (
-                    f"{state!r} is not a state of the model; its states are {listed}."
-                )
-                self.found.add(said + did_you_mean(state, self.states), *place)
         return sums
 
     def _structure(self) -> Any:
@@ -163,12 +165,8 @@ class ModelReader:
             return self.section.get("S")
         S = np.zeros((len(self.states), len(self.states)))
         for pair in self.section.get("pairs", ()):
-            unknown = [name for name in pair if name not in self.states]
-            for name in unknown:
-                hint = did_you_mean(name, self.states)
-                said = f"{name!r} is not a state of the model.{hint}"
-                self.found.add(said, "model", "pairs")
-            if not unknown:
+            are_states = [self._is_state(name, "model", "pairs") for name in pair]
+            if all(are_states):
                 row, column = map(self.states.index, pair)
                 S[row, column] = 1.0
                 S[column, row] = -1.0
@@ -249,10 +247,8 @@ class ModelReader:
         place = ("effects", number)
         for name in ("name", "slot", "equation", "term"):
             self.found.need("an effect needs it.", content.get(name), *place, name)
-        equation = content.get("equation", "")
-        if equation and equation not in self.states:
-            hint = did_you_mean(equation, self.states)
-            self.found.add(f"there is no such state.{hint}", *place, "equation")
+        if content.get("equation"):
+            self._is_state(content["equation"], *place, "equation")
         if self.found.about(*place):
             return None
         rates = content.get("memory", {})

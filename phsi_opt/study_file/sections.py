@@ -28,7 +28,6 @@ READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
 
 OF_FILES = ("sheet", "columns", "separator", "decimal")  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
-SHARE_DIGITS = 12  # of 1 - share, so that 1 - 0.4 reads 0.6
 
 
 def reader_of(path: Path | DataFile) -> str:
@@ -233,7 +232,7 @@ class HeldOut:
     @property
     def training_share(self) -> float:
         """What `Measurements.split` is asked for."""
-        return round(1 - (self.share or 0.0), SHARE_DIGITS)
+        return round(1 - (self.share or 0.0), 12)  # 1 - 0.4 reads 0.6
 
     def split(self, data: Measurements) -> tuple[Measurements, Measurements]:
         """Training data and data held out.
@@ -258,19 +257,16 @@ def _by_runs(
     data: Measurements, runs: tuple[str, ...]
 ) -> tuple[Measurements, Measurements]:
     held_out = {data.trajectory_number(run) for run in runs}
-    kept: list[Trajectory] = []
-    judging: list[Trajectory] = []
+    parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
     for number, run in enumerate(data.trajectories):
-        (judging if number in held_out else kept).append(run)
+        parts[number in held_out].append(run)
+    kept, judging = (tuple(part) for part in parts)
     if not kept or not judging:
         raise DataError(
             f"{len(judging)} of {data.n_trajectories} runs are held out; expected at "
             "least one, and at least one to fit."
         )
-    return (
-        replace(data, trajectories=tuple(kept)),
-        replace(data, trajectories=tuple(judging)),
-    )
+    return replace(data, trajectories=kept), replace(data, trajectories=judging)
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,14 @@ import numpy as np
 
 from phsi_opt import __all__ as public
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.tables import LINE_WIDTH
 from phsi_opt.study_file.effects import own_effect
 from phsi_opt.study_file.sections import Sections, told
-from phsi_opt.study_file.study_text import shared_parameters
+from phsi_opt.study_file.study_text import model_parts, shared_parameters
 from phsi_opt.study_file.toml_text import text_template
 
 IN_SCRIPT = "parameters"  # the variable in which the script keeps them
-LINE_WIDTH = 80  # of source; what a call is given to stands before it
 INDENT = "    "
 SCRIPT_BEGIN = '''\
 """A study of phsi_opt, as a script."""
@@ -105,13 +104,13 @@ def study_script(study: Sections) -> str:
     source = Source()
     model = study.base
     steps = study.steps
-    parts: dict[str, Any] = {"states": list(model.states)}
+    parts = model_parts(model)
     if model.has_energy:
-        parts |= {"S": np.array(model.S).tolist(), "H": model.H}
-    for name in ("inputs", *BY_EQUATION, "memory", "kind"):
-        value = getattr(model, name)
-        if value or (name == "F" and not model.has_energy):
-            parts[name] = list(value) if isinstance(value, tuple) else value
+        parts["S"] = np.array(model.S).tolist()
+    else:
+        parts.setdefault("F", {})
+    for name, value in parts.items():
+        parts[name] = list(value) if isinstance(value, tuple) else value
 
     def named(name: str) -> str:
         """An effect: one of the user's own, or a name of the catalogue."""

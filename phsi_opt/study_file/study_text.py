@@ -17,12 +17,12 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.tables import LINE_WIDTH
 from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
 from phsi_opt.study_file.sections import Sections, told
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 Content = dict[str, Any]
-TEXT_WIDTH = 88  # of a line, where a list can be broken
 HEAD = """\
 # A study of phsi_opt: what was measured, what is known, which effects were added.
 # `phsi-opt check` reads it; docs/command_line.md lists every key.
@@ -85,7 +85,7 @@ def _entries(path: str, table: Mapping[str, Any]) -> Iterator[str]:
         if f"{path}.{key}" in COMMENTS and isinstance(value, dict):
             continue
         line = f"{key_text(key)} = {toml_value(value)}"
-        if len(line) > TEXT_WIDTH and isinstance(value, list):
+        if len(line) > LINE_WIDTH and isinstance(value, list):
             items = [f"    {toml_value(one)},\n" for one in value]
             line = f"{key_text(key)} = [\n{''.join(items)}]"
         yield line
@@ -142,14 +142,18 @@ def _parameter(parameter: Parameter) -> Content | float:
     return content["value"] if list(content) == ["value"] else content
 
 
-def _model(model: Model) -> Content:
+def model_parts(model: Model) -> dict[str, Any]:
+    """The parts of a model that say something, by their names, without S."""
+    energy = {"H": model.H} if model.has_energy else {}
     names = ("states", "inputs", "memory", "kind", *BY_EQUATION)
-    content = {name: getattr(model, name) for name in names if getattr(model, name)}
-    if model.has_energy:
-        slots = {name: content.pop(name) for name in BY_EQUATION if name in content}
-        content |= {**_structure(model), "H": model.H, **slots}
+    parts = {name: getattr(model, name) for name in names}
+    return {name: one for name, one in parts.items() if one} | energy
+
+
+def _model(model: Model) -> Content:
+    structure = _structure(model) if model.has_energy else {}
     kind = WITH_ENERGY if model.has_energy else WITHOUT_ENERGY
-    return {"type": kind, **_plain(content)}
+    return {"type": kind, **structure, **_plain(model_parts(model))}
 
 
 def _structure(model: Model) -> Content:

@@ -5,6 +5,7 @@ is decided by them. The reader of ``phsi_opt.data`` reads the table, so that wha
 seen here can be read later.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, count
@@ -30,15 +31,12 @@ from phsi_opt.study_file.columns import (
 from phsi_opt.study_file.data_files import sheets_in, table_at
 from phsi_opt.study_file.headers import TIMES, Header
 
-MOST_RUNS = 1 / 3  # share of the lines that may be different runs
-EVEN_STEPS = 0.01  # share of the median step by which steps of a regular record differ
-GAP_STEPS = 1.5  # median steps from which a step is a gap
-# Means must keep what the states do: of measured records with some 10,000 lines, means
-# down to 2,000 kept 0.98 of the variance and more; of a fast oscillator (Silverbox,
-# 131,072 lines) they kept 0.005.
-MANY_LINES = 5000  # of a run, from which a study takes long
-FEW_LINES = 2000  # of a run, as many or a little more, that thinning leaves then
-VARIANCE_KEPT = 0.95  # share of a state's variance that must be left in the means
+# From as many lines of a run a study takes long; means then leave at least 2000.
+MANY_LINES = 5000
+# Share of a state's variance that must be left in the means: of measured records with
+# some 10,000 lines, means down to 2,000 kept 0.98 and more; of a fast oscillator
+# (Silverbox, 131,072 lines) they kept 0.005.
+VARIANCE_KEPT = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +94,7 @@ class TableSurvey:
     @cached_property
     def thinning(self) -> int:
         """How many samples could become their mean; 1 where that would lose much."""
-        n = self.n_lines // self.n_runs // FEW_LINES if self.is_long else 1
+        n = self.n_lines // self.n_runs // 2000 if self.is_long else 1
         surely = [one for one in self.of_part(STATE) if not one.may_be_input]
         while n > 1 and not all(_is_kept(one.values, n) for one in surely):
             n //= 2
@@ -119,9 +117,9 @@ class TableSurvey:
             return time.said
         steps = np.diff(time.values[time.neighbours(self.run)])
         typical = float(np.median(steps))
-        n_gaps = int(np.sum(steps > GAP_STEPS * typical))
+        n_gaps = int(np.sum(steps > 1.5 * typical))
         said = f"{time.values.min():g} to {time.values.max():g}, every {typical:.4g}"
-        if np.ptp(steps) <= EVEN_STEPS * typical:
+        if np.ptp(steps) <= 0.01 * typical:
             return f"{said}, regular"
         if n_gaps:
             gaps = "1 gap of" if n_gaps == 1 else f"{n_gaps} gaps, the longest"
@@ -173,10 +171,27 @@ def survey(path: DataFile) -> TableSurvey:
     return seen
 
 
+def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> None:
+    """Refuse a further file that is no further run of the same measurement.
+
+    Raises:
+        DataError: it has other columns than the first.
+    """
+    known = [column.column for column in first]
+    found = [column.column for column in other]
+    if sorted(known) != sorted(found):
+        differ = sorted(set(known) ^ set(found))
+        raise DataError(
+            f"{file} has other columns than the first file: {', '.join(differ)} "
+            "stand in one of them alone. Files of one study are runs of the same "
+            "machine with the same columns; give one kind of file, or rename them."
+        )
+
+
 def _is_run(one: Column) -> bool:
     """Whether it names each line's run; then it says so."""
     n_different = one.cells[~one.is_missing].nunique()
-    is_few = 1 < n_different <= MOST_RUNS * len(one.cells)
+    is_few = 1 < n_different <= len(one.cells) / 3
     if not one.header.is_run or not is_few:
         return False
     one.said = f"{n_different} runs"

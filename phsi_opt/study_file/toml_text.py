@@ -106,15 +106,9 @@ def toml_value(value: Any) -> str:
 
 def text_template(name: str) -> "Template":
     """A template of this room, for a text that is no page."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from phsi_opt.presentation.sentences import environment  # loads NumPy
 
-    environment = Environment(
-        loader=PackageLoader("phsi_opt.study_file"),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=StrictUndefined,
-        autoescape=False,
-    )
-    environment.filters |= {"toml": toml_value, "key": key_text}
-    return environment.get_template(name)
+    lines = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
+    found = environment("phsi_opt.study_file", "templates", **lines)
+    found.filters |= {"toml": toml_value, "key": key_text}
+    return found.get_template(name)
