@@ -118,7 +118,7 @@ class Comparison(Summarised):
     @cached_property
     def _n_values(self) -> np.ndarray:
         """How many values were measured of each state, (n_states,)."""
-        return np.asarray(np.isfinite(self._y).sum(axis=0))
+        return np.isfinite(self._y).sum(axis=0)
 
     @cached_property
     @interruptible
@@ -211,7 +211,7 @@ class Comparison(Summarised):
         In the order of time, trajectory after trajectory.
         """
         squared = (np.concatenate(self.residuals) * self.weights) ** 2
-        return np.asarray(squared[np.isfinite(self._y)])
+        return squared[np.isfinite(self._y)]
 
     @cached_property
     def misfit(self) -> float:
@@ -227,7 +227,7 @@ class Comparison(Summarised):
     def _squares_by_state(self) -> np.ndarray:
         """Sums of squared residuals in noise variances, (n_states,)."""
         residuals = np.concatenate(self.residuals) / self.sigma
-        return np.asarray(np.nansum(residuals**2, axis=0))
+        return np.nansum(residuals**2, axis=0)
 
     @property
     def rmse(self) -> float:

@@ -37,13 +37,13 @@ def product_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     of_a = piecewise_linear_basis(a, N_PAIR_KNOTS)
     of_b = piecewise_linear_basis(b, N_PAIR_KNOTS)
     products = of_a[:, :, None] * of_b[:, None, :]
-    return np.asarray(products.reshape(len(a), -1))
+    return products.reshape(len(a), -1)
 
 
 def odd_basis(z: np.ndarray) -> np.ndarray:
     """Odd piecewise linear functions of a variable z (n,); they jump at zero."""
     of_size = piecewise_linear_basis(np.abs(z), N_KNOTS // 2)
-    return np.asarray(np.sign(z)[:, None] * of_size)
+    return np.sign(z)[:, None] * of_size
 
 
 # ---- judged on stretches left out ----------------------------------------------------
@@ -101,7 +101,7 @@ def _ridge_coefficients(normal: np.ndarray) -> np.ndarray:
     gram = normal[:, :-1]
     n = len(gram)
     weight = COEFFICIENT_RIDGE * np.trace(gram) / max(n, 1) + TINY
-    return np.asarray(np.linalg.solve(gram + weight * np.eye(n), normal[:, -1]))
+    return np.linalg.solve(gram + weight * np.eye(n), normal[:, -1])
 
 
 def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
@@ -116,7 +116,7 @@ def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarra
         of_holds = _stretches_of_holds(_holds(run, u))
         if of_holds is not None and of_holds[-1] < stretch[-1]:
             stretch = of_holds
-    return np.asarray(stretch % N_FOLDS)
+    return stretch % N_FOLDS
 
 
 def _even_stretches(run: np.ndarray) -> np.ndarray:
@@ -126,7 +126,7 @@ def _even_stretches(run: np.ndarray) -> np.ndarray:
     at_most = np.maximum(count, 1)
     n_stretches = np.clip(np.round(share_of_record), 1, at_most).astype(int)
     n_before = np.cumsum(n_stretches) - n_stretches
-    return np.asarray(n_before[run] + part_of_run(run, n_stretches[run]))
+    return n_before[run] + part_of_run(run, n_stretches[run])
 
 
 def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
     is_new_run = np.r_[True, np.diff(run) != 0]
     changes = is_new_run | np.r_[True, np.diff(u) != 0]
     stays = np.r_[~changes[1:], True]
-    return np.asarray(np.cumsum(is_new_run | (changes & stays)) - 1)
+    return np.cumsum(is_new_run | (changes & stays)) - 1
 
 
 def _stretches_of_holds(hold: np.ndarray) -> np.ndarray | None:
@@ -150,7 +150,7 @@ def _stretches_of_holds(hold: np.ndarray) -> np.ndarray | None:
     if n_holds < N_FOLDS or longest > len(hold) / N_FOLDS:
         return None
     n_stretches = max(n_holds // HOLDS_IN_STRETCH, N_FOLDS)
-    return np.asarray(hold * n_stretches // n_holds)
+    return hold * n_stretches // n_holds
 
 
 def part_of_run(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:
@@ -161,4 +161,4 @@ def part_of_run(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:
     count = np.bincount(run)
     first = np.cumsum(count) - count
     place = np.arange(len(run)) - first[run]
-    return np.asarray(place * n_parts // count[run])
+    return place * n_parts // count[run]

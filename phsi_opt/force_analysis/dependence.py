@@ -144,7 +144,7 @@ def _ranks(z: np.ndarray) -> np.ndarray:
     """
     ranked = mean_ranks(z[:: max(1, len(z) // MOST_RANKED)])
     centred = ranked - ranked.mean()
-    return np.asarray(centred / max(float(np.linalg.norm(centred)), TINY))
+    return centred / max(float(np.linalg.norm(centred)), TINY)
 
 
 def without_parameters(
@@ -161,7 +161,7 @@ def without_parameters(
     independent = slopes - functions @ of_slopes
     joint = np.hstack([functions, independent])
     coefficients = np.linalg.lstsq(joint, force.w, rcond=LEAST_SINGULAR_VALUE)[0]
-    return np.asarray(force.w - independent @ coefficients[functions.shape[1] :])
+    return force.w - independent @ coefficients[functions.shape[1] :]
 
 
 def leading(follows: "pd.DataFrame", equation: str) -> "pd.Series | None":

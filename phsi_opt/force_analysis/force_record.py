@@ -157,7 +157,7 @@ class ForceRecord:
         strength = np.max(size / np.maximum(rate, TINY)[:, None], axis=0, initial=0.0)
         is_moving = _to_bounds(self.model) > AT_BOUND / np.maximum(strength, TINY)
         scaled = slopes / np.where(size > 0, size, 1.0)
-        return np.asarray(scaled[:, :, is_moving])
+        return scaled[:, :, is_moving]
 
     @cached_property
     def folds(self) -> np.ndarray:

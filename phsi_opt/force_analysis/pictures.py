@@ -236,4 +236,4 @@ def _level(force: EquationForce) -> np.ndarray:
     draws = record.estimate.posterior.error_draws()[:, force.number]
     of_draws = spectrum(record.t, record.run, draws).amplitudes
     rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
-    return np.asarray(uniform_filter1d(rough, N_SMOOTHED, mode="nearest"))
+    return uniform_filter1d(rough, N_SMOOTHED, mode="nearest")

@@ -189,4 +189,4 @@ def _optimum(
         program.solve(
             solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
         )
-    return None if z.value is None else np.asarray(z.value)
+    return None if z.value is None else z.value

@@ -51,7 +51,7 @@ def check_rates(model: Model, grid: Grid) -> None:
         made = resolved.built("terms", partial(terms_function, resolved))
         terms = ColumnFunction(made, (3,))
         for factor, added in MOVED:
-            theta = factor * np.asarray(resolved.theta) + added
+            theta = factor * resolved.theta + added
             t = grid.t[nodes][None, :]
             (values,) = terms(x[nodes].T, grid.u[nodes].T, t, theta)
             is_bad &= ~np.isfinite(values)

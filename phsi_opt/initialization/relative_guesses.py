@@ -77,7 +77,7 @@ def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
     for name in model.states:
         if f"dH_d{name}" in followed:
             room = ROOM
-    is_measured = np.asarray(grid.measured.any(axis=0))
+    is_measured = grid.measured.any(axis=0)
     # Not strict: the memory of effects has no column in the measurements.
     for name, measured in zip(model.states, is_measured, strict=False):
         if not measured and {name, f"dH_d{name}"} & followed:

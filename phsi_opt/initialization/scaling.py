@@ -262,4 +262,4 @@ def _slopes_at(
     nodes = np.linspace(0, grid.n_nodes - 1, n).astype(int)
     arguments = (x[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
     values, slopes = mapped(function, n, True)(*arguments)
-    return np.asarray(slopes.full().T.reshape(n, values.shape[0], -1))
+    return slopes.full().T.reshape(n, values.shape[0], -1)

@@ -140,7 +140,7 @@ class _Problem:
         """Those with which the terms explain the target best, (n_terms,)."""
         traces = np.column_stack([trial.trace for trial in chosen])
         found = np.linalg.lstsq(traces, self.target, rcond=RANK_TOLERANCE)
-        return np.asarray(found[0])
+        return found[0]
 
     def left(self, chosen: Sequence[_Trial]) -> float:
         """Squares of the target that the chosen terms leave."""

@@ -76,7 +76,7 @@ class ForceSamples:
     def without_physics(self, force: np.ndarray) -> np.ndarray:
         """A force (n,) over ``std``, less what the physics explains of it, (n,)."""
         scaled = force / self.std
-        return np.asarray(scaled - self.physics @ (self.physics.T @ scaled))
+        return scaled - self.physics @ (self.physics.T @ scaled)
 
 
 def _by_unknown(record: Record, model: Model, slopes: np.ndarray) -> np.ndarray:

@@ -172,7 +172,7 @@ class _Features:
         _, sizes, directions = np.linalg.svd(training.samples.physics.T @ scaled)
         n_bound = np.sum(sizes > ORTHOGONAL * np.max(sizes, initial=0.0))
         traces = training.response.traces(features)
-        return cls(traces, np.asarray(directions[n_bound:].T))
+        return cls(traces, directions[n_bound:].T)
 
     def outputs(self, used: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
         """Output weights, bias last, within the free directions: one per ridge.
