@@ -22,7 +22,6 @@ Step = Callable[[Sequence[Tensor], float], None]  # down gradients, at a learnin
 MEAN_DECAY = 0.9
 SQUARE_DECAY = 0.999
 EPSILON = 1e-8
-N_REPORTS = 20  # lines of progress in a descent
 
 
 class Schedule(Protocol):
@@ -140,12 +139,9 @@ def descend(
             )
         n_terms = after_epoch(epoch) if after_epoch is not None else n_terms
         history.append((epoch, mean, n_terms))
-        if progress is not None and _is_reported(epoch, settings.epochs):
+        is_reported = epoch % max(1, settings.epochs // 20) == 0
+        if progress is not None and (is_reported or epoch == settings.epochs):
             progress(
                 f"epoch {epoch} of {settings.epochs}: loss {mean:.4g}, {n_terms} terms"
             )
     return printed_table(history, columns=["epoch", "loss", "n_terms"])
-
-
-def _is_reported(epoch: int, n_epochs: int) -> bool:
-    return epoch % max(1, n_epochs // N_REPORTS) == 0 or epoch == n_epochs

@@ -8,9 +8,8 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry, place_of
 from phsi_opt.model.terms import Term
 
-POLYNOMIAL_START = 0.2  # of a coefficient of a monomial (appendix B, the thesis' code)
-FUNCTION_START = 1.0  # of other coefficients and of frequencies (the same)
-DAMPING_START = 0.0  # of a coefficient of R (the same)
+# Of coefficients (appendix B, the thesis' code); frequencies as those of functions.
+THESIS_STARTS = {"polynomial": 0.2, "function": 1.0, "damping": 0.0}
 NORMAL_START = 0.5  # standard deviation of a random start (thesis Section 5.1)
 
 
@@ -28,7 +27,7 @@ def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
         if settings.start == "model" or _is_given(entry):
             values.append(entry.parameter.start)
             continue
-        value = of_thesis.get(name, FUNCTION_START)
+        value = of_thesis.get(name, THESIS_STARTS["function"])
         if settings.start == "normal":
             value = _drawn(draw, entry)
         values.append(_bounded(value, entry, settings))
@@ -70,7 +69,7 @@ def _thesis_starts(model: Model) -> dict[str, float]:
 
 def _thesis_start(slot: str, term: Term, variables: tuple[str, ...]) -> float:
     if slot == "R":
-        return DAMPING_START
+        return THESIS_STARTS["damping"]
     if not term.inner and monomial(term.body, variables) is not None:
-        return POLYNOMIAL_START
-    return FUNCTION_START
+        return THESIS_STARTS["polynomial"]
+    return THESIS_STARTS["function"]

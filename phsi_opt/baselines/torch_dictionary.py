@@ -18,7 +18,7 @@ from phsi_opt.baselines.torch_polynomials import (
     gradient_cells,
     monomial,
 )
-from phsi_opt.model.backends import FUNCTIONS, Backend
+from phsi_opt.model.backends import Backend, functions_of
 from phsi_opt.model.expressions import evaluate, names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import PlacedTerm, place_of
@@ -42,10 +42,8 @@ def _tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
     return of_tensors
 
 
-IN_TORCH = {"min": "minimum", "max": "maximum"}  # functions with another name there
-TORCH = Backend(
-    {name: _tensors(getattr(torch, IN_TORCH.get(name, name))) for name in FUNCTIONS}
-)
+IN_TORCH = functions_of(torch, min="minimum", max="maximum")
+TORCH = Backend({name: _tensors(function) for name, function in IN_TORCH.items()})
 
 
 class DictionaryDynamics:

@@ -42,7 +42,7 @@ from phsi_opt.presentation.summary import (
 from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
-from phsi_opt.statistics import TINY, ljung_box, profiled_deviance
+from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class Comparison(Summarised):
 
     def _row(self, number: int, name: str) -> tuple[object, ...]:
         residuals = [_known(run[:, number]) for run in self.residuals]
-        rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+        rmse = rms(np.concatenate(residuals))
         spread = float(np.std(_known(self._y[:, number])))
         floor = self.sigma[number]
         return (
@@ -417,7 +417,7 @@ def is_flat(measured: np.ndarray, shown: np.ndarray, noise: float) -> bool:
     """
     spread = float(np.std(measured))
     moves = noise < FLAT_NOISE * spread
-    rmse = float(np.sqrt(np.mean((measured - shown) ** 2)))
+    rmse = rms(measured - shown)
     explains = rmse < (1 - FLAT_FIT_PERCENT / 100) * spread
     return moves and not explains and float(np.std(shown)) < FLAT_SPREAD * spread
 

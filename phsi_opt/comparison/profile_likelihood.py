@@ -27,9 +27,6 @@ from phsi_opt.transcription.alignment import AlignedData
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Share of the half width by which an end may differ from that of the curvature before
-# the profile counts as curved.
-CURVED = 0.1
 END_ACCURACY = 0.02  # of an end of the interval, in half widths
 # Standard errors by which the repeated fit may differ from the fit: beyond, the
 # measurements are not those of the fit.
@@ -73,7 +70,7 @@ class Profile:
         half_width = (upper - lower) / 2
         ends = np.array([self.ci_lower, self.ci_upper])
         shift = np.abs(ends - np.array(self.curvature))
-        return not np.all(shift <= CURVED * half_width)
+        return not np.all(shift <= 0.1 * half_width)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """The profile beside the parabola of the standard error, with the threshold."""

@@ -12,13 +12,11 @@ import numpy as np
 
 from phsi_opt.statistics import TINY
 
-N_KNOTS = 12  # of functions of one variable
-N_PAIR_KNOTS = 7  # of functions of two variables, for each
 # Quantiles of the variable at the outer knots: the extreme hundredths share them.
 OUTER_QUANTILES = (0.01, 0.99)
 
 
-def piecewise_linear_basis(z: np.ndarray, n_knots: int = N_KNOTS) -> np.ndarray:
+def piecewise_linear_basis(z: np.ndarray, n_knots: int = 12) -> np.ndarray:
     """Functions of a variable z (n,) that are linear between knots, (n, n_knots).
 
     Each is one at its knot and zero at the others; beyond the outer knots all are
@@ -34,15 +32,15 @@ def piecewise_linear_basis(z: np.ndarray, n_knots: int = N_KNOTS) -> np.ndarray:
 
 def product_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Products of piecewise linear functions of two variables (n,), (n, n_products)."""
-    of_a = piecewise_linear_basis(a, N_PAIR_KNOTS)
-    of_b = piecewise_linear_basis(b, N_PAIR_KNOTS)
+    of_a = piecewise_linear_basis(a, n_knots=7)
+    of_b = piecewise_linear_basis(b, n_knots=7)
     products = of_a[:, :, None] * of_b[:, None, :]
     return products.reshape(len(a), -1)
 
 
 def odd_basis(z: np.ndarray) -> np.ndarray:
     """Odd piecewise linear functions of a variable z (n,); they jump at zero."""
-    of_size = piecewise_linear_basis(np.abs(z), N_KNOTS // 2)
+    of_size = piecewise_linear_basis(np.abs(z), n_knots=6)
     return np.sign(z)[:, None] * of_size
 
 

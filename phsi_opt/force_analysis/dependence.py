@@ -40,7 +40,6 @@ CONSTANT = "constant"
 PARAMETERS = "parameters"
 NO_VARIABLES = (CONSTANT, PARAMETERS)
 MOST_PAIRS = 6  # pairs of states that are looked at
-MOST_RANKED = 2000  # values whose ranks are compared
 # Singular values, as a share of the largest, below which functions count as dependent.
 LEAST_SINGULAR_VALUE = 1e-6
 
@@ -138,11 +137,8 @@ def _independent_efforts(record: ForceRecord, states: list[str]) -> list[str]:
 
 
 def _ranks(z: np.ndarray) -> np.ndarray:
-    """Centred ranks of length one, of evenly chosen values where there are many.
-
-    The product of two such vectors is the rank correlation.
-    """
-    ranked = mean_ranks(z[:: max(1, len(z) // MOST_RANKED)])
+    """Centred ranks of length one; their products are rank correlations."""
+    ranked = mean_ranks(z)
     centred = ranked - ranked.mean()
     return centred / max(float(np.linalg.norm(centred)), TINY)
 

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.criteria import MOST_STRONG_RANGES, OUTSTANDING_FORCE, VISITED_BIN
-from phsi_opt.force_analysis.cross_validation import part_of_run
+from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
+from phsi_opt.statistics import rms
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
 N_RANGE_BINS = 8  # parts of the range of a state in which the force's size is taken
-# Quantiles of a state between which its range is cut: a few outliers do not widen it.
-RANGE_QUANTILES = (0.01, 0.99)
 # Behind the times of a force that no window has for itself.
 THROUGHOUT = " (throughout)"
 
@@ -53,11 +52,6 @@ def _times(record: ForceRecord, is_inside: np.ndarray) -> str:
     return f"{begins[0]:.3g} to {ends[-1]:.3g}"
 
 
-def rms(w: np.ndarray) -> float:
-    """Root mean square of values (n,)."""
-    return float(np.sqrt(np.mean(w**2)))
-
-
 def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
     """Root mean square of w in every part, (n_parts,); 0 for an empty one."""
     count = np.bincount(part, minlength=n_parts)
@@ -89,7 +83,7 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
 
     Both are (n_intervals,).
     """
-    low, high = np.quantile(z, RANGE_QUANTILES)
+    low, high = np.quantile(z, OUTER_QUANTILES)
     edges = np.unique(np.linspace(low, high, N_RANGE_BINS + 1))
     n_bins = len(edges) - 1
     if n_bins < 1:

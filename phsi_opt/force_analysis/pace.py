@@ -12,18 +12,16 @@ import numpy as np
 
 from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
-from phsi_opt.force_analysis.localization import rms
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.force_analysis.units import frequency_words
 from phsi_opt.presentation.numbers import number
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, rms
 
 # Times the frequency of the motion from which a force is a vibration beside it.
 VIBRATION = 10.0
 # Cycles per sample from which on a force is as fast as the samples: two fifths of the
 # fastest that they show.
 NEAR_SAMPLING = 0.2
-FEWEST_IN_MEAN = 2  # samples
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class Pace:
     @property
     def samples_per_cycle(self) -> int:
         """As many samples as a cycle of the force has; their mean does not show it."""
-        return max(round(1 / (self.frequency * self.interval)), FEWEST_IN_MEAN)
+        return max(round(1 / (self.frequency * self.interval)), 2)
 
     @property
     def _times_motion(self) -> float:

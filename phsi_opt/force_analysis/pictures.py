@@ -31,16 +31,8 @@ if TYPE_CHECKING:
 MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
 FEWEST_PER_CURVE = 120
-MOST_DRAWN_DOTS = 1_500  # of a force against what it follows
-N_SHOWN_BINS = 16  # of a variable in which mean and spread are shown
-FEWEST_IN_BIN = 3  # intervals in a bin that is shown
-N_CELLS = 14  # of a map, along each axis
-PANEL_TITLE_LETTERS = 62  # in a line of the title over a single panel
-SENTENCE_LETTERS = 120  # in a line of the sentence over four panels
 # Share of the largest amplitude beyond whose last frequency the spectrum is cut off.
 SHOWN_AMPLITUDE = 0.02
-# Frequencies of the running mean over a level that is taken from few draws.
-N_SMOOTHED = 9
 
 
 # ---- as records ----------------------------------------------------------------------
@@ -86,7 +78,7 @@ def map_of(force: EquationForce) -> ForceMap | None:
     from scipy.stats import binned_statistic_2d  # slow to load
 
     values = [force.record.variable(name) for name in names[:2]]
-    found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", N_CELLS)
+    found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", bins=14)
     return ForceMap(
         force.variable_label(names[0]),
         force.variable_label(names[1]),
@@ -120,11 +112,12 @@ def follows_of(
         z = (z - force.record.t[0] if variable == TIME_NAME else z) % period
         x_label = f"{x_label}, folded to the period of {period:.3g}"
     w = w / force.scale.size
-    binned = [binned_statistic(z, w, one, N_SHOWN_BINS) for one in ("mean", "std")]
+    binned = [binned_statistic(z, w, one, bins=16) for one in ("mean", "std")]
     count, edges = np.histogram(z, binned[0].bin_edges)
     columns = ((edges[:-1] + edges[1:]) / 2, *(one.statistic for one in binned))
-    centre, mean, std = (one[count >= FEWEST_IN_BIN] for one in columns)
-    step = max(1, len(z) // MOST_DRAWN_DOTS)
+    is_shown = count > 2  # of fewer there is no spread
+    centre, mean, std = (one[is_shown] for one in columns)
+    step = max(1, len(z) // MOST_PER_CURVE)
     said = said or dependence_title(force, variable)
     labels = (x_label, force.force_label())
     return Follows(heading, *labels, z[::step], w[::step], centre, mean, std, said)
@@ -173,13 +166,13 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
         draw(ax, chart)
         _draw_title(ax, title)
     draw_spectrum(axes[1, 1], force)
-    figure.suptitle(fill(sentence(force), SENTENCE_LETTERS), fontsize=11)
+    figure.suptitle(fill(sentence(force), width=120), fontsize=11)
     return figure
 
 
 def _draw_title(ax: "Axes", text: str) -> None:
     """The title, in lines that are as long as a panel is wide."""
-    ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
+    ax.set_title(fill(text, width=62), fontsize=10)
 
 
 def _sure_title(force: EquationForce) -> str:
@@ -236,4 +229,4 @@ def _level(force: EquationForce) -> np.ndarray:
     draws = record.estimate.posterior.error_draws()[:, force.number]
     of_draws = spectrum(record.t, record.run, draws).amplitudes
     rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
-    return uniform_filter1d(rough, N_SMOOTHED, mode="nearest")
+    return uniform_filter1d(rough, size=9, mode="nearest")

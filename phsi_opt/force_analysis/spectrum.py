@@ -14,10 +14,6 @@ POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
 # Points to which a trajectory is resampled at most: one short step among millions of
 # long ones does not decide the size of the transform.
 MOST_POINTS = 2**18
-SHORTEST_RUN = 3  # samples of a trajectory that has a spectrum
-# Share of one cycle per longest trajectory from which frequencies are kept: rounding
-# does not lose that one cycle.
-LEAST_CYCLES = 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +56,7 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     times; the signal is (n,), or (n, k) for k signals.
     """
     runs = np.split(np.arange(len(t)), np.flatnonzero(np.diff(run)) + 1)
-    runs = [inside for inside in runs if len(inside) >= SHORTEST_RUN]
+    runs = [inside for inside in runs if len(inside) > 2]
     duration = max((float(np.ptp(t[inside])) for inside in runs), default=0.0)
     if duration == 0.0:
         return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
@@ -73,7 +69,7 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     for inside in runs:
         amplitude = _amplitude(t[inside], signal[inside], step, n_fft)
         mean_square += len(inside) / len(t) * amplitude**2
-    kept = frequencies >= LEAST_CYCLES / duration
+    kept = frequencies * duration > 0.999  # rounding does not lose one cycle
     return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
 
 

@@ -21,14 +21,11 @@ from phsi_opt.statistics import TINY, local_maxima
 # Intervals (drawn at random where there are more) on which a frequency is refined.
 MOST_REFINED = 3000
 N_TRIED = 21  # frequencies that are tried about a good one
-N_TIME_KNOTS = 6  # of piecewise linear functions of the time
-N_PEAKS = 3  # peaks of the spectrum, about which the frequency is sought
 # Half the width about the best that is looked at again, in resolved frequencies.
 SECOND_WIDTH = 0.1
-# Periods within the positions that were visited: fewer are a curve, which knots show.
-LEAST_REPEATS = 2
-MOST_REPEATS = 200
-TRIED_PER_REPEAT = 4  # frequencies that are tried for each period more
+# Periods that are tried within the positions that were visited: fewer are a curve,
+# which knots show.
+REPEATS = np.arange(2, 200, 0.25)
 
 
 # ---- one wave
@@ -91,7 +88,7 @@ def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
     t = force.record.t
     frequency = _frequency_in_time(force, is_fitted)
     waves = harmonics(2 * np.pi * frequency * (t - t[0]))
-    return np.hstack([piecewise_linear_basis(t, N_TIME_KNOTS), waves])
+    return np.hstack([piecewise_linear_basis(t, n_knots=6), waves])
 
 
 def period_of(force: Force) -> float | None:
@@ -115,7 +112,7 @@ def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
     varying = np.where(is_fitted, force.w - force.w[is_fitted].mean(), 0.0)
     found = spectrum(t, force.record.run, varying)
     height = found.amplitudes * local_maxima(found.amplitudes)
-    peaks = found.frequencies[np.argsort(-height)[:N_PEAKS]]
+    peaks = found.frequencies[np.argsort(-height)[:3]]
     places = _drawn(is_fitted)
     tried = _near(peaks, found.resolved)
     widths = [SECOND_WIDTH * found.resolved]
@@ -214,8 +211,8 @@ class _PositionSearch:
         visited = np.ptp(z)
         if not visited > 0:
             return 0.0, 0.0
-        repeats = np.arange(LEAST_REPEATS, MOST_REPEATS, 1 / TRIED_PER_REPEAT)
-        apart = 1 / (TRIED_PER_REPEAT * visited)
-        frequency = _refined(z, left, repeats / visited, [apart, apart / N_TRIED])
+        tried = REPEATS / visited
+        apart = tried[1] - tried[0]
+        frequency = _refined(z, left, tried, [apart, apart / N_TRIED])
         fall = explained_by_wave(z, left, np.array([frequency]))[0]
         return frequency, float(fall / max(float(np.sum(left**2)), TINY))

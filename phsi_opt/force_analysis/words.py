@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE, OPPOSING_POWER
+from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE, OPPOSING_POWER
 from phsi_opt.force_analysis.causes import CAUSES
 from phsi_opt.force_analysis.cross_validation import odd_basis
 from phsi_opt.force_analysis.dependence import leading
@@ -38,7 +38,6 @@ RATES = {
     "m/s^2": "acceleration of",
     "rad/s^2": "acceleration of",
 }
-MOSTLY = 0.5  # share of a force's mean square that is most of it
 
 
 def _said(force: EquationForce, name: str, **more: Any) -> Answer:
@@ -55,7 +54,7 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "plain_unit": plain_unit,
         "vibration": VIBRATION_WORDS,
         "clear_pattern": CLEAR_PATTERN,
-        "mostly": MOSTLY,
+        "mostly": MOST_OF_IT,
         "plain": partial(plain_name, force),
         "place": partial(place_words, force),
         "listed": listed_with_noun,

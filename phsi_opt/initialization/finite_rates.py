@@ -24,7 +24,6 @@ MOVED = ((1.0, 0.0), (1.1, 0.1))  # factor, and what is added
 # Share of the samples, at most, without a value: beside an empty tank noise makes a few
 # levels negative.
 MOST_BAD = 0.1
-N_TOLD = 8  # values of parameters, at most
 
 
 def check_rates(model: Model, grid: Grid) -> None:
@@ -77,7 +76,7 @@ def _told(model: Model, grid: Grid, placed: PlacedTerm, where: str, node: int) -
     if grid.trajectory[-1]:
         text += f" of trajectory {grid.trajectory[node] + 1}"
     if values:
-        text += f", with {', '.join(values[:N_TOLD])}"
+        text += f", with {', '.join(values[:8])}"
     return (
         f"{text}. It divides by zero there, overflows, or takes a root or logarithm of "
         "a negative number; write it so that it has a value at all measured states, or "

@@ -20,7 +20,6 @@ KINEMATIC_STEPS = 3  # of Newton's method; one is exact where the rates are line
 # Share of the largest curvature of the rates' squares below which they leave a
 # direction of the states open.
 LEAST_CURVATURE = 1e-6
-SETTLED_STATES = 1e-4  # share of them that the last step moves: they are a start
 
 
 def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
@@ -76,9 +75,6 @@ def _follow(
         if step is None:
             return False
         found[:, unknown] += step
-        largest = np.max(np.abs(found[:, unknown]))
-        if np.max(np.abs(step)) < SETTLED_STATES * largest:
-            break
     x[:, unknown] = found[:, unknown]
     return True
 

@@ -26,10 +26,9 @@ from phsi_opt.transcription.sensors import output_slopes, outputs
 
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 NEWTON_STEPS = 10  # of the inversion of a sensor
-LEAST_SIZE = 1e-12  # of a measured state that is zero all along
+LEAST_SIZE = 1e-12  # of what is zero all along
 N_RATE_STRETCHES = 200  # of a record, over which rates are taken
-N_SLOPES = 25  # nodes at which the slopes of the model in its states are averaged
-N_SENSOR_SLOPES = 50  # nodes at which those of the sensors are averaged
+N_SLOPES = 50  # nodes at which slopes of the model and the sensors are averaged
 # Share of a parameter's own value below which its size does not fall: far from its
 # start, in units of its effect, it would meet the solver as a huge number.
 LEAST_SHARE = 1e-3
@@ -219,7 +218,7 @@ def _state_slopes(
     """
     # Away from the origin, where a higher-order term has no slope.
     shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
-    slopes = _slopes_at(model.rhs_slopes("x"), grid, shifted, theta, N_SLOPES)
+    slopes = _slopes_at(model.rhs_slopes("x"), grid, shifted, theta)
     with np.errstate(over="ignore"):
         squares = np.square(slopes)
     is_number = np.isfinite(squares)
@@ -251,15 +250,15 @@ def _sensor_strength(
     made = model.built(
         ("output", "slopes"), lambda: with_slopes(model.output(), "theta")
     )
-    slopes = _slopes_at(made, grid, x, theta, N_SENSOR_SLOPES)
+    slopes = _slopes_at(made, grid, x, theta)
     return np.sqrt(np.mean(np.square(slopes), axis=0)).T
 
 
 def _slopes_at(
-    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray, n: int
+    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
-    """Slopes that a function has beside its values, at n nodes, (n, n_out, n_in)."""
-    nodes = np.linspace(0, grid.n_nodes - 1, n).astype(int)
+    """Slopes that a function has beside its values, (N_SLOPES, n_out, n_in)."""
+    nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
     arguments = (x[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
-    values, slopes = mapped(function, n, True)(*arguments)
-    return slopes.full().T.reshape(n, values.shape[0], -1)
+    values, slopes = mapped(function, N_SLOPES, True)(*arguments)
+    return slopes.full().T.reshape(N_SLOPES, values.shape[0], -1)

@@ -18,11 +18,8 @@ from phsi_opt.model.expressions import evaluate
 from phsi_opt.model.laws import FRICTION_TURNOVER
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Term
-from phsi_opt.statistics import autocorrelation_time
+from phsi_opt.statistics import autocorrelation_time, rms
 
-N_REFINING = 40  # values of place and width that are tried for a chosen term
-# Share of a term's size beyond the physics below which the physics has the term.
-SPANNED = 1e-6
 PLACES = np.linspace(0.04, 0.96, 16)  # of corners and pulses: quantiles of the variable
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of pulses: shares of the variable's range
 POWERS = ("{v}", "{v}*abs({v})", "{v}**2", "{v}**3", "{v}**4", "{v}**5")
@@ -133,7 +130,7 @@ class _Problem:
             values = np.broadcast_to(values, self.samples.w.shape)
             beyond = np.linalg.norm(self.samples.without_physics(values))
             size = np.linalg.norm(values / self.samples.std)
-        is_new = np.isfinite(beyond) and beyond > SPANNED * size
+        is_new = np.isfinite(beyond) and beyond > RANK_TOLERANCE * size
         return values if is_new else None
 
     def coefficients(self, chosen: Sequence[_Trial]) -> np.ndarray:
@@ -173,7 +170,7 @@ class _Problem:
             return self.left([*chosen, moved])
 
         simplex = np.vstack([np.zeros(len(names)), np.eye(len(names))])
-        options = {"maxfev": N_REFINING, "initial_simplex": simplex}
+        options = {"maxfev": 40, "initial_simplex": simplex}
         minimize(left, simplex[0], method="Nelder-Mead", options=options)
         return min(tried, key=lambda one: self.left([*chosen, one]))
 
@@ -214,7 +211,7 @@ def _candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
     for name, values in zip(names, v.T, strict=True):
         for body in (*POWERS, *SINES):
             yield Term(body.format(v=name))
-        size = float(np.sqrt(np.mean(values**2)))
+        size = rms(values)
         turnover = Parameter(FRICTION_TURNOVER * size, fixed=True)
         yield Term(ROUNDED_SIGN.format(v=name), None, {"turnover": turnover})
         for place in np.quantile(values, PLACES).tolist():

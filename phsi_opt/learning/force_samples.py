@@ -18,8 +18,6 @@ from phsi_opt.statistics import TINY
 from phsi_opt.transcription.parameter_vector import Theta
 
 MIN_INTERVALS = 50  # so that every stretch of time that is left out holds a few
-# Stretches in a fold: with two, a fold sees the beginning and the end of what decays.
-STRETCHES_PER_FOLD = 2
 # Singular value, as a share of the largest, below which a direction is one that others
 # explain.
 RANK_TOLERANCE = 1e-8
@@ -112,7 +110,8 @@ class Response:
     def folds(self) -> tuple[np.ndarray, np.ndarray]:
         """Groups of stretches of time, (n_intervals,) and (n_values,)."""
         grid = self.linearized.grid
-        n_stretches = STRETCHES_PER_FOLD * N_FOLDS
+        # With two, a fold sees the beginning and the end of what decays.
+        n_stretches = 2 * N_FOLDS
         of_node = np.arange(grid.n_nodes) * n_stretches // grid.n_nodes % N_FOLDS
         return of_node[grid.begin], of_node[np.nonzero(grid.measured)[0]]
 

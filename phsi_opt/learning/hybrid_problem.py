@@ -11,20 +11,17 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
-from phsi_opt.force_analysis.localization import rms
 from phsi_opt.learning.force_signals import with_force, with_signals
 from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
+from phsi_opt.learning.network import LEAST_SCALE
 from phsi_opt.learning.ridge import cross_validated
 from phsi_opt.model.model import Model
+from phsi_opt.statistics import rms
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.integrators import Integrator, integrator
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals
-
-# Least size of coefficients and of a force: keeps relative changes finite where all
-# are zero.
-LEAST_SIZE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +145,7 @@ class HybridProblem:
         forced = self.forced(after)
         grid = self.with_force(new_force)
         d = KnownDefects(forced, grid, self.scheme).at(forced.theta).d
-        size = max(rms(new_force), LEAST_SIZE)
+        size = max(rms(new_force), LEAST_SCALE)
         return {
             "loss": float(np.mean(np.sum(d**2, axis=1))),
             "coefficient_change": _coefficient_change(before, after),
@@ -170,6 +167,6 @@ def _coefficient_change(before: Model, after: Model) -> float:
         names = [name for name, e in before.entries.items() if e.slot == slot]
         old = np.array([before.values[name] for name in names])
         new = np.array([after.values.get(name, 0.0) for name in names])
-        size = max(np.max(np.abs(new), initial=0.0), LEAST_SIZE)
+        size = max(np.max(np.abs(new), initial=0.0), LEAST_SCALE)
         changes.append(np.max(np.abs(new - old), initial=0.0) / size)
     return float(max(changes))

@@ -11,13 +11,12 @@ from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-N_CURVE_POINTS = 300  # points of a drawn curve
 N_MAP_POINTS = 60  # points to a side of a drawn map
 
 
 def draw_curve(ax: "Axes", network: Network, samples: ForceSamples) -> None:
     """A force of one variable, with the missing force, over the range of the data."""
-    v = np.linspace(network.seen[0], network.seen[1], N_CURVE_POINTS)
+    v = np.linspace(network.seen[0], network.seen[1], num=300)
     missing = samples.without_physics(samples.w) * samples.std
     ax.plot(samples.v, missing, ".", ms=3, color=MEASURED, label="missing force")
     ax.plot(v, network.at(v), "-", color=MODEL, label="learned force")

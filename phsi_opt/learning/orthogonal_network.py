@@ -31,21 +31,14 @@ from phsi_opt.learning.network import (
     torch_for,
     trainable,
 )
-from phsi_opt.learning.ridge import solutions
-from phsi_opt.statistics import TINY
+from phsi_opt.learning.ridge import RIDGE_WEIGHTS, SINGULAR, solutions
+from phsi_opt.statistics import TINY, rms
 
 N_HIDDEN = 16
 # Bounds of the first weights of both layers: some units bend within the range, some are
 # nearly straight; the output is in root mean squares of the target.
 FIRST_WEIGHTS = (2.5, 0.1)
-LEARNING_RATE = 0.02  # of Adam
 STOPS = (0.0, 0.2, 0.4, 0.7, 1.0)  # shares of the epochs at which training may stop
-# Weights of the squared output weights that are tried, relative to the features.
-OUTPUT_RIDGES = 10.0 ** np.arange(-10, 1)
-# Singular values, over the largest, that count as zero: rounding, of a force on the
-# physics, and of the ridge regression.
-ORTHOGONAL = 1e-12
-NORMAL_RANK_TOLERANCE = 1e-15
 
 
 @dataclass(frozen=True)
@@ -90,7 +83,7 @@ class Training:
     def _errors_left_out(self) -> np.ndarray:
         """Squared residuals of each fold left out, (n_folds, n_stops, n_ridges)."""
         residual = self.response.residual
-        errors = np.zeros((N_FOLDS, len(STOPS), len(OUTPUT_RIDGES)))
+        errors = np.zeros((N_FOLDS, len(STOPS), len(RIDGE_WEIGHTS)))
         fold_of_interval, fold_of_value = self.response.folds()
         for fold in range(N_FOLDS):
             left_out = fold_of_value == fold
@@ -121,7 +114,7 @@ class Training:
                 for tensor in layer.parameters():
                     torch.nn.init.uniform_(tensor, -bound, bound)
             loss = self._loss(net, scaled.standardized(samples.v), used)
-            optimiser = torch.optim.Adam(net.parameters(), lr=LEARNING_RATE)
+            optimiser = torch.optim.Adam(net.parameters(), lr=0.02)
             for epoch in range(self.epochs + 1):
                 if epoch in stops:
                     found[epoch] = layers_of(net)
@@ -136,7 +129,7 @@ class Training:
 
         samples = self.samples
         values = samples.without_physics(samples.w)[used]
-        size = max(float(np.sqrt(np.mean(values**2))), LEAST_SCALE)
+        size = max(rms(values), LEAST_SCALE)
         physics = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
         target = tensor(values / size)
         weight = tensor(np.median(samples.std) / samples.std[used])
@@ -170,7 +163,7 @@ class _Features:
         features = np.hstack([units, np.ones((len(units), 1))])
         scaled = features / training.samples.std[:, None]
         _, sizes, directions = np.linalg.svd(training.samples.physics.T @ scaled)
-        n_bound = np.sum(sizes > ORTHOGONAL * np.max(sizes, initial=0.0))
+        n_bound = np.sum(sizes > SINGULAR * np.max(sizes, initial=0.0))
         traces = training.response.traces(features)
         return cls(traces, directions[n_bound:].T)
 
@@ -183,7 +176,7 @@ class _Features:
         weights = self.free[:-1].T @ self.free[:-1]  # the bias is free
         ridge = weights * np.sum(traces**2) / traces.shape[1]
         normal = normal_equations(traces @ self.free, residual[used])
-        found = solutions(normal, ridge, OUTPUT_RIDGES, NORMAL_RANK_TOLERANCE)
+        found = solutions(normal, ridge)
         return [self.free @ coefficients for coefficients in found]
 
 

@@ -24,11 +24,11 @@ from phsi_opt.model.kinds import (
 from phsi_opt.model.laws import (
     ENERGIES,
     FORCES,
-    HEAT_EXCHANGE,
+    HEAT_EXCHANGES,
     INPUTS,
     LASTING,
     LOSSES,
-    OVERFLOW_INTO,
+    OVERFLOWS,
     SENSORS,
     Law,
 )
@@ -168,14 +168,14 @@ def _places(
             yield INPUTS, names | _names_of_input(model, u, names)
         yield (*ENERGIES, *LASTING), names
     for source, x in permutations(storage_states(model), 2):
-        yield (OVERFLOW_INTO,), _names_of_source(model, source, x)
+        yield OVERFLOWS, _names_of_source(model, source, x)
     for source, x in permutations(model.states, 2):
         if role_of(model, source) is Role.HEAT:
-            yield (HEAT_EXCHANGE,), _names_of_source(model, source, x)
+            yield HEAT_EXCHANGES, _names_of_source(model, source, x)
     for source, x in product(model.inputs, model.states):
         unit = plain_unit(units.get(source, ""))
         if not unit or unit in TEMPERATURES:
-            yield (HEAT_EXCHANGE,), _names_of_source(model, source, x)
+            yield HEAT_EXCHANGES, _names_of_source(model, source, x)
     for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
         # Without an energy the masses of the two may be anything.
         if kind_of(model, p1) == kind_of(model, p2):
@@ -193,6 +193,7 @@ def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]
         "x": x,
         "own": x,
         "e": e,
+        "level": e,
         "omega": _free_frequency(model, x),
         "source": words.source,
         "a_source": words.a_source,
@@ -244,4 +245,4 @@ def _names_of_input(
 def _names_of_source(model: BaseModel, source: str, x: str) -> dict[str, str]:
     """The names of a law by which x gets something from a storage or an input."""
     s_e = source if source in model.inputs else effort_of(model, source)
-    return {"x": x, "e": effort_of(model, x), "s": source, "s_e": s_e}
+    return {"x": x, "e": effort_of(model, x), "s": source, "s_e": s_e, "level": s_e}

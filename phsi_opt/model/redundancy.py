@@ -11,14 +11,8 @@ from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, is_scanned
 from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
 
-SEED = 0
-# Random states per parameter, and some more: with fewer rows than parameters anything
-# would be explained.
-STATES_PER_PARAMETER = 4
-MORE_STATES = 20
 # Range of random values for parameters that have none, away from zero.
 PARAMETER_RANGE = (0.5, 1.5)
-LATEST_TIME = 3.0  # the times are random too, from zero on
 # What is left, as a share of the effect: above the rounding of the least squares, far
 # below any effect of its own.
 NOTHING_LEFT = 1e-8
@@ -54,12 +48,13 @@ def _is_spanned(model: BaseModel, effect: Effect) -> bool:
 
 def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
     """Slopes of dx/dt and of what is shown in theta, (n_values, n_free)."""
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(0)
     theta = _theta(model, larger, random)
-    n = STATES_PER_PARAMETER * len(theta) + MORE_STATES
+    # With fewer rows than parameters anything would be explained.
+    n = 4 * len(theta) + 20
     x = random.normal(size=(larger.n_states, n))
     u = random.normal(size=(larger.n_inputs, n))
-    t = random.uniform(0, LATEST_TIME, (1, n))
+    t = random.uniform(0, 3, (1, n))
     parts = []
     for function in (rhs_function(larger), output_function(larger)):
         slopes = with_slopes(function, "theta").map("slopes", "serial", n, [3], [])

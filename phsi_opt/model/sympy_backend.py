@@ -4,23 +4,10 @@ from math import comb, prod
 
 import sympy as sp
 
-from phsi_opt.model.backends import Backend
+from phsi_opt.model.backends import Backend, functions_of
 
 SYMPY = Backend(
-    {
-        "sin": sp.sin,
-        "cos": sp.cos,
-        "tan": sp.tan,
-        "atan": sp.atan,
-        "exp": sp.exp,
-        "log": sp.log,
-        "sqrt": sp.sqrt,
-        "tanh": sp.tanh,
-        "abs": sp.Abs,
-        "sign": sp.sign,
-        "min": sp.Min,
-        "max": sp.Max,
-    },
+    functions_of(sp, abs="Abs", min="Min", max="Max"),
     number=sp.sympify,
     constants={"pi": sp.pi},
 )

@@ -17,7 +17,7 @@ from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, rms, window_of
+from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
 from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
@@ -32,18 +32,16 @@ from phsi_opt.presentation.durations import (
 from phsi_opt.presentation.numbers import listed, number, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, rms
 
 # Times the noise floor from which an error alone says that something is missing.
 SURE_ERROR = 1.5
 AT_NOISE = 1.05  # times the noise floor up to which an error is that of the noise
 FAST_DISTURBANCE = "fast disturbance"
-MOST_CHANNELS = 3  # that are told, the worst first
 # Errors over the noise floor: of training data that are fitted to the noise, and of
 # data held out that are not foretold.
 NEAR_FLOOR = 1.1
 FAR_ABOVE_FLOOR = 2.0
-PERCENT = 100.0  # of a whole
 
 
 def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> Answer:
@@ -72,7 +70,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "nearest": nearest_candidate(diagnosis),
         "vibration": VIBRATION_WORDS,
         "experiment": PROPOSED_EXPERIMENT,
-        "fall_with": lambda candidate: PERCENT * _fall_with(diagnosis, candidate),
+        "fall_with": lambda candidate: 100 * _fall_with(diagnosis, candidate),
         "is_at_floor": _is_at_floor,
         "off_words": off_words,
         "evidence_words": evidence_words,
@@ -201,21 +199,21 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
 def off_words(judged: Comparison) -> list[str]:
     """Such as "q by 0.122 rad (6.7 % of its movement; noise alone 0.1 %)".
 
-    Each of the channels that are farthest off, the worst first.
+    Each of the three channels that are farthest off, the worst first.
     """
     table = judged.table
-    shares = PERCENT - table["fit_percent"].to_numpy(dtype=float)
-    worst = np.argsort(-np.nan_to_num(shares), kind="stable")[:MOST_CHANNELS]
+    shares = 100 - table["fit_percent"].to_numpy(dtype=float)
+    worst = np.argsort(-np.nan_to_num(shares), kind="stable")[:3]
     return [_channel_words(table.iloc[k]) for k in worst.tolist()]
 
 
 def _channel_words(row: pd.Series) -> str:
     rmse = float(row["rmse"])
-    share = PERCENT - float(row["fit_percent"])
+    share = 100 - float(row["fit_percent"])
     noise = share * float(row["noise_floor"]) / max(rmse, TINY)
     size = f"{number(rmse, 3)}{spaced(str(row['unit']))}"
     beside = f"{number(share, 2)} % of its movement"
-    if share >= PERCENT:
+    if share >= 100:
         beside = f"{number(share, 3)} % of its movement: a constant would do better"
     return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
 

@@ -12,7 +12,6 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.wording import number_of
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_report import equation_lines
-from phsi_opt.force_analysis.localization import rms
 from phsi_opt.force_analysis.pictures import FEWEST_PER_CURVE, MOST_PER_CURVE
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.presentation.content import (
@@ -38,6 +37,7 @@ from phsi_opt.presentation.numbers import (
 )
 from phsi_opt.presentation.thinning import thinned
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
+from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     NEAR_FLOOR,
     nearest_candidate,

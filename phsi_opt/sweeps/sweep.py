@@ -23,10 +23,6 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.sweeps.kept_results import KeptResults
 from phsi_opt.sweeps.local_workers import local_workers
 
-# Tasks that wait at an executor or are computed: enough for some dozen workers, few
-# enough that arguments and results of all of them fit into memory.
-IN_FLIGHT = 64
-
 
 @dataclass(frozen=True, eq=False)
 class Done:
@@ -50,7 +46,7 @@ def sweep(
     executor: Executor | None = None,
     folder: str | Path | None = None,
     of: str = "",
-    in_flight: int = IN_FLIGHT,
+    in_flight: int = 64,
     progress: Callable[[str], None] | None = None,
 ) -> Iterator[Done]:
     """Call a function for many cases side by side, and give results as they come.
@@ -80,7 +76,8 @@ def sweep(
             and mappings then.
         of: What results depend on beside the key, such as a digest of the data; a
             folder that holds results of something else is refused.
-        in_flight: Cases that are given to the executor and not yet finished, at most.
+        in_flight: Cases that are given to the executor and not yet finished, at most:
+            enough for some dozen workers, few enough to fit into memory.
         progress: Called with a line of text whenever a case is done, such as ``print``.
 
     Returns:
