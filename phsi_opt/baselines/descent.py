@@ -57,11 +57,11 @@ class Adam:
         weight_decay: float = 0.0,
         relative: Sequence[float] | None = None,
     ) -> None:
-        self.raw = [parameter.detach() for parameter in parameters]
+        self.raw = list(map(Tensor.detach, parameters))
         self.weight_decay = weight_decay
         self.relative = relative or [1.0] * len(parameters)
-        self.means = [torch.zeros_like(raw) for raw in self.raw]
-        self.squares = [torch.zeros_like(raw) for raw in self.raw]
+        self.means = list(map(torch.zeros_like, self.raw))
+        self.squares = list(map(torch.zeros_like, self.raw))
         self.steps = 0
 
     def step(self, gradients: Sequence[Tensor], rate: float) -> None:
@@ -120,7 +120,7 @@ def descend(
     Raises:
         SolveError: when the loss is no longer finite.
     """
-    n_terms = sum(parameter.numel() for parameter in parameters)
+    n_terms = sum(map(Tensor.numel, parameters))
     history = []
     for epoch in range(1, settings.epochs + 1):
         rate = settings.rate(epoch)

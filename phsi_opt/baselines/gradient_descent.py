@@ -187,7 +187,7 @@ class DescentRun:
 
     def remove(self, names: Iterable[str]) -> None:
         """Hold these terms at zero for good."""
-        places = sorted(self.dynamics.names.index(name) for name in names)
+        places = sorted(map(self.dynamics.names.index, names))
         self.removed += [self.dynamics.names[i] for i in places]
         for values in (self.theta.detach(), self.lower, self.upper):
             values[places] = 0.0
@@ -214,7 +214,13 @@ class DescentRun:
             after_epoch=self.after_epoch,
             progress=progress,
         )
-        self._check_energy()
+        names = {term.coefficient_name("H") for term in self.model.H}
+        if names and names <= set(self.removed):
+            raise SolveError(
+                "pruning removed every term of H: "
+                f"all fell below threshold={self.settings.threshold:g}. "
+                "Take a smaller threshold, prune later (prune_every) or train longer."
+            )
         kept = self.kept()
         return Baseline(
             model=kept,
@@ -233,15 +239,6 @@ class DescentRun:
         theta = torch.tensor(list(model.values.values()), dtype=torch.float64)
         steps = Steps(self.grid, self.settings.integrator, torch.float64)
         return float(steps.loss(self.rates(dynamics, theta), steps.tables).detach())
-
-    def _check_energy(self) -> None:
-        names = {term.coefficient_name("H") for term in self.model.H}
-        if names and names <= set(self.removed):
-            raise SolveError(
-                "pruning removed every term of H: "
-                f"all fell below threshold={self.settings.threshold:g}. "
-                "Take a smaller threshold, prune later (prune_every) or train longer."
-            )
 
 
 def _released(model: Model, values: Mapping[str, float]) -> Model:

@@ -115,7 +115,7 @@ class DictionaryDynamics:
         for placed in self.text:
             names += (entry.name for entry in placed.entries())
         self.read = list(dict.fromkeys(names))
-        places = [self.names.index(name) for name in self.read]
+        places = list(map(self.names.index, self.read))
         self.read_at = torch.tensor(places, dtype=torch.long)
         efforts = set(self.model.efforts)
         self.reads_efforts = any(

@@ -22,7 +22,7 @@ def monomial(body: str, variables: Sequence[str]) -> Monomial | None:
     factors = _factors(parse(body))
     if factors is None or not set(factors) <= set(variables):
         return None
-    return tuple(sorted(list(variables).index(name) for name in factors))
+    return tuple(sorted(map(list(variables).index, factors)))
 
 
 def _factors(node: ast.expr) -> list[str] | None:

@@ -205,24 +205,18 @@ class _Line:
         self.loss = likelihood_of(fit)
         self.steps = steps_on(fit, aligned.data)
         best = self._solved(fit.model, _states_of(fit, aligned))
-        self._check_repeated(fit, best)
-        assert best is not None
+        now = np.nan if best is None else best.values[name]
+        value = fit.values[name]
+        if best is None or abs(now - value) > REPEATED * fit.std_errors[name]:
+            raise SolveError(
+                f"the fit could not be repeated on these measurements: {name} is "
+                f"{value:.6g} in the fit, now {now:.6g}. Are they those of the fit?"
+            )
         self.value = best.values[name]
         self.lowest = best.chi_square
         self.factor = best.score_variance
         self.points = {self.value: 0.0}
-        self.states = {self.value: best}
-
-    def _check_repeated(self, fit: Fit, best: LikelihoodEstimate | None) -> None:
-        error = fit.std_errors[self.name]
-        value = fit.values[self.name]
-        if best is not None and abs(best.values[self.name] - value) <= REPEATED * error:
-            return
-        now = "no solution" if best is None else f"{best.values[self.name]:.6g}"
-        raise SolveError(
-            f"the fit could not be repeated on these measurements: {self.name} is "
-            f"{value:.6g} in the fit, now {now}. Are they those of the fit?"
-        )
+        self.found = {self.value: best}
 
     def _solved(
         self, model: Model, x: Sequence[np.ndarray]
@@ -236,14 +230,14 @@ class _Line:
         """
         if held in self.points:
             return self.points[held]
-        nearest = self.states[min(self.states, key=lambda known: abs(known - held))]
+        nearest = self.found[min(self.found, key=lambda known: abs(known - held))]
         values = {n: v for n, v in nearest.values.items() if n != self.name}
         model = nearest.model.with_values(values).with_fixed({self.name: held})
         state = self._solved(model, nearest.states)
         if state is None:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
         rise = max(state.chi_square - self.lowest, 0.0)
-        self.states[held] = state
+        self.found[held] = state
         self.points[held] = rise
         if self.say:
             self.say(f"{self.name} = {held:.6g}: -2 log likelihood rises by {rise:.3g}")
@@ -282,6 +276,6 @@ class _Line:
 def _states_of(fit: Fit, aligned: AlignedData) -> Sequence[np.ndarray]:
     """The states of the fit at the samples; of other data, beside a missing force."""
     lengths = [run.n_samples for run in aligned.data.trajectories]
-    if [len(x) for x in fit.states] == lengths:
+    if list(map(len, fit.states)) == lengths:
         return fit.states
     return Record.of_aligned(fit, aligned).start

@@ -63,6 +63,8 @@ def left_out_error(
 ) -> float:
     """Sum of squares of a force that fits leave on stretches of time left out.
 
+    Their coefficients are slightly drawn to zero.
+
     Args:
         w: the force, (n_intervals,).
         fold: number of the fold that leaves each interval out, (n_intervals,).
@@ -79,7 +81,11 @@ def left_out_error(
             normal = normal_equations(columns, w)
         left_out = columns[is_left_out]
         rest = normal - normal_equations(left_out, w[is_left_out])
-        residual = w[is_left_out] - left_out @ _ridge_coefficients(rest)
+        gram = rest[:, :-1]
+        n = len(gram)
+        weight = COEFFICIENT_RIDGE * np.trace(gram) / max(n, 1) + TINY
+        coefficients = np.linalg.solve(gram + weight * np.eye(n), rest[:, -1])
+        residual = w[is_left_out] - left_out @ coefficients
         error += float(residual @ residual)
     return error
 
@@ -92,14 +98,6 @@ def explained_share(error: float, total: float) -> float:
 def normal_equations(columns: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Gram matrix and right-hand side of a fit to w (n,), (k, k + 1)."""
     return columns.T @ np.column_stack([columns, w])
-
-
-def _ridge_coefficients(normal: np.ndarray) -> np.ndarray:
-    """Coefficients (k,) of a fit, slightly drawn to zero."""
-    gram = normal[:, :-1]
-    n = len(gram)
-    weight = COEFFICIENT_RIDGE * np.trace(gram) / max(n, 1) + TINY
-    return np.linalg.solve(gram + weight * np.eye(n), normal[:, -1])
 
 
 def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:

@@ -96,7 +96,7 @@ def _left_out_error(
 
 def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.ndarray:
     """Of a variable, or of a pair 'q, p', as they would be shown, (n_intervals, k)."""
-    values = [force.record.variable(name) for name in variable.split(", ")]
+    values = list(map(force.record.variable, variable.split(", ")))
     if len(values) == 2:
         return force.shown(product_basis(*values))
     functions = force.shown(piecewise_linear_basis(values[0]))
@@ -115,7 +115,7 @@ def variables(force: Force) -> list[str]:
     efforts = _independent_efforts(record, states)
     inputs = [name for name in record.model.inputs if _varies(record, name)]
     pairs = sorted(combinations(states, 2), key=lambda ab: force.equation not in ab)
-    joined = [f"{a}, {b}" for a, b in pairs[:MOST_PAIRS]]
+    joined = map(", ".join, pairs[:MOST_PAIRS])
     return [*states, *efforts, *inputs, TIME_NAME, *joined]
 
 

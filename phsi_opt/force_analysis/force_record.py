@@ -155,7 +155,13 @@ class ForceRecord:
         size = np.sqrt(np.mean(slopes**2, axis=0))
         rate = np.sqrt(np.mean(np.nan_to_num(self.rates) ** 2, axis=0))
         strength = np.max(size / np.maximum(rate, TINY)[:, None], axis=0, initial=0.0)
-        is_moving = _to_bounds(self.model) > AT_BOUND / np.maximum(strength, TINY)
+        model = self.model
+        to_bounds = []
+        for name in model.free:
+            bounds = model.entries[name].parameter
+            value = model.values[name]
+            to_bounds.append(min(abs(value - bounds.lower), abs(bounds.upper - value)))
+        is_moving = np.array(to_bounds) * np.maximum(strength, TINY) > AT_BOUND
         scaled = slopes / np.where(size > 0, size, 1.0)
         return scaled[:, :, is_moving]
 
@@ -177,16 +183,6 @@ class ForceRecord:
         known |= zip(model.states, self.points.x.T, strict=True)
         known |= zip(model.inputs, self.points.u.T, strict=True)
         return known[name]
-
-
-def _to_bounds(model: Model) -> np.ndarray:
-    """Distance of each free parameter to the nearer of its bounds, (n_free,)."""
-    distances = []
-    for name in model.free:
-        parameter = model.entries[name].parameter
-        value = model.values[name]
-        distances.append(min(value - parameter.lower, parameter.upper - value))
-    return np.abs(np.array(distances))
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,7 +77,7 @@ def map_of(force: EquationForce) -> ForceMap | None:
         return None
     from scipy.stats import binned_statistic_2d  # slow to load
 
-    values = [force.record.variable(name) for name in names[:2]]
+    values = map(force.record.variable, names[:2])
     found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", bins=14)
     return ForceMap(
         force.variable_label(names[0]),

@@ -185,7 +185,7 @@ def _best_frequencies(
     enter linearly, so that their columns are the same beside all of them.
     """
     frequency = model.free.index(scan.name)
-    amplitudes = [model.free.index(name) for name in scan.amplitudes]
+    amplitudes = list(map(model.free.index, scan.amplitudes))
     remainders = []
     for beside in besides:
         others = [i for i in beside if i not in amplitudes]

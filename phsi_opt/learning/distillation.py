@@ -115,7 +115,7 @@ class _Problem:
                 terms.append(term)
                 columns.append(values)
         traces = self.response.traces(np.column_stack(columns)).T
-        return [_Trial(*found) for found in zip(terms, traces, strict=True)]
+        return list(map(_Trial, terms, traces))
 
     def values(self, term: Term) -> np.ndarray | None:
         """The term along the record, (n,).

@@ -17,7 +17,7 @@ from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
 
 SIGNAL = "network_"  # the inputs begin so
-SHARE = f"{SIGNAL}share"  # of the step
+STEP_SHARE = f"{SIGNAL}share"  # of the step
 
 
 def with_signals(model: Model, equations: Sequence[str], scheme: str = "srk4") -> Model:
@@ -25,10 +25,10 @@ def with_signals(model: Model, equations: Sequence[str], scheme: str = "srk4") -
     powers = range(len(integrator(scheme).nodes))
     F = dict(model.F)
     for equation in equations:
-        added = [Term(f"{_coefficient(equation, k)}*{SHARE}**{k}") for k in powers]
+        added = [Term(f"{_coefficient(equation, k)}*{STEP_SHARE}**{k}") for k in powers]
         F[equation] = Dictionary((*model.F.get(equation, ()), *added))
     names = [_coefficient(equation, k) for k in powers for equation in equations]
-    return replace(model, inputs=(*model.inputs, *names, SHARE), F=F)
+    return replace(model, inputs=(*model.inputs, *names, STEP_SHARE), F=F)
 
 
 def _coefficient(equation: str, power: int) -> str:

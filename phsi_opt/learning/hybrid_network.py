@@ -118,7 +118,7 @@ class TrainedForce:
     @property
     def rows(self) -> list[int]:
         """Numbers of the equations."""
-        return [self.names.index(name) for name in self.equations]
+        return list(map(self.names.index, self.equations))
 
     def __call__(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
         """The force, (n_samples, n_equations).
@@ -142,7 +142,7 @@ class TrainedForce:
 
     def values_in(self, rows: np.ndarray) -> np.ndarray:
         """Those of the variables in rows (..., n_names), (..., n_variables)."""
-        return rows[..., [self.names.index(name) for name in self.variables]]
+        return rows[..., list(map(self.names.index, self.variables))]
 
     def _given(
         self, values: Any, argument: str, names: tuple[str, ...], n_samples: int

@@ -81,7 +81,7 @@ class LearnedForce:
 
         The force is a sum of formulas.
         """
-        dictionary = Dictionary(tuple(Term(body) for body in self._bodies()))
+        dictionary = Dictionary(tuple(map(Term, self._bodies())))
         effect = Effect("learned force", "F", self.equation, dictionary)
         model = self.physics.model.add(effect)
         return replace(self.physics, model=model, states=(), steps=())
@@ -170,7 +170,7 @@ def _from_content(content: dict[str, Any]) -> LearnedForce:
     physics = Fit.from_content(content["physics"])
     equation = str(content["equation"])
     physics.model.index(equation, "equation of the learned force")
-    on = _checked_names(physics.model, [str(name) for name in content["on"]])
+    on = _checked_names(physics.model, list(map(str, content["on"])))
     record = content["record"]
     samples = ForceSamples(**{name: numbers(record[name]) for name in record})
     weights, bias = map(numbers, content["hidden"])

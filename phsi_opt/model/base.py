@@ -213,24 +213,18 @@ class BaseModel:
                 model.
         """
         larger = self._with_memory(effect.memory) if effect.memory else self
-        if effect.slot == "H":
-            return larger._with_energy(effect)
-        return larger._with_terms(effect)
-
-    def _with_energy(self, effect: Effect) -> Self:
-        if not self.has_energy:
+        if effect.slot == "H" and not self.has_energy:
             raise ModelError(
                 f"effect {effect.name!r} changes an energy, "
                 f"but a {type(self).__name__} model has none."
             )
-        return replace(self, H=self.H + effect.term)
-
-    def _with_terms(self, effect: Effect) -> Self:
-        self.index(effect.equation, f"equation of effect {effect.name!r}:")
-        terms = self.terms_at(effect.slot, effect.equation) + effect.term
-        by_equation = {**getattr(self, effect.slot), effect.equation: terms}
-        changed: dict[str, Any] = {effect.slot: by_equation}
-        return replace(self, **changed)
+        terms = larger.terms_at(effect.slot, effect.equation) + effect.term
+        changed: dict[str, Any] = {"H": terms}
+        if effect.slot != "H":
+            larger.index(effect.equation, f"equation of effect {effect.name!r}:")
+            by_equation = getattr(larger, effect.slot)
+            changed = {effect.slot: {**by_equation, effect.equation: terms}}
+        return replace(larger, **changed)
 
     def _with_memory(self, memory: Mapping[str, Dictionary]) -> Self:
         n_states = self.n_states + len(memory)

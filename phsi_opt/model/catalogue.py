@@ -79,7 +79,7 @@ def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> Effe
     its name it may still be meant.
     """
     found = catalogue(model, units)
-    known = {str(effect) for effect in found}
+    known = set(map(str, found))
     untold = replace(model, kind={})
     others = (untold, *(replace(model, kind=kind) for kind in KINDS))
     for further in (*(catalogue(other, units) for other in others), catalogue(model)):

@@ -88,7 +88,7 @@ def _width(of: str, share: float, sharper: tuple[float, ...] = ()) -> Parameter:
 
 LAG = _tried("dt", DELAYS, unit="s")
 # No rim, play or limit beyond the largest value does anything: most is 1 there.
-PARAMETERS = {
+INNER_PARAMETERS = {
     "v0": _width("{e}", FRICTION_TURNOVER, SHARPER_TURNOVERS),
     # A friction that falls over a longer range of velocities is Coulomb's.
     "v_s": _tried("{e}", STRIBECK_SPEEDS, most=3.0),
@@ -209,7 +209,7 @@ class Law:
 def _term(template: str, coefficient: str, names: Mapping[str, str]) -> Term:
     """A term with the names filled in, and the parameters that its body names."""
     inner = {}
-    for key, parameter in PARAMETERS.items():
+    for key, parameter in INNER_PARAMETERS.items():
         if key in template:
             guess = parameter.guess
             if isinstance(guess, Share | Tried):

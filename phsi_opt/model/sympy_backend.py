@@ -18,7 +18,7 @@ def n_expanded(expression: sp.Expr) -> int:
 
     The largest number of it and of what stands inside its functions.
     """
-    parts = [n_expanded(part) for part in expression.args]
+    parts = list(map(n_expanded, expression.args))
     if expression.is_Add:
         return sum(parts)
     if expression.is_Mul:

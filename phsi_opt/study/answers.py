@@ -64,7 +64,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "at_noise": AT_NOISE,
         "sure_error": SURE_ERROR,
         "strength": strength_words(force),
-        "classes": [class_of(finding) for finding in diagnosis.findings],
+        "classes": list(map(class_of, diagnosis.findings)),
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
         "disturbance": disturbance_word(diagnosis),
         "nearest": nearest_candidate(diagnosis),
@@ -74,7 +74,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "is_at_floor": _is_at_floor,
         "off_words": off_words,
         "evidence_words": evidence_words,
-        "found": [finding_words(finding) for finding in diagnosis.findings],
+        "found": list(map(finding_words, diagnosis.findings)),
         "likely_cause": likely_cause,
         "is_second_storage": is_second_storage,
         "scale_of_errors": scale_of_errors,
@@ -187,7 +187,7 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     value = parameters["value"].to_numpy(dtype=float)
     error = parameters["std_error"].to_numpy(dtype=float)
     is_open = np.isfinite(error) & (error > np.abs(value))
-    names = [str(name) for name in parameters["name"][is_open]]
+    names = list(map(str, parameters["name"][is_open]))
     if not names:
         return ""
     return (

@@ -162,7 +162,7 @@ def _models(study: StudyRecord) -> Iterator[Equations]:
 def _model(heading: str, fit: Fit) -> Equations:
     intervals = fit.intervals(LEVEL)
     rows = [_parameter(fit, row, intervals) for _, row in fit.parameters.iterrows()]
-    lines = tuple(short_constants(line) for line in equation_lines(fit))
+    lines = tuple(map(short_constants, equation_lines(fit)))
     return Equations(proper_names(heading), lines, tuple(rows))
 
 

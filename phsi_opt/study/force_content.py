@@ -57,7 +57,7 @@ def ranking_of(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
     size, _ = scale_of_errors(diagnosis.base.error_unit)
     classes: dict[str, list[str]] = {}
     for finding in diagnosis.findings:
-        names = [str(effect) for effect in finding.effects]
+        names = list(map(str, finding.effects))
         for name in names:
             classes[name] = [one for one in names if one != name]
     return tuple(_ranked(one, size, classes) for one in diagnosis.ranking)

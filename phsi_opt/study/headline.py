@@ -143,7 +143,7 @@ def _alternatives(study: StudyRecord, effect: Effect) -> str:
     """The other members of the class that an effect stands for, in brackets."""
     for diagnosis in study.diagnoses.values():
         for finding in diagnosis.findings:
-            names = [str(one) for one in finding.effects]
+            names = list(map(str, finding.effects))
             if str(effect) in names and not finding.is_name:
                 others = [name for name in names if name != str(effect)]
                 return f" (or {', '.join(others)}: the data do not tell)"
@@ -188,7 +188,7 @@ def _was_added(study: StudyRecord) -> Answer:
             name = str(finding.effects[0])
             known[name] = finding_words(finding)
             evidence[name] = evidence_words(diagnosis.ranking[0])
-    names = [str(effect) for effect in study.last.added]
+    names = list(map(str, study.last.added))
     sizes = [known.get(name, name) for name in names]
     clear = {name: evidence[name] for name in names if name in evidence}
     return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)
