@@ -186,7 +186,7 @@ def test_a_damaged_file_is_refused(found: Hybrid, tmp_path: Path, damage) -> Non
     [
         (lambda: NeuralForce("p"), "tuple of states"),  # type: ignore[arg-type]
         (lambda: NeuralForce(("p",), hidden=()), "sizes of layers"),
-        (lambda: NeuralForce(("p",), epochs=0), "above zero"),
+        (lambda: NeuralForce(("p",), epochs=0), "above 0"),
         (
             lambda: hybrid(model(), data(), NeuralForce(("velocity",))),
             "'velocity' is not a state",

@@ -5,7 +5,7 @@ It knows a loss of the tables of a batch, and nothing of models.
 
 from collections.abc import Callable, Iterator, Sequence
 from math import sqrt
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,25 +18,9 @@ from phsi_opt.presentation.table_making import printed_table
 Progress = Callable[[str], None]
 Step = Callable[[Sequence[Tensor], float], None]  # down gradients, at a learning rate
 # Defaults of Adam (Kingma and Ba 2015): decay of the means of the gradient and of its
-# square, and what keeps the quotient of the two finite.
+# square.
 MEAN_DECAY = 0.9
 SQUARE_DECAY = 0.999
-EPSILON = 1e-8
-
-
-class Schedule(Protocol):
-    """What `descend` reads of settings."""
-
-    @property
-    def epochs(self) -> int:
-        """Passes over all intervals."""
-
-    @property
-    def batch(self) -> int:
-        """Intervals per step."""
-
-    def rate(self, epoch: int) -> float:
-        """Learning rate of an epoch, counted from 1."""
 
 
 class Adam:
@@ -77,7 +61,7 @@ class Adam:
             mean.lerp_(gradient, 1 - MEAN_DECAY)
             square.mul_(SQUARE_DECAY)
             square.addcmul_(gradient, gradient, value=1 - SQUARE_DECAY)
-            size = square.sqrt().mul_(unbiased).add_(EPSILON)
+            size = square.sqrt().mul_(unbiased).add_(1e-8)
             raw.addcdiv_(mean, size, value=towards * relative)
 
 
@@ -94,7 +78,7 @@ def descend(
     step: Step,
     loss: Callable[[Sequence[Tensor]], Tensor],
     tables: Sequence[Tensor],
-    settings: Schedule,
+    settings: Any,
     generator: torch.Generator,
     *,
     after_epoch: Callable[[int], int] | None = None,
@@ -107,7 +91,8 @@ def descend(
         step: such as `Adam.step`; it moves the parameters.
         loss: of the tables of a batch.
         tables: the data, the intervals along the first axis.
-        settings: epochs, size of the batches, learning rates.
+        settings: its ``epochs``, the size of a ``batch``, and the learning ``rate`` by
+            the number of the epoch, from 1.
         generator: of the order of the intervals.
         after_epoch: such as pruning, by the number of the epoch, from 1; it returns the
             number of terms that are left. None counts all parameters.

@@ -222,23 +222,20 @@ class DescentRun:
                 "Take a smaller threshold, prune later (prune_every) or train longer."
             )
         kept = self.kept()
+        dynamics = DictionaryDynamics(kept, torch.float64)
+        theta = torch.tensor(list(kept.values.values()), dtype=torch.float64)
+        steps = Steps(self.grid, self.settings.integrator, torch.float64)
+        loss = steps.loss(self.rates(dynamics, theta), steps.tables)
         return Baseline(
             model=kept,
             hold=self.hold,
-            loss_value=self._loss_of(kept),
+            loss_value=float(loss.detach()),  # in double precision
             seconds=time.perf_counter() - self.began,
             removed=tuple(self.removed),
             method="gradient descent",
             history=history,
             settings=str(self.settings),
         )
-
-    def _loss_of(self, model: Model) -> float:
-        """The loss over all data in double precision, without penalties."""
-        dynamics = DictionaryDynamics(model, torch.float64)
-        theta = torch.tensor(list(model.values.values()), dtype=torch.float64)
-        steps = Steps(self.grid, self.settings.integrator, torch.float64)
-        return float(steps.loss(self.rates(dynamics, theta), steps.tables).detach())
 
 
 def _released(model: Model, values: Mapping[str, float]) -> Model:

@@ -9,7 +9,6 @@ from phsi_opt.model.slots import place_of
 
 # Of coefficients (appendix B, the thesis' code); frequencies as those of functions.
 THESIS_STARTS = {"polynomial": 0.2, "function": 1.0, "damping": 0.0}
-NORMAL_START = 0.5  # standard deviation of a random start (thesis Section 5.1)
 
 
 def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
@@ -22,7 +21,8 @@ def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
     of_thesis = _thesis_starts(model)
     values = []
     for name, entry in model.entries.items():
-        draw = NORMAL_START * rng.normal()  # drawn for given values too
+        # Thesis Section 5.1; drawn for given values too.
+        draw = rng.normal(scale=0.5)
         parameter = entry.parameter
         # Of a formula or inside a term.
         is_known = parameter.value is not None and not entry.prunable

@@ -82,7 +82,20 @@ class DictionaryDynamics:
         n_columns = model.n_states * (2 if model.has_energy else 1)
         n_variables = len(self.variables)
         self.polynomials = Polynomials(self.cells, n_variables, n_columns, dtype)
-        self._read_text()
+        # What the terms that are evaluated from their text read.
+        self.text_energy = [placed for placed in self.text if placed.slot == "H"]
+        self.text_rates = [placed for placed in self.text if placed.slot != "H"]
+        names: list[str] = []
+        for placed in self.text:
+            names += (entry.name for entry in placed.entries())
+        self.read = list(dict.fromkeys(names))
+        places = list(map(self.names.index, self.read))
+        self.read_at = torch.tensor(places, dtype=torch.long)
+        efforts = set(self.model.efforts)
+        self.reads_efforts = any(
+            placed.slot == "R" or efforts & names_of(placed.term.body)
+            for placed in self.text_rates
+        )
 
     def _monomial(self, placed: PlacedTerm) -> tuple[int, ...] | None:
         """The monomial of a term; None for one that is evaluated from its text."""
@@ -106,22 +119,6 @@ class DictionaryDynamics:
         if placed.slot == "R":
             return [Cell((i,), i, parameter, -1.0)]
         return [Cell(body, i + n * self.model.has_energy, parameter)]
-
-    def _read_text(self) -> None:
-        """What the terms that are evaluated from their text read."""
-        self.text_energy = [placed for placed in self.text if placed.slot == "H"]
-        self.text_rates = [placed for placed in self.text if placed.slot != "H"]
-        names: list[str] = []
-        for placed in self.text:
-            names += (entry.name for entry in placed.entries())
-        self.read = list(dict.fromkeys(names))
-        places = list(map(self.names.index, self.read))
-        self.read_at = torch.tensor(places, dtype=torch.long)
-        efforts = set(self.model.efforts)
-        self.reads_efforts = any(
-            placed.slot == "R" or efforts & names_of(placed.term.body)
-            for placed in self.text_rates
-        )
 
     def at(self, theta: Tensor) -> "DictionaryRates":
         """The right-hand side at the parameters, (n_parameters,)."""

@@ -204,22 +204,21 @@ def _plan(fit: Fit, data: Measurements) -> _Plan:
 
 
 def _drawn_estimates(plan: _Plan, seed: np.random.SeedSequence) -> dict[str, Any]:
-    """The estimates of one draw by name; or why there are none."""
-    try:
-        fit = identify(plan.model, _drawn(plan, seed), plan.loss)
-    except PhsiOptError as error:
-        return {"failed": f"{type(error).__name__}: {error}"}
-    return {"estimates": {name: float(v) for name, v in fit.estimates.items()}}
+    """The estimates of one draw by name; or why there are none.
 
-
-def _drawn(plan: _Plan, seed: np.random.SeedSequence) -> Measurements:
-    """What the fitted model shows plus noise, measured where the data are."""
+    A draw is what the fitted model shows plus noise, measured where the data are.
+    """
     rng = np.random.default_rng(seed)
     runs = []
     for run, shown in zip(plan.data.trajectories, plan.shown, strict=True):
         noisy = shown + plan.sigma * rng.normal(size=shown.shape)
         runs.append(replace(run, x=np.where(np.isnan(run.x), np.nan, noisy)))
-    return replace(plan.data, trajectories=tuple(runs))
+    drawn = replace(plan.data, trajectories=tuple(runs))
+    try:
+        fit = identify(plan.model, drawn, plan.loss)
+    except PhsiOptError as error:
+        return {"failed": f"{type(error).__name__}: {error}"}
+    return {"estimates": dict(fit.estimates)}
 
 
 def _digest(fit: Fit, plan: _Plan, seed: int) -> str:

@@ -138,17 +138,20 @@ class Comparison(Summarised):
         ratio squared); whiteness (p-value of Ljung and Box's test, 1978); horizon (time
         until a residual leaves the noise, in the worst trajectory); n_samples.
         """
-        rows = []
-        for number, name in enumerate(self.model.states):
-            if name in self.data.measured:
-                rows.append(self._row(number, name))
+        rows = map(self._row, np.flatnonzero(self._n_values).tolist())
         return printed_table(rows, columns=list(TABLE_COLUMNS))
 
-    def _row(self, number: int, name: str) -> tuple[object, ...]:
+    def _row(self, number: int) -> tuple[object, ...]:
+        name = self.model.states[number]
         residuals = [_known(run[:, number]) for run in self.residuals]
         rmse = rms(np.concatenate(residuals))
         spread = float(np.std(_known(self._y[:, number])))
         floor = self.sigma[number]
+        horizons = []
+        for run, of_run in zip(self.data.trajectories, self.residuals, strict=True):
+            is_beyond = np.abs(of_run[:, number]) > HORIZON_RESIDUAL * floor
+            beyond = np.append(np.flatnonzero(is_beyond), run.n_samples - 1)
+            horizons.append(float(run.t[beyond[0]] - run.t[0]))
         return (
             name,
             self.data.units.get(name, ""),
@@ -157,18 +160,9 @@ class Comparison(Summarised):
             floor,
             (rmse / floor) ** 2,
             ljung_box(residuals),
-            min(self._horizon(run, number) for run in range(len(residuals))),
+            min(horizons),
             int(self._n_values[number]),
         )
-
-    def _horizon(self, trajectory: int, state: int) -> float:
-        """Time from the start until a residual leaves the noise."""
-        t = self.data.trajectories[trajectory].t
-        residual = np.nan_to_num(self.residuals[trajectory][:, state])
-        is_beyond = np.abs(residual) > HORIZON_RESIDUAL * self.sigma[state]
-        beyond = np.flatnonzero(is_beyond)
-        end = t[beyond[0]] if len(beyond) else t[-1]
-        return float(end - t[0])
 
     @cached_property
     def flat(self) -> tuple[str, ...]:
@@ -178,12 +172,11 @@ class Comparison(Summarised):
         """
         shown = np.concatenate(self.shown)
         names = []
-        for number, name in enumerate(self.model.states):
+        for number in np.flatnonzero(self._n_values).tolist():
             y = self._y[:, number]
             seen = shown[np.isfinite(y), number]
-            is_measured = name in self.data.measured
-            if is_measured and is_flat(_known(y), seen, self.sigma[number]):
-                names.append(name)
+            if is_flat(_known(y), seen, self.sigma[number]):
+                names.append(self.model.states[number])
         return tuple(names)
 
     @property
@@ -197,7 +190,7 @@ class Comparison(Summarised):
 
         One where a single channel is measured, else one over its standard deviation.
         """
-        is_measured = [name in self.data.measured for name in self.model.states]
+        is_measured = self._n_values > 0
         if sum(is_measured) == 1:
             return np.where(is_measured, 1.0, 0.0)
         spread = np.full(len(is_measured), np.inf)
@@ -300,19 +293,17 @@ class Comparison(Summarised):
         """What a picture shows of one trajectory."""
         from phsi_opt.presentation.pictures import Channel
 
-        run = self.data.trajectories[number]
-        simulated = self.shown[number]
+        x = self.data.trajectories[number].x
+        shown = self.shown[number]
         std = None if self.bands is None else self.bands[number]
         channels = []
-        for k, name in enumerate(self.model.states):
-            if name in self.data.measured:
-                unit = self.data.units.get(name, "")
-                std_of_state = None if std is None else std[:, k]
-                noise = float(self.sigma[k])
-                shown = simulated[:, k]
-                channels.append(
-                    Channel(name, unit, run.x[:, k], shown, std_of_state, noise)
-                )
+        for name, noise in self.noise.items():
+            k = self.model.states.index(name)
+            unit = self.data.units.get(name, "")
+            std_of_state = None if std is None else std[:, k]
+            channels.append(
+                Channel(name, unit, x[:, k], shown[:, k], std_of_state, noise)
+            )
         return channels
 
     def _summary(self) -> Summary:

@@ -27,7 +27,6 @@ from phsi_opt.transcription.alignment import AlignedData
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-END_ACCURACY = 0.02  # of an end of the interval, in half widths
 # Standard errors by which the repeated fit may differ from the fit: beyond, the
 # measurements are not those of the fit.
 REPEATED = 0.1
@@ -68,9 +67,8 @@ class Profile:
         """
         lower, upper = self.curvature
         half_width = (upper - lower) / 2
-        ends = np.array([self.ci_lower, self.ci_upper])
-        shift = np.abs(ends - np.array(self.curvature))
-        return not np.all(shift <= 0.1 * half_width)
+        shift = max(abs(self.ci_lower - lower), abs(self.ci_upper - upper))
+        return not shift <= 0.1 * half_width
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """The profile beside the parabola of the standard error, with the threshold."""
@@ -204,7 +202,11 @@ class _Line:
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
         self.loss = likelihood_of(fit)
         self.steps = steps_on(fit, aligned.data)
-        best = self._solved(fit.model, _states_of(fit, aligned))
+        lengths = [run.n_samples for run in aligned.data.trajectories]
+        x: Sequence[np.ndarray] = fit.states
+        if list(map(len, x)) != lengths:  # other data: beside a missing force
+            x = Record.of_aligned(fit, aligned).start
+        best = self._solved(fit.model, x)
         now = np.nan if best is None else best.values[name]
         value = fit.values[name]
         if best is None or abs(now - value) > REPEATED * fit.std_errors[name]:
@@ -269,13 +271,5 @@ class _Line:
                 return bound
             if far > FARTHEST_END * half:
                 return side * np.inf
-        crossing = brentq(above, near, far, xtol=END_ACCURACY * half)
+        crossing = brentq(above, near, far, xtol=0.02 * half)
         return self.value + side * crossing
-
-
-def _states_of(fit: Fit, aligned: AlignedData) -> Sequence[np.ndarray]:
-    """The states of the fit at the samples; of other data, beside a missing force."""
-    lengths = [run.n_samples for run in aligned.data.trajectories]
-    if list(map(len, fit.states)) == lengths:
-        return fit.states
-    return Record.of_aligned(fit, aligned).start

@@ -63,10 +63,11 @@ class Causes:
         """The causes worth naming, strongest first."""
         if sum(self.contributions.values()) < CLEAR_PATTERN:
             return []
-        named = []
-        for cause, share in self.contributions.items():
-            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT):
-                named.append(cause)
+        named = [
+            cause
+            for cause, share in self.contributions.items()
+            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT)
+        ]
         return named
 
     @property

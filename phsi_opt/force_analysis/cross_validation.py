@@ -107,22 +107,23 @@ def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarra
     turn; where functions of inputs (n_intervals, n_inputs) are judged, stretches of
     whole holds, if an input is held for a third of a stretch.
     """
-    stretch = _even_stretches(run)
-    for u in () if inputs is None else inputs.T:
-        of_holds = _stretches_of_holds(_holds(run, u))
-        if of_holds is not None and of_holds[-1] < stretch[-1]:
-            stretch = of_holds
-    return stretch % N_FOLDS
-
-
-def _even_stretches(run: np.ndarray) -> np.ndarray:
-    """Number of the stretch of each interval, (n_intervals,), all of like length."""
     count = np.bincount(run)
     share_of_record = N_VALIDATION_STRETCHES * count / len(run)
     at_most = np.maximum(count, 1)
     n_stretches = np.clip(np.round(share_of_record), 1, at_most).astype(int)
     n_before = np.cumsum(n_stretches) - n_stretches
-    return n_before[run] + part_of_run(run, n_stretches[run])
+    stretch = n_before[run] + part_of_run(run, n_stretches[run])
+    for u in () if inputs is None else inputs.T:
+        hold = _holds(run, u)
+        n_holds = int(hold[-1]) + 1
+        longest = int(np.bincount(hold).max())
+        # Else there are too few for the folds, or one is longer than a fold.
+        if n_holds >= N_FOLDS and longest <= len(hold) / N_FOLDS:
+            n_of_holds = max(n_holds // HOLDS_IN_STRETCH, N_FOLDS)
+            of_holds = hold * n_of_holds // n_holds
+            if of_holds[-1] < stretch[-1]:
+                stretch = of_holds
+    return stretch % N_FOLDS
 
 
 def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -134,19 +135,6 @@ def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
     changes = is_new_run | np.r_[True, np.diff(u) != 0]
     stays = np.r_[~changes[1:], True]
     return np.cumsum(is_new_run | (changes & stays)) - 1
-
-
-def _stretches_of_holds(hold: np.ndarray) -> np.ndarray | None:
-    """Number of the stretch of each interval, (n_intervals,): of whole holds.
-
-    None where there are too few holds for the folds, or one is longer than a fold.
-    """
-    n_holds = int(hold[-1]) + 1
-    longest = int(np.bincount(hold).max())
-    if n_holds < N_FOLDS or longest > len(hold) / N_FOLDS:
-        return None
-    n_stretches = max(n_holds // HOLDS_IN_STRETCH, N_FOLDS)
-    return hold * n_stretches // n_holds
 
 
 def part_of_run(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:

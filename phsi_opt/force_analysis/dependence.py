@@ -72,7 +72,13 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
             bases = bases_with_slopes
             least = error
     for variable in variables(force):
-        error = min(_left_out_error(force, variable, bases, wave), least)
+        if variable == TIME_NAME:
+            error = force.left_out_error(bases, partial(functions_of_time, force))
+        else:
+            is_input = variable in force.record.model.inputs
+            functions = [*bases, _functions(force, variable, wave)]
+            error = force.left_out_error(functions, with_inputs=is_input)
+        error = min(error, least)
         gain = (least - error) / max(total, TINY)
         rows.append((variable, explained_share(error, least), error, gain))
     table = printed_table(rows, columns=["variable", "share", "error", "gain"])
@@ -81,17 +87,6 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
     table["explained"] = np.sqrt(predicted / len(force.w))
     best_first = table.sort_values("gain", ascending=False, kind="stable")
     return best_first.drop(columns="gain")
-
-
-def _left_out_error(
-    force: Force, variable: str, bases: list[np.ndarray], wave: PositionWave | None
-) -> float:
-    """Sum of squares left by functions of a variable beside others (n_intervals, k)."""
-    if variable == TIME_NAME:
-        return force.left_out_error(bases, partial(functions_of_time, force))
-    is_input = variable in force.record.model.inputs
-    functions = _functions(force, variable, wave)
-    return force.left_out_error([*bases, functions], with_inputs=is_input)
 
 
 def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.ndarray:
@@ -112,7 +107,14 @@ def variables(force: Force) -> list[str]:
     """
     record = force.record
     states = [name for name in record.model.states if _varies(record, name)]
-    efforts = _independent_efforts(record, states)
+    known = [_ranks(record.variable(name)) for name in states]
+    efforts = []  # that are no monotone function of a state, nor of another effort
+    for name in record.model.efforts:
+        ranks = _ranks(record.variable(name))
+        alike = max((abs(ranks @ other) for other in known), default=0.0)
+        if _varies(record, name) and not alike > MONOTONE_RANK_CORRELATION:
+            efforts.append(name)
+            known.append(ranks)
     inputs = [name for name in record.model.inputs if _varies(record, name)]
     pairs = sorted(combinations(states, 2), key=lambda ab: force.equation not in ab)
     joined = map(", ".join, pairs[:MOST_PAIRS])
@@ -121,19 +123,6 @@ def variables(force: Force) -> list[str]:
 
 def _varies(record: ForceRecord, name: str) -> bool:
     return bool(np.ptp(record.variable(name)) > 0)
-
-
-def _independent_efforts(record: ForceRecord, states: list[str]) -> list[str]:
-    """Efforts that are no monotone function of a state, nor of another effort."""
-    known = [_ranks(record.variable(name)) for name in states]
-    independent = []
-    for name in record.model.efforts:
-        ranks = _ranks(record.variable(name))
-        alike = max((abs(ranks @ other) for other in known), default=0.0)
-        if _varies(record, name) and not alike > MONOTONE_RANK_CORRELATION:
-            independent.append(name)
-            known.append(ranks)
-    return independent
 
 
 def _ranks(z: np.ndarray) -> np.ndarray:

@@ -32,7 +32,8 @@ class Pace:
         frequency: at which the force is strongest, in cycles per unit of time; 0 where
             it is mostly constant.
         motion: frequency at which the fastest of the states is strongest.
-        time: in which the fastest of the states moves by as much as it varies.
+        time: in which the fastest of the states, by the rms of its rate, moves by as
+            much as its standard deviation.
         interval: typical time between samples.
         strength: rms of the force.
         own: rms of what the model itself has in the equation.
@@ -49,10 +50,12 @@ class Pace:
     def of(cls, force: Force) -> "Pace":
         """The pace of a missing force."""
         record = force.record
+        sizes = np.std(record.points.x, axis=0)
+        rates = np.sqrt(np.mean(record.rates**2, axis=0))
         return cls(
             0.0 if is_mostly_constant(force.w) else _frequency(record, force.w),
             _frequency(record, record.points.x),
-            _time_of_motion(record),
+            float(np.min(sizes / np.maximum(rates, TINY), initial=np.inf)),
             float(np.median(record.h)),
             rms(force.w),
             rms(record.rates[:, force.row]),
@@ -114,10 +117,3 @@ def _frequency(record: ForceRecord, signals: np.ndarray) -> float:
     """At which a signal, or the fastest of several, is strongest about its mean."""
     moving = signals - np.mean(signals, axis=0)
     return spectrum(record.t, record.run, moving).peak
-
-
-def _time_of_motion(record: ForceRecord) -> float:
-    """Shortest ratio of a state's standard deviation to the rms of its rate."""
-    sizes = np.std(record.points.x, axis=0)
-    rates = np.sqrt(np.mean(record.rates**2, axis=0))
-    return float(np.min(sizes / np.maximum(rates, TINY), initial=np.inf))

@@ -28,14 +28,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
+MOST_DRAWN_SAMPLES = 60_000  # in all curves together: two megabytes of text
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
 FEWEST_PER_CURVE = 120
-# Share of the largest amplitude beyond whose last frequency the spectrum is cut off.
-SHOWN_AMPLITUDE = 0.02
 
 
 # ---- as records ----------------------------------------------------------------------
+
+
+def samples_of_each(n_curves: int) -> int:
+    """How many samples are drawn of each of so many curves."""
+    share = MOST_DRAWN_SAMPLES / max(n_curves, 1)
+    return int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
 
 
 def force_of(force: EquationForce, time: TimeScale) -> Force:
@@ -56,8 +60,7 @@ def force_runs(
     """A force along each trajectory of its part of the data."""
     record = force.record
     scale = force.scale
-    share = MOST_FORCE_SAMPLES / len(record.trajectories)
-    most = int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    most = samples_of_each(len(record.trajectories))
     runs = []
     for place, name in enumerate(record.trajectories):
         inside = np.flatnonzero(record.run == place)
@@ -104,12 +107,18 @@ def follows_of(
     variable = variable or force.single_variable
     z = force.record.variable(variable)
     x_label = force.variable_label(variable)
-    period = _folding_period(force, variable)
     w = force.w
+    wave = force.wave
+    period = None
     if variable != TIME_NAME:
-        w = without_parameters(force, variable, force.wave)
+        w = without_parameters(force, variable, wave)
+        if wave is not None and wave.position == variable:
+            period = wave.period
+    elif force.share_of(TIME_NAME) >= CLEAR_PATTERN:
+        period = period_of(force)
+        z = z - z[0] if period else z
     if period is not None:
-        z = (z - force.record.t[0] if variable == TIME_NAME else z) % period
+        z = z % period
         x_label = f"{x_label}, folded to the period of {period:.3g}"
     w = w / force.scale.size
     binned = [binned_statistic(z, w, one, bins=16) for one in ("mean", "std")]
@@ -121,15 +130,6 @@ def follows_of(
     said = said or dependence_title(force, variable)
     labels = (x_label, force.force_label())
     return Follows(heading, *labels, z[::step], w[::step], centre, mean, std, said)
-
-
-def _folding_period(force: EquationForce, variable: str) -> float | None:
-    """Period of a force that follows a variable as a wave."""
-    if variable == TIME_NAME:
-        is_clear = force.share_of(TIME_NAME) >= CLEAR_PATTERN
-        return period_of(force) if is_clear else None
-    wave = force.wave
-    return None if wave is None or wave.position != variable else wave.period
 
 
 # ---- on axes -------------------------------------------------------------------------
@@ -189,13 +189,19 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
 
     The mean of the force is taken off.
     """
+    from scipy.ndimage import uniform_filter1d
+
     from phsi_opt.presentation.charts import Chart, Curve, Panel, draw
 
     record = force.record
     found = spectrum(record.t, record.run, force.w - force.w.mean())
     frequencies = found.frequencies
     amplitudes = found.amplitudes / force.scale.size
-    level = _level(force) / force.scale.size
+    draws = record.estimate.posterior.error_draws()[:, force.number]
+    of_draws = spectrum(record.t, record.run, draws).amplitudes
+    # A quantile of few draws is rough, the level itself is smooth.
+    rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
+    level = uniform_filter1d(rough, size=9, mode="nearest") / force.scale.size
     curves = (
         Curve("missing force", frequencies, amplitudes, MODEL),
         Curve("what its uncertainty explains", frequencies, level, MEASURED, "dash"),
@@ -204,7 +210,8 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     unit = frequency_unit(record.units)
     panel = Panel(force.force_label("amplitude"), curves, limits=(0.0, top))
     draw(ax, Chart(f"frequency ({unit})", (panel,)))
-    visible = np.flatnonzero(amplitudes > SHOWN_AMPLITUDE * amplitudes.max())
+    # Cut off behind the last frequency with more than a fiftieth of the largest.
+    visible = np.flatnonzero(amplitudes > amplitudes.max() / 50)
     if len(visible) and len(amplitudes) > 1:
         ax.set_xlim(0, frequencies[min(visible[-1] + 1, len(amplitudes) - 1)])
     constant = is_mostly_constant(force.w)
@@ -215,18 +222,3 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
         above = Spectrum(frequencies[is_above], amplitudes[is_above])
         seen = f"strongest at {above.peak:.3g} {unit}"
     _draw_title(ax, f"d{force.equation}/dt: {what} is {seen}")
-
-
-def _level(force: EquationForce) -> np.ndarray:
-    """Amplitude that the errors of the estimate reach, (n_frequencies,).
-
-    A quantile of few draws is rough, the level itself is smooth: so it is averaged over
-    neighbouring frequencies.
-    """
-    from scipy.ndimage import uniform_filter1d
-
-    record = force.record
-    draws = record.estimate.posterior.error_draws()[:, force.number]
-    of_draws = spectrum(record.t, record.run, draws).amplitudes
-    rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
-    return uniform_filter1d(rough, size=9, mode="nearest")

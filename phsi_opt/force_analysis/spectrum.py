@@ -67,20 +67,14 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     frequencies = np.fft.rfftfreq(n_fft, step)
     mean_square = np.zeros((len(frequencies), *signal.shape[1:]))
     for inside in runs:
-        amplitude = _amplitude(t[inside], signal[inside], step, n_fft)
-        mean_square += len(inside) / len(t) * amplitude**2
+        times = t[inside]
+        even = np.arange(times[0], times[-1] + step / 2, step)
+        taper = np.hanning(len(even) + 2)[1:-1]
+        columns = signal[inside].reshape(len(times), -1).T
+        sampled = np.array([np.interp(even, times, column) for column in columns])
+        transform = np.fft.rfft(sampled * taper, n_fft).T
+        amplitude = 2 * np.abs(transform) / taper.sum()
+        share = len(inside) / len(t)
+        mean_square += share * amplitude.reshape(mean_square.shape) ** 2
     kept = frequencies * duration > 0.999  # rounding does not lose one cycle
     return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
-
-
-def _amplitude(
-    t: np.ndarray, signal: np.ndarray, step: float, n_fft: int
-) -> np.ndarray:
-    """Amplitudes of one trajectory, (n_fft // 2 + 1,) or (n_fft // 2 + 1, k)."""
-    even = np.arange(t[0], t[-1] + step / 2, step)
-    taper = np.hanning(len(even) + 2)[1:-1]
-    columns = signal.reshape(len(t), -1).T
-    sampled = np.array([np.interp(even, t, column) for column in columns]).T
-    transform = np.fft.rfft(sampled * taper[:, None], n_fft, axis=0)
-    amplitude = 2 * np.abs(transform) / taper.sum()
-    return amplitude.reshape(-1, *signal.shape[1:])

@@ -21,8 +21,6 @@ from phsi_opt.statistics import TINY, local_maxima
 # Intervals (drawn at random where there are more) on which a frequency is refined.
 MOST_REFINED = 3000
 N_TRIED = 21  # frequencies that are tried about a good one
-# Half the width about the best that is looked at again, in resolved frequencies.
-SECOND_WIDTH = 0.1
 # Periods that are tried within the positions that were visited: fewer are a curve,
 # which knots show.
 REPEATS = np.arange(2, 200, 0.25)
@@ -115,7 +113,7 @@ def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
     peaks = found.frequencies[np.argsort(-height)[:3]]
     places = _drawn(is_fitted)
     tried = _near(peaks, found.resolved)
-    widths = [SECOND_WIDTH * found.resolved]
+    widths = [found.resolved / 10]  # about the best, looked at again
     return _refined(t[places] - t[0], varying[places], tried, widths)
 
 

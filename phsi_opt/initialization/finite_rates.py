@@ -21,9 +21,6 @@ from phsi_opt.transcription.grid import Grid
 UNMEASURED = (1.0, 1e-3)
 # The same for parameters that are to be found: their start, and beside it.
 MOVED = ((1.0, 0.0), (1.1, 0.1))  # factor, and what is added
-# Share of the samples, at most, without a value: beside an empty tank noise makes a few
-# levels negative.
-MOST_BAD = 0.1
 
 
 def check_rates(model: Model, grid: Grid) -> None:
@@ -58,7 +55,8 @@ def check_rates(model: Model, grid: Grid) -> None:
                 return
     for placed, of_term in zip(model.placed(), is_bad, strict=True):
         bad = nodes[of_term]
-        if len(bad) > MOST_BAD * len(nodes):
+        # Beside an empty tank noise makes a few levels negative.
+        if len(bad) > len(nodes) / 10:
             where = f"{len(bad)} of {len(nodes)} samples"
             raise ModelError(_told(resolved, grid, placed, where, int(bad[0])))
 

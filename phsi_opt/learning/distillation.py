@@ -56,7 +56,12 @@ def short_form(
         share: of the curve's squared trace that they must explain.
     """
     target = response.traces(curve[:, None])[:, 0]
-    problem = _Problem(names, samples, response, target, *_counted(response, target))
+    rest = response.residual - target
+    together = autocorrelation_time([rest])
+    # Residuals are in units of the noise: less than one is luck.
+    unit = max(float(np.mean(rest**2)), 1.0) * together
+    price = float(np.log(max(len(rest) / together, 2.0)))
+    problem = _Problem(names, samples, response, target, unit, price)
     listed = problem.listed()
     chosen: list[_Trial] = []
     while len(chosen) < most:
@@ -187,19 +192,6 @@ class _Problem:
         if curve is None:
             return None
         return _Trial(moved, self.response.traces(curve[:, None])[:, 0])
-
-
-def _counted(response: Response, target: np.ndarray) -> tuple[float, float]:
-    """Unit of the squares, and price of a parameter.
-
-    The variance of the residuals, times how many of them are worth one that is
-    independent; and the logarithm of the number of these.
-    """
-    rest = response.residual - target
-    together = autocorrelation_time([rest])
-    # Residuals are in units of the noise: less than one is luck.
-    unit = max(float(np.mean(rest**2)), 1.0) * together
-    return unit, float(np.log(max(len(rest) / together, 2.0)))
 
 
 def _candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:

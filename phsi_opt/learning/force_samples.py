@@ -12,7 +12,6 @@ from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
-from phsi_opt.model.model import Model
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.parameter_vector import Theta
@@ -65,7 +64,11 @@ class ForceSamples:
         points = Points.middles(record)
         column = estimate.rows.index(row)
         std = np.maximum(estimate.posterior.deviation[:, column], TINY)
-        columns = _by_unknown(record, model, points.slopes(model)[:, row])
+        grid = estimate.grid
+        unknown = Theta.of(model, record.trajectories)
+        places = unknown.table[:, grid.trajectory[grid.begin]].T
+        columns = np.zeros((n_intervals, len(unknown)))
+        np.put_along_axis(columns, places, points.slopes(model)[:, row], axis=1)
         basis, sizes, _ = np.linalg.svd(columns / std[:, None], full_matrices=False)
         physics = basis[:, sizes > RANK_TOLERANCE * np.max(sizes, initial=0.0)]
         v = points.values(model.function(*on))
@@ -75,16 +78,6 @@ class ForceSamples:
         """A force (n,) over ``std``, less what the physics explains of it, (n,)."""
         scaled = force / self.std
         return scaled - self.physics @ (self.physics.T @ scaled)
-
-
-def _by_unknown(record: Record, model: Model, slopes: np.ndarray) -> np.ndarray:
-    """Slopes (n, n_free) of a rate, in the parameters of each trajectory, (n, k)."""
-    grid = record.estimate.grid
-    unknown = Theta.of(model, record.trajectories)
-    columns = np.zeros((len(slopes), len(unknown)))
-    places = unknown.table[:, grid.trajectory[grid.begin]].T
-    np.put_along_axis(columns, places, slopes, axis=1)
-    return columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,7 +100,10 @@ def hybrid(
         fit = identify_forced(forced, record, loss, l1, prune, laid_out, fit)
         model = without_signals(fit.model)
         stages = problem.training_set(model, at_stages)
-        trained = train(_in_turn(force, turn), trained, stages, seed)
+        rate = force.learning_rate * RATE_DECAY**turn
+        epochs = max(force.epochs // 4, 1) if turn > 0 else force.epochs
+        in_turn = replace(force, epochs=epochs, learning_rate=rate)
+        trained = train(in_turn, trained, stages, seed)
         trained = problem.with_best_output(trained, model, stages)
         at_stages = trained.at(stages.stages)
         row = problem.changes(*at_begin, model, at_stages)
@@ -127,10 +130,3 @@ def hybrid(
 def _given(grid: Grid, _: Grid) -> Grid:
     """The grid with the force, in place of the one that the measurements have."""
     return grid
-
-
-def _in_turn(force: NeuralForce, turn: int) -> NeuralForce:
-    """How the force is trained in a turn, counted from 0."""
-    epochs = max(force.epochs // 4, 1) if turn > 0 else force.epochs
-    rate = force.learning_rate * RATE_DECAY**turn
-    return replace(force, epochs=epochs, learning_rate=rate)

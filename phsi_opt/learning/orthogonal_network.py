@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
+from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.learning.force_samples import ForceSamples, Response
 from phsi_opt.learning.network import (
-    LEAST_SCALE,
     Layers,
     Network,
     layers_of,
@@ -71,9 +71,15 @@ class Training:
         total = errors.sum(axis=0)
         stop, ridge = np.unravel_index(int(np.argmin(total)), total.shape)
         network = self._trained(np.ones(len(self.samples.w), dtype=bool))[stop]
-        features = self._features(network)
+        features = _Features.of(network, self)
         weights = features.outputs(np.ones(len(residual), dtype=bool), residual)[ridge]
-        explains = _explained_share(errors, residual)
+        left = 0.0
+        for of_fold in errors:
+            # By the choice made on the other folds, so that choosing flatters nothing.
+            of_others = total - of_fold
+            choice = np.unravel_index(int(np.argmin(of_others)), total.shape)
+            left += of_fold[choice]
+        explains = float(1 - left / max(float(residual @ residual), TINY))
         if explains <= 0:
             weights = 0 * weights
         layers = (*network.layers[:-1], (weights[None, :-1], weights[-1:]))
@@ -89,16 +95,13 @@ class Training:
             left_out = fold_of_value == fold
             networks = self._trained(fold_of_interval != fold)
             for stop, network in enumerate(networks):
-                features = self._features(network)
+                features = _Features.of(network, self)
                 found = features.outputs(~left_out, residual)
                 for ridge, weights in enumerate(found):
                     predicted = features.traces[left_out] @ weights
                     left = residual[left_out] - predicted
                     errors[fold, stop, ridge] = np.sum(left**2)
         return errors
-
-    def _features(self, network: Network) -> "_Features":
-        return _Features.of(network.features(self.samples.v), self)
 
     def _trained(self, used: np.ndarray) -> list[Network]:
         """The network at each of the `STOPS`, by the samples that are used."""
@@ -129,7 +132,7 @@ class Training:
 
         samples = self.samples
         values = samples.without_physics(samples.w)[used]
-        size = max(rms(values), LEAST_SCALE)
+        size = max(rms(values), LEAST_SIZE)
         physics = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
         target = tensor(values / size)
         weight = tensor(np.median(samples.std) / samples.std[used])
@@ -158,8 +161,9 @@ class _Features:
     free: np.ndarray
 
     @classmethod
-    def of(cls, units: np.ndarray, training: Training) -> "_Features":
-        """From hidden units (n_intervals, n_hidden)."""
+    def of(cls, network: Network, training: Training) -> "_Features":
+        """Those of a network on the samples of its training."""
+        units = network.features(training.samples.v)
         features = np.hstack([units, np.ones((len(units), 1))])
         scaled = features / training.samples.std[:, None]
         _, sizes, directions = np.linalg.svd(training.samples.physics.T @ scaled)
@@ -178,18 +182,3 @@ class _Features:
         normal = normal_equations(traces @ self.free, residual[used])
         found = solutions(normal, ridge)
         return [self.free @ coefficients for coefficients in found]
-
-
-def _explained_share(errors: np.ndarray, residual: np.ndarray) -> float:
-    """The share of the squared residuals that is predicted when it is left out.
-
-    That of each fold is of the choice made on the other folds, so that choosing does
-    not flatter it.
-    """
-    total = errors.sum(axis=0)
-    left = 0.0
-    for of_fold in errors:
-        of_others = total - of_fold
-        choice = np.unravel_index(int(np.argmin(of_others)), total.shape)
-        left += of_fold[choice]
-    return float(1 - left / max(float(residual @ residual), TINY))

@@ -56,15 +56,7 @@ def cross_validated(
         found = solutions(of_others, ridge)
         for place, z in enumerate(found):
             errors[place, fold] = np.sum((target - of_fold @ z) ** 2)
-    chosen = RIDGE_WEIGHTS[[_largest_within_an_error(errors)]]
-    return next(solutions(normal, ridge, chosen))
-
-
-def _largest_within_an_error(errors: np.ndarray) -> int:
-    """Place of the largest weight whose errors hardly exceed the least.
-
-    By at most a standard error; errors are (n_weights, n_folds).
-    """
     more = errors - errors[np.argmin(errors.sum(axis=1))]
     standard_error = more.std(axis=1, ddof=1) / np.sqrt(N_FOLDS)
-    return int(np.flatnonzero(more.mean(axis=1) <= standard_error)[-1])
+    good = np.flatnonzero(more.mean(axis=1) <= standard_error)
+    return next(solutions(normal, ridge, RIDGE_WEIGHTS[good[-1:]]))

@@ -29,8 +29,6 @@ from phsi_opt.model.slots import (
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.model.variables import Variables
 
-MAPPINGS = (*BY_EQUATION, "kind")  # the fields that are read-only mappings
-
 
 @dataclass(frozen=True, kw_only=True)
 class BaseModel:
@@ -78,16 +76,8 @@ class BaseModel:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)  # the record is frozen for all others
 
-    def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
-        parts = {part.name: getattr(self, part.name) for part in fields(self)}
-        for name in MAPPINGS:
-            parts[name] = dict(parts[name])
-        return parts
-
-    def __setstate__(self, parts: dict[str, Any]) -> None:
-        for name, value in parts.items():
-            frozen = MappingProxyType(value) if name in MAPPINGS else value
-            self._set(name, frozen)
+    def __getstate__(self) -> dict[str, Any]:  # without what was built
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
     def _checked_equations(
         self, dictionaries: Mapping[str, Dictionary], slot: str
@@ -184,11 +174,8 @@ class BaseModel:
     @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the parameters that are not fixed, in the order of theta."""
-        names = []
-        for name, entry in self.entries.items():
-            if not entry.parameter.fixed:
-                names.append(name)
-        return tuple(names)
+        entries = self.entries
+        return tuple(name for name in entries if not entries[name].parameter.fixed)
 
     @property
     def values(self) -> dict[str, float]:
@@ -198,8 +185,8 @@ class BaseModel:
     @property
     def theta(self) -> np.ndarray:
         """Present values of the free parameters, (n_free,), in the order of `free`."""
-        values = self.values
-        return np.array([values[name] for name in self.free])
+        entries = self.entries
+        return np.array([entries[name].parameter.start for name in self.free])
 
     # ---- changes: each makes a new model ---------------------------------------------
 
@@ -242,10 +229,11 @@ class BaseModel:
         """A new model without the terms whose coefficients are named."""
 
         def kept(place: str, terms: Dictionary) -> Dictionary:
-            rest = []
-            for term in terms:
-                if term.is_formula or term.coefficient_name(place) not in names:
-                    rest.append(term)
+            rest = [
+                term
+                for term in terms
+                if term.is_formula or term.coefficient_name(place) not in names
+            ]
             return Dictionary(tuple(rest))
 
         slots = self._changed_slots(kept)
@@ -270,9 +258,7 @@ class BaseModel:
             return self
 
         def valued(name: str, parameter: Parameter) -> Parameter:
-            if name not in values:
-                return parameter
-            return with_value(parameter, values[name])
+            return with_value(parameter, values[name]) if name in values else parameter
 
         return self._with_parameters(valued)
 

@@ -187,23 +187,29 @@ def _places(
 
 def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]:
     """The names of the laws in the equation of x, see ``laws``."""
-    words = WORDS[role_of(model, x)]
+    source, grows_with = WORDS[role_of(model, x)]
+    article = "an" if source[0] in "aeiou" else "a"
     e = effort_of(model, x)
+    omega = "omega"  # of a wave, that is not taken
+    while f"{place_of('F', x)}.{omega}" in model.entries:
+        omega += "_"
     names = {
         "x": x,
         "own": x,
         "e": e,
         "level": e,
-        "omega": _free_frequency(model, x),
-        "source": words.source,
-        "a_source": words.a_source,
-        "grows_with": words.grows_with,
+        "omega": omega,
+        "source": source,
+        "a_source": f"{article} {source}",
+        "grows_with": grows_with,
     }
     zero = ZEROS.get(plain_unit(units.get(x, "")), 0.0)
     if not zero:
         names["radiation"] = f"abs({e})**3"
     elif not model.has_energy:  # else the effort is not in the unit of the state
-        names["radiation"] = _radiation(x, zero)
+        # ((x + z)^4 - z^4)/x multiplied out; the zero of the scale is at z degrees.
+        powers = (f"{x}**3", f"{4 * zero:.8g}*{x}**2", f"{6 * zero**2:.10g}*{x}")
+        names["radiation"] = " + ".join((*powers, f"{4 * zero**3:.12g}"))
     position = position_of_momentum(model).get(x)
     if position is not None:
         names["q"] = position
@@ -211,20 +217,6 @@ def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]
         if unit not in LENGTHS:
             names["angle"] = RADIANS.get(unit, "{q}").format(q=position)
     return names
-
-
-def _free_frequency(model: BaseModel, x: str) -> str:
-    """A name for the frequency of a wave in F of the equation that is not taken."""
-    omega = "omega"
-    while f"{place_of('F', x)}.{omega}" in model.entries:
-        omega += "_"
-    return omega
-
-
-def _radiation(T: str, zero: float) -> str:
-    """((T + z)^4 - z^4)/T multiplied out; the zero of the scale is at z degrees."""
-    powers = (f"{T}**3", f"{4 * zero:.8g}*{T}**2", f"{6 * zero**2:.10g}*{T}")
-    return " + ".join((*powers, f"{4 * zero**3:.12g}"))
 
 
 def _names_of_input(

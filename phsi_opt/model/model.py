@@ -176,10 +176,11 @@ class Model(BaseModel, Summarised):
         for slot, equation, term in self.placed():
             inner = tuple(term.inner)
             terms.append((slot, equation, term.body, term.name, term.is_formula, inner))
-        numbers = []
-        for name, value in self.values.items():
-            if self.entries[name].parameter.fixed:
-                numbers.append((name, value.hex()))
+        numbers = [
+            (name, value.hex())
+            for name, value in self.values.items()
+            if self.entries[name].parameter.fixed
+        ]
         return (
             type(self),
             (self.states, self.inputs, self.memory, self.S),

@@ -49,7 +49,15 @@ def _is_spanned(model: BaseModel, effect: Effect) -> bool:
 def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
     """Slopes of dx/dt and of what is shown in theta, (n_values, n_free)."""
     random = np.random.default_rng(0)
-    theta = _theta(model, larger, random)
+    # The model's parameters must explain the effect at one point of theta. The effect's
+    # coefficient is zero there, so that no parameter acts through it.
+    known = model.values
+    values = []
+    for name in larger.free:
+        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
+        is_added = name not in model.entries and larger.entries[name].prunable
+        values.append(0.0 if is_added else value)
+    theta = np.array(values)
     # With fewer rows than parameters anything would be explained.
     n = 4 * len(theta) + 20
     x = random.normal(size=(larger.n_states, n))
@@ -61,20 +69,3 @@ def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
         columns = np.array(slopes(x, u, t, theta)[1]).T
         parts.append(columns.reshape(-1, len(theta)))
     return np.nan_to_num(np.vstack(parts))
-
-
-def _theta(
-    model: BaseModel, larger: BaseModel, random: np.random.Generator
-) -> np.ndarray:
-    """Values of the larger model's free parameters, the same in all states.
-
-    The model's parameters must explain the effect at one point of theta. The effect's
-    coefficient is zero there, so that no parameter acts through it.
-    """
-    known = model.values
-    theta = []
-    for name in larger.free:
-        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
-        is_added = name not in model.entries and larger.entries[name].prunable
-        theta.append(0.0 if is_added else value)
-    return np.array(theta)

@@ -33,7 +33,6 @@ from phsi_opt.statistics import TINY
 # run.
 TOLERANCE = 1e-6
 MOST_STEPS_PER_GAP = 150  # per interval on average, beyond which SciPy is faster
-ROUNDS = 14  # of cutting steps
 LARGEST_FACTOR = 8  # parts of a step in one round
 FEW = 0.03  # share of the steps: so few are at kinks
 CHAOTIC = 0.1  # change by twice the steps from which on no number of steps will do
@@ -161,7 +160,7 @@ class Runs:
         inputs = SampledInputs.of(t, u, hold)
         steps = _first_steps(t)
         aim = tolerance
-        for _ in range(ROUNDS):
+        for _ in range(14):
             run = self._along(inputs, x0, steps)
             parts = _parts(run, aim)
             if np.all(parts == 1):

@@ -24,9 +24,7 @@ from phsi_opt.model.model import Model
 
 Input = Callable[[float], Any]  # of the time
 Force = Callable[[float, np.ndarray, np.ndarray], np.ndarray]  # of t, x, u
-RTOL = 1e-8
-ATOL = 1e-10  # relative to the size of the starting state
-SMALLEST_START = 1e-3  # size of the starting state below which ATOL falls no more
+SMALLEST_START = 1e-3  # size of the starting state below which `atol` falls no more
 # evaluations without progress in time, before a simulation is given up
 LONGEST_WAIT = 10_000
 # evaluations between two samples, and those of a piece in all, that are never refused:
@@ -205,8 +203,8 @@ def _integrated(
             x0,
             method,
             t_eval=t[piece.first + 1 : piece.last + 1],
-            rtol=RTOL,
-            atol=ATOL * size,
+            rtol=1e-8,
+            atol=1e-10 * size,
             max_step=piece.longest,
         )
     # Where it ends before the first sample, SciPy gives an empty list.
@@ -334,30 +332,25 @@ def checked_arguments(
             f"x0={x0!r} must be {model.n_states} finite numbers, one per state "
             f"({', '.join(model.states)})."
         )
-    return times, start, _inputs(model, times, u)
-
-
-def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
-    """The inputs as a function of the time, or as an array (n_samples, n_inputs)."""
     if callable(u):
-        size = np.size(u(t[0]))
+        size = np.size(u(times[0]))
         if size != model.n_inputs:
             raise DataError(
                 f"the function u gave {size} numbers; expected {model.n_inputs}, one "
                 "per input."
             )
-        return u
-    expected = (len(t), model.n_inputs)
+        return times, start, u
+    expected = (len(times), model.n_inputs)
     if u is None and model.n_inputs:
         raise DataError(
             f"the model has inputs ({', '.join(model.inputs)}); give u of shape "
             f"{expected}."
         )
-    values = np.zeros((len(t), 0)) if u is None else _real_numbers(u, "u")
+    values = np.zeros((len(times), 0)) if u is None else _real_numbers(u, "u")
     if values.ndim == 1 and model.n_inputs == 1:
         values = values[:, None]
     if values.shape != expected or not np.all(np.isfinite(values)):
         raise DataError(
             f"u has shape {values.shape}; expected finite numbers of shape {expected}."
         )
-    return values
+    return times, start, values

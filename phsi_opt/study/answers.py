@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import CERTAIN_FORCE, FAILING_ERROR
+from phsi_opt.comparison.model_selection import is_failing
+from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
@@ -54,6 +55,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         **more: facts beside those of the diagnosis.
     """
     force = diagnosis.analysis.force_in()
+    strength = float(force.where["strength"]) / force.scale.size
     facts = {
         "d": diagnosis,
         "force": force,
@@ -63,7 +65,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
         "at_noise": AT_NOISE,
         "sure_error": SURE_ERROR,
-        "strength": strength_words(force),
+        "strength": f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)",
         "classes": list(map(class_of, diagnosis.findings)),
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
         "disturbance": disturbance_word(diagnosis),
@@ -71,8 +73,8 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "vibration": VIBRATION_WORDS,
         "experiment": PROPOSED_EXPERIMENT,
         "fall_with": lambda candidate: 100 * _fall_with(diagnosis, candidate),
-        "is_at_floor": _is_at_floor,
-        "off_words": off_words,
+        "is_at_floor": lambda found: not is_failing(found),
+        "off_channels": off_channels,
         "evidence_words": evidence_words,
         "found": list(map(finding_words, diagnosis.findings)),
         "likely_cause": likely_cause,
@@ -94,29 +96,20 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
         return answer("where", diagnosis, is_held_out=True)
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
     place = place_answer(force, is_past or bool(diagnosis.findings), is_known)
-    places = _open_places(diagnosis)
-    return answer("where", diagnosis, is_held_out=True, place=place, places=places)
-
-
-def _open_places(diagnosis: Diagnosis) -> list[str]:
-    """Where the members of the classes that were found act, each place once."""
-    places = []
+    # Where the members of the classes that were found act, each place once.
+    places: dict[str, None] = {}
     for finding in diagnosis.findings:
         for effect in () if finding.is_name else finding.effects:
             at = f"in d{effect.equation}/dt"
             if effect.slot == "sensor":
                 at = f"at the sensor of {effect.equation}"
-            places.append(at)
-    return list(dict.fromkeys(places))
+            places[at] = None
+    return answer(
+        "where", diagnosis, is_held_out=True, place=place, places=list(places)
+    )
 
 
 # ---- facts ---------------------------------------------------------------------------
-
-
-def strength_words(force: EquationForce) -> str:
-    """Root mean square of a missing force with its unit."""
-    strength = float(force.where["strength"]) / force.scale.size
-    return f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)"
 
 
 def class_of(finding: Finding) -> str:
@@ -126,12 +119,15 @@ def class_of(finding: Finding) -> str:
 
 def finding_words(finding: Finding) -> str:
     """An effect with its size, and the others of its class."""
-    first, *others = map(str, finding.effects)
+    first = str(finding.effects[0])
     size = with_error(finding.coefficient, finding.std_error)
-    told = f"{first}, {size}{spaced(finding.unit)}"
-    if not others:
-        return told
-    return f"{told} (or {', '.join(others)}: the data do not tell)"
+    return f"{first}, {size}{spaced(finding.unit)}{alternatives(finding, first)}"
+
+
+def alternatives(finding: Finding, name: str) -> str:
+    """The other members of a class, in brackets; "" where there are none."""
+    others = ", ".join(one for one in map(str, finding.effects) if one != name)
+    return f" (or {others}: the data do not tell)" if others else ""
 
 
 def evidence_words(candidate: Candidate) -> str:
@@ -156,10 +152,6 @@ def _fall_with(diagnosis: Diagnosis, candidate: Candidate) -> float:
     """The share of the error that it takes away; 0 where that is not known."""
     found = candidate.comparison
     return 0.0 if found is None else 1 - found.rmse / diagnosis.base.rmse
-
-
-def _is_at_floor(found: Comparison) -> bool:
-    return found.rmse <= FAILING_ERROR * found.noise_floor
 
 
 def disturbance_word(diagnosis: Diagnosis) -> str:
@@ -196,26 +188,17 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     )
 
 
-def off_words(judged: Comparison) -> list[str]:
-    """Such as "q by 0.122 rad (6.7 % of its movement; noise alone 0.1 %)".
+def off_channels(judged: Comparison) -> pd.DataFrame:
+    """The three channels that are farthest off, the worst first.
 
-    Each of the three channels that are farthest off, the worst first.
+    As in `Comparison.table`, with the shares of their movement that the model is off,
+    and that the noise alone is, in percent.
     """
-    table = judged.table
-    shares = 100 - table["fit_percent"].to_numpy(dtype=float)
-    worst = np.argsort(-np.nan_to_num(shares), kind="stable")[:3]
-    return [_channel_words(table.iloc[k]) for k in worst.tolist()]
-
-
-def _channel_words(row: pd.Series) -> str:
-    rmse = float(row["rmse"])
-    share = 100 - float(row["fit_percent"])
-    noise = share * float(row["noise_floor"]) / max(rmse, TINY)
-    size = f"{number(rmse, 3)}{spaced(str(row['unit']))}"
-    beside = f"{number(share, 2)} % of its movement"
-    if share >= 100:
-        beside = f"{number(share, 3)} % of its movement: a constant would do better"
-    return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
+    table = judged.table.assign(off=100 - judged.table["fit_percent"])
+    ratio: pd.Series = table["noise_floor"] / table["rmse"].clip(lower=TINY)
+    table["noise"] = table["off"] * ratio
+    worst = np.argsort(-np.nan_to_num(table["off"].to_numpy(float)), kind="stable")
+    return table.iloc[worst[:3]]
 
 
 def only_follows(trained: Comparison, judged: Comparison) -> bool:
@@ -310,11 +293,7 @@ def _window(force: EquationForce) -> str:
     record = force.record
     told = times_words(times, record.units.get("t", ""), float(record.t.max()))
     date = dates_words(times, record.origin_of(str(force.where["trajectory"])))
-    return f"t = {told}{_in_brackets(date)}"
-
-
-def _in_brackets(date: str) -> str:
-    return f" ({date})" if date else ""
+    return f"t = {told}" + (f" ({date})" if date else "")
 
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
@@ -338,5 +317,5 @@ def _beginning(force: EquationForce, inside: np.ndarray) -> str:
             date = date_words(t, record.origin_of(str(force.where["trajectory"])))
             longest = float(record.t.max())
             told = time_words(t, record.units.get("t", ""), longest=longest)
-            return told + _in_brackets(date)
+            return told + (f" ({date})" if date else "")
     return ""

@@ -1,11 +1,8 @@
 """What a study tells of missing forces: along runs, over states, laws, candidates."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from phsi_opt.criteria import SURE_DEVIATIONS
-from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
@@ -60,24 +57,24 @@ def ranking_of(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
         names = list(map(str, finding.effects))
         for name in names:
             classes[name] = [one for one in names if one != name]
-    return tuple(_ranked(one, size, classes) for one in diagnosis.ranking)
-
-
-def _ranked(one: Candidate, size: float, classes: Mapping[str, list[str]]) -> Ranked:
-    alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
-    share = _known(one.share)
-    return Ranked(
-        one.name,
-        float(one.coefficient),
-        float(one.std_error),
-        one.unit,
-        evidence_words(one),
-        None if share is None else min(max(share, 0.0), 1.0),
-        _known(size * one.train_rmse),
-        _known(size * one.held_out_rmse),
-        tuple(alike),
-        one.lost,
-    )
+    ranked = []
+    for one in diagnosis.ranking:
+        alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
+        share = _known(one.share)
+        found = Ranked(
+            one.name,
+            float(one.coefficient),
+            float(one.std_error),
+            one.unit,
+            evidence_words(one),
+            None if share is None else min(max(share, 0.0), 1.0),
+            _known(size * one.train_rmse),
+            _known(size * one.held_out_rmse),
+            tuple(alike),
+            one.lost,
+        )
+        ranked.append(found)
+    return tuple(ranked)
 
 
 def _known(value: float) -> float | None:

@@ -314,8 +314,15 @@ class Study(Summarised):
             if not proposed:
                 self.stopped = said
                 return self.stopped
+            brief = diagnosis.proposed_fit
             try:
-                self._add_all(proposed, diagnosis.proposed_fit)
+                if len(proposed) == 1 or brief is None:
+                    self.add(proposed[0])
+                else:  # each was needed beside the other
+                    label = " and ".join(map(str, proposed))
+                    self._say(f"adding {label}")
+                    fit = self._fitting.refined(brief)
+                    self._take(label, (*self.added, *proposed), fit)
             except SolveError as error:
                 which = " and ".join(map(str, proposed))
                 self.stopped = f"{said}; {which} could not be added: {error}"
@@ -434,16 +441,6 @@ class Study(Summarised):
 
     def _without(self, effect: Effect) -> tuple[Effect, ...]:
         return tuple(known for known in self.added if known is not effect)
-
-    def _add_all(self, effects: tuple[Effect, ...], brief: Fit | None) -> None:
-        """Add effects in one step; of several, each was needed beside the other."""
-        if len(effects) == 1 or brief is None:
-            self.add(effects[0])
-            return
-        label = " and ".join(map(str, effects))
-        self._say(f"adding {label}")
-        fit = self._fitting.refined(brief)
-        self._take(label, (*self.added, *effects), fit)
 
     def _check_earlier(self) -> None:
         """Take out effects of earlier steps without which the evidence is higher."""
