@@ -162,6 +162,16 @@ def bootstrap(
     if n_draws < FEWEST_DRAWS:
         raise DataError(f"n_draws={n_draws!r} must be {FEWEST_DRAWS} or more.")
     plan = _plan(fit, data)
+    # What the draws follow from.
+    content = {
+        "model": model_content(fit.model),
+        "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
+        "noise": dict(fit.noise),
+        "huber": fit.huber,
+        "data": plan.data.digest,
+        "seed": seed,
+    }
+    text = json.dumps(content, sort_keys=True)
     seeds = np.random.SeedSequence(seed).spawn(n_draws)
     cases = {f"draw {number}": one for number, one in enumerate(seeds)}
     found: dict[int, Mapping[str, float]] = {}
@@ -171,7 +181,7 @@ def bootstrap(
         cases,
         executor=executor,
         folder=folder,
-        of=_digest(fit, plan, seed),
+        of=f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}",
         progress=progress,
     ):
         number = int(done.key.removeprefix("draw "))
@@ -219,17 +229,3 @@ def _drawn_estimates(plan: _Plan, seed: np.random.SeedSequence) -> dict[str, Any
     except PhsiOptError as error:
         return {"failed": f"{type(error).__name__}: {error}"}
     return {"estimates": dict(fit.estimates)}
-
-
-def _digest(fit: Fit, plan: _Plan, seed: int) -> str:
-    """What the draws follow from: model with values, noise, measurements and seed."""
-    content = {
-        "model": model_content(fit.model),
-        "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
-        "noise": dict(fit.noise),
-        "huber": fit.huber,
-        "data": plan.data.digest,
-        "seed": seed,
-    }
-    text = json.dumps(content, sort_keys=True)
-    return f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}"

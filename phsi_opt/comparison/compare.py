@@ -21,9 +21,7 @@ from phsi_opt.criteria import (
     FLAT_SPREAD,
     HORIZON_RESIDUAL,
 )
-from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix
@@ -359,24 +357,17 @@ def compare_record(record: Record) -> Comparison:
     simulated = []
     for run, states in zip(record.data.trajectories, smoothed.states, strict=True):
         model = record.model.with_values(parameters[run.name])
-        simulated.append(_free_run(model, run, states[0], record.data.hold))
+        try:
+            x = free_run(model, run.t, states[0], run.u, record.data.hold)
+        except SolveError:
+            is_first = np.arange(run.n_samples)[:, None] == 0
+            x = np.where(is_first, states[0], DIVERGED_RUN * np.nanstd(run.x))
+        simulated.append(x)
     theta = parameter_matrix(record.model, parameters)
     visible = outputs_at_samples(record.model, record.grid, simulated, theta)
     pairs = zip(record.data.trajectories, visible, strict=True)
     residuals = tuple(run.x - y for run, y in pairs)
     return Comparison(record, parameters, tuple(simulated), visible, residuals)
-
-
-def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: Hold) -> np.ndarray:
-    """The simulation from x0, (n_samples, n_states).
-
-    Where it breaks off, values far beyond every measurement.
-    """
-    try:
-        return free_run(model, run.t, x0, run.u, hold)
-    except SolveError:
-        is_first = np.arange(run.n_samples)[:, None] == 0
-        return np.where(is_first, x0, DIVERGED_RUN * np.nanstd(run.x))
 
 
 def _known(residual: np.ndarray) -> np.ndarray:

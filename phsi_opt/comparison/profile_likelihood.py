@@ -124,7 +124,19 @@ def profile(
             error; or the level is not between 0 and 1.
         SolveError: the fit could not be repeated, or a re-fit failed.
     """
-    _check(fit, name, level)
+    check_likelihood(fit, "profile")
+    if name not in fit.model.free or name not in fit.names:
+        raise ModelError(
+            f"parameter {name!r} is not a free, shared one of the fit."
+            f"{did_you_mean(name, fit.names)}"
+        )
+    if not np.isfinite(fit.std_errors[name]):
+        raise ModelError(
+            f"parameter {name!r} has no standard error (see the fit's warnings), "
+            "so no profile either."
+        )
+    if not 0 < level < 1:
+        raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
     line = _Line(fit, AlignedData.of(fit.model, data), name, progress)
     value = line.value
     freedom = fit.degrees_of_freedom[fit.names.index(name)]
@@ -168,22 +180,6 @@ def check_likelihood(fit: Fit, what: str) -> None:
         raise ModelError(
             f"the fit has no free parameter, all values were given: there is no {what}."
         )
-
-
-def _check(fit: Fit, name: str, level: float) -> None:
-    check_likelihood(fit, "profile")
-    if name not in fit.model.free or name not in fit.names:
-        raise ModelError(
-            f"parameter {name!r} is not a free, shared one of the fit."
-            f"{did_you_mean(name, fit.names)}"
-        )
-    if not np.isfinite(fit.std_errors[name]):
-        raise ModelError(
-            f"parameter {name!r} has no standard error (see the fit's warnings), "
-            "so no profile either."
-        )
-    if not 0 < level < 1:
-        raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
 
 
 class _Line:

@@ -5,7 +5,7 @@ All stands at the middle of every interval, where the estimate has the force.
 
 import datetime as dt
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -20,6 +20,7 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
+from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.statistics import TINY
 
@@ -140,10 +141,7 @@ class ForceRecord:
     @cached_property
     def losses(self) -> np.ndarray:
         """-R dH/dx of the model, (n_intervals, n_states)."""
-        known = replace(self.points, theta=np.zeros((0, len(self.t))))
-        frozen = self.model.frozen()
-        lossless = replace(frozen, R={})
-        return known.values(frozen.rhs()) - known.values(lossless.rhs())
+        return self.points.values(function_of(self.model, "losses", _losses))
 
     @cached_property
     def slopes(self) -> np.ndarray:
@@ -183,6 +181,10 @@ class ForceRecord:
         known |= zip(model.states, self.points.x.T, strict=True)
         known |= zip(model.inputs, self.points.u.T, strict=True)
         return known[name]
+
+
+def _losses(parts: Expressions) -> ca.SX:
+    return -ca.vertcat(*parts.loss) * ca.vertcat(*parts.efforts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ places again and again, and functions with a few knots along its angle cannot sh
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -144,73 +145,52 @@ def position_wave(force: Force) -> PositionWave | None:
     """
     best = None
     least = np.inf
+    everywhere = np.ones(len(force.w), dtype=bool)
     for name in exchange_partners(force.record.model, force.equation):
         z = force.record.variable(name)
         if not np.ptp(z) > 0:
             continue
         of_state = force.shown(piecewise_linear_basis(z))
-        search = _PositionSearch(force, z, np.hstack([force.by_parameters, of_state]))
-        error = search.left_out_error()
-        if error < least:
-            best = search.found(name)
+        functions = np.hstack([force.by_parameters, of_state])
+        frequency, share = _best_along(z, force, functions, everywhere)
+        # It has to be seen in the whole force first, which costs less.
+        if share < CLEAR_PATTERN:
+            continue
+        sought = partial(_waves_along, z, force, functions)
+        error = force.left_out_error([functions], sought)
+        without = force.left_out_error([functions])
+        if error < min(least, without - NAMED_CAUSE * force.squares):
+            waves = force.shown(harmonics(2 * np.pi * frequency * z))
+            best = PositionWave(name, 1 / frequency, waves)
             least = error
     return best
 
 
-@dataclass(frozen=True, eq=False)
-class _PositionSearch:
-    """The wave along one state, beside functions of the state with a few knots.
+def _waves_along(
+    z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
+) -> np.ndarray:
+    """Those that fit best, as the estimate shows them, (n_intervals, 4)."""
+    frequency, _ = _best_along(z, force, functions, is_fitted)
+    return force.shown(harmonics(2 * np.pi * frequency * z))
 
-    Attributes:
-        z: the state, (n_intervals,).
-        functions: of the state, and slopes in the parameters, (n_intervals, k).
+
+def _best_along(
+    z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
+) -> tuple[float, float]:
+    """Frequency of the wave along a state that fits best what functions leave.
+
+    In cycles per unit of the state, 0 where that stands still; and the share of what
+    the functions (n_intervals, k) leave that the wave explains.
     """
-
-    force: Force
-    z: np.ndarray
-    functions: np.ndarray
-
-    def found(self, name: str) -> PositionWave:
-        """The wave that fits the whole force best."""
-        everywhere = np.ones(len(self.z), dtype=bool)
-        frequency, _ = self._best(everywhere)
-        return PositionWave(name, 1 / frequency, self._waves(everywhere))
-
-    def left_out_error(self) -> float:
-        """Sum of squares on the stretches left out; infinite where that is no less.
-
-        The wave has to be seen in the whole force first, which costs less.
-        """
-        _, share = self._best(np.ones(len(self.z), dtype=bool))
-        if share < CLEAR_PATTERN:
-            return np.inf
-        error = self.force.left_out_error([self.functions], self._waves)
-        without = self.force.left_out_error([self.functions])
-        clear = NAMED_CAUSE * self.force.squares
-        return error if error < without - clear else np.inf
-
-    def _waves(self, is_fitted: np.ndarray) -> np.ndarray:
-        """Those that fit best, as the estimate shows them, (n_intervals, 4)."""
-        frequency, _ = self._best(is_fitted)
-        return self.force.shown(harmonics(2 * np.pi * frequency * self.z))
-
-    def _best(self, is_fitted: np.ndarray) -> tuple[float, float]:
-        """Frequency of the wave that fits best what the functions leave.
-
-        In cycles per unit of the state, 0 where that stands still; and the share of
-        what the functions leave that the wave explains.
-        """
-        w = self.force.w
-        fitted = self.functions[is_fitted]
-        coefficients = np.linalg.lstsq(fitted, w[is_fitted], rcond=None)[0]
-        places = _drawn(is_fitted)
-        left = w[places] - self.functions[places] @ coefficients
-        z = self.z[places]
-        visited = np.ptp(z)
-        if not visited > 0:
-            return 0.0, 0.0
-        tried = REPEATS / visited
-        apart = tried[1] - tried[0]
-        frequency = _refined(z, left, tried, [apart, apart / N_TRIED])
-        fall = explained_by_wave(z, left, np.array([frequency]))[0]
-        return frequency, float(fall / max(float(np.sum(left**2)), TINY))
+    fitted = functions[is_fitted]
+    coefficients = np.linalg.lstsq(fitted, force.w[is_fitted], rcond=None)[0]
+    places = _drawn(is_fitted)
+    left = force.w[places] - functions[places] @ coefficients
+    visited = np.ptp(z[places])
+    if not visited > 0:
+        return 0.0, 0.0
+    tried = REPEATS / visited
+    apart = tried[1] - tried[0]
+    frequency = _refined(z[places], left, tried, [apart, apart / N_TRIED])
+    fall = explained_by_wave(z[places], left, np.array([frequency]))[0]
+    return frequency, float(fall / max(float(np.sum(left**2)), TINY))

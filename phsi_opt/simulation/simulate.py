@@ -107,10 +107,11 @@ def simulate_forced(
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
     size = max(float(np.max(np.abs(x0))), SMALLEST_START)
-    for piece in _pieces(t, u, held):
-        rate = _Rate(f, model.theta, force, piece)
-        samples = slice(piece.first + 1, piece.last + 1)
-        states[samples] = _integrated(rate, t, states[piece.first], method, size)
+    for first, last, value, longest in _pieces(t, u, held):
+        rate = _Rate(f, model.theta, force, value, last - first)
+        times = t[first : last + 1]
+        found = _integrated(rate, times, states[first], method, size, longest)
+        states[first + 1 : last + 1] = found
     return states
 
 
@@ -155,21 +156,13 @@ class SampledInputs:
         return np.where(self.is_smooth, self.smooth(time), value)
 
 
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    """A stretch from the sample ``first`` to ``last`` over which the input is smooth.
-
-    ``longest``: the longest step that may be taken.
-    """
-
-    first: int
-    last: int
-    value: Input
-    longest: float
-
-
-def _pieces(t: np.ndarray, u: Any, hold: np.ndarray) -> Iterator[_Piece]:
+def _pieces(
+    t: np.ndarray, u: Any, hold: np.ndarray
+) -> Iterator[tuple[int, int, Input, float]]:
     """The stretches over which the inputs are smooth.
+
+    Each with its first and last sample, the inputs, and the longest step that may be
+    taken.
 
     Args:
         t: (n_samples,) times.
@@ -179,7 +172,7 @@ def _pieces(t: np.ndarray, u: Any, hold: np.ndarray) -> Iterator[_Piece]:
     end = len(t) - 1
     sample = float(np.max(np.diff(t)))
     if callable(u):
-        yield _Piece(0, end, u, sample)
+        yield 0, end, u, sample
         return
     inputs = SampledInputs.of(t, u, hold)
     is_held = hold == "zero"
@@ -188,32 +181,36 @@ def _pieces(t: np.ndarray, u: Any, hold: np.ndarray) -> Iterator[_Piece]:
     # No step may be longer than a sample, or a short pulse is stepped over.
     longest = np.inf if is_held.all() else sample
     for first, last in pairwise([0, *ends.tolist(), end]):
-        yield _Piece(first, last, partial(inputs.at, last), longest)
+        yield first, last, partial(inputs.at, last), longest
 
 
 def _integrated(
-    rate: "_Rate", t: np.ndarray, x0: np.ndarray, method: str, size: float
+    rate: "_Rate",
+    t: np.ndarray,
+    x0: np.ndarray,
+    method: str,
+    size: float,
+    longest: float,
 ) -> np.ndarray:
-    """The states at the samples of a piece after its first one."""
-    piece = rate.piece
+    """The states at the times after the first one."""
     with np.errstate(all="ignore"):
         found = solve_ivp(
             rate,
-            (t[piece.first], t[piece.last]),
+            (t[0], t[-1]),
             x0,
             method,
-            t_eval=t[piece.first + 1 : piece.last + 1],
+            t_eval=t[1:],
             rtol=1e-8,
             atol=1e-10 * size,
-            max_step=piece.longest,
+            max_step=longest,
         )
     # Where it ends before the first sample, SciPy gives an empty list.
     y = np.reshape(found.y, (len(x0), -1))
     is_finite = np.all(np.isfinite(y), axis=0)
     n_good = int(np.sum(np.cumprod(is_finite)))
-    if not found.success or n_good < piece.last - piece.first:
+    if not found.success or n_good < len(t) - 1:
         why = found.message if is_finite.all() else "A state is no finite number there."
-        raise _stopped(t[piece.first + n_good], why)
+        raise _stopped(t[n_good], why)
     return y.T
 
 
@@ -260,15 +257,19 @@ class _Rate:
     """
 
     def __init__(
-        self, f: BufferedFunction, theta: np.ndarray, force: Force | None, piece: _Piece
+        self,
+        f: BufferedFunction,
+        theta: np.ndarray,
+        force: Force | None,
+        value: Input,
+        n_samples: int,
     ) -> None:
         self.f = f
         self.theta = theta
         self.force = force
-        self.piece = piece
+        self.value = value
         self.furthest = -np.inf
         self.waited = 0
-        n_samples = piece.last - piece.first
         self.left = ALWAYS_ALLOWED + MOST_PER_SAMPLE * n_samples
 
     def __call__(self, at: float, x: np.ndarray) -> np.ndarray:
@@ -281,7 +282,7 @@ class _Rate:
         self.left -= 1
         if self.left < 0:
             raise _stopped(at, TOO_FAST)
-        u = self.piece.value(at)
+        u = self.value(at)
         (rates,) = self.f(x, u, at, self.theta)
         return rates[0] + (0.0 if self.force is None else self.force(at, x, u))
 

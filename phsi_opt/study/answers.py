@@ -247,13 +247,19 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
     name = record.trajectories[force.strongest_run]
+    window = ""  # where no times stand out
+    times = str(force.where["time_window"])
+    if THROUGHOUT not in times:
+        told = times_words(times, record.units.get("t", ""), float(record.t.max()))
+        date = dates_words(times, record.origin_of(name))
+        window = f"t = {told}" + (f" ({date})" if date else "")
     facts: dict[str, Any] = {
         "begin": _beginning(force, strongest) if n_strong == 1 else "",
         "again": "again and again" if _comes_and_goes(force, strongest) else "",
         "n_runs": len(runs),
         "n_clear": len(clear),
         "is_from_start": all(_is_clear(force, one) for one in starts if len(one)),
-        "window": _window(force),
+        "window": window,
         "run": name if len(runs) > 1 else "the training record",
         "gaps": gaps_of(diagnosis, force),
         "only_follows": only_follows(trained, diagnosis.base),
@@ -283,17 +289,6 @@ def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
         return False
     is_strong = (sizes > least).astype(int)
     return int(np.sum(np.diff(is_strong, prepend=0) > 0)) >= FEWEST_BURSTS
-
-
-def _window(force: EquationForce) -> str:
-    """The times at which the force is strongest; "" where none stand out."""
-    times = str(force.where["time_window"])
-    if THROUGHOUT in times:
-        return ""
-    record = force.record
-    told = times_words(times, record.units.get("t", ""), float(record.t.max()))
-    date = dates_words(times, record.origin_of(str(force.where["trajectory"])))
-    return f"t = {told}" + (f" ({date})" if date else "")
 
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:

@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.sentences import say
@@ -112,6 +112,9 @@ def _sentence(study: StudyRecord) -> str:
     if present is not None and present.verdict != Verdict.NOTHING_MISSING:
         is_held_out = study.held_out is not None
         lacking = str(answer("missing", present, is_held_out))
+    found: list[Finding] = []
+    for diagnosis in study.diagnoses.values():
+        found += diagnosis.findings
     open_ = {one.name: evidence_words(one) for one in study.unestablished}
     sure = []
     unsure = []
@@ -120,19 +123,14 @@ def _sentence(study: StudyRecord) -> str:
         if name in open_:
             unsure.append(f"{name} ({open_[name]})")
         else:
-            sure.append(f"{name}{_alternatives(study, effect)}")
+            others = ""
+            for finding in found:
+                if name in map(str, finding.effects) and not others:
+                    others = alternatives(finding, name)
+            sure.append(f"{name}{others}")
     facts = {"sure": sure, "unsure": unsure, "lacking": lacking, "ask": ASK}
     added = study.last.added if len(study.steps) > 1 else ()
     return said_of(study, "sentence", present=present, added=added, **facts).lead
-
-
-def _alternatives(study: StudyRecord, effect: Effect) -> str:
-    """The other members of the class that an effect stands for, in brackets."""
-    for diagnosis in study.diagnoses.values():
-        for finding in diagnosis.findings:
-            if str(effect) in map(str, finding.effects) and not finding.is_name:
-                return alternatives(finding, str(effect))
-    return ""
 
 
 def _answers(study: StudyRecord) -> tuple[Answer, ...]:
