@@ -20,6 +20,11 @@ from scipy import fft, special
 TINY = 1e-300
 
 
+def rms(values: np.ndarray) -> float:
+    """Root mean square of values (n,)."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def local_maxima(values: np.ndarray, last_of_plateau: bool = False) -> np.ndarray:
     """Which values are at least as large as both neighbours, (n,) of bool.
 

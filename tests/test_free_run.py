@@ -188,9 +188,9 @@ def test_the_loop_is_built_once_for_all_records_of_a_model(
     built = []
     step = stepping._step
 
-    def noted(rhs: ca.Function, n_watched: int) -> ca.Function:
+    def noted(rhs: ca.Function) -> ca.Function:
         built.append(rhs)
-        return step(rhs, n_watched)
+        return step(rhs)
 
     monkeypatch.setattr(stepping, "_step", noted)
     t = np.linspace(0, 2, 41)

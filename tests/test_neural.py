@@ -186,7 +186,7 @@ def test_a_damaged_file_is_refused(found: Hybrid, tmp_path: Path, damage) -> Non
     [
         (lambda: NeuralForce("p"), "tuple of states"),  # type: ignore[arg-type]
         (lambda: NeuralForce(("p",), hidden=()), "sizes of layers"),
-        (lambda: NeuralForce(("p",), epochs=0), "above zero"),
+        (lambda: NeuralForce(("p",), epochs=0), "above 0"),
         (
             lambda: hybrid(model(), data(), NeuralForce(("velocity",))),
             "'velocity' is not a state",
@@ -222,7 +222,7 @@ def test_the_inputs_of_a_force_pass_through_it_at_the_stages(scheme: str) -> Non
         for i in (0, 7):
             dx = forced.rhs()([0.0, 0.0], u[i], 0.0, forced.theta)
             assert float(dx[1] - base[1]) == pytest.approx(force[i, k, 0], abs=1e-13)
-    assert without_signals(forced, ["p"]) == model()
+    assert without_signals(forced) == model()
 
 
 @pytest.mark.parametrize("scheme", ["midpoint", "rk4"])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.initialization.scaling import MOST_SHARE, theta_scale
+from phsi_opt.initialization.scaling import MOST_RATIO, theta_scale
 from phsi_opt.optimization import ipopt
 from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.grid import grid_of
@@ -148,7 +148,7 @@ def test_the_size_of_a_frequency_follows_no_vanishing_amplitude() -> None:
     for name in ("F_p[sin(omega_t*t)]", "F_p[cos(omega_t*t)]"):
         theta[model.free.index(name)] = 1e-12
     sizes = theta_scale(model, grid, theta, grid.y, np.ones(2))
-    assert sizes[place] == pytest.approx(MOST_SHARE * 0.3)
+    assert sizes[place] == pytest.approx(MOST_RATIO * 0.3)
 
 
 def test_the_size_of_a_parameter_at_its_bound_is_that_of_its_effect() -> None:
@@ -163,4 +163,4 @@ def test_the_size_of_a_parameter_at_its_bound_is_that_of_its_effect() -> None:
         return float(sizes[model.free.index("a")])
 
     assert size_of(1e-12, "a") == pytest.approx(size_of(3.0))
-    assert size_of(1e-12) == pytest.approx(MOST_SHARE * 1e-12)
+    assert size_of(1e-12) == pytest.approx(MOST_RATIO * 1e-12)

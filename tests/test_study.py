@@ -334,8 +334,8 @@ def test_the_history_is_drawn_with_its_values_and_a_log_axis_over_decades(
     _, names = axes.get_legend_handles_labels()
     assert f"noise floor {hidden.history['noise_floor'].iloc[-1]:.3g}" in names
     # Numbers stand below and above: of two equal errors both are seen.
-    assert {text.get_va() for text in axes.texts[:2]} == {"top"}
-    assert {text.get_va() for text in axes.texts[2:]} == {"bottom"}
+    assert {text.get_verticalalignment() for text in axes.texts[:2]} == {"top"}
+    assert {text.get_verticalalignment() for text in axes.texts[2:]} == {"bottom"}
     assert axes.get_yscale() == "linear"
     table = hidden.history.assign(train_rmse=[5.0, 0.04], held_out_rmse=[6.0, 0.05])
     assert plot_history(table).get_yscale() == "log"

@@ -279,7 +279,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     data = Measurements.from_csv(of_bytes, time="t", states=["q"])
     assert data.n_samples == 2, "an open file may give text or bytes"
     with pytest.raises(DataError, match="gives str; expected bytes"):
-        Measurements.from_excel(io.StringIO("t,q"), time="t", states=["q"])  # type: ignore[arg-type]
+        Measurements.from_excel(io.StringIO("t,q"), time="t", states=["q"])
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
@@ -414,7 +414,7 @@ def test_what_is_no_data_frame_is_refused() -> None:
     with pytest.raises(
         DataError, match=r"frame is a dict; expected a pandas\.DataFrame"
     ):
-        Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])  # type: ignore[arg-type]
+        Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])
 
 
 @pytest.mark.parametrize("cell", ["1_000", "1_0.5"])

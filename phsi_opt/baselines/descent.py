@@ -5,7 +5,7 @@ It knows a loss of the tables of a batch, and nothing of models.
 
 from collections.abc import Callable, Iterator, Sequence
 from math import sqrt
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,26 +18,9 @@ from phsi_opt.presentation.table_making import printed_table
 Progress = Callable[[str], None]
 Step = Callable[[Sequence[Tensor], float], None]  # down gradients, at a learning rate
 # Defaults of Adam (Kingma and Ba 2015): decay of the means of the gradient and of its
-# square, and what keeps the quotient of the two finite.
+# square.
 MEAN_DECAY = 0.9
 SQUARE_DECAY = 0.999
-EPSILON = 1e-8
-N_REPORTS = 20  # lines of progress in a descent
-
-
-class Schedule(Protocol):
-    """What `descend` reads of settings."""
-
-    @property
-    def epochs(self) -> int:
-        """Passes over all intervals."""
-
-    @property
-    def batch(self) -> int:
-        """Intervals per step."""
-
-    def rate(self, epoch: int) -> float:
-        """Learning rate of an epoch, counted from 1."""
 
 
 class Adam:
@@ -58,11 +41,11 @@ class Adam:
         weight_decay: float = 0.0,
         relative: Sequence[float] | None = None,
     ) -> None:
-        self.raw = [parameter.detach() for parameter in parameters]
+        self.raw = list(map(Tensor.detach, parameters))
         self.weight_decay = weight_decay
         self.relative = relative or [1.0] * len(parameters)
-        self.means = [torch.zeros_like(raw) for raw in self.raw]
-        self.squares = [torch.zeros_like(raw) for raw in self.raw]
+        self.means = list(map(torch.zeros_like, self.raw))
+        self.squares = list(map(torch.zeros_like, self.raw))
         self.steps = 0
 
     def step(self, gradients: Sequence[Tensor], rate: float) -> None:
@@ -78,7 +61,7 @@ class Adam:
             mean.lerp_(gradient, 1 - MEAN_DECAY)
             square.mul_(SQUARE_DECAY)
             square.addcmul_(gradient, gradient, value=1 - SQUARE_DECAY)
-            size = square.sqrt().mul_(unbiased).add_(EPSILON)
+            size = square.sqrt().mul_(unbiased).add_(1e-8)
             raw.addcdiv_(mean, size, value=towards * relative)
 
 
@@ -95,7 +78,7 @@ def descend(
     step: Step,
     loss: Callable[[Sequence[Tensor]], Tensor],
     tables: Sequence[Tensor],
-    settings: Schedule,
+    settings: Any,
     generator: torch.Generator,
     *,
     after_epoch: Callable[[int], int] | None = None,
@@ -108,7 +91,8 @@ def descend(
         step: such as `Adam.step`; it moves the parameters.
         loss: of the tables of a batch.
         tables: the data, the intervals along the first axis.
-        settings: epochs, size of the batches, learning rates.
+        settings: its ``epochs``, the size of a ``batch``, and the learning ``rate`` by
+            the number of the epoch, from 1.
         generator: of the order of the intervals.
         after_epoch: such as pruning, by the number of the epoch, from 1; it returns the
             number of terms that are left. None counts all parameters.
@@ -121,7 +105,7 @@ def descend(
     Raises:
         SolveError: when the loss is no longer finite.
     """
-    n_terms = sum(parameter.numel() for parameter in parameters)
+    n_terms = sum(map(Tensor.numel, parameters))
     history = []
     for epoch in range(1, settings.epochs + 1):
         rate = settings.rate(epoch)
@@ -140,12 +124,9 @@ def descend(
             )
         n_terms = after_epoch(epoch) if after_epoch is not None else n_terms
         history.append((epoch, mean, n_terms))
-        if progress is not None and _is_reported(epoch, settings.epochs):
+        is_reported = epoch % max(1, settings.epochs // 20) == 0
+        if progress is not None and (is_reported or epoch == settings.epochs):
             progress(
                 f"epoch {epoch} of {settings.epochs}: loss {mean:.4g}, {n_terms} terms"
             )
     return printed_table(history, columns=["epoch", "loss", "n_terms"])
-
-
-def _is_reported(epoch: int, n_epochs: int) -> bool:
-    return epoch % max(1, n_epochs // N_REPORTS) == 0 or epoch == n_epochs

@@ -187,7 +187,7 @@ class DescentRun:
 
     def remove(self, names: Iterable[str]) -> None:
         """Hold these terms at zero for good."""
-        places = sorted(self.dynamics.names.index(name) for name in names)
+        places = sorted(map(self.dynamics.names.index, names))
         self.removed += [self.dynamics.names[i] for i in places]
         for values in (self.theta.detach(), self.lower, self.upper):
             values[places] = 0.0
@@ -214,27 +214,6 @@ class DescentRun:
             after_epoch=self.after_epoch,
             progress=progress,
         )
-        self._check_energy()
-        kept = self.kept()
-        return Baseline(
-            model=kept,
-            hold=self.hold,
-            loss_value=self._loss_of(kept),
-            seconds=time.perf_counter() - self.began,
-            removed=tuple(self.removed),
-            method="gradient descent",
-            history=history,
-            settings=str(self.settings),
-        )
-
-    def _loss_of(self, model: Model) -> float:
-        """The loss over all data in double precision, without penalties."""
-        dynamics = DictionaryDynamics(model, torch.float64)
-        theta = torch.tensor(list(model.values.values()), dtype=torch.float64)
-        steps = Steps(self.grid, self.settings.integrator, torch.float64)
-        return float(steps.loss(self.rates(dynamics, theta), steps.tables).detach())
-
-    def _check_energy(self) -> None:
         names = {term.coefficient_name("H") for term in self.model.H}
         if names and names <= set(self.removed):
             raise SolveError(
@@ -242,6 +221,21 @@ class DescentRun:
                 f"all fell below threshold={self.settings.threshold:g}. "
                 "Take a smaller threshold, prune later (prune_every) or train longer."
             )
+        kept = self.kept()
+        dynamics = DictionaryDynamics(kept, torch.float64)
+        theta = torch.tensor(list(kept.values.values()), dtype=torch.float64)
+        steps = Steps(self.grid, self.settings.integrator, torch.float64)
+        loss = steps.loss(self.rates(dynamics, theta), steps.tables)
+        return Baseline(
+            model=kept,
+            hold=self.hold,
+            loss_value=float(loss.detach()),  # in double precision
+            seconds=time.perf_counter() - self.began,
+            removed=tuple(self.removed),
+            method="gradient descent",
+            history=history,
+            settings=str(self.settings),
+        )
 
 
 def _released(model: Model, values: Mapping[str, float]) -> Model:

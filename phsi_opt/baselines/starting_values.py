@@ -5,13 +5,10 @@ import numpy as np
 from phsi_opt.baselines.descent_settings import Descent
 from phsi_opt.baselines.torch_polynomials import monomial
 from phsi_opt.model.model import Model
-from phsi_opt.model.slots import Entry, place_of
-from phsi_opt.model.terms import Term
+from phsi_opt.model.slots import place_of
 
-POLYNOMIAL_START = 0.2  # of a coefficient of a monomial (appendix B, the thesis' code)
-FUNCTION_START = 1.0  # of other coefficients and of frequencies (the same)
-DAMPING_START = 0.0  # of a coefficient of R (the same)
-NORMAL_START = 0.5  # standard deviation of a random start (thesis Section 5.1)
+# Of coefficients (appendix B, the thesis' code); frequencies as those of functions.
+THESIS_STARTS = {"polynomial": 0.2, "function": 1.0, "damping": 0.0}
 
 
 def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
@@ -24,37 +21,23 @@ def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
     of_thesis = _thesis_starts(model)
     values = []
     for name, entry in model.entries.items():
-        draw = NORMAL_START * rng.normal()  # drawn for given values too
-        if settings.start == "model" or _is_given(entry):
-            values.append(entry.parameter.start)
+        # Thesis Section 5.1; drawn for given values too.
+        draw = rng.normal(scale=0.5)
+        parameter = entry.parameter
+        # Of a formula or inside a term.
+        is_known = parameter.value is not None and not entry.prunable
+        if settings.start == "model" or parameter.fixed or is_known:
+            values.append(parameter.start)
             continue
-        value = of_thesis.get(name, FUNCTION_START)
+        value = of_thesis.get(name, THESIS_STARTS["function"])
         if settings.start == "normal":
-            value = _drawn(draw, entry)
-        values.append(_bounded(value, entry, settings))
+            # At a bound of zero nothing would move.
+            is_size = parameter.lower == 0 and entry.slot != "R"
+            value = abs(draw) if is_size else draw
+        if entry.slot != "R" or settings.keep_damping_positive:
+            value = float(np.clip(value, parameter.lower, parameter.upper))
+        values.append(value)
     return np.array(values)
-
-
-def _is_given(entry: Entry) -> bool:
-    """Whether the value is the model's own: fixed, of a formula or inside a term."""
-    parameter = entry.parameter
-    return parameter.fixed or (parameter.value is not None and not entry.prunable)
-
-
-def _drawn(draw: float, entry: Entry) -> float:
-    """The draw; its size for a number that may not be negative.
-
-    At its bound of zero nothing would move.
-    """
-    if entry.parameter.lower == 0 and entry.slot != "R":
-        return abs(draw)
-    return draw
-
-
-def _bounded(value: float, entry: Entry, settings: Descent) -> float:
-    if entry.slot == "R" and not settings.keep_damping_positive:
-        return value
-    return float(np.clip(value, entry.parameter.lower, entry.parameter.upper))
 
 
 def _thesis_starts(model: Model) -> dict[str, float]:
@@ -62,15 +45,9 @@ def _thesis_starts(model: Model) -> dict[str, float]:
     variables = (*model.states, *model.inputs, "t")
     starts = {}
     for slot, equation, term in model.placed():
+        is_monomial = not term.inner and monomial(term.body, variables) is not None
+        kind = "damping" if slot == "R" else "polynomial" if is_monomial else "function"
         if not term.is_formula:
             name = term.coefficient_name(place_of(slot, equation))
-            starts[name] = _thesis_start(slot, term, variables)
+            starts[name] = THESIS_STARTS[kind]
     return starts
-
-
-def _thesis_start(slot: str, term: Term, variables: tuple[str, ...]) -> float:
-    if slot == "R":
-        return DAMPING_START
-    if not term.inner and monomial(term.body, variables) is not None:
-        return POLYNOMIAL_START
-    return FUNCTION_START

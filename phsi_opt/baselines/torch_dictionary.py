@@ -18,7 +18,7 @@ from phsi_opt.baselines.torch_polynomials import (
     gradient_cells,
     monomial,
 )
-from phsi_opt.model.backends import FUNCTIONS, Backend
+from phsi_opt.model.backends import Backend, functions_of
 from phsi_opt.model.expressions import evaluate, names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import PlacedTerm, place_of
@@ -42,10 +42,8 @@ def _tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
     return of_tensors
 
 
-IN_TORCH = {"min": "minimum", "max": "maximum"}  # functions with another name there
-TORCH = Backend(
-    {name: _tensors(getattr(torch, IN_TORCH.get(name, name))) for name in FUNCTIONS}
-)
+IN_TORCH = functions_of(torch, min="minimum", max="maximum")
+TORCH = Backend({name: _tensors(function) for name, function in IN_TORCH.items()})
 
 
 class DictionaryDynamics:
@@ -84,7 +82,20 @@ class DictionaryDynamics:
         n_columns = model.n_states * (2 if model.has_energy else 1)
         n_variables = len(self.variables)
         self.polynomials = Polynomials(self.cells, n_variables, n_columns, dtype)
-        self._read_text()
+        # What the terms that are evaluated from their text read.
+        self.text_energy = [placed for placed in self.text if placed.slot == "H"]
+        self.text_rates = [placed for placed in self.text if placed.slot != "H"]
+        names: list[str] = []
+        for placed in self.text:
+            names += (entry.name for entry in placed.entries())
+        self.read = list(dict.fromkeys(names))
+        places = list(map(self.names.index, self.read))
+        self.read_at = torch.tensor(places, dtype=torch.long)
+        efforts = set(self.model.efforts)
+        self.reads_efforts = any(
+            placed.slot == "R" or efforts & names_of(placed.term.body)
+            for placed in self.text_rates
+        )
 
     def _monomial(self, placed: PlacedTerm) -> tuple[int, ...] | None:
         """The monomial of a term; None for one that is evaluated from its text."""
@@ -108,22 +119,6 @@ class DictionaryDynamics:
         if placed.slot == "R":
             return [Cell((i,), i, parameter, -1.0)]
         return [Cell(body, i + n * self.model.has_energy, parameter)]
-
-    def _read_text(self) -> None:
-        """What the terms that are evaluated from their text read."""
-        self.text_energy = [placed for placed in self.text if placed.slot == "H"]
-        self.text_rates = [placed for placed in self.text if placed.slot != "H"]
-        names: list[str] = []
-        for placed in self.text:
-            names += (entry.name for entry in placed.entries())
-        self.read = list(dict.fromkeys(names))
-        places = [self.names.index(name) for name in self.read]
-        self.read_at = torch.tensor(places, dtype=torch.long)
-        efforts = set(self.model.efforts)
-        self.reads_efforts = any(
-            placed.slot == "R" or efforts & names_of(placed.term.body)
-            for placed in self.text_rates
-        )
 
     def at(self, theta: Tensor) -> "DictionaryRates":
         """The right-hand side at the parameters, (n_parameters,)."""

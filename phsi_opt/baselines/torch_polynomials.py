@@ -22,7 +22,7 @@ def monomial(body: str, variables: Sequence[str]) -> Monomial | None:
     factors = _factors(parse(body))
     if factors is None or not set(factors) <= set(variables):
         return None
-    return tuple(sorted(list(variables).index(name) for name in factors))
+    return tuple(sorted(map(list(variables).index, factors)))
 
 
 def _factors(node: ast.expr) -> list[str] | None:
@@ -83,9 +83,9 @@ class Polynomials:
         degree = max(1, *map(len, monomials))
         padded = [body + (n_variables,) * (degree - len(body)) for body in monomials]
         self.factors = torch.tensor(padded).T.contiguous()  # (degree, n_monomials)
-        places = []
-        for cell in cells:
-            places.append(monomials.index(cell.monomial) * n_columns + cell.column)
+        places = [
+            monomials.index(cell.monomial) * n_columns + cell.column for cell in cells
+        ]
         parameters = [cell.parameter for cell in cells]
         self.places = torch.tensor(places, dtype=torch.long)
         self.parameters = torch.tensor(parameters, dtype=torch.long)

@@ -60,14 +60,12 @@ class Bootstrap:
         Columns: value (of the fit), std_error (of the fit), bootstrap_error (standard
         deviation of the draws), bias (mean of the draws less the value).
         """
-        spread = self.estimates.std(ddof=1)
-        mean = self.estimates.mean()
-        rows = []
-        for name, value in self.fit.estimates.items():
-            error = self.fit.std_errors[name]
-            rows.append((value, error, spread[name], mean[name] - value))
-        columns = ["value", "std_error", "bootstrap_error", "bias"]
-        return printed_table(rows, index=list(self.fit.estimates), columns=columns)
+        names = list(self.fit.estimates)
+        table = printed_table({"value": self.fit.estimates}, index=names)
+        table["std_error"] = [self.fit.std_errors[name] for name in names]
+        table["bootstrap_error"] = self.estimates.std(ddof=1)
+        table["bias"] = self.estimates.mean() - table["value"]
+        return table
 
     def intervals(self, level: float = 0.95) -> "pd.DataFrame":
         """Percentile intervals: what lies in the middle of the draws.
@@ -85,13 +83,11 @@ class Bootstrap:
         """
         if not 0 < level < 1:
             raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
-        lower = self.estimates.quantile((1 - level) / 2)
-        upper = self.estimates.quantile((1 + level) / 2)
-        rows = []
-        for name, value in self.fit.estimates.items():
-            rows.append((value, lower[name], upper[name]))
-        columns = ["value", "ci_lower", "ci_upper"]
-        return printed_table(rows, index=list(self.fit.estimates), columns=columns)
+        names = list(self.fit.estimates)
+        table = printed_table({"value": self.fit.estimates}, index=names)
+        table["ci_lower"] = self.estimates.quantile((1 - level) / 2)
+        table["ci_upper"] = self.estimates.quantile((1 + level) / 2)
+        return table
 
     def __str__(self) -> str:
         text = f"bootstrap of {len(self.estimates)} draws\n{self.table}"
@@ -157,8 +153,25 @@ def bootstrap(
             a number cannot be used.
         SolveError: Fewer than two draws could be fitted.
     """
-    _check(fit, n_draws)
+    check_likelihood(fit, "bootstrap")
+    if not fit.states:
+        raise DataError(
+            "the fit has no states, as one that was loaded from a file; identify it "
+            "again from its measurements."
+        )
+    if n_draws < FEWEST_DRAWS:
+        raise DataError(f"n_draws={n_draws!r} must be {FEWEST_DRAWS} or more.")
     plan = _plan(fit, data)
+    # What the draws follow from.
+    content = {
+        "model": model_content(fit.model),
+        "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
+        "noise": dict(fit.noise),
+        "huber": fit.huber,
+        "data": plan.data.digest,
+        "seed": seed,
+    }
+    text = json.dumps(content, sort_keys=True)
     seeds = np.random.SeedSequence(seed).spawn(n_draws)
     cases = {f"draw {number}": one for number, one in enumerate(seeds)}
     found: dict[int, Mapping[str, float]] = {}
@@ -168,7 +181,7 @@ def bootstrap(
         cases,
         executor=executor,
         folder=folder,
-        of=_digest(fit, plan, seed),
+        of=f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}",
         progress=progress,
     ):
         number = int(done.key.removeprefix("draw "))
@@ -179,27 +192,18 @@ def bootstrap(
     if len(found) < FEWEST_DRAWS:
         reason = next(iter(failed.values()), "")
         raise SolveError(f"{len(failed)} of {n_draws} draws have no fit: {reason}")
-    return Bootstrap(fit, _table(fit, found), dict(sorted(failed.items())))
-
-
-def _check(fit: Fit, n_draws: int) -> None:
-    check_likelihood(fit, "bootstrap")
-    if not fit.states:
-        raise DataError(
-            "the fit has no states, as one that was loaded from a file; identify it "
-            "again from its measurements."
-        )
-    if n_draws < FEWEST_DRAWS:
-        raise DataError(f"n_draws={n_draws!r} must be {FEWEST_DRAWS} or more.")
+    rows = dict(sorted(found.items()))
+    table = printed_table(rows.values(), index=list(rows), columns=list(fit.estimates))
+    return Bootstrap(fit, table, dict(sorted(failed.items())))
 
 
 def _plan(fit: Fit, data: Measurements) -> _Plan:
     aligned = AlignedData.of(fit.model, data)
     lengths = [run.n_samples for run in aligned.data.trajectories]
-    if [len(x) for x in fit.states] != lengths:
+    if list(map(len, fit.states)) != lengths:
         raise DataError(
             f"the measurements have trajectories of {lengths} samples, the fit "
-            f"{[len(x) for x in fit.states]}; give the measurements of the fit."
+            f"{list(map(len, fit.states))}; give the measurements of the fit."
         )
     theta = parameter_matrix(fit.model, parameters_of(fit, aligned.data))
     shown = outputs_at_samples(fit.model, aligned.grid, fit.states, theta)
@@ -210,42 +214,18 @@ def _plan(fit: Fit, data: Measurements) -> _Plan:
 
 
 def _drawn_estimates(plan: _Plan, seed: np.random.SeedSequence) -> dict[str, Any]:
-    """The estimates of one draw by name; or why there are none."""
-    try:
-        fit = identify(plan.model, _drawn(plan, seed), plan.loss)
-    except PhsiOptError as error:
-        return {"failed": f"{type(error).__name__}: {error}"}
-    return {"estimates": {name: float(v) for name, v in fit.estimates.items()}}
+    """The estimates of one draw by name; or why there are none.
 
-
-def _drawn(plan: _Plan, seed: np.random.SeedSequence) -> Measurements:
-    """What the fitted model shows plus noise, measured where the data are."""
+    A draw is what the fitted model shows plus noise, measured where the data are.
+    """
     rng = np.random.default_rng(seed)
     runs = []
     for run, shown in zip(plan.data.trajectories, plan.shown, strict=True):
         noisy = shown + plan.sigma * rng.normal(size=shown.shape)
         runs.append(replace(run, x=np.where(np.isnan(run.x), np.nan, noisy)))
-    return replace(plan.data, trajectories=tuple(runs))
-
-
-def _digest(fit: Fit, plan: _Plan, seed: int) -> str:
-    """What the draws follow from: model with values, noise, measurements and seed."""
-    content = {
-        "model": model_content(fit.model),
-        "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
-        "noise": dict(fit.noise),
-        "huber": fit.huber,
-        "data": plan.data.digest,
-        "seed": seed,
-    }
-    text = json.dumps(content, sort_keys=True)
-    return f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}"
-
-
-def _table(fit: Fit, found: Mapping[int, Mapping[str, float]]) -> "pd.DataFrame":
-    numbers = sorted(found)
-    names = list(fit.estimates)
-    rows = []
-    for number in numbers:
-        rows.append([found[number][name] for name in names])
-    return printed_table(rows, index=numbers, columns=names)
+    drawn = replace(plan.data, trajectories=tuple(runs))
+    try:
+        fit = identify(plan.model, drawn, plan.loss)
+    except PhsiOptError as error:
+        return {"failed": f"{type(error).__name__}: {error}"}
+    return {"estimates": dict(fit.estimates)}

@@ -21,9 +21,7 @@ from phsi_opt.criteria import (
     FLAT_SPREAD,
     HORIZON_RESIDUAL,
 )
-from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix
@@ -42,7 +40,7 @@ from phsi_opt.presentation.summary import (
 from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
-from phsi_opt.statistics import TINY, ljung_box, profiled_deviance
+from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
@@ -118,7 +116,7 @@ class Comparison(Summarised):
     @cached_property
     def _n_values(self) -> np.ndarray:
         """How many values were measured of each state, (n_states,)."""
-        return np.asarray(np.isfinite(self._y).sum(axis=0))
+        return np.isfinite(self._y).sum(axis=0)
 
     @cached_property
     @interruptible
@@ -138,17 +136,20 @@ class Comparison(Summarised):
         ratio squared); whiteness (p-value of Ljung and Box's test, 1978); horizon (time
         until a residual leaves the noise, in the worst trajectory); n_samples.
         """
-        rows = []
-        for number, name in enumerate(self.model.states):
-            if name in self.data.measured:
-                rows.append(self._row(number, name))
+        rows = map(self._row, np.flatnonzero(self._n_values).tolist())
         return printed_table(rows, columns=list(TABLE_COLUMNS))
 
-    def _row(self, number: int, name: str) -> tuple[object, ...]:
+    def _row(self, number: int) -> tuple[object, ...]:
+        name = self.model.states[number]
         residuals = [_known(run[:, number]) for run in self.residuals]
-        rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+        rmse = rms(np.concatenate(residuals))
         spread = float(np.std(_known(self._y[:, number])))
         floor = self.sigma[number]
+        horizons = []
+        for run, of_run in zip(self.data.trajectories, self.residuals, strict=True):
+            is_beyond = np.abs(of_run[:, number]) > HORIZON_RESIDUAL * floor
+            beyond = np.append(np.flatnonzero(is_beyond), run.n_samples - 1)
+            horizons.append(float(run.t[beyond[0]] - run.t[0]))
         return (
             name,
             self.data.units.get(name, ""),
@@ -157,18 +158,9 @@ class Comparison(Summarised):
             floor,
             (rmse / floor) ** 2,
             ljung_box(residuals),
-            min(self._horizon(run, number) for run in range(len(residuals))),
+            min(horizons),
             int(self._n_values[number]),
         )
-
-    def _horizon(self, trajectory: int, state: int) -> float:
-        """Time from the start until a residual leaves the noise."""
-        t = self.data.trajectories[trajectory].t
-        residual = np.nan_to_num(self.residuals[trajectory][:, state])
-        is_beyond = np.abs(residual) > HORIZON_RESIDUAL * self.sigma[state]
-        beyond = np.flatnonzero(is_beyond)
-        end = t[beyond[0]] if len(beyond) else t[-1]
-        return float(end - t[0])
 
     @cached_property
     def flat(self) -> tuple[str, ...]:
@@ -178,12 +170,11 @@ class Comparison(Summarised):
         """
         shown = np.concatenate(self.shown)
         names = []
-        for number, name in enumerate(self.model.states):
+        for number in np.flatnonzero(self._n_values).tolist():
             y = self._y[:, number]
             seen = shown[np.isfinite(y), number]
-            is_measured = name in self.data.measured
-            if is_measured and is_flat(_known(y), seen, self.sigma[number]):
-                names.append(name)
+            if is_flat(_known(y), seen, self.sigma[number]):
+                names.append(self.model.states[number])
         return tuple(names)
 
     @property
@@ -197,7 +188,7 @@ class Comparison(Summarised):
 
         One where a single channel is measured, else one over its standard deviation.
         """
-        is_measured = [name in self.data.measured for name in self.model.states]
+        is_measured = self._n_values > 0
         if sum(is_measured) == 1:
             return np.where(is_measured, 1.0, 0.0)
         spread = np.full(len(is_measured), np.inf)
@@ -211,7 +202,7 @@ class Comparison(Summarised):
         In the order of time, trajectory after trajectory.
         """
         squared = (np.concatenate(self.residuals) * self.weights) ** 2
-        return np.asarray(squared[np.isfinite(self._y)])
+        return squared[np.isfinite(self._y)]
 
     @cached_property
     def misfit(self) -> float:
@@ -227,7 +218,7 @@ class Comparison(Summarised):
     def _squares_by_state(self) -> np.ndarray:
         """Sums of squared residuals in noise variances, (n_states,)."""
         residuals = np.concatenate(self.residuals) / self.sigma
-        return np.asarray(np.nansum(residuals**2, axis=0))
+        return np.nansum(residuals**2, axis=0)
 
     @property
     def rmse(self) -> float:
@@ -300,19 +291,17 @@ class Comparison(Summarised):
         """What a picture shows of one trajectory."""
         from phsi_opt.presentation.pictures import Channel
 
-        run = self.data.trajectories[number]
-        simulated = self.shown[number]
+        x = self.data.trajectories[number].x
+        shown = self.shown[number]
         std = None if self.bands is None else self.bands[number]
         channels = []
-        for k, name in enumerate(self.model.states):
-            if name in self.data.measured:
-                unit = self.data.units.get(name, "")
-                std_of_state = None if std is None else std[:, k]
-                noise = float(self.sigma[k])
-                shown = simulated[:, k]
-                channels.append(
-                    Channel(name, unit, run.x[:, k], shown, std_of_state, noise)
-                )
+        for name, noise in self.noise.items():
+            k = self.model.states.index(name)
+            unit = self.data.units.get(name, "")
+            std_of_state = None if std is None else std[:, k]
+            channels.append(
+                Channel(name, unit, x[:, k], shown[:, k], std_of_state, noise)
+            )
         return channels
 
     def _summary(self) -> Summary:
@@ -368,24 +357,17 @@ def compare_record(record: Record) -> Comparison:
     simulated = []
     for run, states in zip(record.data.trajectories, smoothed.states, strict=True):
         model = record.model.with_values(parameters[run.name])
-        simulated.append(_free_run(model, run, states[0], record.data.hold))
+        try:
+            x = free_run(model, run.t, states[0], run.u, record.data.hold)
+        except SolveError:
+            is_first = np.arange(run.n_samples)[:, None] == 0
+            x = np.where(is_first, states[0], DIVERGED_RUN * np.nanstd(run.x))
+        simulated.append(x)
     theta = parameter_matrix(record.model, parameters)
     visible = outputs_at_samples(record.model, record.grid, simulated, theta)
     pairs = zip(record.data.trajectories, visible, strict=True)
     residuals = tuple(run.x - y for run, y in pairs)
     return Comparison(record, parameters, tuple(simulated), visible, residuals)
-
-
-def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: Hold) -> np.ndarray:
-    """The simulation from x0, (n_samples, n_states).
-
-    Where it breaks off, values far beyond every measurement.
-    """
-    try:
-        return free_run(model, run.t, x0, run.u, hold)
-    except SolveError:
-        is_first = np.arange(run.n_samples)[:, None] == 0
-        return np.where(is_first, x0, DIVERGED_RUN * np.nanstd(run.x))
 
 
 def _known(residual: np.ndarray) -> np.ndarray:
@@ -417,7 +399,7 @@ def is_flat(measured: np.ndarray, shown: np.ndarray, noise: float) -> bool:
     """
     spread = float(np.std(measured))
     moves = noise < FLAT_NOISE * spread
-    rmse = float(np.sqrt(np.mean((measured - shown) ** 2)))
+    rmse = rms(measured - shown)
     explains = rmse < (1 - FLAT_FIT_PERCENT / 100) * spread
     return moves and not explains and float(np.std(shown)) < FLAT_SPREAD * spread
 

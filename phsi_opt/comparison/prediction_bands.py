@@ -105,12 +105,9 @@ def _parameter_covariance(
     place = [fit.names.index(unknown.names[i]) for i in shared]
     of_shared = fitted[np.ix_(place, place)] / np.outer(scale[shared], scale[shared])
     covariance = np.zeros((len(unknown), len(unknown)))
-    covariance[np.ix_(shared, shared)] = of_shared
+    following = np.eye(len(unknown))[:, shared]
     if len(own):
         conditional = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
-        following = -conditional @ information[np.ix_(own, shared)]
-        crossed = following @ of_shared
-        covariance[np.ix_(own, shared)] = crossed
-        covariance[np.ix_(shared, own)] = crossed.T
-        covariance[np.ix_(own, own)] = conditional + crossed @ following.T
-    return covariance
+        following[own] = -conditional @ information[np.ix_(own, shared)]
+        covariance[np.ix_(own, own)] = conditional
+    return covariance + following @ of_shared @ following.T

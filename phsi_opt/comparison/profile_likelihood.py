@@ -27,10 +27,6 @@ from phsi_opt.transcription.alignment import AlignedData
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Share of the half width by which an end may differ from that of the curvature before
-# the profile counts as curved.
-CURVED = 0.1
-END_ACCURACY = 0.02  # of an end of the interval, in half widths
 # Standard errors by which the repeated fit may differ from the fit: beyond, the
 # measurements are not those of the fit.
 REPEATED = 0.1
@@ -71,9 +67,8 @@ class Profile:
         """
         lower, upper = self.curvature
         half_width = (upper - lower) / 2
-        ends = np.array([self.ci_lower, self.ci_upper])
-        shift = np.abs(ends - np.array(self.curvature))
-        return not np.all(shift <= CURVED * half_width)
+        shift = max(abs(self.ci_lower - lower), abs(self.ci_upper - upper))
+        return not shift <= 0.1 * half_width
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """The profile beside the parabola of the standard error, with the threshold."""
@@ -129,7 +124,19 @@ def profile(
             error; or the level is not between 0 and 1.
         SolveError: the fit could not be repeated, or a re-fit failed.
     """
-    _check(fit, name, level)
+    check_likelihood(fit, "profile")
+    if name not in fit.model.free or name not in fit.names:
+        raise ModelError(
+            f"parameter {name!r} is not a free, shared one of the fit."
+            f"{did_you_mean(name, fit.names)}"
+        )
+    if not np.isfinite(fit.std_errors[name]):
+        raise ModelError(
+            f"parameter {name!r} has no standard error (see the fit's warnings), "
+            "so no profile either."
+        )
+    if not 0 < level < 1:
+        raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
     line = _Line(fit, AlignedData.of(fit.model, data), name, progress)
     value = line.value
     freedom = fit.degrees_of_freedom[fit.names.index(name)]
@@ -175,22 +182,6 @@ def check_likelihood(fit: Fit, what: str) -> None:
         )
 
 
-def _check(fit: Fit, name: str, level: float) -> None:
-    check_likelihood(fit, "profile")
-    if name not in fit.model.free or name not in fit.names:
-        raise ModelError(
-            f"parameter {name!r} is not a free, shared one of the fit."
-            f"{did_you_mean(name, fit.names)}"
-        )
-    if not np.isfinite(fit.std_errors[name]):
-        raise ModelError(
-            f"parameter {name!r} has no standard error (see the fit's warnings), "
-            "so no profile either."
-        )
-    if not 0 < level < 1:
-        raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
-
-
 class _Line:
     """The profile as a function of the parameter, with the points worked out so far."""
 
@@ -207,25 +198,24 @@ class _Line:
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
         self.loss = likelihood_of(fit)
         self.steps = steps_on(fit, aligned.data)
-        best = self._solved(fit.model, _states_of(fit, aligned))
-        self._check_repeated(fit, best)
-        assert best is not None
+        lengths = [run.n_samples for run in aligned.data.trajectories]
+        x: Sequence[np.ndarray] = fit.states
+        if list(map(len, x)) != lengths:  # other data: beside a missing force
+            x = Record.of_aligned(fit, aligned).start
+        best = self._solved(fit.model, x)
+        value = fit.values[name]
+        limit = REPEATED * fit.std_errors[name]
+        if best is None or abs(best.values[name] - value) > limit:
+            now = "not solved" if best is None else f"{best.values[name]:.6g}"
+            raise SolveError(
+                f"the fit could not be repeated on these measurements: {name} is "
+                f"{value:.6g} in the fit, now {now}. Are they those of the fit?"
+            )
         self.value = best.values[name]
         self.lowest = best.chi_square
         self.factor = best.score_variance
         self.points = {self.value: 0.0}
-        self.states = {self.value: best}
-
-    def _check_repeated(self, fit: Fit, best: LikelihoodEstimate | None) -> None:
-        error = fit.std_errors[self.name]
-        value = fit.values[self.name]
-        if best is not None and abs(best.values[self.name] - value) <= REPEATED * error:
-            return
-        now = "no solution" if best is None else f"{best.values[self.name]:.6g}"
-        raise SolveError(
-            f"the fit could not be repeated on these measurements: {self.name} is "
-            f"{value:.6g} in the fit, now {now}. Are they those of the fit?"
-        )
+        self.found = {self.value: best}
 
     def _solved(
         self, model: Model, x: Sequence[np.ndarray]
@@ -239,14 +229,14 @@ class _Line:
         """
         if held in self.points:
             return self.points[held]
-        nearest = self.states[min(self.states, key=lambda known: abs(known - held))]
+        nearest = self.found[min(self.found, key=lambda known: abs(known - held))]
         values = {n: v for n, v in nearest.values.items() if n != self.name}
         model = nearest.model.with_values(values).with_fixed({self.name: held})
         state = self._solved(model, nearest.states)
         if state is None:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
         rise = max(state.chi_square - self.lowest, 0.0)
-        self.states[held] = state
+        self.found[held] = state
         self.points[held] = rise
         if self.say:
             self.say(f"{self.name} = {held:.6g}: -2 log likelihood rises by {rise:.3g}")
@@ -278,13 +268,5 @@ class _Line:
                 return bound
             if far > FARTHEST_END * half:
                 return side * np.inf
-        crossing = brentq(above, near, far, xtol=END_ACCURACY * half)
+        crossing = brentq(above, near, far, xtol=0.02 * half)
         return self.value + side * crossing
-
-
-def _states_of(fit: Fit, aligned: AlignedData) -> Sequence[np.ndarray]:
-    """The states of the fit at the samples; of other data, beside a missing force."""
-    lengths = [run.n_samples for run in aligned.data.trajectories]
-    if [len(x) for x in fit.states] == lengths:
-        return fit.states
-    return Record.of_aligned(fit, aligned).start

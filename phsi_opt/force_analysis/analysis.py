@@ -101,4 +101,4 @@ class ForceAnalysis:
     @cached_property
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
-        return [sentence(force) for force in self._strongest_first]
+        return list(map(sentence, self._strongest_first))

@@ -63,10 +63,11 @@ class Causes:
         """The causes worth naming, strongest first."""
         if sum(self.contributions.values()) < CLEAR_PATTERN:
             return []
-        named = []
-        for cause, share in self.contributions.items():
-            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT):
-                named.append(cause)
+        named = [
+            cause
+            for cause, share in self.contributions.items()
+            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT)
+        ]
         return named
 
     @property
@@ -135,8 +136,8 @@ def _bases(force: Force, wave: PositionWave | None) -> dict[str, np.ndarray]:
 
 def _joint_basis(force: Force, names: Sequence[str]) -> np.ndarray:
     """Functions of each variable; of two variables also those of both."""
-    values = [force.record.variable(name) for name in names]
-    bases = [piecewise_linear_basis(z) for z in values]
+    values = list(map(force.record.variable, names))
+    bases = list(map(piecewise_linear_basis, values))
     if len(values) == 2:
         bases.append(product_basis(*values))
     return np.hstack(bases)
@@ -179,7 +180,7 @@ def _strongest(shares: Mapping[str, float], least: float) -> str | None:
 def _is_closed_loop(force: Force) -> bool:
     """Whether input and effort go together, as where a controller is at work."""
     model = force.record.model
-    inputs = [force.record.variable(name) for name in model.inputs]
+    inputs = map(force.record.variable, model.inputs)
     bases = [piecewise_linear_basis(u) for u in inputs if np.ptp(u) > 0]
     variance = np.var(force.effort)
     if isinstance(model, FirstOrder) or not bases or not variance > 0:

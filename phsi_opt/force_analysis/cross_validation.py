@@ -12,13 +12,11 @@ import numpy as np
 
 from phsi_opt.statistics import TINY
 
-N_KNOTS = 12  # of functions of one variable
-N_PAIR_KNOTS = 7  # of functions of two variables, for each
 # Quantiles of the variable at the outer knots: the extreme hundredths share them.
 OUTER_QUANTILES = (0.01, 0.99)
 
 
-def piecewise_linear_basis(z: np.ndarray, n_knots: int = N_KNOTS) -> np.ndarray:
+def piecewise_linear_basis(z: np.ndarray, n_knots: int = 12) -> np.ndarray:
     """Functions of a variable z (n,) that are linear between knots, (n, n_knots).
 
     Each is one at its knot and zero at the others; beyond the outer knots all are
@@ -34,16 +32,16 @@ def piecewise_linear_basis(z: np.ndarray, n_knots: int = N_KNOTS) -> np.ndarray:
 
 def product_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Products of piecewise linear functions of two variables (n,), (n, n_products)."""
-    of_a = piecewise_linear_basis(a, N_PAIR_KNOTS)
-    of_b = piecewise_linear_basis(b, N_PAIR_KNOTS)
+    of_a = piecewise_linear_basis(a, n_knots=7)
+    of_b = piecewise_linear_basis(b, n_knots=7)
     products = of_a[:, :, None] * of_b[:, None, :]
-    return np.asarray(products.reshape(len(a), -1))
+    return products.reshape(len(a), -1)
 
 
 def odd_basis(z: np.ndarray) -> np.ndarray:
     """Odd piecewise linear functions of a variable z (n,); they jump at zero."""
-    of_size = piecewise_linear_basis(np.abs(z), N_KNOTS // 2)
-    return np.asarray(np.sign(z)[:, None] * of_size)
+    of_size = piecewise_linear_basis(np.abs(z), n_knots=6)
+    return np.sign(z)[:, None] * of_size
 
 
 # ---- judged on stretches left out ----------------------------------------------------
@@ -65,6 +63,8 @@ def left_out_error(
 ) -> float:
     """Sum of squares of a force that fits leave on stretches of time left out.
 
+    Their coefficients are slightly drawn to zero.
+
     Args:
         w: the force, (n_intervals,).
         fold: number of the fold that leaves each interval out, (n_intervals,).
@@ -81,7 +81,11 @@ def left_out_error(
             normal = normal_equations(columns, w)
         left_out = columns[is_left_out]
         rest = normal - normal_equations(left_out, w[is_left_out])
-        residual = w[is_left_out] - left_out @ _ridge_coefficients(rest)
+        gram = rest[:, :-1]
+        n = len(gram)
+        weight = COEFFICIENT_RIDGE * np.trace(gram) / max(n, 1) + TINY
+        coefficients = np.linalg.solve(gram + weight * np.eye(n), rest[:, -1])
+        residual = w[is_left_out] - left_out @ coefficients
         error += float(residual @ residual)
     return error
 
@@ -96,14 +100,6 @@ def normal_equations(columns: np.ndarray, w: np.ndarray) -> np.ndarray:
     return columns.T @ np.column_stack([columns, w])
 
 
-def _ridge_coefficients(normal: np.ndarray) -> np.ndarray:
-    """Coefficients (k,) of a fit, slightly drawn to zero."""
-    gram = normal[:, :-1]
-    n = len(gram)
-    weight = COEFFICIENT_RIDGE * np.trace(gram) / max(n, 1) + TINY
-    return np.asarray(np.linalg.solve(gram + weight * np.eye(n), normal[:, -1]))
-
-
 def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
     """Which fold leaves each interval out, (n_intervals,).
 
@@ -111,22 +107,23 @@ def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarra
     turn; where functions of inputs (n_intervals, n_inputs) are judged, stretches of
     whole holds, if an input is held for a third of a stretch.
     """
-    stretch = _even_stretches(run)
-    for u in () if inputs is None else inputs.T:
-        of_holds = _stretches_of_holds(_holds(run, u))
-        if of_holds is not None and of_holds[-1] < stretch[-1]:
-            stretch = of_holds
-    return np.asarray(stretch % N_FOLDS)
-
-
-def _even_stretches(run: np.ndarray) -> np.ndarray:
-    """Number of the stretch of each interval, (n_intervals,), all of like length."""
     count = np.bincount(run)
     share_of_record = N_VALIDATION_STRETCHES * count / len(run)
     at_most = np.maximum(count, 1)
     n_stretches = np.clip(np.round(share_of_record), 1, at_most).astype(int)
     n_before = np.cumsum(n_stretches) - n_stretches
-    return np.asarray(n_before[run] + part_of_run(run, n_stretches[run]))
+    stretch = n_before[run] + part_of_run(run, n_stretches[run])
+    for u in () if inputs is None else inputs.T:
+        hold = _holds(run, u)
+        n_holds = int(hold[-1]) + 1
+        longest = int(np.bincount(hold).max())
+        # Else there are too few for the folds, or one is longer than a fold.
+        if n_holds >= N_FOLDS and longest <= len(hold) / N_FOLDS:
+            n_of_holds = max(n_holds // HOLDS_IN_STRETCH, N_FOLDS)
+            of_holds = hold * n_of_holds // n_holds
+            if of_holds[-1] < stretch[-1]:
+                stretch = of_holds
+    return stretch % N_FOLDS
 
 
 def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -137,20 +134,7 @@ def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
     is_new_run = np.r_[True, np.diff(run) != 0]
     changes = is_new_run | np.r_[True, np.diff(u) != 0]
     stays = np.r_[~changes[1:], True]
-    return np.asarray(np.cumsum(is_new_run | (changes & stays)) - 1)
-
-
-def _stretches_of_holds(hold: np.ndarray) -> np.ndarray | None:
-    """Number of the stretch of each interval, (n_intervals,): of whole holds.
-
-    None where there are too few holds for the folds, or one is longer than a fold.
-    """
-    n_holds = int(hold[-1]) + 1
-    longest = int(np.bincount(hold).max())
-    if n_holds < N_FOLDS or longest > len(hold) / N_FOLDS:
-        return None
-    n_stretches = max(n_holds // HOLDS_IN_STRETCH, N_FOLDS)
-    return np.asarray(hold * n_stretches // n_holds)
+    return np.cumsum(is_new_run | (changes & stays)) - 1
 
 
 def part_of_run(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:
@@ -161,4 +145,4 @@ def part_of_run(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:
     count = np.bincount(run)
     first = np.cumsum(count) - count
     place = np.arange(len(run)) - first[run]
-    return np.asarray(place * n_parts // count[run])
+    return place * n_parts // count[run]

@@ -40,7 +40,6 @@ CONSTANT = "constant"
 PARAMETERS = "parameters"
 NO_VARIABLES = (CONSTANT, PARAMETERS)
 MOST_PAIRS = 6  # pairs of states that are looked at
-MOST_RANKED = 2000  # values whose ranks are compared
 # Singular values, as a share of the largest, below which functions count as dependent.
 LEAST_SINGULAR_VALUE = 1e-6
 
@@ -73,7 +72,13 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
             bases = bases_with_slopes
             least = error
     for variable in variables(force):
-        error = min(_left_out_error(force, variable, bases, wave), least)
+        if variable == TIME_NAME:
+            error = force.left_out_error(bases, partial(functions_of_time, force))
+        else:
+            is_input = variable in force.record.model.inputs
+            functions = [*bases, _functions(force, variable, wave)]
+            error = force.left_out_error(functions, with_inputs=is_input)
+        error = min(error, least)
         gain = (least - error) / max(total, TINY)
         rows.append((variable, explained_share(error, least), error, gain))
     table = printed_table(rows, columns=["variable", "share", "error", "gain"])
@@ -84,20 +89,9 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
     return best_first.drop(columns="gain")
 
 
-def _left_out_error(
-    force: Force, variable: str, bases: list[np.ndarray], wave: PositionWave | None
-) -> float:
-    """Sum of squares left by functions of a variable beside others (n_intervals, k)."""
-    if variable == TIME_NAME:
-        return force.left_out_error(bases, partial(functions_of_time, force))
-    is_input = variable in force.record.model.inputs
-    functions = _functions(force, variable, wave)
-    return force.left_out_error([*bases, functions], with_inputs=is_input)
-
-
 def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.ndarray:
     """Of a variable, or of a pair 'q, p', as they would be shown, (n_intervals, k)."""
-    values = [force.record.variable(name) for name in variable.split(", ")]
+    values = list(map(force.record.variable, variable.split(", ")))
     if len(values) == 2:
         return force.shown(product_basis(*values))
     functions = force.shown(piecewise_linear_basis(values[0]))
@@ -113,10 +107,17 @@ def variables(force: Force) -> list[str]:
     """
     record = force.record
     states = [name for name in record.model.states if _varies(record, name)]
-    efforts = _independent_efforts(record, states)
+    known = [_ranks(record.variable(name)) for name in states]
+    efforts = []  # that are no monotone function of a state, nor of another effort
+    for name in record.model.efforts:
+        ranks = _ranks(record.variable(name))
+        alike = max((abs(ranks @ other) for other in known), default=0.0)
+        if _varies(record, name) and not alike > MONOTONE_RANK_CORRELATION:
+            efforts.append(name)
+            known.append(ranks)
     inputs = [name for name in record.model.inputs if _varies(record, name)]
     pairs = sorted(combinations(states, 2), key=lambda ab: force.equation not in ab)
-    joined = [f"{a}, {b}" for a, b in pairs[:MOST_PAIRS]]
+    joined = map(", ".join, pairs[:MOST_PAIRS])
     return [*states, *efforts, *inputs, TIME_NAME, *joined]
 
 
@@ -124,27 +125,11 @@ def _varies(record: ForceRecord, name: str) -> bool:
     return bool(np.ptp(record.variable(name)) > 0)
 
 
-def _independent_efforts(record: ForceRecord, states: list[str]) -> list[str]:
-    """Efforts that are no monotone function of a state, nor of another effort."""
-    known = [_ranks(record.variable(name)) for name in states]
-    independent = []
-    for name in record.model.efforts:
-        ranks = _ranks(record.variable(name))
-        alike = max((abs(ranks @ other) for other in known), default=0.0)
-        if _varies(record, name) and not alike > MONOTONE_RANK_CORRELATION:
-            independent.append(name)
-            known.append(ranks)
-    return independent
-
-
 def _ranks(z: np.ndarray) -> np.ndarray:
-    """Centred ranks of length one, of evenly chosen values where there are many.
-
-    The product of two such vectors is the rank correlation.
-    """
-    ranked = mean_ranks(z[:: max(1, len(z) // MOST_RANKED)])
+    """Centred ranks of length one; their products are rank correlations."""
+    ranked = mean_ranks(z)
     centred = ranked - ranked.mean()
-    return np.asarray(centred / max(float(np.linalg.norm(centred)), TINY))
+    return centred / max(float(np.linalg.norm(centred)), TINY)
 
 
 def without_parameters(
@@ -161,7 +146,7 @@ def without_parameters(
     independent = slopes - functions @ of_slopes
     joint = np.hstack([functions, independent])
     coefficients = np.linalg.lstsq(joint, force.w, rcond=LEAST_SINGULAR_VALUE)[0]
-    return np.asarray(force.w - independent @ coefficients[functions.shape[1] :])
+    return force.w - independent @ coefficients[functions.shape[1] :]
 
 
 def leading(follows: "pd.DataFrame", equation: str) -> "pd.Series | None":

@@ -16,7 +16,6 @@ from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.localization import (
     Region,
     region_words,
-    rms,
     strong_region,
     strongest_window,
 )
@@ -25,6 +24,7 @@ from phsi_opt.force_analysis.units import RateScale, force_unit, scale_of_rate
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
+from phsi_opt.statistics import rms
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,7 +5,7 @@ All stands at the middle of every interval, where the estimate has the force.
 
 import datetime as dt
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -20,6 +20,7 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
+from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.statistics import TINY
 
@@ -140,10 +141,7 @@ class ForceRecord:
     @cached_property
     def losses(self) -> np.ndarray:
         """-R dH/dx of the model, (n_intervals, n_states)."""
-        known = replace(self.points, theta=np.zeros((0, len(self.t))))
-        frozen = self.model.frozen()
-        lossless = replace(frozen, R={})
-        return known.values(frozen.rhs()) - known.values(lossless.rhs())
+        return self.points.values(function_of(self.model, "losses", _losses))
 
     @cached_property
     def slopes(self) -> np.ndarray:
@@ -155,9 +153,15 @@ class ForceRecord:
         size = np.sqrt(np.mean(slopes**2, axis=0))
         rate = np.sqrt(np.mean(np.nan_to_num(self.rates) ** 2, axis=0))
         strength = np.max(size / np.maximum(rate, TINY)[:, None], axis=0, initial=0.0)
-        is_moving = _to_bounds(self.model) > AT_BOUND / np.maximum(strength, TINY)
+        model = self.model
+        to_bounds = []
+        for name in model.free:
+            bounds = model.entries[name].parameter
+            value = model.values[name]
+            to_bounds.append(min(abs(value - bounds.lower), abs(bounds.upper - value)))
+        is_moving = np.array(to_bounds) * np.maximum(strength, TINY) > AT_BOUND
         scaled = slopes / np.where(size > 0, size, 1.0)
-        return np.asarray(scaled[:, :, is_moving])
+        return scaled[:, :, is_moving]
 
     @cached_property
     def folds(self) -> np.ndarray:
@@ -179,14 +183,8 @@ class ForceRecord:
         return known[name]
 
 
-def _to_bounds(model: Model) -> np.ndarray:
-    """Distance of each free parameter to the nearer of its bounds, (n_free,)."""
-    distances = []
-    for name in model.free:
-        parameter = model.entries[name].parameter
-        value = model.values[name]
-        distances.append(min(value - parameter.lower, parameter.upper - value))
-    return np.abs(np.array(distances))
+def _losses(parts: Expressions) -> ca.SX:
+    return -ca.vertcat(*parts.loss) * ca.vertcat(*parts.efforts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,16 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import find_objects, label
 
 from phsi_opt.criteria import MOST_STRONG_RANGES, OUTSTANDING_FORCE, VISITED_BIN
-from phsi_opt.force_analysis.cross_validation import part_of_run
+from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
+from phsi_opt.statistics import rms
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
-N_RANGE_BINS = 8  # parts of the range of a state in which the force's size is taken
-# Quantiles of a state between which its range is cut: a few outliers do not widen it.
-RANGE_QUANTILES = (0.01, 0.99)
 # Behind the times of a force that no window has for itself.
 THROUGHOUT = " (throughout)"
 
@@ -53,11 +52,6 @@ def _times(record: ForceRecord, is_inside: np.ndarray) -> str:
     return f"{begins[0]:.3g} to {ends[-1]:.3g}"
 
 
-def rms(w: np.ndarray) -> float:
-    """Root mean square of values (n,)."""
-    return float(np.sqrt(np.mean(w**2)))
-
-
 def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
     """Root mean square of w in every part, (n_parts,); 0 for an empty one."""
     count = np.bincount(part, minlength=n_parts)
@@ -89,8 +83,8 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
 
     Both are (n_intervals,).
     """
-    low, high = np.quantile(z, RANGE_QUANTILES)
-    edges = np.unique(np.linspace(low, high, N_RANGE_BINS + 1))
+    low, high = np.quantile(z, OUTER_QUANTILES)
+    edges = np.unique(np.linspace(low, high, num=9))
     n_bins = len(edges) - 1
     if n_bins < 1:
         return []
@@ -99,15 +93,13 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
     is_large = _rms_in_parts(w, part, n_bins) > OUTSTANDING_FORCE * rms(w)
     is_strong = is_visited & is_large
     # Neighbouring strong bins are one range.
-    change = np.diff(np.r_[0, is_strong, 0])
-    begins = np.flatnonzero(change == 1).tolist()
-    ends = np.flatnonzero(change == -1).tolist()
-    if is_strong.all() or len(begins) > MOST_STRONG_RANGES:
+    found = find_objects(label(is_strong)[0])
+    if is_strong.all() or len(found) > MOST_STRONG_RANGES:
         return []
     ranges = []
-    for begin, end in zip(begins, ends, strict=True):
-        bounds = (float(edges[begin]), float(edges[end]))
-        ranges.append(StrongRange(*bounds, begin == 0, end == n_bins))
+    for (bins,) in found:
+        bounds = (float(edges[bins.start]), float(edges[bins.stop]))
+        ranges.append(StrongRange(*bounds, bins.start == 0, bins.stop == n_bins))
     return ranges
 
 
@@ -127,7 +119,7 @@ def strong_region(force: Force, names: Sequence[str]) -> Region:
 
 def region_words(region: Region) -> str:
     """A region in a table: 'q -1 to -0.6 or 0.7 to 1, p 2 to 3'."""
-    told = []
-    for name, ranges in region.items():
-        told.append(f"{name} {' or '.join(map(str, ranges))}")
+    told = [
+        f"{name} {' or '.join(map(str, ranges))}" for name, ranges in region.items()
+    ]
     return ", ".join(told)

@@ -8,60 +8,14 @@ state or an input that the model and the data lack. The sentences stand in
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.words import listed_with_noun
-from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
 from phsi_opt.model.structure import exchange_partners, kind_of, with_kinds_of_units
 from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.sentences import say
-
-
-class FieldWords(NamedTuple):
-    """What a field calls what a model may lack."""
-
-    state: str  # a part that moves or stores by itself
-    input: str  # what else may be sought
-    arrives: str  # what an input is where it acts
-    unseen: str  # what is missing where a force follows nothing that was measured
-
-
-FIELDS = {
-    THERMAL: FieldWords(
-        "a further store of heat (walls beside the air)",
-        "another input of heat (people, ventilation)",
-        "the heat that reaches",
-        "A store or an input of heat",
-    ),
-    HYDRAULIC: FieldWords(
-        "a further vessel",
-        "another inflow or outflow",
-        "the flow that reaches",
-        "A vessel, a pipe or an inflow",
-    ),
-    ELECTRICAL: FieldWords(
-        "a further storage (a second resistor and capacitor)",
-        "another source or load",
-        "the voltage or current at",
-        "A storage or a source",
-    ),
-    MECHANICAL: FieldWords(
-        "a part that moves by itself (play, a soft shaft, a second mass)",
-        "another force from outside",
-        "the force on",
-        "A part that moves by itself, or a force from outside,",
-    ),
-    "": FieldWords(
-        "one more state (a second inertia or storage, an elastic part, a lag)",
-        "another input",
-        "what drives",
-        "A storage, or an input that was not measured,",
-    ),
-}
 
 
 def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
@@ -105,8 +59,7 @@ def _said(name: str, units: Mapping[str, str], force: EquationForce) -> Answer:
         force=force,
         model=model,
         rate=f"d{force.equation}/dt",
-        field=FIELDS[kind_of(with_kinds_of_units(model, units), force.equation)],
-        listed=listed_with_noun,
+        kind=kind_of(with_kinds_of_units(model, units), force.equation),
         law_of=_followed,
     )
 

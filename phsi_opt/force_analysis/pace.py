@@ -12,18 +12,16 @@ import numpy as np
 
 from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
-from phsi_opt.force_analysis.localization import rms
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.force_analysis.units import frequency_words
 from phsi_opt.presentation.numbers import number
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, rms
 
 # Times the frequency of the motion from which a force is a vibration beside it.
 VIBRATION = 10.0
 # Cycles per sample from which on a force is as fast as the samples: two fifths of the
 # fastest that they show.
 NEAR_SAMPLING = 0.2
-FEWEST_IN_MEAN = 2  # samples
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,8 @@ class Pace:
         frequency: at which the force is strongest, in cycles per unit of time; 0 where
             it is mostly constant.
         motion: frequency at which the fastest of the states is strongest.
-        time: in which the fastest of the states moves by as much as it varies.
+        time: in which the fastest of the states, by the rms of its rate, moves by as
+            much as its standard deviation.
         interval: typical time between samples.
         strength: rms of the force.
         own: rms of what the model itself has in the equation.
@@ -51,10 +50,12 @@ class Pace:
     def of(cls, force: Force) -> "Pace":
         """The pace of a missing force."""
         record = force.record
+        sizes = np.std(record.points.x, axis=0)
+        rates = np.sqrt(np.mean(record.rates**2, axis=0))
         return cls(
             0.0 if is_mostly_constant(force.w) else _frequency(record, force.w),
             _frequency(record, record.points.x),
-            _time_of_motion(record),
+            float(np.min(sizes / np.maximum(rates, TINY), initial=np.inf)),
             float(np.median(record.h)),
             rms(force.w),
             rms(record.rates[:, force.row]),
@@ -78,7 +79,7 @@ class Pace:
     @property
     def samples_per_cycle(self) -> int:
         """As many samples as a cycle of the force has; their mean does not show it."""
-        return max(round(1 / (self.frequency * self.interval)), FEWEST_IN_MEAN)
+        return max(round(1 / (self.frequency * self.interval)), 2)
 
     @property
     def _times_motion(self) -> float:
@@ -116,10 +117,3 @@ def _frequency(record: ForceRecord, signals: np.ndarray) -> float:
     """At which a signal, or the fastest of several, is strongest about its mean."""
     moving = signals - np.mean(signals, axis=0)
     return spectrum(record.t, record.run, moving).peak
-
-
-def _time_of_motion(record: ForceRecord) -> float:
-    """Shortest ratio of a state's standard deviation to the rms of its rate."""
-    sizes = np.std(record.points.x, axis=0)
-    rates = np.sqrt(np.mean(record.rates**2, axis=0))
-    return float(np.min(sizes / np.maximum(rates, TINY), initial=np.inf))

@@ -27,22 +27,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
+MOST_DRAWN_SAMPLES = 60_000  # in all curves together: two megabytes of text
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
 FEWEST_PER_CURVE = 120
-MOST_DRAWN_DOTS = 1_500  # of a force against what it follows
-N_SHOWN_BINS = 16  # of a variable in which mean and spread are shown
-FEWEST_IN_BIN = 3  # intervals in a bin that is shown
-N_CELLS = 14  # of a map, along each axis
-PANEL_TITLE_LETTERS = 62  # in a line of the title over a single panel
-SENTENCE_LETTERS = 120  # in a line of the sentence over four panels
-# Share of the largest amplitude beyond whose last frequency the spectrum is cut off.
-SHOWN_AMPLITUDE = 0.02
-# Frequencies of the running mean over a level that is taken from few draws.
-N_SMOOTHED = 9
 
 
 # ---- as records ----------------------------------------------------------------------
+
+
+def samples_of_each(n_curves: int) -> int:
+    """How many samples are drawn of each of so many curves."""
+    share = MOST_DRAWN_SAMPLES / max(n_curves, 1)
+    return int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
 
 
 def force_of(force: EquationForce, time: TimeScale) -> Force:
@@ -63,8 +59,7 @@ def force_runs(
     """A force along each trajectory of its part of the data."""
     record = force.record
     scale = force.scale
-    share = MOST_FORCE_SAMPLES / len(record.trajectories)
-    most = int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    most = samples_of_each(len(record.trajectories))
     runs = []
     for place, name in enumerate(record.trajectories):
         inside = np.flatnonzero(record.run == place)
@@ -84,8 +79,8 @@ def map_of(force: EquationForce) -> ForceMap | None:
         return None
     from scipy.stats import binned_statistic_2d  # slow to load
 
-    values = [force.record.variable(name) for name in names[:2]]
-    found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", N_CELLS)
+    values = map(force.record.variable, names[:2])
+    found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", bins=14)
     return ForceMap(
         force.variable_label(names[0]),
         force.variable_label(names[1]),
@@ -111,31 +106,29 @@ def follows_of(
     variable = variable or force.single_variable
     z = force.record.variable(variable)
     x_label = force.variable_label(variable)
-    period = _folding_period(force, variable)
     w = force.w
+    wave = force.wave
+    period = None
     if variable != TIME_NAME:
-        w = without_parameters(force, variable, force.wave)
+        w = without_parameters(force, variable, wave)
+        if wave is not None and wave.position == variable:
+            period = wave.period
+    elif force.share_of(TIME_NAME) >= CLEAR_PATTERN:
+        period = period_of(force)
+        z = z - z[0] if period else z
     if period is not None:
-        z = (z - force.record.t[0] if variable == TIME_NAME else z) % period
+        z = z % period
         x_label = f"{x_label}, folded to the period of {period:.3g}"
     w = w / force.scale.size
-    binned = [binned_statistic(z, w, one, N_SHOWN_BINS) for one in ("mean", "std")]
+    binned = [binned_statistic(z, w, one, bins=16) for one in ("mean", "std")]
     count, edges = np.histogram(z, binned[0].bin_edges)
     columns = ((edges[:-1] + edges[1:]) / 2, *(one.statistic for one in binned))
-    centre, mean, std = (one[count >= FEWEST_IN_BIN] for one in columns)
-    step = max(1, len(z) // MOST_DRAWN_DOTS)
+    is_shown = count > 2  # of fewer there is no spread
+    centre, mean, std = (one[is_shown] for one in columns)
+    step = max(1, len(z) // MOST_PER_CURVE)
     said = said or dependence_title(force, variable)
     labels = (x_label, force.force_label())
     return Follows(heading, *labels, z[::step], w[::step], centre, mean, std, said)
-
-
-def _folding_period(force: EquationForce, variable: str) -> float | None:
-    """Period of a force that follows a variable as a wave."""
-    if variable == TIME_NAME:
-        is_clear = force.share_of(TIME_NAME) >= CLEAR_PATTERN
-        return period_of(force) if is_clear else None
-    wave = force.wave
-    return None if wave is None or wave.position != variable else wave.period
 
 
 # ---- on axes -------------------------------------------------------------------------
@@ -172,13 +165,13 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
         draw(ax, chart)
         _draw_title(ax, title)
     draw_spectrum(axes[1, 1], force)
-    figure.suptitle(fill(sentence(force), SENTENCE_LETTERS), fontsize=11)
+    figure.suptitle(fill(sentence(force), width=120), fontsize=11)
     return figure
 
 
 def _draw_title(ax: "Axes", text: str) -> None:
     """The title, in lines that are as long as a panel is wide."""
-    ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
+    ax.set_title(fill(text, width=62), fontsize=10)
 
 
 def _sure_title(force: EquationForce) -> str:
@@ -195,13 +188,19 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
 
     The mean of the force is taken off.
     """
+    from scipy.ndimage import uniform_filter1d
+
     from phsi_opt.presentation.charts import FROM_ZERO, Chart, Curve, Panel, draw
 
     record = force.record
     found = spectrum(record.t, record.run, force.w - force.w.mean())
     frequencies = found.frequencies
     amplitudes = found.amplitudes / force.scale.size
-    level = _level(force) / force.scale.size
+    draws = record.estimate.posterior.error_draws()[:, force.number]
+    of_draws = spectrum(record.t, record.run, draws).amplitudes
+    # A quantile of few draws is rough, the level itself is smooth.
+    rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
+    level = uniform_filter1d(rough, size=9, mode="nearest") / force.scale.size
     curves = (
         Curve("missing force", frequencies, amplitudes, MODEL),
         Curve("what its uncertainty explains", frequencies, level, MEASURED, "dash"),
@@ -209,7 +208,8 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     unit = frequency_unit(record.units)
     panel = Panel(force.force_label("amplitude"), curves, scale=FROM_ZERO)
     draw(ax, Chart(f"frequency ({unit})", (panel,)))
-    visible = np.flatnonzero(amplitudes > SHOWN_AMPLITUDE * amplitudes.max())
+    # Cut off behind the last frequency with more than a fiftieth of the largest.
+    visible = np.flatnonzero(amplitudes > amplitudes.max() / 50)
     if len(visible) and len(amplitudes) > 1:
         ax.set_xlim(0, frequencies[min(visible[-1] + 1, len(amplitudes) - 1)])
     constant = is_mostly_constant(force.w)
@@ -220,18 +220,3 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
         above = Spectrum(frequencies[is_above], amplitudes[is_above])
         seen = f"strongest at {above.peak:.3g} {unit}"
     _draw_title(ax, f"d{force.equation}/dt: {what} is {seen}")
-
-
-def _level(force: EquationForce) -> np.ndarray:
-    """Amplitude that the errors of the estimate reach, (n_frequencies,).
-
-    A quantile of few draws is rough, the level itself is smooth: so it is averaged over
-    neighbouring frequencies.
-    """
-    from scipy.ndimage import uniform_filter1d
-
-    record = force.record
-    draws = record.estimate.posterior.error_draws()[:, force.number]
-    of_draws = spectrum(record.t, record.run, draws).amplitudes
-    rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
-    return np.asarray(uniform_filter1d(rough, N_SMOOTHED, mode="nearest"))

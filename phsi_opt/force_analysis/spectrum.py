@@ -14,10 +14,6 @@ POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
 # Points to which a trajectory is resampled at most: one short step among millions of
 # long ones does not decide the size of the transform.
 MOST_POINTS = 2**18
-SHORTEST_RUN = 3  # samples of a trajectory that has a spectrum
-# Share of one cycle per longest trajectory from which frequencies are kept: rounding
-# does not lose that one cycle.
-LEAST_CYCLES = 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +56,7 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     times; the signal is (n,), or (n, k) for k signals.
     """
     runs = np.split(np.arange(len(t)), np.flatnonzero(np.diff(run)) + 1)
-    runs = [inside for inside in runs if len(inside) >= SHORTEST_RUN]
+    runs = [inside for inside in runs if len(inside) > 2]
     duration = max((float(np.ptp(t[inside])) for inside in runs), default=0.0)
     if duration == 0.0:
         return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
@@ -71,20 +67,14 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     frequencies = np.fft.rfftfreq(n_fft, step)
     mean_square = np.zeros((len(frequencies), *signal.shape[1:]))
     for inside in runs:
-        amplitude = _amplitude(t[inside], signal[inside], step, n_fft)
-        mean_square += len(inside) / len(t) * amplitude**2
-    kept = frequencies >= LEAST_CYCLES / duration
+        times = t[inside]
+        even = np.arange(times[0], times[-1] + step / 2, step)
+        taper = np.hanning(len(even) + 2)[1:-1]
+        columns = signal[inside].reshape(len(times), -1).T
+        sampled = np.array([np.interp(even, times, column) for column in columns])
+        transform = np.fft.rfft(sampled * taper, n_fft).T
+        amplitude = 2 * np.abs(transform) / taper.sum()
+        share = len(inside) / len(t)
+        mean_square += share * amplitude.reshape(mean_square.shape) ** 2
+    kept = frequencies * duration > 0.999  # rounding does not lose one cycle
     return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
-
-
-def _amplitude(
-    t: np.ndarray, signal: np.ndarray, step: float, n_fft: int
-) -> np.ndarray:
-    """Amplitudes of one trajectory, (n_fft // 2 + 1,) or (n_fft // 2 + 1, k)."""
-    even = np.arange(t[0], t[-1] + step / 2, step)
-    taper = np.hanning(len(even) + 2)[1:-1]
-    columns = signal.reshape(len(t), -1).T
-    sampled = np.array([np.interp(even, t, column) for column in columns]).T
-    transform = np.fft.rfft(sampled * taper[:, None], n_fft, axis=0)
-    amplitude = 2 * np.abs(transform) / taper.sum()
-    return amplitude.reshape(-1, *signal.shape[1:])

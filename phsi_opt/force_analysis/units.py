@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from phsi_opt.presentation.durations import SECONDS, scale_of_time, time_words
 from phsi_opt.presentation.units import NAMED_RATES, rate_unit
 
-HOUR = 3600.0  # s
-
 
 def frequency_unit(units: Mapping[str, str]) -> str:
     """Hz where the time is in seconds, else cycles per unit of time."""
@@ -46,10 +44,10 @@ def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Ra
     the last time of the record.
     """
     unit = force_unit(equation, units)
-    in_seconds = scale_of_time(longest, units.get("t", "")).size >= HOUR
+    in_seconds = scale_of_time(longest, units.get("t", "")).size >= SECONDS["h"]
     if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED_RATES:
         return RateScale(unit)
-    return RateScale(rate_unit(units[equation], "h"), 1 / HOUR)
+    return RateScale(rate_unit(units[equation], "h"), 1 / SECONDS["h"])
 
 
 def spaced(unit: str) -> str:

@@ -8,6 +8,7 @@ places again and again, and functions with a few knots along its angle cannot sh
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -21,14 +22,9 @@ from phsi_opt.statistics import TINY, local_maxima
 # Intervals (drawn at random where there are more) on which a frequency is refined.
 MOST_REFINED = 3000
 N_TRIED = 21  # frequencies that are tried about a good one
-N_TIME_KNOTS = 6  # of piecewise linear functions of the time
-N_PEAKS = 3  # peaks of the spectrum, about which the frequency is sought
-# Half the width about the best that is looked at again, in resolved frequencies.
-SECOND_WIDTH = 0.1
-# Periods within the positions that were visited: fewer are a curve, which knots show.
-LEAST_REPEATS = 2
-MOST_REPEATS = 200
-TRIED_PER_REPEAT = 4  # frequencies that are tried for each period more
+# Periods that are tried within the positions that were visited: fewer are a curve,
+# which knots show.
+REPEATS = np.arange(2, 200, 0.25)
 
 
 # ---- one wave
@@ -91,7 +87,7 @@ def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
     t = force.record.t
     frequency = _frequency_in_time(force, is_fitted)
     waves = harmonics(2 * np.pi * frequency * (t - t[0]))
-    return np.hstack([piecewise_linear_basis(t, N_TIME_KNOTS), waves])
+    return np.hstack([piecewise_linear_basis(t, n_knots=6), waves])
 
 
 def period_of(force: Force) -> float | None:
@@ -115,10 +111,10 @@ def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
     varying = np.where(is_fitted, force.w - force.w[is_fitted].mean(), 0.0)
     found = spectrum(t, force.record.run, varying)
     height = found.amplitudes * local_maxima(found.amplitudes)
-    peaks = found.frequencies[np.argsort(-height)[:N_PEAKS]]
+    peaks = found.frequencies[np.argsort(-height)[:3]]
     places = _drawn(is_fitted)
     tried = _near(peaks, found.resolved)
-    widths = [SECOND_WIDTH * found.resolved]
+    widths = [found.resolved / 10]  # about the best, looked at again
     return _refined(t[places] - t[0], varying[places], tried, widths)
 
 
@@ -149,73 +145,52 @@ def position_wave(force: Force) -> PositionWave | None:
     """
     best = None
     least = np.inf
+    everywhere = np.ones(len(force.w), dtype=bool)
     for name in exchange_partners(force.record.model, force.equation):
         z = force.record.variable(name)
         if not np.ptp(z) > 0:
             continue
         of_state = force.shown(piecewise_linear_basis(z))
-        search = _PositionSearch(force, z, np.hstack([force.by_parameters, of_state]))
-        error = search.left_out_error()
-        if error < least:
-            best = search.found(name)
+        functions = np.hstack([force.by_parameters, of_state])
+        frequency, share = _best_along(z, force, functions, everywhere)
+        # It has to be seen in the whole force first, which costs less.
+        if share < CLEAR_PATTERN:
+            continue
+        sought = partial(_waves_along, z, force, functions)
+        error = force.left_out_error([functions], sought)
+        without = force.left_out_error([functions])
+        if error < min(least, without - NAMED_CAUSE * force.squares):
+            waves = force.shown(harmonics(2 * np.pi * frequency * z))
+            best = PositionWave(name, 1 / frequency, waves)
             least = error
     return best
 
 
-@dataclass(frozen=True, eq=False)
-class _PositionSearch:
-    """The wave along one state, beside functions of the state with a few knots.
+def _waves_along(
+    z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
+) -> np.ndarray:
+    """Those that fit best, as the estimate shows them, (n_intervals, 4)."""
+    frequency, _ = _best_along(z, force, functions, is_fitted)
+    return force.shown(harmonics(2 * np.pi * frequency * z))
 
-    Attributes:
-        z: the state, (n_intervals,).
-        functions: of the state, and slopes in the parameters, (n_intervals, k).
+
+def _best_along(
+    z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
+) -> tuple[float, float]:
+    """Frequency of the wave along a state that fits best what functions leave.
+
+    In cycles per unit of the state, 0 where that stands still; and the share of what
+    the functions (n_intervals, k) leave that the wave explains.
     """
-
-    force: Force
-    z: np.ndarray
-    functions: np.ndarray
-
-    def found(self, name: str) -> PositionWave:
-        """The wave that fits the whole force best."""
-        everywhere = np.ones(len(self.z), dtype=bool)
-        frequency, _ = self._best(everywhere)
-        return PositionWave(name, 1 / frequency, self._waves(everywhere))
-
-    def left_out_error(self) -> float:
-        """Sum of squares on the stretches left out; infinite where that is no less.
-
-        The wave has to be seen in the whole force first, which costs less.
-        """
-        _, share = self._best(np.ones(len(self.z), dtype=bool))
-        if share < CLEAR_PATTERN:
-            return np.inf
-        error = self.force.left_out_error([self.functions], self._waves)
-        without = self.force.left_out_error([self.functions])
-        clear = NAMED_CAUSE * self.force.squares
-        return error if error < without - clear else np.inf
-
-    def _waves(self, is_fitted: np.ndarray) -> np.ndarray:
-        """Those that fit best, as the estimate shows them, (n_intervals, 4)."""
-        frequency, _ = self._best(is_fitted)
-        return self.force.shown(harmonics(2 * np.pi * frequency * self.z))
-
-    def _best(self, is_fitted: np.ndarray) -> tuple[float, float]:
-        """Frequency of the wave that fits best what the functions leave.
-
-        In cycles per unit of the state, 0 where that stands still; and the share of
-        what the functions leave that the wave explains.
-        """
-        w = self.force.w
-        fitted = self.functions[is_fitted]
-        coefficients = np.linalg.lstsq(fitted, w[is_fitted], rcond=None)[0]
-        places = _drawn(is_fitted)
-        left = w[places] - self.functions[places] @ coefficients
-        z = self.z[places]
-        visited = np.ptp(z)
-        if not visited > 0:
-            return 0.0, 0.0
-        repeats = np.arange(LEAST_REPEATS, MOST_REPEATS, 1 / TRIED_PER_REPEAT)
-        apart = 1 / (TRIED_PER_REPEAT * visited)
-        frequency = _refined(z, left, repeats / visited, [apart, apart / N_TRIED])
-        fall = explained_by_wave(z, left, np.array([frequency]))[0]
-        return frequency, float(fall / max(float(np.sum(left**2)), TINY))
+    fitted = functions[is_fitted]
+    coefficients = np.linalg.lstsq(fitted, force.w[is_fitted], rcond=None)[0]
+    places = _drawn(is_fitted)
+    left = force.w[places] - functions[places] @ coefficients
+    visited = np.ptp(z[places])
+    if not visited > 0:
+        return 0.0, 0.0
+    tried = REPEATS / visited
+    apart = tried[1] - tried[0]
+    frequency = _refined(z[places], left, tried, [apart, apart / N_TRIED])
+    fall = explained_by_wave(z[places], left, np.array([frequency]))[0]
+    return frequency, float(fall / max(float(np.sum(left**2)), TINY))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE, OPPOSING_POWER
+from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE, OPPOSING_POWER
 from phsi_opt.force_analysis.causes import CAUSES
 from phsi_opt.force_analysis.cross_validation import odd_basis
 from phsi_opt.force_analysis.dependence import leading
@@ -38,7 +38,6 @@ RATES = {
     "m/s^2": "acceleration of",
     "rad/s^2": "acceleration of",
 }
-MOSTLY = 0.5  # share of a force's mean square that is most of it
 
 
 def _said(force: EquationForce, name: str, **more: Any) -> Answer:
@@ -55,10 +54,9 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "plain_unit": plain_unit,
         "vibration": VIBRATION_WORDS,
         "clear_pattern": CLEAR_PATTERN,
-        "mostly": MOSTLY,
+        "mostly": MOST_OF_IT,
         "plain": partial(plain_name, force),
         "place": partial(place_words, force),
-        "listed": listed_with_noun,
         "loss_of": _loss_of,
         "period_words": _period_words,
         "frequency_words": frequency_words,
@@ -129,12 +127,6 @@ def dependence_title(force: EquationForce, variable: str) -> str:
 # ---- facts ---------------------------------------------------------------------------
 
 
-def listed_with_noun(names: Sequence[str], noun: str) -> str:
-    """Such as "the input u", "the inputs u1, u2"."""
-    plural = "s" if len(names) > 1 else ""
-    return f"the {noun}{plural} {', '.join(names)}"
-
-
 def _loss_of(force: EquationForce) -> str:
     """Whether the force opposes the effort, or changes or overcomes the model's loss.
 
@@ -178,20 +170,14 @@ def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str
 
 def range_words(force: EquationForce, name: str, ranges: Sequence[StrongRange]) -> str:
     """What the ranges of a variable are among the values that it had."""
-    called = plain_name(force, name)
-    unit = spaced(force.unit_of(name))
-    first = ranges[0]
-    last = ranges[-1]
-    if len(ranges) > 1 and first.is_lowest and last.is_highest:
-        ends = f"below {first.end:.3g} or above {last.begin:.3g}{unit}"
-        if force.position_of(name) and first.end < 0 < last.begin:
-            return f"at high speed, either way ({called} {ends})"
-        return f"at both ends of {called} ({ends})"
-    if len(ranges) == 1 and first.is_lowest:
-        return f"where {called} is lowest (below {first.end:.3g}{unit})"
-    if len(ranges) == 1 and first.is_highest:
-        return f"where {called} is highest (above {first.begin:.3g}{unit})"
-    return f"where {called} is {' or '.join(map(str, ranges))}{unit}"
+    return _said(
+        force,
+        "range",
+        called=plain_name(force, name),
+        unit=spaced(force.unit_of(name)),
+        is_velocity=bool(force.position_of(name)),
+        ranges=ranges,
+    ).lead
 
 
 def plain_name(force: EquationForce, name: str) -> str:

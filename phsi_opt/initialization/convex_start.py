@@ -18,11 +18,13 @@ import numpy as np
 
 from phsi_opt.initialization.frequency_scan import (
     N_STARTS,
+    RANK,
     candidate_frequencies,
     frequency_scans,
     squared_defects,
     with_entry,
 )
+from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.transcription.grid import Grid
@@ -31,11 +33,6 @@ from phsi_opt.transcription.interval_map import argument_symbols
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
-
-LEAST_NORM = 1e-12  # of a coefficient's column: below it the scale is that of one
-# Singular value, of columns of norm one, below which rounding errors would set the
-# coefficients (Casimirs of S): they are held near zero there.
-INVISIBLE = 1e-8
 
 
 def starting_values(
@@ -151,7 +148,7 @@ class _ConvexStart:
         weight = np.sqrt(1 / (mean_square_rate(grid) * grid.n_intervals))
         A = weight * jacobian[is_usable]
         b = A @ theta[group] - weight * d[is_usable]
-        scale = 1 / np.maximum(np.linalg.norm(A, axis=0), LEAST_NORM)
+        scale = 1 / np.maximum(np.linalg.norm(A, axis=0), LEAST_SIZE)
         lower = unknown.lower[group]
         upper = unknown.upper[group]
         l1 = unknown.weights(self.l1)[group] / mean_square_rate(grid)
@@ -167,11 +164,12 @@ def _optimum(
 ) -> np.ndarray | None:
     """Coefficients z of least |A z - b|^2 + l1 |z| within bounds; None: not found.
 
-    Where the loss does not change along a direction, the smallest ones.
+    Where the loss does not change along a direction (Casimirs of S), rounding errors
+    would set them; the smallest ones are taken there.
     """
     n = A.shape[1]
     lower, upper = bounds
-    q, r = np.linalg.qr(np.vstack([A, INVISIBLE * np.eye(n)]))
+    q, r = np.linalg.qr(np.vstack([A, RANK * np.eye(n)]))
     right = q.T @ np.append(b, np.zeros(n))
     if not np.any(l1):
         return bounded_least_squares(r, right, lower, upper)
@@ -189,4 +187,4 @@ def _optimum(
         program.solve(
             solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
         )
-    return None if z.value is None else np.asarray(z.value)
+    return None if z.value is None else z.value

@@ -21,10 +21,6 @@ from phsi_opt.transcription.grid import Grid
 UNMEASURED = (1.0, 1e-3)
 # The same for parameters that are to be found: their start, and beside it.
 MOVED = ((1.0, 0.0), (1.1, 0.1))  # factor, and what is added
-# Share of the samples, at most, without a value: beside an empty tank noise makes a few
-# levels negative.
-MOST_BAD = 0.1
-N_TOLD = 8  # values of parameters, at most
 
 
 def check_rates(model: Model, grid: Grid) -> None:
@@ -51,7 +47,7 @@ def check_rates(model: Model, grid: Grid) -> None:
         made = resolved.built("terms", partial(terms_function, resolved))
         terms = ColumnFunction(made, (3,))
         for factor, added in MOVED:
-            theta = factor * np.asarray(resolved.theta) + added
+            theta = factor * resolved.theta + added
             t = grid.t[nodes][None, :]
             (values,) = terms(x[nodes].T, grid.u[nodes].T, t, theta)
             is_bad &= ~np.isfinite(values)
@@ -59,7 +55,8 @@ def check_rates(model: Model, grid: Grid) -> None:
                 return
     for placed, of_term in zip(model.placed(), is_bad, strict=True):
         bad = nodes[of_term]
-        if len(bad) > MOST_BAD * len(nodes):
+        # Beside an empty tank noise makes a few levels negative.
+        if len(bad) > len(nodes) / 10:
             where = f"{len(bad)} of {len(nodes)} samples"
             raise ModelError(_told(resolved, grid, placed, where, int(bad[0])))
 
@@ -77,7 +74,7 @@ def _told(model: Model, grid: Grid, placed: PlacedTerm, where: str, node: int) -
     if grid.trajectory[-1]:
         text += f" of trajectory {grid.trajectory[node] + 1}"
     if values:
-        text += f", with {', '.join(values[:N_TOLD])}"
+        text += f", with {', '.join(values[:8])}"
     return (
         f"{text}. It divides by zero there, overflows, or takes a root or logarithm of "
         "a negative number; write it so that it has a value at all measured states, or "

@@ -102,13 +102,9 @@ def candidate_frequencies(
         scan: the frequency.
     """
     of_variable = _terms_of(scan.variable, model)
-    beside_all = list(linear)
-    beside_others = [i for i in beside_all if model.free[i] not in of_variable]
-    scans = [beside_others, beside_all]
-    if beside_others == beside_all:
-        scans = [beside_all]
+    beside_others = [i for i in linear if model.free[i] not in of_variable]
     found: list[float] = []
-    for best in _best_frequencies(model, grid, theta, scans, scan):
+    for best in _best_frequencies(model, grid, theta, (beside_others, linear), scan):
         found += best[: N_STARTS - 1]
     return list(dict.fromkeys(found))
 
@@ -148,30 +144,6 @@ def with_entry(theta: np.ndarray, index: int, value: float) -> np.ndarray:
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class _Remainder:
-    """What some columns leave unexplained of the defects.
-
-    Attributes:
-        d: (n_defects,) the defects without their part along the columns.
-        basis: (n_defects, n_columns) orthonormal basis of the columns.
-    """
-
-    d: np.ndarray
-    basis: np.ndarray
-
-    @classmethod
-    def of(cls, d: np.ndarray, columns: np.ndarray) -> "_Remainder":
-        basis = np.linalg.qr(columns)[0]
-        return cls(d - basis @ (basis.T @ d), basis)
-
-    def explained_by(self, columns: np.ndarray) -> float:
-        """How much of |d|^2 further columns explain."""
-        beyond = columns - self.basis @ (self.basis.T @ columns)
-        solution = np.linalg.lstsq(beyond, self.d, rcond=RANK)[0]
-        return float(np.sum((beyond @ solution) ** 2))
-
-
 def _best_frequencies(
     model: Model,
     grid: Grid,
@@ -185,20 +157,25 @@ def _best_frequencies(
     enter linearly, so that their columns are the same beside all of them.
     """
     frequency = model.free.index(scan.name)
-    amplitudes = [model.free.index(name) for name in scan.amplitudes]
+    amplitudes = list(map(model.free.index, scan.amplitudes))
     remainders = []
     for beside in besides:
         others = [i for i in beside if i not in amplitudes]
         start = _without_others(model, theta, others)
         known = KnownDefects(model, grid, STARTING_SCHEME, only=others).at(start)
-        remainders.append(_Remainder.of(known.d.ravel(), known.slopes))
+        basis = np.linalg.qr(known.slopes)[0]
+        d = known.d.ravel()
+        remainders.append((d - basis @ (basis.T @ d), basis))
     waves = KnownDefects(model, grid, STARTING_SCHEME, only=amplitudes)
     start = _without_others(model, theta, [])
     tried = frequency_grid(grid, values_at(model, grid, grid.y, scan.variable, start))
     explained = np.zeros((len(besides), len(tried)))
     for k, omega in enumerate(tried):
         columns = waves.at(with_entry(start, frequency, omega)).slopes
-        explained[:, k] = [one.explained_by(columns) for one in remainders]
+        for place, (left, basis) in enumerate(remainders):
+            beyond = columns - basis @ (basis.T @ columns)
+            solution = np.linalg.lstsq(beyond, left, rcond=RANK)[0]
+            explained[place, k] = np.sum((beyond @ solution) ** 2)
     found = []
     for of_one in explained:
         peaks = np.flatnonzero(local_maxima(of_one))

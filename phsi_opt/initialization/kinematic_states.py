@@ -16,11 +16,9 @@ from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import at_nodes
 
-KINEMATIC_STEPS = 3  # of Newton's method; one is exact where the rates are linear
 # Share of the largest curvature of the rates' squares below which they leave a
 # direction of the states open.
 LEAST_CURVATURE = 1e-6
-SETTLED_STATES = 1e-4  # share of them that the last step moves: they are a start
 
 
 def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
@@ -44,21 +42,15 @@ def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
     no_memory = [k for k, name in enumerate(model.states) if name not in model.memory]
     unknown = np.setdiff1d(no_memory, known)
     while len(unknown) and len(known):
-        found = _driving(model, grid, x, known, unknown)
+        _, slopes = _rates_and_slopes(model, grid, x)
+        mean_square = np.mean(slopes[:, known][:, :, unknown] ** 2, axis=(0, 1))
+        # Those that make a rate of a known one.
+        found = unknown[np.isfinite(mean_square) & (mean_square > TINY)]
         if not len(found) or not _follow(model, grid, x, known, found):
             break
         known = np.union1d(known, found)
         unknown = np.setdiff1d(unknown, found)
     return x, not len(unknown)
-
-
-def _driving(
-    model: Model, grid: Grid, x: np.ndarray, known: np.ndarray, unknown: np.ndarray
-) -> np.ndarray:
-    """Those of the unknown states that make a rate of a known one."""
-    _, slopes = _rates_and_slopes(model, grid, x)
-    mean_square = np.mean(slopes[:, known][:, :, unknown] ** 2, axis=(0, 1))
-    return unknown[np.isfinite(mean_square) & (mean_square > TINY)]
 
 
 def _follow(
@@ -68,7 +60,7 @@ def _follow(
     rates = _rates(grid, x[:, known])
     weights = 1 / np.maximum(np.std(rates, axis=0), TINY)
     found = x.copy()
-    for _ in range(KINEMATIC_STEPS):
+    for _ in range(3):  # Newton's steps; one is exact where the rates are linear
         values, slopes = _rates_and_slopes(model, grid, found)
         missing = (rates - values[:, known]) * weights
         of_unknown = slopes[:, known][:, :, unknown] * weights[:, None]
@@ -76,9 +68,8 @@ def _follow(
         if step is None:
             return False
         found[:, unknown] += step
-        largest = np.max(np.abs(found[:, unknown]))
-        if np.max(np.abs(step)) < SETTLED_STATES * largest:
-            break
+        if np.max(np.abs(step)) < 1e-4 * np.max(np.abs(found[:, unknown])):
+            break  # they are a start
     x[:, unknown] = found[:, unknown]
     return True
 
@@ -121,8 +112,5 @@ def _least_squares_steps(slopes: np.ndarray, missing: np.ndarray) -> np.ndarray 
         return None
     ridge = LEAST_CURVATURE * np.diag(size**2)
     right = np.einsum("aki,ak->ai", slopes, missing)
-    if right.shape[1] == 1:  # without LAPACK
-        step = right / (gram + ridge)[:, :, 0]
-    else:
-        step = np.linalg.solve(gram + ridge, right[:, :, None])[:, :, 0]
+    step = np.linalg.solve(gram + ridge, right[:, :, None])[:, :, 0]
     return step if np.all(np.isfinite(step)) else None

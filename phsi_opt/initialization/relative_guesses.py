@@ -11,6 +11,7 @@ from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share, Tried
 from phsi_opt.model.slots import place_of
+from phsi_opt.statistics import rms
 from phsi_opt.transcription.augmented_states import padded
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import at_nodes
@@ -54,7 +55,7 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
             if isinstance(guess, Share) and value is None:
                 values = values_at(model, grid, x, guess.of)
                 values = values[np.isfinite(values)]
-                size = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+                size = rms(values) if len(values) else 0.0
                 size = size if size > 0 else 1.0  # where the formula vanishes
                 model = model.with_values({name: guess.share * size})
             is_open = value is None or not parameter.fixed
@@ -74,13 +75,13 @@ def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
     """
     followed = names_of(guess.of)
     room = 1.0
-    for name in model.states:
-        if f"dH_d{name}" in followed:
+    for number, name in enumerate(model.states):
+        effort = f"dH_d{name}"
+        if effort in followed:
             room = ROOM
-    is_measured = np.asarray(grid.measured.any(axis=0))
-    # Not strict: the memory of effects has no column in the measurements.
-    for name, measured in zip(model.states, is_measured, strict=False):
-        if not measured and {name, f"dH_d{name}"} & followed:
+        # The memory of effects has no column in the measurements.
+        is_hidden = not grid.measured[:, number : number + 1].any()
+        if is_hidden and name not in model.memory and {name, effort} & followed:
             return np.inf
     return guess.most * size * room
 

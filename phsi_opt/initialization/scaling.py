@@ -8,6 +8,7 @@ interpolated.
 
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import casadi as ca
@@ -25,17 +26,13 @@ from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
-NEWTON_STEPS = 10  # of the inversion of a sensor
-LEAST_SIZE = 1e-12  # of a measured state that is zero all along
+LEAST_SIZE = 1e-12  # of what is zero all along
 N_RATE_STRETCHES = 200  # of a record, over which rates are taken
-N_SLOPES = 25  # nodes at which the slopes of the model in its states are averaged
-N_SENSOR_SLOPES = 50  # nodes at which those of the sensors are averaged
-# Share of a parameter's own value below which its size does not fall: far from its
-# start, in units of its effect, it would meet the solver as a huge number.
-LEAST_SHARE = 1e-3
-# Share of it above which that of a parameter inside a term does not rise: a frequency
-# whose wave starts with no amplitude shows no effect, and would go anywhere.
-MOST_SHARE = 1e3
+N_SLOPES = 25  # nodes at which slopes of the model and the sensors are averaged
+# By how much the size of a parameter may differ from its own value. Far from its start,
+# in units of its effect, it would meet the solver as a huge number; a frequency inside
+# a term whose wave starts with no amplitude shows no effect, and would go anywhere.
+MOST_RATIO = 1e3
 
 
 def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Point:
@@ -93,7 +90,7 @@ def invert_sensors(model: Model, grid: Grid) -> Grid:
     theta = model.theta
     x = grid.y.copy()
     with np.errstate(all="ignore"):
-        for _ in range(NEWTON_STEPS):
+        for _ in range(10):
             finite = np.nan_to_num(x)
             shown = np.array(outputs(model, grid, finite.T, theta)).T
             slopes = output_slopes(model, grid, finite, theta).in_states
@@ -128,9 +125,20 @@ def theta_scale(
     """
     if not len(theta):
         return np.ones(0)
-    strength = _equation_strength(model, grid, theta, x, x_scale)
+    # The largest effect of each parameter on an equation, in units of its rate.
+    rate = _rate_size(grid, x)
+    rate = np.where(rate > 0, rate, x_scale)
+    known = KnownDefects(model, grid, STARTING_SCHEME, x).at(theta)
+    slopes = known.slopes.reshape(grid.n_intervals, -1, len(theta))
+    n_finite = np.maximum(np.isfinite(slopes).sum(axis=0), 1)
+    mean_square = np.nansum(slopes**2, axis=0) / n_finite
+    per_equation = np.sqrt(mean_square) / rate[:, None]
+    strength = np.nan_to_num(per_equation.max(axis=0))
     if model.sensor:
-        in_sensors = _sensor_strength(model, grid, theta, x) @ (1 / x_scale)
+        make = partial(with_slopes, model.output(), "theta")
+        made = model.built(("output", "slopes"), make)
+        squares = np.square(_slopes_at(made, grid, x, theta))
+        in_sensors = np.sqrt(np.mean(squares, axis=0)).T @ (1 / x_scale)
         strength = np.maximum(strength, in_sensors)
     own_size = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
     scale = np.where(strength > 0, 1 / np.maximum(strength, TINY), own_size)
@@ -138,8 +146,8 @@ def theta_scale(
     for place, name in enumerate(model.free):
         says_size = theta[place] != 0 and name not in held
         if says_size and not model.entries[name].prunable:
-            most[place] = MOST_SHARE * abs(theta[place])
-    return np.clip(scale, LEAST_SHARE * np.abs(theta), most)
+            most[place] = MOST_RATIO * abs(theta[place])
+    return np.clip(scale, 1 / MOST_RATIO * np.abs(theta), most)
 
 
 def interpolated(grid: Grid) -> np.ndarray:
@@ -185,7 +193,15 @@ def _with_unmeasured_scale(
         return scale
     known = np.flatnonzero(np.isfinite(scale))
     rate = _rate_size(grid, x)
-    slopes = np.abs(_state_slopes(model, grid, theta, x))
+    # Away from the origin, where a higher-order term has no slope.
+    shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
+    found = _slopes_at(model.rhs_slopes("x"), grid, shifted, theta)
+    with np.errstate(over="ignore"):
+        squares = np.square(found)
+    # Where a slope has no number (a corner as sharp as a step) it says nothing.
+    is_number = np.isfinite(squares)
+    n_numbers = np.maximum(np.sum(is_number, axis=0), 1)
+    slopes = np.sqrt(np.sum(np.where(is_number, squares, 0.0), axis=0) / n_numbers)
     result = scale.copy()
     for k in np.flatnonzero(~np.isfinite(scale)):
         driven = known[slopes[known, k] > 0]
@@ -210,56 +226,11 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(np.square(rates), axis=0))
 
 
-def _state_slopes(
-    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
-) -> np.ndarray:
-    """Root mean square of the rates' slopes in the states, (n_states, n_states).
-
-    Where a slope has no number (a corner as sharp as a step) it says nothing.
-    """
-    # Away from the origin, where a higher-order term has no slope.
-    shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
-    slopes = _slopes_at(model.rhs_slopes("x"), grid, shifted, theta, N_SLOPES)
-    with np.errstate(over="ignore"):
-        squares = np.square(slopes)
-    is_number = np.isfinite(squares)
-    n_numbers = np.maximum(np.sum(is_number, axis=0), 1)
-    return np.sqrt(np.sum(np.where(is_number, squares, 0.0), axis=0) / n_numbers)
-
-
-def _equation_strength(
-    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, x_scale: np.ndarray
-) -> np.ndarray:
-    """Largest effect of each parameter on an equation, in units of its rate."""
-    rate = _rate_size(grid, x)
-    rate = np.where(rate > 0, rate, x_scale)
-    known = KnownDefects(model, grid, STARTING_SCHEME, x).at(theta)
-    slopes = known.slopes.reshape(grid.n_intervals, -1, len(theta))
-    n_finite = np.maximum(np.isfinite(slopes).sum(axis=0), 1)
-    mean_square = np.nansum(slopes**2, axis=0) / n_finite
-    per_equation = np.sqrt(mean_square) / rate[:, None]
-    return np.nan_to_num(per_equation.max(axis=0))
-
-
-def _sensor_strength(
-    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
-) -> np.ndarray:
-    """Root mean square of the slope of what is shown in each parameter.
-
-    (n_free, n_states).
-    """
-    made = model.built(
-        ("output", "slopes"), lambda: with_slopes(model.output(), "theta")
-    )
-    slopes = _slopes_at(made, grid, x, theta, N_SENSOR_SLOPES)
-    return np.sqrt(np.mean(np.square(slopes), axis=0)).T
-
-
 def _slopes_at(
-    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray, n: int
+    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
-    """Slopes that a function has beside its values, at n nodes, (n, n_out, n_in)."""
-    nodes = np.linspace(0, grid.n_nodes - 1, n).astype(int)
+    """Slopes that a function has beside its values, (N_SLOPES, n_out, n_in)."""
+    nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
     arguments = (x[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
-    values, slopes = mapped(function, n, True)(*arguments)
-    return np.asarray(slopes.full().T.reshape(n, values.shape[0], -1))
+    values, slopes = mapped(function, N_SLOPES, True)(*arguments)
+    return slopes.full().T.reshape(N_SLOPES, values.shape[0], -1)

@@ -18,11 +18,8 @@ from phsi_opt.model.expressions import evaluate
 from phsi_opt.model.laws import FRICTION_TURNOVER
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Term
-from phsi_opt.statistics import autocorrelation_time
+from phsi_opt.statistics import autocorrelation_time, rms
 
-N_REFINING = 40  # values of place and width that are tried for a chosen term
-# Share of a term's size beyond the physics below which the physics has the term.
-SPANNED = 1e-6
 PLACES = np.linspace(0.04, 0.96, 16)  # of corners and pulses: quantiles of the variable
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of pulses: shares of the variable's range
 POWERS = ("{v}", "{v}*abs({v})", "{v}**2", "{v}**3", "{v}**4", "{v}**5")
@@ -59,7 +56,12 @@ def short_form(
         share: of the curve's squared trace that they must explain.
     """
     target = response.traces(curve[:, None])[:, 0]
-    problem = _Problem(names, samples, response, target, *_counted(response, target))
+    rest = response.residual - target
+    together = autocorrelation_time([rest])
+    # Residuals are in units of the noise: less than one is luck.
+    unit = max(float(np.mean(rest**2)), 1.0) * together
+    price = float(np.log(max(len(rest) / together, 2.0)))
+    problem = _Problem(names, samples, response, target, unit, price)
     listed = problem.listed()
     chosen: list[_Trial] = []
     while len(chosen) < most:
@@ -118,7 +120,7 @@ class _Problem:
                 terms.append(term)
                 columns.append(values)
         traces = self.response.traces(np.column_stack(columns)).T
-        return [_Trial(*found) for found in zip(terms, traces, strict=True)]
+        return list(map(_Trial, terms, traces))
 
     def values(self, term: Term) -> np.ndarray | None:
         """The term along the record, (n,).
@@ -133,14 +135,14 @@ class _Problem:
             values = np.broadcast_to(values, self.samples.w.shape)
             beyond = np.linalg.norm(self.samples.without_physics(values))
             size = np.linalg.norm(values / self.samples.std)
-        is_new = np.isfinite(beyond) and beyond > SPANNED * size
+        is_new = np.isfinite(beyond) and beyond > RANK_TOLERANCE * size
         return values if is_new else None
 
     def coefficients(self, chosen: Sequence[_Trial]) -> np.ndarray:
         """Those with which the terms explain the target best, (n_terms,)."""
         traces = np.column_stack([trial.trace for trial in chosen])
         found = np.linalg.lstsq(traces, self.target, rcond=RANK_TOLERANCE)
-        return np.asarray(found[0])
+        return found[0]
 
     def left(self, chosen: Sequence[_Trial]) -> float:
         """Squares of the target that the chosen terms leave."""
@@ -173,7 +175,7 @@ class _Problem:
             return self.left([*chosen, moved])
 
         simplex = np.vstack([np.zeros(len(names)), np.eye(len(names))])
-        options = {"maxfev": N_REFINING, "initial_simplex": simplex}
+        options = {"maxfev": 40, "initial_simplex": simplex}
         minimize(left, simplex[0], method="Nelder-Mead", options=options)
         return min(tried, key=lambda one: self.left([*chosen, one]))
 
@@ -192,19 +194,6 @@ class _Problem:
         return _Trial(moved, self.response.traces(curve[:, None])[:, 0])
 
 
-def _counted(response: Response, target: np.ndarray) -> tuple[float, float]:
-    """Unit of the squares, and price of a parameter.
-
-    The variance of the residuals, times how many of them are worth one that is
-    independent; and the logarithm of the number of these.
-    """
-    rest = response.residual - target
-    together = autocorrelation_time([rest])
-    # Residuals are in units of the noise: less than one is luck.
-    unit = max(float(np.mean(rest**2)), 1.0) * together
-    return unit, float(np.log(max(len(rest) / together, 2.0)))
-
-
 def _candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
     """A constant, the terms of each variable, and the products of two.
 
@@ -214,7 +203,7 @@ def _candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
     for name, values in zip(names, v.T, strict=True):
         for body in (*POWERS, *SINES):
             yield Term(body.format(v=name))
-        size = float(np.sqrt(np.mean(values**2)))
+        size = rms(values)
         turnover = Parameter(FRICTION_TURNOVER * size, fixed=True)
         yield Term(ROUNDED_SIGN.format(v=name), None, {"turnover": turnover})
         for place in np.quantile(values, PLACES).tolist():

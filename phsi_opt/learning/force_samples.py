@@ -12,14 +12,11 @@ from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
-from phsi_opt.model.model import Model
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.parameter_vector import Theta
 
 MIN_INTERVALS = 50  # so that every stretch of time that is left out holds a few
-# Stretches in a fold: with two, a fold sees the beginning and the end of what decays.
-STRETCHES_PER_FOLD = 2
 # Singular value, as a share of the largest, below which a direction is one that others
 # explain.
 RANK_TOLERANCE = 1e-8
@@ -67,7 +64,11 @@ class ForceSamples:
         points = Points.middles(record)
         column = estimate.rows.index(row)
         std = np.maximum(estimate.posterior.deviation[:, column], TINY)
-        columns = _by_unknown(record, model, points.slopes(model)[:, row])
+        grid = estimate.grid
+        unknown = Theta.of(model, record.trajectories)
+        places = unknown.table[:, grid.trajectory[grid.begin]].T
+        columns = np.zeros((n_intervals, len(unknown)))
+        np.put_along_axis(columns, places, points.slopes(model)[:, row], axis=1)
         basis, sizes, _ = np.linalg.svd(columns / std[:, None], full_matrices=False)
         physics = basis[:, sizes > RANK_TOLERANCE * np.max(sizes, initial=0.0)]
         v = points.values(model.function(*on))
@@ -76,17 +77,7 @@ class ForceSamples:
     def without_physics(self, force: np.ndarray) -> np.ndarray:
         """A force (n,) over ``std``, less what the physics explains of it, (n,)."""
         scaled = force / self.std
-        return np.asarray(scaled - self.physics @ (self.physics.T @ scaled))
-
-
-def _by_unknown(record: Record, model: Model, slopes: np.ndarray) -> np.ndarray:
-    """Slopes (n, n_free) of a rate, in the parameters of each trajectory, (n, k)."""
-    grid = record.estimate.grid
-    unknown = Theta.of(model, record.trajectories)
-    columns = np.zeros((len(slopes), len(unknown)))
-    places = unknown.table[:, grid.trajectory[grid.begin]].T
-    np.put_along_axis(columns, places, slopes, axis=1)
-    return columns
+        return scaled - self.physics @ (self.physics.T @ scaled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +103,8 @@ class Response:
     def folds(self) -> tuple[np.ndarray, np.ndarray]:
         """Groups of stretches of time, (n_intervals,) and (n_values,)."""
         grid = self.linearized.grid
-        n_stretches = STRETCHES_PER_FOLD * N_FOLDS
+        # With two, a fold sees the beginning and the end of what decays.
+        n_stretches = 2 * N_FOLDS
         of_node = np.arange(grid.n_nodes) * n_stretches // grid.n_nodes % N_FOLDS
         return of_node[grid.begin], of_node[np.nonzero(grid.measured)[0]]
 

@@ -44,9 +44,7 @@ __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 
 # By then the network has taken its part, and what is small is small beside it.
 FIRST_PRUNED_TURN = 2
-LATER_EPOCHS = 1 / 4  # share of the epochs, where the network is trained already
 RATE_DECAY = 0.8  # of the learning rate, from turn to turn
-FORCE_TOLERANCE = 10  # in units of the tolerance of the coefficients
 
 
 @interruptible
@@ -100,16 +98,19 @@ def hybrid(
         laid_out = partial(_given, problem.with_force(at_stages))
         forced = problem.forced(model)
         fit = identify_forced(forced, record, loss, l1, prune, laid_out, fit)
-        model = without_signals(fit.model, force.equations)
+        model = without_signals(fit.model)
         stages = problem.training_set(model, at_stages)
-        trained = train(_in_turn(force, turn), trained, stages, seed)
+        rate = force.learning_rate * RATE_DECAY**turn
+        epochs = max(force.epochs // 4, 1) if turn > 0 else force.epochs
+        in_turn = replace(force, epochs=epochs, learning_rate=rate)
+        trained = train(in_turn, trained, stages, seed)
         trained = problem.with_best_output(trained, model, stages)
         at_stages = trained.at(stages.stages)
         row = problem.changes(*at_begin, model, at_stages)
         turns.append({"turn": turn + 1, **row})
         converged = (
             row["coefficient_change"] < tolerance
-            and row["force_change"] < FORCE_TOLERANCE * tolerance
+            and row["force_change"] < 10 * tolerance
         )
         if converged and turn > (FIRST_PRUNED_TURN if pruning else 0):
             break
@@ -129,11 +130,3 @@ def hybrid(
 def _given(grid: Grid, _: Grid) -> Grid:
     """The grid with the force, in place of the one that the measurements have."""
     return grid
-
-
-def _in_turn(force: NeuralForce, turn: int) -> NeuralForce:
-    """How the force is trained in a turn, counted from 0."""
-    share = LATER_EPOCHS if turn > 0 else 1.0
-    epochs = max(int(force.epochs * share), 1)
-    rate = force.learning_rate * RATE_DECAY**turn
-    return replace(force, epochs=epochs, learning_rate=rate)

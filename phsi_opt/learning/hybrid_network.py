@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.baselines.descent_settings import is_count, require, require_positive
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.learning.network import Network
 from phsi_opt.model.model import Model
@@ -52,23 +53,12 @@ class NeuralForce:
         expected = {"equations": "states", "variables": "states, inputs or 't'"}
         for name, words in expected.items():
             given = getattr(self, name)
-            if given is not None and (isinstance(given, str) or not given):
-                raise ModelError(
-                    f"{name}={given!r} of NeuralForce must be a tuple of {words}, "
-                    "such as ('p',)."
-                )
-        possible = all(isinstance(size, int) and size >= 1 for size in self.hidden)
-        if not self.hidden or not possible:
-            raise ModelError(
-                f"hidden={self.hidden!r} of NeuralForce must be sizes of layers, "
-                "such as (100, 100, 100)."
-            )
+            fine = given is None or (bool(given) and not isinstance(given, str))
+            require(fine, name, given, f"a tuple of {words}, such as ('p',)")
+        fine = bool(self.hidden) and all(map(is_count, self.hidden))
+        require(fine, "hidden", self.hidden, "sizes of layers, such as (100, 100, 100)")
         for name in ("epochs", "batch", "learning_rate"):
-            value = getattr(self, name)
-            if not value > 0:
-                raise ModelError(
-                    f"{name}={value!r} of NeuralForce must be a number above zero."
-                )
+            require_positive(name, getattr(self, name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +108,7 @@ class TrainedForce:
     @property
     def rows(self) -> list[int]:
         """Numbers of the equations."""
-        return [self.names.index(name) for name in self.equations]
+        return list(map(self.names.index, self.equations))
 
     def __call__(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
         """The force, (n_samples, n_equations).
@@ -142,7 +132,7 @@ class TrainedForce:
 
     def values_in(self, rows: np.ndarray) -> np.ndarray:
         """Those of the variables in rows (..., n_names), (..., n_variables)."""
-        return rows[..., [self.names.index(name) for name in self.variables]]
+        return rows[..., list(map(self.names.index, self.variables))]
 
     def _given(
         self, values: Any, argument: str, names: tuple[str, ...], n_samples: int

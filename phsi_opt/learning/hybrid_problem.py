@@ -7,24 +7,22 @@ coefficients of the dictionary.
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
-from phsi_opt.force_analysis.localization import rms
+from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.learning.force_signals import with_force, with_signals
 from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
 from phsi_opt.learning.ridge import cross_validated
 from phsi_opt.model.model import Model
+from phsi_opt.statistics import rms
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.integrators import Integrator, integrator
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals
-
-# Least size of coefficients and of a force: keeps relative changes finite where all
-# are zero.
-LEAST_SIZE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,11 +163,9 @@ def _inputs_and_times(grid: Grid, share: float) -> tuple[np.ndarray, np.ndarray]
 
 def _coefficient_change(before: Model, after: Model) -> float:
     """Largest change of a coefficient, relative to the largest of its slot."""
-    changes = []
-    for slot in ("H", "R", "F"):
-        names = [name for name, e in before.entries.items() if e.slot == slot]
-        old = np.array([before.values[name] for name in names])
-        new = np.array([after.values.get(name, 0.0) for name in names])
-        size = max(np.max(np.abs(new), initial=0.0), LEAST_SIZE)
-        changes.append(np.max(np.abs(new - old), initial=0.0) / size)
-    return float(max(changes))
+    old = pd.Series(before.values)
+    new = pd.Series(after.values).reindex(old.index, fill_value=0.0)
+    slots = [entry.slot for entry in before.entries.values()]
+    sizes = new.abs().groupby(slots).transform("max").clip(lower=LEAST_SIZE)
+    changes = (new - old).abs() / sizes
+    return float(np.max(changes.to_numpy(), initial=0.0))

@@ -134,8 +134,8 @@ class Hybrid(Identified):
 def _from_content(content: dict[str, Any]) -> Hybrid:
     fit = Fit.from_content(content["fit"])
     stored = content["force"]
-    equations = tuple(str(name) for name in stored["equations"])
-    model = without_signals(fit.model, equations)
+    equations = tuple(map(str, stored["equations"]))
+    model = without_signals(fit.model)
     shift, spread, seen = (numbers(stored[name]) for name in SCALES)
     layers = tuple((numbers(w), numbers(b)) for w, b in stored["layers"])
     network = Network(shift, spread, seen, UNTRAINED.activation, layers)

@@ -1,13 +1,14 @@
 """Training of a force network on what a model leaves of the data, by AdamW in torch."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.network import (
-    LEAST_SCALE,
     Layers,
     Network,
     begin_at,
@@ -17,7 +18,6 @@ from phsi_opt.learning.network import (
     trainable,
 )
 
-LEFT_OUT = 0  # the fold that chooses the epoch
 # Share of the left-out error by which a further training may raise it. Measured: noise
 # in the tanks raises it by up to 0.03; strong weight decay takes the force of exact
 # data, or one of two variables, away by 8 to 240 times.
@@ -52,10 +52,10 @@ def train(
     """Minimise the mean squared difference between the force's mean and the target.
 
     AdamW (Loshchilov and Hutter 2019) with a learning rate that falls along a cosine.
-    The epoch is kept that predicts the fold `LEFT_OUT` best, which is left out. The
-    start is kept where even that one predicts it worse by more than `LARGEST_RISE`. A
-    force that has no layers begins at random ones; the seed is theirs, and that of the
-    order of the batches.
+    The epoch is kept that predicts the first fold best, which is left out. The start is
+    kept where even that one predicts it worse by more than `LARGEST_RISE`. A force that
+    has no layers begins at random ones; the seed is theirs, and that of the order of
+    the batches.
 
     Raises:
         ModelError: if torch is not installed.
@@ -66,7 +66,7 @@ def train(
     if not network.layers:
         network = Network.scaled(visited, network.activation)
     network = replace(network, seen=range_of(visited))
-    scale = np.maximum(np.sqrt(np.mean(data.target**2, axis=0)), LEAST_SCALE)
+    scale = np.maximum(np.sqrt(np.mean(data.target**2, axis=0)), LEAST_SIZE)
     with torch_for("a neural force", seed) as torch:
         sizes = [v.shape[-1], *settings.hidden, len(scale)]
         net = trainable(sizes, network.activation)
@@ -74,61 +74,49 @@ def train(
             *hidden, (weights, bias) = network.layers
             begin_at(net, (*hidden, (weights / scale[:, None], bias / scale)))
             torch.manual_seed(seed)  # what was drawn is not used
-        descent = _Descent(
-            net,
-            torch.tensor(network.standardized(v)),
-            torch.tensor(data.weights[:, None]),
-            torch.tensor(data.target / scale),
-            torch.tensor(data.folds),
-        )
-        *hidden, (weights, bias) = descent.best(settings)
+        z = torch.tensor(network.standardized(v))
+        of_stages = torch.tensor(data.weights[:, None])
+        y = torch.tensor(data.target / scale)
+
+        def error(chosen: Any) -> Any:
+            """Mean squared difference in the intervals that are chosen."""
+            mean = (of_stages * net(z[chosen])).sum(dim=1)
+            return ((mean - y[chosen]) ** 2).mean()
+
+        *hidden, (weights, bias) = _best(net, error, data.folds, settings)
     output = (weights * scale[:, None], bias * scale)
     return replace(before, network=replace(network, layers=(*hidden, output)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Descent:
-    """What is trained, and tensors of the training.
+def _best(
+    net: Any,
+    error: Callable[[Any], Any],
+    folds: np.ndarray,
+    settings: NeuralForce,
+) -> Layers:
+    """The layers of the epoch with the least error on the fold 0, which is left out."""
+    import torch
 
-    Standardised variables, weights of the stages, targets and folds.
-    """
-
-    net: Any
-    z: Any
-    weights: Any
-    y: Any
-    folds: Any
-
-    def error(self, chosen: Any) -> Any:
-        """Mean squared difference in the intervals that are chosen."""
-        mean = (self.weights * self.net(self.z[chosen])).sum(dim=1)
-        return ((mean - self.y[chosen]) ** 2).mean()
-
-    def best(self, settings: NeuralForce) -> Layers:
-        """The layers of the epoch with the least error on the fold left out."""
-        import torch
-
-        used = torch.nonzero(self.folds != LEFT_OUT).ravel()
-        left_out = torch.nonzero(self.folds == LEFT_OUT).ravel()
-        parameters = self.net.parameters()
-        rate = settings.learning_rate
-        decay = settings.weight_decay
-        optimiser = torch.optim.AdamW(parameters, rate, weight_decay=decay)
-        n_steps = settings.epochs * -(-len(used) // settings.batch)
-        rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, n_steps)
-        start = layers_of(self.net)
-        limit = (1 + LARGEST_RISE) * self.error(left_out).item()
-        best = start
-        least = np.inf
-        for _ in range(settings.epochs):
-            order = used[torch.randperm(len(used))]
-            for chosen in order.split(settings.batch):
-                optimiser.zero_grad()
-                self.error(chosen).backward()
-                optimiser.step()
-                rates.step()
-            now = self.error(left_out).item()
-            if now < least:
-                least = now
-                best = layers_of(self.net)
-        return best if least <= limit else start
+    used = torch.tensor(np.flatnonzero(folds))
+    left_out = torch.tensor(np.flatnonzero(folds == 0))
+    rate = settings.learning_rate
+    decay = settings.weight_decay
+    optimiser = torch.optim.AdamW(net.parameters(), rate, weight_decay=decay)
+    n_steps = settings.epochs * -(-len(used) // settings.batch)
+    rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, n_steps)
+    start = layers_of(net)
+    limit = (1 + LARGEST_RISE) * error(left_out).item()
+    best = start
+    least = np.inf
+    for _ in range(settings.epochs):
+        order = used[torch.randperm(len(used))]
+        for chosen in order.split(settings.batch):
+            optimiser.zero_grad()
+            error(chosen).backward()
+            optimiser.step()
+            rates.step()
+        now = error(left_out).item()
+        if now < least:
+            least = now
+            best = layers_of(net)
+    return best if least <= limit else start

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phsi_opt.baselines.descent_settings import require_count
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.estimation.fit import Fit
@@ -38,7 +39,8 @@ from phsi_opt.learning.orthogonal_network import Training
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.presentation.axes import axes_of
+from phsi_opt.presentation.axes import BASELINE, MEASURED, MODEL, axes_of
+from phsi_opt.presentation.content import ForceMap
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole
 
@@ -81,7 +83,7 @@ class LearnedForce:
 
         The force is a sum of formulas.
         """
-        dictionary = Dictionary(tuple(Term(body) for body in self._bodies()))
+        dictionary = Dictionary(tuple(map(Term, self._bodies())))
         effect = Effect("learned force", "F", self.equation, dictionary)
         model = self.physics.model.add(effect)
         return replace(self.physics, model=model, states=(), steps=())
@@ -107,23 +109,37 @@ class LearnedForce:
         return bodies
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the learned force over its first variable, or two.
+        """Draw the learned force over its first variable, or two, in their range.
 
-        Beside it the missing force, and the range of the data.
+        Beside it the missing force; on a map the places of the data, other variables at
+        their means.
         """
-        from phsi_opt.learning.learned_plot import draw_curve, draw_map
+        from phsi_opt.presentation.charts import POINTS, Chart, Curve, Panel, draw
 
         name = f"force in d{self.equation}/dt"
         ax = axes_of(ax, (7.0, 3.8))
+        samples = self.samples
+        v = np.linspace(self.network.seen[0], self.network.seen[1], num=60)
         if len(self.on) == 1:
-            draw_curve(ax, self.network, self.samples)
+            missing = samples.without_physics(samples.w) * samples.std
+            curves = (
+                Curve("missing force", samples.v[:, 0], missing, MEASURED, POINTS),
+                Curve("learned force", v[:, 0], self.at(v), MODEL),
+            )
+            draw(ax, Chart(self.on[0], (Panel(name, curves),)))
         else:
-            draw_map(ax, self.network, self.samples, name)
+            points = np.tile(self.network.shift, (len(v), len(v), 1))
+            points[:, :, 0] = v[:, 0]
+            points[:, :, 1] = v[:, 1, None]
+            force = self.network.at(points)[:, :, 0]
+            first, second = self.on[:2]
+            label = f"learned {name}"
+            found = ForceMap(first, second, label, v[:, 0], v[:, 1], force, "")
+            draw(ax, Chart(first, map=found))
+            ax.plot(*samples.v[:, :2].T, ".", ms=2, color=BASELINE)
         share = "found nothing"
         if self.explains > 0:
             share = f"explains {100 * self.explains:.0f} % of left-out stretches"
-        axes = (*self.on, name)
-        ax.set(xlabel=axes[0], ylabel=axes[1])
         ax.set_title(
             f"Learned {name}: {share};\nit does not extrapolate beyond the data"
         )
@@ -157,9 +173,10 @@ class LearnedForce:
         return read_json(path, FORMAT, "a learned force", _from_content)
 
     def __str__(self) -> str:
-        ranges = []
-        for name, (lower, upper) in zip(self.on, self.network.seen.T, strict=True):
-            ranges.append(f"{name} {lower:.4g} to {upper:.4g}")
+        ranges = [
+            f"{name} {lower:.4g} to {upper:.4g}"
+            for name, (lower, upper) in zip(self.on, self.network.seen.T, strict=True)
+        ]
         return (
             f"learned force in d{self.equation}/dt, known for {', '.join(ranges)}: "
             f"explains {self.explains:.2f} of what is missing"
@@ -170,7 +187,7 @@ def _from_content(content: dict[str, Any]) -> LearnedForce:
     physics = Fit.from_content(content["physics"])
     equation = str(content["equation"])
     physics.model.index(equation, "equation of the learned force")
-    on = _checked_names(physics.model, [str(name) for name in content["on"]])
+    on = _checked_names(physics.model, list(map(str, content["on"])))
     record = content["record"]
     samples = ForceSamples(**{name: numbers(record[name]) for name in record})
     weights, bias = map(numbers, content["hidden"])
@@ -236,11 +253,7 @@ def learned_force_of(
     """
     model = record.fit.model
     on = _checked_names(model, on)
-    if not isinstance(epochs, int) or epochs < 1:
-        raise ModelError(
-            f"epochs={epochs!r} of a learned force must be a whole number "
-            "of at least 1."
-        )
+    require_count("epochs", epochs)
     samples = ForceSamples.of(record, equation, on)
     response = Response.of(record, model.index(equation))
     network, explains = Training(samples, response, epochs, seed).result()
@@ -276,13 +289,15 @@ def _re_estimated(learned: LearnedForce, record: Record) -> Fit:
         return fit
     data = record.data
     grid = record.estimate.grid
-    states = []
-    for x, is_sample in zip(record.start, grid.split(grid.sample), strict=True):
-        states.append(x[is_sample])
-    noise = {}
-    for name, sigma in zip(data.states, record.estimate.sigma, strict=True):
-        if name in data.measured:
-            noise[name] = float(sigma)
+    states = [
+        x[is_sample]
+        for x, is_sample in zip(record.start, grid.split(grid.sample), strict=True)
+    ]
+    noise = {
+        name: float(sigma)
+        for name, sigma in zip(data.states, record.estimate.sigma, strict=True)
+        if name in data.measured
+    }
     start = replace(learned.fit, states=tuple(states), noise=noise, steps=fit.steps)
     found = identify(learned.fit.model, data, MaximumLikelihood(), start=start)
     values = {name: found.values[name] for name in fit.model.free}

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.errors import ModelError
+from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.optimization.torch_threads import one_thread
 
 # (weight (n_out, n_in), bias (n_out,)) of every layer
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
-
-LEAST_SCALE = 1e-12  # of a variable or target: keeps quotients finite where it is still
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +44,7 @@ class Network:
     @classmethod
     def scaled(cls, v: np.ndarray, activation: str) -> "Network":
         """Without layers, for values (n, n_variables) of its variables."""
-        spread = np.maximum(v.std(axis=0), LEAST_SCALE)
+        spread = np.maximum(v.std(axis=0), LEAST_SIZE)
         return cls(v.mean(axis=0), spread, range_of(v), activation)
 
     def standardized(self, v: np.ndarray) -> np.ndarray:

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
+from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.learning.force_samples import ForceSamples, Response
 from phsi_opt.learning.network import (
-    LEAST_SCALE,
     Layers,
     Network,
     layers_of,
@@ -31,21 +31,14 @@ from phsi_opt.learning.network import (
     torch_for,
     trainable,
 )
-from phsi_opt.learning.ridge import solutions
-from phsi_opt.statistics import TINY
+from phsi_opt.learning.ridge import RIDGE_WEIGHTS, SINGULAR, solutions
+from phsi_opt.statistics import TINY, rms
 
 N_HIDDEN = 16
 # Bounds of the first weights of both layers: some units bend within the range, some are
 # nearly straight; the output is in root mean squares of the target.
 FIRST_WEIGHTS = (2.5, 0.1)
-LEARNING_RATE = 0.02  # of Adam
 STOPS = (0.0, 0.2, 0.4, 0.7, 1.0)  # shares of the epochs at which training may stop
-# Weights of the squared output weights that are tried, relative to the features.
-OUTPUT_RIDGES = 10.0 ** np.arange(-10, 1)
-# Singular values, over the largest, that count as zero: rounding, of a force on the
-# physics, and of the ridge regression.
-ORTHOGONAL = 1e-12
-NORMAL_RANK_TOLERANCE = 1e-15
 
 
 @dataclass(frozen=True)
@@ -78,9 +71,15 @@ class Training:
         total = errors.sum(axis=0)
         stop, ridge = np.unravel_index(int(np.argmin(total)), total.shape)
         network = self._trained(np.ones(len(self.samples.w), dtype=bool))[stop]
-        features = self._features(network)
+        features = _Features.of(network, self)
         weights = features.outputs(np.ones(len(residual), dtype=bool), residual)[ridge]
-        explains = _explained_share(errors, residual)
+        left = 0.0
+        for of_fold in errors:
+            # By the choice made on the other folds, so that choosing flatters nothing.
+            of_others = total - of_fold
+            choice = np.unravel_index(int(np.argmin(of_others)), total.shape)
+            left += of_fold[choice]
+        explains = float(1 - left / max(float(residual @ residual), TINY))
         if explains <= 0:
             weights = 0 * weights
         layers = (*network.layers[:-1], (weights[None, :-1], weights[-1:]))
@@ -90,22 +89,19 @@ class Training:
     def _errors_left_out(self) -> np.ndarray:
         """Squared residuals of each fold left out, (n_folds, n_stops, n_ridges)."""
         residual = self.response.residual
-        errors = np.zeros((N_FOLDS, len(STOPS), len(OUTPUT_RIDGES)))
+        errors = np.zeros((N_FOLDS, len(STOPS), len(RIDGE_WEIGHTS)))
         fold_of_interval, fold_of_value = self.response.folds()
         for fold in range(N_FOLDS):
             left_out = fold_of_value == fold
             networks = self._trained(fold_of_interval != fold)
             for stop, network in enumerate(networks):
-                features = self._features(network)
+                features = _Features.of(network, self)
                 found = features.outputs(~left_out, residual)
                 for ridge, weights in enumerate(found):
                     predicted = features.traces[left_out] @ weights
                     left = residual[left_out] - predicted
                     errors[fold, stop, ridge] = np.sum(left**2)
         return errors
-
-    def _features(self, network: Network) -> "_Features":
-        return _Features.of(network.features(self.samples.v), self)
 
     def _trained(self, used: np.ndarray) -> list[Network]:
         """The network at each of the `STOPS`, by the samples that are used."""
@@ -121,7 +117,7 @@ class Training:
                 for tensor in layer.parameters():
                     torch.nn.init.uniform_(tensor, -bound, bound)
             loss = self._loss(net, scaled.standardized(samples.v), used)
-            optimiser = torch.optim.Adam(net.parameters(), lr=LEARNING_RATE)
+            optimiser = torch.optim.Adam(net.parameters(), lr=0.02)
             for epoch in range(self.epochs + 1):
                 if epoch in stops:
                     found[epoch] = layers_of(net)
@@ -136,7 +132,7 @@ class Training:
 
         samples = self.samples
         values = samples.without_physics(samples.w)[used]
-        size = max(float(np.sqrt(np.mean(values**2))), LEAST_SCALE)
+        size = max(rms(values), LEAST_SIZE)
         physics = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
         target = tensor(values / size)
         weight = tensor(np.median(samples.std) / samples.std[used])
@@ -165,14 +161,15 @@ class _Features:
     free: np.ndarray
 
     @classmethod
-    def of(cls, units: np.ndarray, training: Training) -> "_Features":
-        """From hidden units (n_intervals, n_hidden)."""
+    def of(cls, network: Network, training: Training) -> "_Features":
+        """Those of a network on the samples of its training."""
+        units = network.features(training.samples.v)
         features = np.hstack([units, np.ones((len(units), 1))])
         scaled = features / training.samples.std[:, None]
         _, sizes, directions = np.linalg.svd(training.samples.physics.T @ scaled)
-        n_bound = np.sum(sizes > ORTHOGONAL * np.max(sizes, initial=0.0))
+        n_bound = np.sum(sizes > SINGULAR * np.max(sizes, initial=0.0))
         traces = training.response.traces(features)
-        return cls(traces, np.asarray(directions[n_bound:].T))
+        return cls(traces, directions[n_bound:].T)
 
     def outputs(self, used: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
         """Output weights, bias last, within the free directions: one per ridge.
@@ -183,20 +180,5 @@ class _Features:
         weights = self.free[:-1].T @ self.free[:-1]  # the bias is free
         ridge = weights * np.sum(traces**2) / traces.shape[1]
         normal = normal_equations(traces @ self.free, residual[used])
-        found = solutions(normal, ridge, OUTPUT_RIDGES, NORMAL_RANK_TOLERANCE)
+        found = solutions(normal, ridge)
         return [self.free @ coefficients for coefficients in found]
-
-
-def _explained_share(errors: np.ndarray, residual: np.ndarray) -> float:
-    """The share of the squared residuals that is predicted when it is left out.
-
-    That of each fold is of the choice made on the other folds, so that choosing does
-    not flatter it.
-    """
-    total = errors.sum(axis=0)
-    left = 0.0
-    for of_fold in errors:
-        of_others = total - of_fold
-        choice = np.unravel_index(int(np.argmin(of_others)), total.shape)
-        left += of_fold[choice]
-    return float(1 - left / max(float(residual @ residual), TINY))

@@ -7,22 +7,21 @@ import numpy as np
 from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
 
 # Weights that are tried, in units of the mean sum of squares of a ridged column.
-RIDGE_WEIGHTS = 10.0 ** np.arange(-9, 1)
+RIDGE_WEIGHTS = np.logspace(-10, 0, num=11)
 # Share of the largest singular value below which a direction is left alone.
 SINGULAR = 1e-12
 
 
 def solutions(
-    normal: np.ndarray, ridge: np.ndarray, weights: np.ndarray, rcond: float
+    normal: np.ndarray, ridge: np.ndarray, weights: np.ndarray = RIDGE_WEIGHTS
 ) -> Iterator[np.ndarray]:
     """Coefficients (k,) of a regression for each weight of its ridge, (n_weights,).
 
-    By its `normal_equations` and the ridge (k, k). Singular values below ``rcond``,
-    over the largest, count as zero.
+    By its `normal_equations` and the ridge (k, k).
     """
     for weight in weights:
         regularized = normal[:, :-1] + weight * ridge
-        yield np.linalg.lstsq(regularized, normal[:, -1], rcond=rcond)[0]
+        yield np.linalg.lstsq(regularized, normal[:, -1], rcond=SINGULAR)[0]
 
 
 def cross_validated(
@@ -54,18 +53,10 @@ def cross_validated(
     errors = np.zeros((len(RIDGE_WEIGHTS), N_FOLDS))
     for fold, (of_fold, target) in enumerate(parts):
         of_others = normal - normals[fold]
-        found = solutions(of_others, ridge, RIDGE_WEIGHTS, SINGULAR)
+        found = solutions(of_others, ridge)
         for place, z in enumerate(found):
             errors[place, fold] = np.sum((target - of_fold @ z) ** 2)
-    chosen = RIDGE_WEIGHTS[[_largest_within_an_error(errors)]]
-    return next(solutions(normal, ridge, chosen, SINGULAR))
-
-
-def _largest_within_an_error(errors: np.ndarray) -> int:
-    """Place of the largest weight whose errors hardly exceed the least.
-
-    By at most a standard error; errors are (n_weights, n_folds).
-    """
     more = errors - errors[np.argmin(errors.sum(axis=1))]
     standard_error = more.std(axis=1, ddof=1) / np.sqrt(N_FOLDS)
-    return int(np.flatnonzero(more.mean(axis=1) <= standard_error)[-1])
+    good = np.flatnonzero(more.mean(axis=1) <= standard_error)
+    return next(solutions(normal, ridge, RIDGE_WEIGHTS[good[-1:]]))

@@ -1,6 +1,6 @@
 """The libraries in which formulas are evaluated, and the functions they may call.
 
-One table per library; the names of the first one are the whitelist of ``expressions``.
+The names of `FUNCTIONS` are the whitelist of ``expressions``.
 That of SymPy is `phsi_opt.model.sympy_backend`, whose library takes time to import.
 """
 
@@ -31,36 +31,18 @@ class Backend:
     constants: Mapping[str, Any] = field(default_factory=lambda: CONSTANTS)
 
 
-CASADI = Backend(
-    {
-        "sin": ca.sin,
-        "cos": ca.cos,
-        "tan": ca.tan,
-        "atan": ca.atan,
-        "exp": ca.exp,
-        "log": ca.log,
-        "sqrt": ca.sqrt,
-        "tanh": ca.tanh,
-        "abs": ca.fabs,
-        "sign": ca.sign,
-        "min": ca.fmin,
-        "max": ca.fmax,
-    }
+# Names that a formula may call.
+FUNCTIONS = (
+    *("sin", "cos", "tan", "atan", "exp", "log"),
+    *("sqrt", "tanh", "abs", "sign", "min", "max"),
 )
-NUMPY = Backend(
-    {
-        "sin": np.sin,
-        "cos": np.cos,
-        "tan": np.tan,
-        "atan": np.arctan,
-        "exp": np.exp,
-        "log": np.log,
-        "sqrt": np.sqrt,
-        "tanh": np.tanh,
-        "abs": np.abs,
-        "sign": np.sign,
-        "min": np.minimum,
-        "max": np.maximum,
-    }
-)
-FUNCTIONS = tuple(CASADI.functions)  # names that a formula may call
+
+
+def functions_of(library: Any, **other_names: str) -> dict[str, Callable[..., Any]]:
+    """The functions of a library, some of which have another name there."""
+    names = {name: other_names.get(name, name) for name in FUNCTIONS}
+    return {name: getattr(library, called) for name, called in names.items()}
+
+
+CASADI = Backend(functions_of(ca, abs="fabs", min="fmin", max="fmax"))
+NUMPY = Backend(functions_of(np, atan="arctan", min="minimum", max="maximum"))

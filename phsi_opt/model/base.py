@@ -29,8 +29,6 @@ from phsi_opt.model.slots import (
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.model.variables import Variables
 
-MAPPINGS = (*BY_EQUATION, "kind")  # the fields that are read-only mappings
-
 
 @dataclass(frozen=True, kw_only=True)
 class BaseModel:
@@ -78,16 +76,8 @@ class BaseModel:
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)  # the record is frozen for all others
 
-    def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
-        parts = {part.name: getattr(self, part.name) for part in fields(self)}
-        for name in MAPPINGS:
-            parts[name] = dict(parts[name])
-        return parts
-
-    def __setstate__(self, parts: dict[str, Any]) -> None:
-        for name, value in parts.items():
-            frozen = MappingProxyType(value) if name in MAPPINGS else value
-            self._set(name, frozen)
+    def __getstate__(self) -> dict[str, Any]:  # without what was built
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
     def _checked_equations(
         self, dictionaries: Mapping[str, Dictionary], slot: str
@@ -184,11 +174,8 @@ class BaseModel:
     @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the parameters that are not fixed, in the order of theta."""
-        names = []
-        for name, entry in self.entries.items():
-            if not entry.parameter.fixed:
-                names.append(name)
-        return tuple(names)
+        entries = self.entries
+        return tuple(name for name in entries if not entries[name].parameter.fixed)
 
     @property
     def values(self) -> dict[str, float]:
@@ -198,8 +185,8 @@ class BaseModel:
     @property
     def theta(self) -> np.ndarray:
         """Present values of the free parameters, (n_free,), in the order of `free`."""
-        values = self.values
-        return np.array([values[name] for name in self.free])
+        entries = self.entries
+        return np.array([entries[name].parameter.start for name in self.free])
 
     # ---- changes: each makes a new model ---------------------------------------------
 
@@ -213,24 +200,18 @@ class BaseModel:
                 model.
         """
         larger = self._with_memory(effect.memory) if effect.memory else self
-        if effect.slot == "H":
-            return larger._with_energy(effect)
-        return larger._with_terms(effect)
-
-    def _with_energy(self, effect: Effect) -> Self:
-        if not self.has_energy:
+        if effect.slot == "H" and not self.has_energy:
             raise ModelError(
                 f"effect {effect.name!r} changes an energy, "
                 f"but a {type(self).__name__} model has none."
             )
-        return replace(self, H=self.H + effect.term)
-
-    def _with_terms(self, effect: Effect) -> Self:
-        self.index(effect.equation, f"equation of effect {effect.name!r}:")
-        terms = self.terms_at(effect.slot, effect.equation) + effect.term
-        by_equation = {**getattr(self, effect.slot), effect.equation: terms}
-        changed: dict[str, Any] = {effect.slot: by_equation}
-        return replace(self, **changed)
+        terms = larger.terms_at(effect.slot, effect.equation) + effect.term
+        changed: dict[str, Any] = {"H": terms}
+        if effect.slot != "H":
+            larger.index(effect.equation, f"equation of effect {effect.name!r}:")
+            by_equation = getattr(larger, effect.slot)
+            changed = {effect.slot: {**by_equation, effect.equation: terms}}
+        return replace(larger, **changed)
 
     def _with_memory(self, memory: Mapping[str, Dictionary]) -> Self:
         n_states = self.n_states + len(memory)
@@ -248,10 +229,11 @@ class BaseModel:
         """A new model without the terms whose coefficients are named."""
 
         def kept(place: str, terms: Dictionary) -> Dictionary:
-            rest = []
-            for term in terms:
-                if term.is_formula or term.coefficient_name(place) not in names:
-                    rest.append(term)
+            rest = [
+                term
+                for term in terms
+                if term.is_formula or term.coefficient_name(place) not in names
+            ]
             return Dictionary(tuple(rest))
 
         slots = self._changed_slots(kept)
@@ -276,9 +258,7 @@ class BaseModel:
             return self
 
         def valued(name: str, parameter: Parameter) -> Parameter:
-            if name not in values:
-                return parameter
-            return with_value(parameter, values[name])
+            return with_value(parameter, values[name]) if name in values else parameter
 
         return self._with_parameters(valued)
 

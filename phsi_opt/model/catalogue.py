@@ -24,11 +24,11 @@ from phsi_opt.model.kinds import (
 from phsi_opt.model.laws import (
     ENERGIES,
     FORCES,
-    HEAT_EXCHANGE,
+    HEAT_EXCHANGES,
     INPUTS,
     LASTING,
     LOSSES,
-    OVERFLOW_INTO,
+    OVERFLOWS,
     SENSORS,
     Law,
 )
@@ -79,7 +79,7 @@ def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> Effe
     its name it may still be meant.
     """
     found = catalogue(model, units)
-    known = {str(effect) for effect in found}
+    known = set(map(str, found))
     untold = replace(model, kind={})
     others = (untold, *(replace(model, kind=kind) for kind in KINDS))
     for further in (*(catalogue(other, units) for other in others), catalogue(model)):
@@ -168,14 +168,14 @@ def _places(
             yield INPUTS, names | _names_of_input(model, u, names)
         yield (*ENERGIES, *LASTING), names
     for source, x in permutations(storage_states(model), 2):
-        yield (OVERFLOW_INTO,), _names_of_source(model, source, x)
+        yield OVERFLOWS, _names_of_source(model, source, x)
     for source, x in permutations(model.states, 2):
         if role_of(model, source) is Role.HEAT:
-            yield (HEAT_EXCHANGE,), _names_of_source(model, source, x)
+            yield HEAT_EXCHANGES, _names_of_source(model, source, x)
     for source, x in product(model.inputs, model.states):
         unit = plain_unit(units.get(source, ""))
         if not unit or unit in TEMPERATURES:
-            yield (HEAT_EXCHANGE,), _names_of_source(model, source, x)
+            yield HEAT_EXCHANGES, _names_of_source(model, source, x)
     for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
         # Without an energy the masses of the two may be anything.
         if kind_of(model, p1) == kind_of(model, p2):
@@ -187,22 +187,29 @@ def _places(
 
 def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]:
     """The names of the laws in the equation of x, see ``laws``."""
-    words = WORDS[role_of(model, x)]
+    source, grows_with = WORDS[role_of(model, x)]
+    article = "an" if source[0] in "aeiou" else "a"
     e = effort_of(model, x)
+    omega = "omega"  # of a wave, that is not taken
+    while f"{place_of('F', x)}.{omega}" in model.entries:
+        omega += "_"
     names = {
         "x": x,
         "own": x,
         "e": e,
-        "omega": _free_frequency(model, x),
-        "source": words.source,
-        "a_source": words.a_source,
-        "grows_with": words.grows_with,
+        "level": e,
+        "omega": omega,
+        "source": source,
+        "a_source": f"{article} {source}",
+        "grows_with": grows_with,
     }
     zero = ZEROS.get(plain_unit(units.get(x, "")), 0.0)
     if not zero:
         names["radiation"] = f"abs({e})**3"
     elif not model.has_energy:  # else the effort is not in the unit of the state
-        names["radiation"] = _radiation(x, zero)
+        # ((x + z)^4 - z^4)/x multiplied out; the zero of the scale is at z degrees.
+        powers = (f"{x}**3", f"{4 * zero:.8g}*{x}**2", f"{6 * zero**2:.10g}*{x}")
+        names["radiation"] = " + ".join((*powers, f"{4 * zero**3:.12g}"))
     position = position_of_momentum(model).get(x)
     if position is not None:
         names["q"] = position
@@ -210,20 +217,6 @@ def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]
         if unit not in LENGTHS:
             names["angle"] = RADIANS.get(unit, "{q}").format(q=position)
     return names
-
-
-def _free_frequency(model: BaseModel, x: str) -> str:
-    """A name for the frequency of a wave in F of the equation that is not taken."""
-    omega = "omega"
-    while f"{place_of('F', x)}.{omega}" in model.entries:
-        omega += "_"
-    return omega
-
-
-def _radiation(T: str, zero: float) -> str:
-    """((T + z)^4 - z^4)/T multiplied out; the zero of the scale is at z degrees."""
-    powers = (f"{T}**3", f"{4 * zero:.8g}*{T}**2", f"{6 * zero**2:.10g}*{T}")
-    return " + ".join((*powers, f"{4 * zero**3:.12g}"))
 
 
 def _names_of_input(
@@ -244,4 +237,4 @@ def _names_of_input(
 def _names_of_source(model: BaseModel, source: str, x: str) -> dict[str, str]:
     """The names of a law by which x gets something from a storage or an input."""
     s_e = source if source in model.inputs else effort_of(model, source)
-    return {"x": x, "e": effort_of(model, x), "s": source, "s_e": s_e}
+    return {"x": x, "e": effort_of(model, x), "s": source, "s_e": s_e, "level": s_e}

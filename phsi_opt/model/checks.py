@@ -29,7 +29,9 @@ def checked_names(
         )
     listed = tuple(names)
     for name in listed:
-        if not _is_free_name(name):
+        is_name = isinstance(name, str) and name.isidentifier()
+        is_taken = name in ("t", *FUNCTIONS, *CONSTANTS)
+        if not is_name or is_taken or name.startswith(RESERVED_PREFIXES):
             raise ModelError(
                 f"{name!r} in {what} cannot be a name here; use letters, digits and _, "
                 "and not t, a function, or what begins with dH_d or dF_d, as "
@@ -40,13 +42,6 @@ def checked_names(
             f"{what}={list(listed)!r} must name at least one, and each only once."
         )
     return listed
-
-
-def _is_free_name(name: Any) -> bool:
-    if not isinstance(name, str) or not name.isidentifier():
-        return False
-    is_taken = name in ("t", *FUNCTIONS, *CONSTANTS)
-    return not is_taken and not name.startswith(RESERVED_PREFIXES)
 
 
 def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:

@@ -159,7 +159,7 @@ def _as_offered(
     if found:
         return found
     names = sorted({effect.name for effect in offered})
-    with_places = [str(effect) for effect in offered]
+    with_places = list(map(str, offered))
     hint = did_you_mean(str(one), with_places if " on " in str(one) else names)
     raise ModelError(
         f"effect {str(one)!r} in {what} is not in the catalogue of this model "

@@ -160,10 +160,11 @@ def solved_dimensions(
     known_rows = _rows(said, list(known))
     without_angles = np.array([not likeness.is_angle for likeness in said], dtype=bool)
     _, determined = _least_squares(rows, np.zeros(len(said)))
-    found: dict[str, Any] = {}
-    for name, is_determined in zip(unknown, determined, strict=True):
-        if is_determined:
-            found[name] = {}
+    found: dict[str, Any] = {
+        name: {}
+        for name, is_determined in zip(unknown, determined, strict=True)
+        if is_determined
+    }
     for unit in sorted({unit for powers in known.values() for unit in powers}):
         kept = without_angles if unit == RADIAN else np.full(len(said), fill_value=True)
         given = np.array([powers.get(unit, 0.0) for powers in known.values()])

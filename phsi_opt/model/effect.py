@@ -3,15 +3,16 @@
 The record only; which effects there are is in the tables of ``laws``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType, UnionType
+from itertools import chain
+from types import UnionType
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import SLOTS
-from phsi_opt.model.terms import Dictionary
+from phsi_opt.model.terms import Dictionary, Term, read_only
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,
@@ -59,11 +60,7 @@ class Effect:
                 f"effect {self.name!r} has no term; "
                 "write it with formula(...) or polynomials(...)."
             )
-        object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
-
-    def __reduce__(self) -> tuple[object, ...]:  # a mappingproxy cannot be pickled
-        parts = (self.name, self.slot, self.equation, self.term)
-        return Effect, (*parts, dict(self.memory), self.family)
+        object.__setattr__(self, "memory", read_only(self.memory))
 
     def __str__(self) -> str:
         return f"{self.name} on {self.equation}"
@@ -74,29 +71,27 @@ class Effect:
     @property
     def needs_clock(self) -> bool:
         """Whether the time t stands in its terms, or in the rates of its memory."""
-        for terms in (self.term, *self.memory.values()):
-            if any("t" in names_of(term.body) for term in terms):
-                return True
-        return False
+        return any("t" in names_of(term.body) for term in self.terms)
+
+    @property
+    def terms(self) -> list[Term]:
+        """Its terms, and those of its memory's rates."""
+        return list(chain(self.term, *self.memory.values()))
 
     @property
     def n_unknowns(self) -> int:
         """Number of its free parameters and of its memory's states."""
         names = set()
-        for place, terms in enumerate((self.term, *self.memory.values())):
-            for number, term in enumerate(terms):
-                if term.coefficient is not None and not term.coefficient.fixed:
-                    names.add(term.name or f"{place}.{number}")
-                for name, parameter in term.inner.items():
-                    if not parameter.fixed:
-                        names.add(name)
+        for number, term in enumerate(self.terms):
+            if term.coefficient is not None and not term.coefficient.fixed:
+                names.add(term.name or str(number))
+            names |= {name for name, one in term.inner.items() if not one.fixed}
         return len(names) + len(self.memory)
 
 
 def is_scanned(effect: Effect) -> bool:
     """Whether the effect has an inner parameter that is scanned."""
-    sums = [effect.term, *effect.memory.values()]
-    return any(_has_guess(terms, Scan | Tried) for terms in sums)
+    return _has_guess(effect.terms, Scan | Tried)
 
 
 def is_wave(effect: Effect) -> bool:
@@ -104,21 +99,19 @@ def is_wave(effect: Effect) -> bool:
     return _has_guess(effect.term, Scan)
 
 
-def _has_guess(terms: Dictionary, kind: type | UnionType) -> bool:
-    for term in terms:
-        for parameter in term.inner.values():
-            if isinstance(parameter.guess, kind):
-                return True
-    return False
+def _has_guess(terms: Iterable[Term], kind: type | UnionType) -> bool:
+    parameters = chain.from_iterable(term.inner.values() for term in terms)
+    return any(isinstance(one.guess, kind) for one in parameters)
 
 
 class EffectList(list[Effect], Summarised):
     """Effects; in all but how it prints a list."""
 
     def _summary(self) -> Summary:
-        rows = []
-        for effect in self:
-            rows.append((effect.name, effect.equation, effect.slot, effect.family))
+        rows = [
+            (effect.name, effect.equation, effect.slot, effect.family)
+            for effect in self
+        ]
         table = printed_table(rows, columns=list(COLUMNS_OF_EFFECTS))
         noun = "effect" if len(self) == 1 else "effects"
         return Summary(f"{len(self)} {noun}", (Part(table=table),))

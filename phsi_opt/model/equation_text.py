@@ -1,17 +1,12 @@
 """The equations of a model as text, with the names of its parameters."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Term
 from phsi_opt.presentation.summary import Part, Summary
 from phsi_opt.presentation.table_making import printed_table
-
-if TYPE_CHECKING:
-    from phsi_opt.presentation.printed_table import PrintedTable
-
 
 SHOWN_OF_MODEL = ("name", "value", "known", "lower", "upper", "unit")
 
@@ -23,19 +18,16 @@ def model_summary(model: BaseModel) -> Summary:
         title += f"; inputs {', '.join(model.inputs)}"
     rows = [*structure_rows(model), *dictionary_rows(model, _term)]
     parts = [Part(code="\n".join(rows))]
-    if model.entries:
-        parts.append(Part("parameters", table=_parameters(model)))
-    return Summary(title, tuple(parts))
-
-
-def _parameters(model: BaseModel) -> "PrintedTable":
-    rows = []
+    listed = []
     for name, entry in model.entries.items():
         parameter = entry.parameter
         known = "yes" if parameter.fixed else "no"
         bounds = (parameter.lower, parameter.upper)
-        rows.append((name, parameter.start, known, *bounds, parameter.unit))
-    return printed_table(rows, columns=list(SHOWN_OF_MODEL))
+        listed.append((name, parameter.start, known, *bounds, parameter.unit))
+    if listed:
+        table = printed_table(listed, columns=list(SHOWN_OF_MODEL))
+        parts.append(Part("parameters", table=table))
+    return Summary(title, tuple(parts))
 
 
 def dictionary_rows(
@@ -51,9 +43,10 @@ def dictionary_rows(
     places = dict.fromkeys((slot, equation) for slot, equation, _ in model.placed())
     for slot, equation in places:
         place = place_of(slot, equation)
-        terms = []
-        for number, term in enumerate(model.terms_at(slot, equation), start=1):
-            terms.append(written(term, place, number))
+        terms = [
+            written(term, place, number)
+            for number, term in enumerate(model.terms_at(slot, equation), start=1)
+        ]
         rows.append(f"{place} = {' + '.join(terms)}")
     return rows
 
@@ -70,7 +63,12 @@ def structure_rows(model: BaseModel) -> list[str]:
     """An equation per state in the names of the slots: dp/dt = - dH_dq - R_p*dH_dp."""
     rows = []
     for i, state in enumerate(model.states):
-        parts = _exchange(model, i)
+        parts = []
+        for entry, other in zip(model.S[i], model.states, strict=True):
+            if entry:
+                sign = "+" if entry > 0 else "-"
+                factor = "" if abs(entry) == 1 else f"{abs(entry):g}*"
+                parts.append(f"{sign} {factor}dH_d{other}")
         if state in model.R:
             effort = f"dH_d{state}" if model.H.terms else state
             parts.append(f"- R_{state}*{effort}")
@@ -79,14 +77,3 @@ def structure_rows(model: BaseModel) -> list[str]:
         right_hand_side = " ".join(parts).removeprefix("+ ") or "0"
         rows.append(f"d{state}/dt = {right_hand_side}")
     return rows
-
-
-def _exchange(model: BaseModel, i: int) -> list[str]:
-    """What the structure matrix S exchanges with equation i: signed texts."""
-    parts = []
-    for j, entry in enumerate(model.S[i]):
-        if entry:
-            sign = "+" if entry > 0 else "-"
-            factor = "" if abs(entry) == 1 else f"{abs(entry):g}*"
-            parts.append(f"{sign} {factor}dH_d{model.states[j]}")
-    return parts

@@ -61,7 +61,12 @@ def parse(text: str) -> ast.expr:
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         _check(tree, text)
-        _check_whole_numbers(tree, text)
+        if _n_bits(tree) > MAX_BITS:
+            raise ModelError(
+                f"the whole numbers of formula {_shortened(text)!r} have too many "
+                "digits when its powers are multiplied out; write decimals, or lower "
+                "powers."
+            )
     except SyntaxError as error:
         hint = " Write a power as **." if "^" in text else ""
         raise ModelError(
@@ -144,14 +149,6 @@ def _number(node: ast.expr, text: str) -> float | None:
     if isinstance(value, complex) or not math.isfinite(value):
         raise ModelError(f"{_place(node, text)} has no finite value.")
     return float(value)
-
-
-def _check_whole_numbers(tree: ast.expr, text: str) -> None:
-    if _n_bits(tree) > MAX_BITS:
-        raise ModelError(
-            f"the whole numbers of formula {_shortened(text)!r} have too many digits "
-            "when its powers are multiplied out; write decimals, or lower powers."
-        )
 
 
 def _n_bits(node: ast.AST) -> int:

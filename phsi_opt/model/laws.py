@@ -7,15 +7,22 @@ In the texts of a row stand names in braces, which the ``catalogue`` fills in:
 - ``{q}`` the position of a momentum, ``{angle}`` the same in radians;
 - ``{u}`` an input, ``{slope}`` the slope of the model's own force in it, ``{new}`` an
   input that the equation does not use yet, ``{of_u}`` its name where there are several;
-- ``{s}`` another storage or input, ``{s_e}`` its effort; ``{q1}``, ``{q2}`` positions;
+- ``{s}`` another storage or input, ``{s_e}`` its effort; ``{level}`` what flows over;
+- ``{q1}``, ``{q2}`` two positions;
 - ``{source}``, ``{a_source}``, ``{grows_with}``, ``{input_size}`` words of the field.
 
 A row that needs a name which an equation does not have is not offered there. A loss is
 R_ii dH/dx_i, so that a force c f(v) against the velocity v has R_ii = c f(v)/v.
+
+The cells of a row are its name, the roles in whose equations it is offered (none: all),
+its bodies, its family, its coefficients, and in H what it is in F of a model without an
+energy. A coefficient may be ``formula`` (none), empty (named by its place), or one that
+is ``>= 0``; without the cell it is ``{name}_{x}`` with the name of the effect. The
+parameters and the memory of a law are those that its bodies name.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,15 +34,9 @@ from phsi_opt.model.terms import Dictionary, Term
 
 HYSTERESIS = "hysteresis"
 SECOND_STORAGE = "a storage that nobody measures"
-POSITION_FORCE = "a force that depends on the position"
-CHANGING_STIFFNESS = "a stiffness that changes with the time"
-WRONG_READING = "an error of the sensor"
 
-# ---- values that are tried before a parameter is optimised ---------------------------
+# ---- parameters inside the bodies ----------------------------------------------------
 
-# Upper bound, as a share of the largest value: no rim, play or limit beyond it does
-# anything.
-LARGEST_SHARE = 1.0
 # Rims and clipping limits to try, as shares of the largest level or value; closer to
 # each other near the largest one, where a limit is passed briefly.
 LIMITS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)
@@ -53,12 +54,6 @@ FRICTION_TURNOVER = 0.06
 SHARPER_TURNOVERS = (0.25, 0.25, 0.25)
 # Stribeck speeds to try, as shares of the largest velocity.
 STRIBECK_SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.45)
-# Upper bound of the Stribeck speed, as such a share: a friction that falls over a
-# longer range of velocities is Coulomb's.
-LARGEST_STRIBECK_SPEED = 3.0
-# A turbulent leak turns laminar below this share of the typical level, where its square
-# root would be steep without end.
-LAMINAR_LEVEL = 0.01
 # Levels at which a saturating leak has half its conductance, to try, as shares of the
 # largest level.
 HALF_LEVELS = (0.03, 0.1, 0.3, 1.0)
@@ -71,10 +66,6 @@ SATURATIONS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98)
 # Displacements over which a hysteresis yields, to try, as shares of the largest
 # position.
 YIELD_WIDTHS = (0.05, 0.1, 0.2, 0.4)
-# The absolute value of the velocity in a hysteresis is rounded within this share of the
-# typical (root mean square) velocity; that of its state z, which stays within -1 and 1,
-# within 0.05.
-ROUNDED_VELOCITY = 0.02
 # Times in which a second storage follows, to try, as shares of the longest record; what
 # takes longer than the record is told from a constant by nothing. A re-fit begins at
 # the one in the middle: a second storage that follows soon is hardly different from the
@@ -95,174 +86,33 @@ def _width(of: str, share: float, sharper: tuple[float, ...] = ()) -> Parameter:
     return Parameter(lower=0.0, fixed=True, guess=Share(of, share, sharper))
 
 
-FREQUENCY = Parameter(lower=0.0, unit="rad/s", guess=Scan("t"))
 LAG = _tried("dt", DELAYS, unit="s")
-
-
-# ---- a law -------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Law:
-    """A law of the catalogue: the effect that it has in any equation.
-
-    Args:
-        name: of the effect.
-        slot: where it acts.
-        terms: the name of the coefficient by the body of each term; "": named by its
-            place, None: the body is a formula that has none. The effect's own name is
-            known there as ``{name}``. Terms that a model has already are left out.
-        family: its class in words.
-        roles: of the states in whose equations it is offered; empty: of all.
-        inner: the parameters inside the bodies and rates, by name.
-        lower: least value of the coefficients.
-        memory: the rates of further states, by their names.
-        force: of a law in H: what it is in F of a model without an energy; "": nothing.
-    """
-
-    name: str
-    slot: str
-    terms: Mapping[str, str | None]
-    family: str
-    roles: tuple[Role, ...] = ()
-    inner: Mapping[str, Parameter] = field(default_factory=dict)
-    lower: float = -np.inf
-    memory: Mapping[str, str] = field(default_factory=dict)
-    force: str = ""
-
-    def effect(self, model: BaseModel, names: Mapping[str, str]) -> Effect | None:
-        """The effect in the equation of ``{x}``; None where it is not offered."""
-        try:
-            return self._filled(model, names)
-        except KeyError:  # the equation has no position, or no such input
-            return None
-
-    def _filled(self, model: BaseModel, names: Mapping[str, str]) -> Effect | None:
-        name = self.name.format_map(names)
-        names = {**names, "name": name.replace(" ", "_")}
-        slot, terms = self.slot, self.terms
-        if slot == "H" and not model.has_energy:
-            slot = "F"
-            terms = dict.fromkeys([self.force] if self.force else [], *terms.values())
-        inner = {}
-        for key, parameter in self.inner.items():
-            inner[key] = (key.format_map(names), _of(parameter, names))
-
-        def term(template: str, coefficient: str | None) -> Term:
-            own = dict(one for key, one in inner.items() if key in template)
-            body = template.format_map(names)
-            if coefficient is None:
-                return Term(body, None, own)
-            free = Parameter(lower=self.lower)
-            return Term(body, free, own, coefficient.format_map(names))
-
-        known = {one.body for one in model.terms_at(slot, names["x"])}
-        added = [term(*one) for one in terms.items()]
-        added = [one for one in added if one.body not in known]
-        memory = {}
-        for state, rate in self.memory.items():
-            memory[state.format_map(names)] = Dictionary((term(rate, None),))
-        if not added:
-            return None
-        family = self.family.format_map(names)
-        sum_of_terms = Dictionary(tuple(added))
-        return Effect(name, slot, names["x"], sum_of_terms, memory, family)
-
-
-def _of(parameter: Parameter, names: Mapping[str, str]) -> Parameter:
-    """The parameter with the expression of its guess filled in."""
-    guess = parameter.guess
-    if not isinstance(guess, Share | Tried):
-        return parameter
-    return replace(parameter, guess=replace(guess, of=guess.of.format_map(names)))
-
-
-# ---- losses: terms of R_ii >= 0 ------------------------------------------------------
-
-# The name, the roles, R_ii = loss/effort, the family where it is none that grows. A
-# turbulent leak is the square root of the level, linear below a small one.
-LOSS_TABLE = """
-viscous damping | BODY | 1
-laminar pipe friction | PIPE | 1
-linear leak | TANK, UNKNOWN | 1
-linear resistance | COIL, CIRCUIT | 1
-leakage conductance | CAPACITOR | 1
-heat loss | HEAT | 1
-coulomb friction | BODY, UNKNOWN | DRY | dry friction
-contact voltage drop | COIL, CIRCUIT | DRY | a constant voltage drop
-quadratic drag | BODY, UNKNOWN | abs({e})
-turbulent pipe friction | PIPE | abs({e})
-quadratic leak | TANK | abs({e})
-quadratic resistance | COIL, CIRCUIT | abs({e})
-quadratic conductance | CAPACITOR | abs({e})
-quadratic heat loss | HEAT | abs({e})
-cubic drag | BODY, UNKNOWN | {e}**2
-stribeck friction | BODY, UNKNOWN | DRY + RISE | dry friction
-turbulent leak | TANK, UNKNOWN | ({e}**2 + e0**2)**(-0.25)
-saturating leak | TANK, UNKNOWN | 1/(1 + abs({e})/half)
-overflow | TANK, UNKNOWN | max(abs({e}) - limit, 0)/max(abs({e}), limit) | an overflow
-radiation | HEAT | {radiation}
-position-dependent damping | BODY | {q}**2 | damping that depends on the position
-charge-dependent resistance | COIL | {q}**2 | a resistance that depends on a charge
-"""
-# sign(e)/e, rounded within the turnover velocity v0.
-DRY = "({e}**4 + v0**4)**(-0.25)"
-SUMS = {
-    "DRY": {DRY: "{name}_{x}"},
-    # Dry friction that is larger at low speed: f_c + f_s exp(-(v/v_s)^2).
-    "DRY + RISE": {
-        DRY: "coulomb_friction_{x}",
-        f"{DRY}*exp(-({{e}}/v_s)**2)": "stribeck_friction_{x}",
-    },
-}
-LOSS_PARAMETERS = {
+# No rim, play or limit beyond the largest value does anything: most is 1 there.
+INNER_PARAMETERS = {
     "v0": _width("{e}", FRICTION_TURNOVER, SHARPER_TURNOVERS),
-    "v_s": _tried("{e}", STRIBECK_SPEEDS, LARGEST_STRIBECK_SPEED),
-    "e0": _width("{e}", LAMINAR_LEVEL),
+    # A friction that falls over a longer range of velocities is Coulomb's.
+    "v_s": _tried("{e}", STRIBECK_SPEEDS, most=3.0),
+    # A turbulent leak turns laminar below this share of the typical level, where its
+    # square root would be steep without end.
+    "e0": _width("{e}", share=0.01),
     "half": _tried("{e}", HALF_LEVELS),
-    "limit": _tried("{e}", LIMITS, LARGEST_SHARE),
+    "limit": _tried("{level}", LIMITS, most=1.0),
+    "{omega}": Parameter(lower=0.0, unit="rad/s", guess=Scan("t")),
+    "dead_zone_{u}_{x}": _tried("{u}", DEAD_ZONES, most=1.0),
+    "saturation_{u}_{x}": _tried("{u}", SATURATIONS, most=1.0),
+    "lag_{u}_{x}": LAG,
+    "delay_{u}_{x}": LAG,
+    "play": _tried("{q}", PLAYS, most=1.0),
+    "following_time_{x}": _tried("t", FOLLOWING_TIMES, most=1.0, unit="s"),
+    "hysteresis_width_{x}": _tried("{q}", YIELD_WIDTHS),
+    # Within this share of the typical velocity its absolute value is rounded; that of
+    # the hysteresis' state, which stays within -1 and 1, within 0.05.
+    "hysteresis_slow_{x}": _width("{e}", share=0.02),
+    "clipping_{x}": _tried("{x}", LIMITS, most=1.0),
+    "sensor_delay_{x}": LAG,
 }
 
-
-def _rows(table: str) -> list[list[str]]:
-    """The cells of a table, a list per line."""
-    rows = []
-    for line in table.strip().splitlines():
-        rows.append([cell.strip() for cell in line.split("|")])
-    return rows
-
-
-def _roles(names: str) -> tuple[Role, ...]:
-    return tuple(Role[name] for name in names.split(", "))
-
-
-def _losses() -> Iterator[Law]:
-    for name, roles, body, *family in _rows(LOSS_TABLE):
-        said = family[0] if family else "a loss that grows with {grows_with}"
-        terms = SUMS.get(body, {body: "{name}_{x}"})
-        yield Law(name, "R", terms, said, _roles(roles), LOSS_PARAMETERS, lower=0.0)
-
-
-LOSSES = tuple(_losses())
-
-# ---- what comes from outside, in the time: terms of F --------------------------------
-
-CHANGING = "{a_source} that changes with the time"
-FORCES = (
-    Law("constant {source}", "F", {"1": "{name}_{x}"}, "a constant {source}"),
-    Law("drifting {source}", "F", {"t": "{name}_{x}"}, CHANGING),
-    Law(
-        "harmonic {source}",
-        "F",
-        dict.fromkeys(("sin({omega}*t)", "cos({omega}*t)"), ""),
-        CHANGING,
-        inner={"{omega}": FREQUENCY},
-    ),
-)
-
-# ---- between an input and its force: terms of F --------------------------------------
-
-INPUT_DELAY = "a delay of the input"
+# ---- memory: further states, each with its rate --------------------------------------
 
 
 def _delayed(signal: str, tau: str, a: str) -> tuple[str, dict[str, str]]:
@@ -281,212 +131,249 @@ def _delayed(signal: str, tau: str, a: str) -> tuple[str, dict[str, str]]:
 
 
 LATE_INPUT, INPUT_MEMORY = _delayed("{u}", "delay_{u}_{x}", "{u}_delayed_{x}")
-
-
-def _on_input(
-    name: str,
-    body: str,
-    coefficient: str | None = None,
-    inner: Mapping[str, Parameter] | None = None,
-    memory: Mapping[str, str] | None = None,
-) -> Law:
-    family = INPUT_DELAY if memory else "{input_size}"
-    terms = {body: coefficient}
-    name = f"{name}{{of_u}}"
-    return Law(name, "F", terms, family, inner=inner or {}, memory=memory or {})
-
-
-def _limited(limit: str) -> str:
-    """The input within a limit to both sides."""
-    return f"min(max({{u}}, -{limit}), {limit})"
-
-
-INPUTS = (
-    _on_input("quadratic input", "{u}**2", "quadratic_input_{u}_{x}"),
-    _on_input("input gain", "{new}", "input_gain_{u}_{x}"),
-    _on_input("input gain", "{slope}*{u}", "input_gain_{u}_{x}"),
-    _on_input(
-        "input dead zone",
-        f"-{{slope}}*{_limited('dead_zone_{u}_{x}')}",
-        inner={"dead_zone_{u}_{x}": _tried("{u}", DEAD_ZONES, LARGEST_SHARE)},
-    ),
-    _on_input(
-        "input saturation",
-        f"-{{slope}}*({{u}} - {_limited('saturation_{u}_{x}')})",
-        inner={"saturation_{u}_{x}": _tried("{u}", SATURATIONS, LARGEST_SHARE)},
-    ),
+LATE_READING, READING_MEMORY = _delayed("{x}", "sensor_delay_{x}", "{x}_delayed")
+# By the state that the bodies name.
+MEMORIES: Mapping[str, Mapping[str, str]] = {
     # The force follows the lagged input z: lag dz/dt = u - z.
-    _on_input(
-        "input lag",
-        "{slope}*({u}_lagged_{x} - {u})",
-        inner={"lag_{u}_{x}": LAG},
-        memory={"{u}_lagged_{x}": "({u} - {u}_lagged_{x})/lag_{u}_{x}"},
-    ),
-    _on_input(
-        "input delay",
-        f"{{slope}}*({LATE_INPUT})",
-        inner={"delay_{u}_{x}": LAG},
-        memory=INPUT_MEMORY,
-    ),
-)
-
-# ---- what stores energy: terms of H, or without an energy their forces ---------------
-
-
-# The name, the roles, the energy, the force without one, the coefficient, the family.
-ENERGY_TABLE = """
-linear stiffness | BODY | {q}**2/2 | -{q} | {name}_{q} | POSITION
-quadratic stiffness | BODY | {q}**3/3 | -{q}**2 | {name}_{q} | POSITION
-cubic stiffness | BODY | {q}**4/4 | -{q}**3 | {name}_{q} | POSITION
-gravity torque | BODY | -cos({angle}) | -sin({angle}) | {name}_{q} | POSITION
-linear stiffness | PIPE | {q}**2/2 | -{q} | {name}_{q} | VOLUME
-quadratic stiffness | PIPE | {q}**3/3 | -{q}**2 | {name}_{q} | VOLUME
-cubic stiffness | PIPE | {q}**4/4 | -{q}**3 | {name}_{q} | VOLUME
-linear elastance | COIL | {q}**2/2 | -{q} | {name}_{q} | CHARGE
-quadratic elastance | COIL | {q}**3/3 | -{q}**2 | {name}_{q} | CHARGE
-cubic elastance | COIL | {q}**4/4 | -{q}**3 | {name}_{q} | CHARGE
-coil saturation | COIL | {own}**4/4 | | {name}_{own} | SATURATION
-coil or capacitor saturation | CIRCUIT | {own}**4/4 | | {name}_{own} | SATURATION
-coupling stiffness | BODY | ({q1} - {q2})**2/2 | | {name}_{q1}_{q2} | POSITIONS
-coupling stiffness | PIPE | ({q1} - {q2})**2/2 | | {name}_{q1}_{q2} | VOLUMES
-coupling capacitance | COIL | ({q1} - {q2})**2/2 | | {name}_{q1}_{q2} | CHARGES
-"""
-FAMILIES_OF_ENERGIES = {
-    "POSITION": POSITION_FORCE,
-    "VOLUME": "a pressure that depends on the volume",
-    "CHARGE": "a voltage that depends on the charge",
-    "SATURATION": "a storage that saturates",
-    "POSITIONS": "a coupling of two positions",
-    "VOLUMES": "a coupling of two volumes",
-    "CHARGES": "a coupling of two charges",
-}
-
-
-def _energies() -> Iterator[Law]:
-    for name, roles, body, force, coefficient, family in _rows(ENERGY_TABLE):
-        said = FAMILIES_OF_ENERGIES[family]
-        terms = {body: coefficient}
-        yield Law(name, "H", terms, said, _roles(roles), force=force)
-
-
-# A spring with free play, to both sides.
-GAP = Law(
-    "gap",
-    "H",
-    {"max(abs({q}) - play, 0)**2/2": "gap_{q}"},
-    POSITION_FORCE,
-    (Role.BODY,),
-    {"play": _tried("{q}", PLAYS, LARGEST_SHARE)},
-    lower=0.0,
-    force="-max({q} - play, 0) + max(-{q} - play, 0)",
-)
-ENERGIES = (*_energies(), GAP)
-
-# ---- what remembers, or changes with the time: terms of F ----------------------------
-
-
-def _second_storage(name: str, roles: tuple[Role, ...]) -> Law:
-    """A second storage z beside the state x, such as the walls around a room's air.
-
-    ::
-
-        dx/dt = ... + c (z - x),  tau dz/dt = x - z
-
-    With the capacities C1 and C2 and a resistance R between the two, c = 1/(R C1) and
-    tau = R C2, so that C2/C1 = c tau. What the model had for both before is now for the
-    first alone.
-    """
-    following_time = _tried("t", FOLLOWING_TIMES, most=1.0, unit="s")
-    return Law(
-        name,
-        "F",
-        {"({x}_second - {x})": "{name}_{x}"},
-        SECOND_STORAGE,
-        roles,
-        {"following_time_{x}": following_time},
-        lower=0.0,
-        memory={"{x}_second": "({x} - {x}_second)/following_time_{x}"},
-    )
-
-
-def _parametric(name: str, roles: tuple[Role, ...], family: str) -> Law:
-    """A stiffness that changes: the force -q (a sin(omega t) + b cos(omega t))."""
-    waves = ("-{q}*sin({omega}*t)", "-{q}*cos({omega}*t)")
-    inner = {"{omega}": FREQUENCY}
-    return Law(name, "F", dict.fromkeys(waves, ""), family, roles, inner)
-
-
-LASTING = (
-    _second_storage("second heat storage", (Role.HEAT,)),
-    _second_storage("second charge storage", (Role.CIRCUIT,)),
-    _parametric("parametric stiffness", (Role.BODY, Role.PIPE), CHANGING_STIFFNESS),
-    _parametric(
-        "parametric elastance", (Role.COIL,), "a capacitance that changes with the time"
-    ),
+    "{u}_lagged_{x}": {"{u}_lagged_{x}": "({u} - {u}_lagged_{x})/lag_{u}_{x}"},
+    "{u}_delayed_{x}": INPUT_MEMORY,
+    # A second storage z beside the state x, such as the walls around a room's air:
+    # dx/dt = ... + c (z - x), tau dz/dt = x - z. With the capacities C1 and C2 and a
+    # resistance R between the two, c = 1/(R C1) and tau = R C2, so that C2/C1 = c tau.
+    # What the model had for both before is now for the first alone.
+    "{x}_second": {"{x}_second": "({x} - {x}_second)/following_time_{x}"},
     # Bouc (1967) and Wen (1976) with n = 1, rounded: the force is -c z, with
     # w dz/dt = v - (|v| z + v |z|)/2, so that z stays within -1 and 1, and w is the
     # displacement over which it yields.
-    Law(
-        HYSTERESIS,
-        "F",
-        {"-hysteresis_{x}": "hysteresis_force_{x}"},
-        HYSTERESIS,
-        (Role.BODY, Role.PIPE, Role.COIL),
-        {
-            "hysteresis_width_{x}": _tried("{q}", YIELD_WIDTHS),
-            "hysteresis_slow_{x}": _width("{e}", ROUNDED_VELOCITY),
-        },
-        lower=0.0,
-        memory={
-            "hysteresis_{x}": "({e} - (sqrt({e}**2 + hysteresis_slow_{x}**2)"
-            "*hysteresis_{x} + {e}*sqrt(hysteresis_{x}**2 + 0.0025))/2)"
-            "/hysteresis_width_{x}"
-        },
-    ),
+    "hysteresis_{x}": {
+        "hysteresis_{x}": "({e} - (sqrt({e}**2 + hysteresis_slow_{x}**2)"
+        "*hysteresis_{x} + {e}*sqrt(hysteresis_{x}**2 + 0.0025))/2)"
+        "/hysteresis_width_{x}"
+    },
+    "{x}_delayed": READING_MEMORY,
+}
+
+# ---- a law ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law of the catalogue: the effect that it has in any equation.
+
+    Args:
+        name: of the effect.
+        slot: where it acts.
+        terms: by the body of each term its coefficient, as the cells of a row say it.
+            Terms that a model has already are left out.
+        family: its class in words.
+        roles: of the states in whose equations it is offered; empty: of all.
+        force: of a law in H: what it is in F of a model without an energy; "": nothing.
+    """
+
+    name: str
+    slot: str
+    terms: Mapping[str, str]
+    family: str
+    roles: tuple[Role, ...] = ()
+    force: str = ""
+
+    def effect(self, model: BaseModel, names: Mapping[str, str]) -> Effect | None:
+        """The effect in the equation of ``{x}``; None where it is not offered."""
+        try:
+            return self._filled(model, names)
+        except KeyError:  # the equation has no position, or no such input
+            return None
+
+    def _filled(self, model: BaseModel, names: Mapping[str, str]) -> Effect | None:
+        name = self.name.format_map(names)
+        names = {**names, "name": name.replace(" ", "_")}
+        slot, terms = self.slot, self.terms
+        if slot == "H" and not model.has_energy:
+            slot = "F"
+            terms = dict.fromkeys([self.force] if self.force else [], *terms.values())
+        known = {one.body for one in model.terms_at(slot, names["x"])}
+        added = [_term(*one, names) for one in terms.items()]
+        added = [one for one in added if one.body not in known]
+        if not added:
+            return None
+        memory = {}
+        for first, rates in MEMORIES.items():
+            for state, rate in rates.items() if first in "".join(terms) else ():
+                rate_term = _term(rate, "formula", names)
+                memory[state.format_map(names)] = Dictionary((rate_term,))
+        family = self.family.format_map(names)
+        sum_of_terms = Dictionary(tuple(added))
+        return Effect(name, slot, names["x"], sum_of_terms, memory, family)
+
+
+def _term(template: str, coefficient: str, names: Mapping[str, str]) -> Term:
+    """A term with the names filled in, and the parameters that its body names."""
+    inner = {}
+    for key, parameter in INNER_PARAMETERS.items():
+        if key in template:
+            guess = parameter.guess
+            if isinstance(guess, Share | Tried):
+                guess = replace(guess, of=guess.of.format_map(names))
+            inner[key.format_map(names)] = replace(parameter, guess=guess)
+    body = template.format_map(names)
+    if coefficient == "formula":
+        return Term(body, None, inner)
+    called, _, bound = coefficient.partition(" >= ")
+    free = Parameter(lower=float(bound or -np.inf))
+    return Term(body, free, inner, called.format_map(names))
+
+
+# ---- tables --------------------------------------------------------------------------
+
+FAMILIES = {
+    "GROWING": "a loss that grows with {grows_with}",
+    "CHANGING": "{a_source} that changes with the time",
+    "LATE": "a delay of the input",
+    "POSITION": "a force that depends on the position",
+    "VOLUME": "a pressure that depends on the volume",
+    "CHARGE": "a voltage that depends on the charge",
+    "SATURATION": "a storage that saturates",
+    "SECOND": SECOND_STORAGE,
+    "READING": "an error of the sensor",
+}
+SHORTHAND = {
+    # sign(e)/e, rounded within the turnover velocity v0.
+    "DRY": "({e}**4 + v0**4)**(-0.25)",
+    "BOTH": "coulomb_friction_{x} >= 0; stribeck_friction_{x} >= 0",
+    "DEAD": "min(max({u}, -dead_zone_{u}_{x}), dead_zone_{u}_{x})",
+    "FULL": "min(max({u}, -saturation_{u}_{x}), saturation_{u}_{x})",
+    "LATE_INPUT": LATE_INPUT,
+    "LATE_READING": LATE_READING,
+    "OUTSIDE": "-max({q} - play, 0) + max(-{q} - play, 0)",
+    "WAVES": "-{q}*sin({omega}*t); -{q}*cos({omega}*t)",
+}
+
+
+def _laws(slot: str, table: str, coefficient: str = "{name}_{x}") -> tuple[Law, ...]:
+    """The laws of a table, with the coefficient of the rows that say none."""
+    defaults = ("GROWING", coefficient, "")
+    for code, part in SHORTHAND.items():
+        table = table.replace(code, part)
+    laws = []
+    for line in table.strip().splitlines():
+        name, roles, bodies, *rest = map(str.strip, line.split("|"))
+        family, coefficients, force = (*rest, *defaults[len(rest) :])
+        names = bodies.split("; ")
+        terms = dict(zip(names, coefficients.split("; ") * len(names), strict=False))
+        of_roles = tuple(Role[role] for role in roles.split(", ") if role)
+        said = FAMILIES.get(family, family)
+        laws.append(Law(name, slot, terms, said, of_roles, force))
+    return tuple(laws)
+
+
+# Losses: terms of R_ii >= 0 = loss/effort. A turbulent leak is the square root of the
+# level, linear below a small one; Stribeck's friction is larger at low speed.
+LOSSES = _laws(
+    "R",
+    """
+viscous damping | BODY | 1
+laminar pipe friction | PIPE | 1
+linear leak | TANK, UNKNOWN | 1
+linear resistance | COIL, CIRCUIT | 1
+leakage conductance | CAPACITOR | 1
+heat loss | HEAT | 1
+coulomb friction | BODY, UNKNOWN | DRY | dry friction
+contact voltage drop | COIL, CIRCUIT | DRY | a constant voltage drop
+quadratic drag | BODY, UNKNOWN | abs({e})
+turbulent pipe friction | PIPE | abs({e})
+quadratic leak | TANK | abs({e})
+quadratic resistance | COIL, CIRCUIT | abs({e})
+quadratic conductance | CAPACITOR | abs({e})
+quadratic heat loss | HEAT | abs({e})
+cubic drag | BODY, UNKNOWN | {e}**2
+stribeck friction | BODY, UNKNOWN | DRY; DRY*exp(-({e}/v_s)**2) | dry friction | BOTH
+turbulent leak | TANK, UNKNOWN | ({e}**2 + e0**2)**(-0.25)
+saturating leak | TANK, UNKNOWN | 1/(1 + abs({e})/half)
+overflow | TANK, UNKNOWN | max(abs({e}) - limit, 0)/max(abs({e}), limit) | an overflow
+radiation | HEAT | {radiation}
+position-dependent damping | BODY | {q}**2 | damping that depends on the position
+charge-dependent resistance | COIL | {q}**2 | a resistance that depends on a charge
+""",
+    "{name}_{x} >= 0",
 )
-
-# ---- between storages, and from the surroundings: terms of F -------------------------
-
-OVERFLOW_INTO = Law(
-    "overflow from {s}",
+# What comes from outside, in the time.
+FORCES = _laws(
     "F",
-    {"max({s_e} - limit, 0)": "overflow_{s}_{x}"},
-    "an overflow",
-    inner={"limit": _tried("{s_e}", LIMITS, LARGEST_SHARE)},
-    lower=0.0,
+    """
+constant {source} | | 1 | a constant {source}
+drifting {source} | | t | CHANGING
+harmonic {source} | | sin({omega}*t); cos({omega}*t) | CHANGING |
+""",
 )
-# What the other storage loses by it is an effect of its own, in that one's equation.
-HEAT_EXCHANGE = Law(
-    "heat exchange with {s}",
+# Between an input and its force.
+INPUTS = _laws(
     "F",
-    {"{s_e} - {e}": "heat_exchange_{s}_{x}"},
-    "an exchange of heat",
-    (Role.HEAT,),
-    lower=0.0,
+    """
+quadratic input{of_u} | | {u}**2 | {input_size} | quadratic_input_{u}_{x}
+input gain{of_u} | | {new} | {input_size} | input_gain_{u}_{x}
+input gain{of_u} | | {slope}*{u} | {input_size} | input_gain_{u}_{x}
+input dead zone{of_u} | | -{slope}*DEAD | {input_size} | formula
+input saturation{of_u} | | -{slope}*({u} - FULL) | {input_size} | formula
+input lag{of_u} | | {slope}*({u}_lagged_{x} - {u}) | LATE | formula
+input delay{of_u} | | {slope}*(LATE_INPUT) | LATE | formula
+""",
 )
-
-# ---- what a sensor adds to the state: measured = state + sensor terms ----------------
-
-LATE_READING, READING_MEMORY = _delayed("{x}", "sensor_delay_{x}", "{x}_delayed")
-SENSORS = (
-    Law("sensor offset", "sensor", {"1": "{name}_{x}"}, WRONG_READING),
-    Law("sensor gain", "sensor", {"{x}": "{name}_{x}"}, WRONG_READING),
-    Law("sensor drift", "sensor", {"t": "{name}_{x}"}, WRONG_READING),
-    Law(
-        "sensor clipping",
-        "sensor",
-        {"min(max({x}, -clipping_{x}), clipping_{x}) - {x}": None},
-        WRONG_READING,
-        inner={"clipping_{x}": _tried("{x}", LIMITS, LARGEST_SHARE)},
-    ),
-    Law(
-        "sensor delay",
-        "sensor",
-        {LATE_READING: None},
-        "a delay of the sensor",
-        inner={"sensor_delay_{x}": LAG},
-        memory=READING_MEMORY,
-    ),
+# What stores energy; a gap is a spring with free play, to both sides.
+ENERGIES = _laws(
+    "H",
+    """
+linear stiffness | BODY | {q}**2/2 | POSITION | {name}_{q} | -{q}
+quadratic stiffness | BODY | {q}**3/3 | POSITION | {name}_{q} | -{q}**2
+cubic stiffness | BODY | {q}**4/4 | POSITION | {name}_{q} | -{q}**3
+gravity torque | BODY | -cos({angle}) | POSITION | {name}_{q} | -sin({angle})
+linear stiffness | PIPE | {q}**2/2 | VOLUME | {name}_{q} | -{q}
+quadratic stiffness | PIPE | {q}**3/3 | VOLUME | {name}_{q} | -{q}**2
+cubic stiffness | PIPE | {q}**4/4 | VOLUME | {name}_{q} | -{q}**3
+linear elastance | COIL | {q}**2/2 | CHARGE | {name}_{q} | -{q}
+quadratic elastance | COIL | {q}**3/3 | CHARGE | {name}_{q} | -{q}**2
+cubic elastance | COIL | {q}**4/4 | CHARGE | {name}_{q} | -{q}**3
+coil saturation | COIL | {own}**4/4 | SATURATION | {name}_{own}
+coil or capacitor saturation | CIRCUIT | {own}**4/4 | SATURATION | {name}_{own}
+coupling stiffness | BODY | ({q1} - {q2})**2/2 | a coupling of two positions
+coupling stiffness | PIPE | ({q1} - {q2})**2/2 | a coupling of two volumes
+coupling capacitance | COIL | ({q1} - {q2})**2/2 | a coupling of two charges
+gap | BODY | max(abs({q}) - play, 0)**2/2 | POSITION | gap_{q} >= 0 | OUTSIDE
+""",
+    "{name}_{q1}_{q2}",
+)
+# What remembers, or changes with the time. The force of a parametric stiffness is
+# -q (a sin(omega t) + b cos(omega t)).
+LASTING = _laws(
+    "F",
+    """
+second heat storage | HEAT | ({x}_second - {x}) | SECOND | {name}_{x} >= 0
+second charge storage | CIRCUIT | ({x}_second - {x}) | SECOND | {name}_{x} >= 0
+parametric stiffness | BODY, PIPE | WAVES | a stiffness that changes with the time |
+parametric elastance | COIL | WAVES | a capacitance that changes with the time |
+hysteresis | BODY, PIPE, COIL | -hysteresis_{x} | hysteresis | hysteresis_force_{x} >= 0
+""",
+)
+# Between storages, and from the surroundings. What the other storage loses by it is an
+# effect of its own, in that one's equation.
+OVERFLOWS = _laws(
+    "F",
+    "overflow from {s} | | max({s_e} - limit, 0) | an overflow | overflow_{s}_{x} >= 0",
+)
+HEAT_EXCHANGES = _laws(
+    "F",
+    "heat exchange with {s} | HEAT | {s_e} - {e} | an exchange of heat",
+    "heat_exchange_{s}_{x} >= 0",
+)
+# What a sensor adds to the state: measured = state + sensor terms.
+SENSORS = _laws(
+    "sensor",
+    """
+sensor offset | | 1 | READING
+sensor gain | | {x} | READING
+sensor drift | | t | READING
+sensor clipping | | min(max({x}, -clipping_{x}), clipping_{x}) - {x} | READING | formula
+sensor delay | | LATE_READING | a delay of the sensor | formula
+""",
 )
 
 

@@ -31,12 +31,9 @@ from phsi_opt.model.terms import Dictionary
 from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
 
 T = TypeVar("T")
-# Different formulas whose functions are remembered, those last asked for; a model keeps
-# its own as long as it lives.
-MOST_FORMULAS = 64
 
 
-@lru_cache(MOST_FORMULAS)
+@lru_cache(maxsize=64)  # those last asked for; a model keeps its own while it lives
 def built_of(formulas: Hashable) -> dict[Hashable, object]:
     """What was built of the same formulas, by name; empty at first.
 
@@ -179,10 +176,11 @@ class Model(BaseModel, Summarised):
         for slot, equation, term in self.placed():
             inner = tuple(term.inner)
             terms.append((slot, equation, term.body, term.name, term.is_formula, inner))
-        numbers = []
-        for name, value in self.values.items():
-            if self.entries[name].parameter.fixed:
-                numbers.append((name, value.hex()))
+        numbers = [
+            (name, value.hex())
+            for name, value in self.values.items()
+            if self.entries[name].parameter.fixed
+        ]
         return (
             type(self),
             (self.states, self.inputs, self.memory, self.S),

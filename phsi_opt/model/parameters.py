@@ -42,7 +42,7 @@ class Share:
     sharper: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sharper", _floats(self.sharper))
+        object.__setattr__(self, "sharper", tuple(map(float, self.sharper)))
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,8 @@ class Tried:
     most: float = np.inf
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "shares", _floats(self.shares))
+        object.__setattr__(self, "shares", tuple(map(float, self.shares)))
         object.__setattr__(self, "most", float(self.most))
-
-
-def _floats(numbers: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(float(number) for number in numbers)
 
 
 @dataclass(frozen=True)
@@ -111,18 +107,6 @@ class Parameter:
                 object.__setattr__(self, name, number)
         if not isinstance(self.unit, str):
             raise ModelError(f"parameter unit={self.unit!r} is not text, such as 'm'.")
-        self._check_bounds()
-        self._check_choices()
-
-    def __repr__(self) -> str:
-        return short_repr(self)
-
-    def nearest_bound(self, value: float) -> float:
-        """The bound at which an estimate ended: a solver stops a hair beside it."""
-        bounds = [one for one in (self.lower, self.upper) if np.isfinite(one)]
-        return min(bounds, key=lambda bound: abs(value - bound), default=value)
-
-    def _check_bounds(self) -> None:
         if not self.lower <= self.upper:
             raise ModelError(
                 f"parameter bounds are crossed: lower={self.lower:g} is above "
@@ -133,8 +117,6 @@ class Parameter:
                 f"parameter value {self.value:g} lies outside its bounds "
                 f"[{self.lower:g}, {self.upper:g}]; move the value or widen the bounds."
             )
-
-    def _check_choices(self) -> None:
         if self.fixed and self.per_trajectory:
             raise ModelError(
                 "a parameter per trajectory is estimated; it cannot be fixed."
@@ -148,6 +130,14 @@ class Parameter:
             raise ModelError(
                 "a fixed parameter needs a value: Parameter(2.5, fixed=True)."
             )
+
+    def __repr__(self) -> str:
+        return short_repr(self)
+
+    def nearest_bound(self, value: float) -> float:
+        """The bound at which an estimate ended: a solver stops a hair beside it."""
+        bounds = [one for one in (self.lower, self.upper) if np.isfinite(one)]
+        return min(bounds, key=lambda bound: abs(value - bound), default=value)
 
     @property
     def start(self) -> float:

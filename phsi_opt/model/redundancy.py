@@ -11,14 +11,8 @@ from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, is_scanned
 from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
 
-SEED = 0
-# Random states per parameter, and some more: with fewer rows than parameters anything
-# would be explained.
-STATES_PER_PARAMETER = 4
-MORE_STATES = 20
 # Range of random values for parameters that have none, away from zero.
 PARAMETER_RANGE = (0.5, 1.5)
-LATEST_TIME = 3.0  # the times are random too, from zero on
 # What is left, as a share of the effect: above the rounding of the least squares, far
 # below any effect of its own.
 NOTHING_LEFT = 1e-8
@@ -54,32 +48,24 @@ def _is_spanned(model: BaseModel, effect: Effect) -> bool:
 
 def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
     """Slopes of dx/dt and of what is shown in theta, (n_values, n_free)."""
-    random = np.random.default_rng(SEED)
-    theta = _theta(model, larger, random)
-    n = STATES_PER_PARAMETER * len(theta) + MORE_STATES
+    random = np.random.default_rng(0)
+    # The model's parameters must explain the effect at one point of theta. The effect's
+    # coefficient is zero there, so that no parameter acts through it.
+    known = model.values
+    values = []
+    for name in larger.free:
+        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
+        is_added = name not in model.entries and larger.entries[name].prunable
+        values.append(0.0 if is_added else value)
+    theta = np.array(values)
+    # With fewer rows than parameters anything would be explained.
+    n = 4 * len(theta) + 20
     x = random.normal(size=(larger.n_states, n))
     u = random.normal(size=(larger.n_inputs, n))
-    t = random.uniform(0, LATEST_TIME, (1, n))
+    t = random.uniform(0, 3, (1, n))
     parts = []
     for function in (rhs_function(larger), output_function(larger)):
         slopes = with_slopes(function, "theta").map("slopes", "serial", n, [3], [])
         columns = np.array(slopes(x, u, t, theta)[1]).T
         parts.append(columns.reshape(-1, len(theta)))
     return np.nan_to_num(np.vstack(parts))
-
-
-def _theta(
-    model: BaseModel, larger: BaseModel, random: np.random.Generator
-) -> np.ndarray:
-    """Values of the larger model's free parameters, the same in all states.
-
-    The model's parameters must explain the effect at one point of theta. The effect's
-    coefficient is zero there, so that no parameter acts through it.
-    """
-    known = model.values
-    theta = []
-    for name in larger.free:
-        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
-        is_added = name not in model.entries and larger.entries[name].prunable
-        theta.append(0.0 if is_added else value)
-    return np.array(theta)

@@ -5,7 +5,6 @@ which effects the catalogue offers for the state's equation and what they are ca
 linear leak, a linear resistance and viscous damping are one term.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 from phsi_opt.model.base import BaseModel
@@ -26,34 +25,16 @@ class Role(StrEnum):
     UNKNOWN = "a speed or a storage of an unknown kind"
 
 
-@dataclass(frozen=True)
-class Words:
-    """What a field calls what comes from outside, and what losses grow with.
-
-    Args:
-        source: of the equation, such as a force.
-        grows_with: what a loss grows with.
-    """
-
-    source: str
-    grows_with: str
-
-    @property
-    def a_source(self) -> str:
-        """The source with its article."""
-        article = "an" if self.source[0] in "aeiou" else "a"
-        return f"{article} {self.source}"
-
-
+# What comes from outside, such as a force, and what a loss grows with.
 WORDS = {
-    Role.BODY: Words("force", "speed"),
-    Role.PIPE: Words("pressure", "the flow"),
-    Role.TANK: Words("inflow", "the level"),
-    Role.COIL: Words("voltage", "the current"),
-    Role.CAPACITOR: Words("current", "the voltage"),
-    Role.CIRCUIT: Words("source", "the current or voltage"),
-    Role.HEAT: Words("heat input", "the temperature"),
-    Role.UNKNOWN: Words("force", "the speed or level"),
+    Role.BODY: ("force", "speed"),
+    Role.PIPE: ("pressure", "the flow"),
+    Role.TANK: ("inflow", "the level"),
+    Role.COIL: ("voltage", "the current"),
+    Role.CAPACITOR: ("current", "the voltage"),
+    Role.CIRCUIT: ("source", "the current or voltage"),
+    Role.HEAT: ("heat input", "the temperature"),
+    Role.UNKNOWN: ("force", "the speed or level"),
 }
 OF_MOMENTA = {MECHANICAL: Role.BODY, HYDRAULIC: Role.PIPE, ELECTRICAL: Role.COIL}
 OF_OTHERS = {

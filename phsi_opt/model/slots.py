@@ -46,19 +46,17 @@ class PlacedTerm(NamedTuple):
 
     def entries(self) -> list[Entry]:
         """The term's parameters, by their names in the model; its coefficient first."""
-        place = place_of(self.slot, self.equation)
+        at = (self.slot, self.equation)
+        place = place_of(*at)
         found = []
         coefficient = self.term.coefficient
         if coefficient is not None:
             name = self.term.coefficient_name(place)
-            found.append(self._entry(name, coefficient, prunable=True))
+            found.append(Entry(name, coefficient, *at, prunable=True))
         for inner, parameter in self.term.inner.items():
             name = self.term.inner_name(inner, place)
-            found.append(self._entry(name, parameter, prunable=False))
+            found.append(Entry(name, parameter, *at, prunable=False))
         return found
-
-    def _entry(self, name: str, parameter: Parameter, prunable: bool) -> Entry:
-        return Entry(name, parameter, self.slot, self.equation, prunable)
 
 
 def parameter_table(terms: Iterable[PlacedTerm]) -> Mapping[str, Entry]:
@@ -72,20 +70,16 @@ def parameter_table(terms: Iterable[PlacedTerm]) -> Mapping[str, Entry]:
     table: dict[str, Entry] = {}
     for placed in terms:
         for entry in placed.entries():
-            _check_same(table.get(entry.name, entry), entry)
-            table.setdefault(entry.name, entry)
+            known = table.setdefault(entry.name, entry)
+            if known is entry:
+                continue
+            if known.parameter != entry.parameter:
+                raise ModelError(
+                    f"parameter {entry.name!r} is defined twice and differently "
+                    f"({known.slot} and {entry.slot}): "
+                    f"{known.parameter} and {entry.parameter}. "
+                    "Use one Parameter for both, or two names."
+                )
+            if entry.prunable:
+                raise ModelError(f"the term of {entry.name!r} is in the model already.")
     return MappingProxyType(table)
-
-
-def _check_same(known: Entry, entry: Entry) -> None:
-    if known is entry:
-        return
-    if known.parameter != entry.parameter:
-        raise ModelError(
-            f"parameter {entry.name!r} is defined twice and differently "
-            f"({known.slot} and {entry.slot}): "
-            f"{known.parameter} and {entry.parameter}. "
-            "Use one Parameter for both, or two names."
-        )
-    if entry.prunable:
-        raise ModelError(f"the term of {entry.name!r} is in the model already.")

@@ -55,8 +55,8 @@ class Expressions:
         if not isinstance(
             self.energy, ca.SX
         ):  # a number: no terms, or none with a state
-            return rows_of(ca.SX.zeros(len(self.x)))
-        return rows_of(ca.gradient(self.energy, ca.vertcat(*self.x)))
+            return ca.vertsplit(ca.SX.zeros(len(self.x)))
+        return ca.vertsplit(ca.gradient(self.energy, ca.vertcat(*self.x)))
 
     @cached_property
     def loss(self) -> list[Any]:
@@ -151,11 +151,6 @@ class Expressions:
 # ---- CasADi functions ----------------------------------------------------------------
 
 
-def rows_of(column: ca.SX) -> list[ca.SX]:
-    """The entries of a column of symbols."""
-    return [column[i] for i in range(column.numel())]
-
-
 def function_of(
     model: BaseModel, name: str, value: Callable[[Expressions], ca.SX]
 ) -> ca.Function:
@@ -167,8 +162,8 @@ def function_of(
     u = ca.SX.sym("u", model.n_inputs)
     t = ca.SX.sym("t")
     theta = ca.SX.sym("theta", len(model.free))
-    values = {**model.values, **dict(zip(model.free, rows_of(theta), strict=True))}
-    parts = Expressions(model, rows_of(x), rows_of(u), t, values)
+    values = {**model.values, **dict(zip(model.free, ca.vertsplit(theta), strict=True))}
+    parts = Expressions(model, ca.vertsplit(x), ca.vertsplit(u), t, values)
     result = ca.densify(value(parts))
     names = ["x", "u", "t", "theta"]
     return ca.Function(name, [x, u, t, theta], [result], names, ["value"])

@@ -4,23 +4,10 @@ from math import comb, prod
 
 import sympy as sp
 
-from phsi_opt.model.backends import Backend
+from phsi_opt.model.backends import Backend, functions_of
 
 SYMPY = Backend(
-    {
-        "sin": sp.sin,
-        "cos": sp.cos,
-        "tan": sp.tan,
-        "atan": sp.atan,
-        "exp": sp.exp,
-        "log": sp.log,
-        "sqrt": sp.sqrt,
-        "tanh": sp.tanh,
-        "abs": sp.Abs,
-        "sign": sp.sign,
-        "min": sp.Min,
-        "max": sp.Max,
-    },
+    functions_of(sp, abs="Abs", min="Min", max="Max"),
     number=sp.sympify,
     constants={"pi": sp.pi},
 )
@@ -31,7 +18,7 @@ def n_expanded(expression: sp.Expr) -> int:
 
     The largest number of it and of what stands inside its functions.
     """
-    parts = [n_expanded(part) for part in expression.args]
+    parts = list(map(n_expanded, expression.args))
     if expression.is_Add:
         return sum(parts)
     if expression.is_Mul:

@@ -6,6 +6,7 @@ values, names, LaTeX and files share one table. Where a term acts (H, R, F, sens
 the model's business.
 """
 
+import copyreg
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
@@ -20,6 +21,15 @@ from phsi_opt.model.parameters import Parameter, Scan
 from phsi_opt.presentation.short_repr import short_number, short_repr
 
 LARGEST_DICTIONARY = 5_000  # terms; a program with more does not end in hours
+
+
+def read_only(content: Mapping[str, Any]) -> MappingProxyType[str, Any]:
+    """A mapping that cannot be changed, in terms, effects and models."""
+    return MappingProxyType(dict(content))
+
+
+# Python itself cannot pickle it.
+copyreg.pickle(MappingProxyType, lambda one: (read_only, (dict(one),)))
 
 
 @dataclass(frozen=True)
@@ -46,16 +56,13 @@ class Term:
 
     def __post_init__(self) -> None:
         used = names_of(self.body)
-        object.__setattr__(self, "inner", MappingProxyType(dict(self.inner)))
+        object.__setattr__(self, "inner", read_only(self.inner))
         for name in self.inner:
             if name not in used:
                 raise ModelError(
                     f"parameter {name!r} does not occur in {self.body!r}; "
                     "remove it or correct its name."
                 )
-
-    def __reduce__(self) -> tuple[Any, ...]:  # a mappingproxy cannot be pickled
-        return Term, (self.body, self.coefficient, dict(self.inner), self.name)
 
     def __repr__(self) -> str:
         return short_repr(self)
@@ -87,9 +94,10 @@ class Term:
         coefficient = self.coefficient
         if coefficient is not None:
             coefficient = change(self.coefficient_name(place), coefficient)
-        inner = {}
-        for name, parameter in self.inner.items():
-            inner[name] = change(self.inner_name(name, place), parameter)
+        inner = {
+            name: change(self.inner_name(name, place), parameter)
+            for name, parameter in self.inner.items()
+        }
         return replace(self, coefficient=coefficient, inner=inner)
 
 
@@ -222,7 +230,9 @@ def trigonometric(
     for name in names:
         for number in range(1, n + 1):
             omega = f"omega_{name}" if n == 1 else f"omega_{name}{number}"
-            terms.extend(_wave(name, omega, frequency))
+            inner = {omega: Parameter(frequency, lower=0.0, guess=Scan(name))}
+            for wave in ("sin", "cos"):
+                terms.append(Term(f"{wave}({omega}*{name})", Parameter(), inner))
     return Dictionary(tuple(terms))
 
 
@@ -240,13 +250,6 @@ def _check_number_of_terms(n_terms: int, what: str = "a dictionary") -> None:
             f"{what} would have {short_number(n_terms)} terms; "
             f"at most {LARGEST_DICTIONARY} are possible. Take fewer."
         )
-
-
-def _wave(variable: str, omega: str, frequency: float | None) -> tuple[Term, Term]:
-    inner = {omega: Parameter(frequency, lower=0.0, guess=Scan(variable))}
-    sine = Term(f"sin({omega}*{variable})", Parameter(), inner)
-    cosine = Term(f"cos({omega}*{variable})", Parameter(), inner)
-    return sine, cosine
 
 
 def damping(*states: str | Iterable[str]) -> dict[str, Dictionary]:

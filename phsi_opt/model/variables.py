@@ -60,13 +60,12 @@ class Variables:
         """
         allowed = self.of_slot(placed.slot) | set(placed.term.inner)
         unknown = names_of(placed.term.body) - allowed
-        if unknown:
-            raise ModelError(self._message(min(unknown), placed, allowed))
-
-    def _message(self, name: str, placed: PlacedTerm, allowed: set[str]) -> str:
+        if not unknown:
+            return
+        name = min(unknown)
         body = placed.term.body
         if placed.slot == "H" and name in self.of_slot("R"):
-            return (
+            raise ModelError(
                 f"{body!r} in H uses {name!r}, but an energy depends on the states "
                 "alone; put the term into F."
             )
@@ -75,7 +74,7 @@ class Variables:
             hint = (
                 f" If it is a parameter, give it: formula(..., {name}=Parameter(1.0))."
             )
-        return (
+        raise ModelError(
             f"name {name!r} in {body!r} ({placed.slot}) is unknown; "
             f"known are {', '.join(sorted(allowed))}.{hint}"
         )

@@ -8,10 +8,11 @@ but a given state.
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -21,11 +22,9 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 
-Input = Callable[[float], np.ndarray]  # of the time
+Input = Callable[[float], Any]  # of the time
 Force = Callable[[float, np.ndarray, np.ndarray], np.ndarray]  # of t, x, u
-RTOL = 1e-8
-ATOL = 1e-10  # relative to the size of the starting state
-SMALLEST_START = 1e-3  # size of the starting state below which ATOL falls no more
+SMALLEST_START = 1e-3  # size of the starting state below which `atol` falls no more
 # evaluations without progress in time, before a simulation is given up
 LONGEST_WAIT = 10_000
 # evaluations between two samples, and those of a piece in all, that are never refused:
@@ -102,74 +101,175 @@ def simulate_forced(
         DataError: wrong shapes, times or numbers.
         SolveError: the solution cannot be continued.
     """
-    t = _checked_times(t)
-    x0 = _checked_start(model, x0)
-    pieces = _pieces(t, _inputs(model, t, u), hold_of_each(hold, model.inputs))
-    f = _right_hand_side(model)
+    t, x0, u = checked_arguments(model, t, x0, u)
+    held = hold_of_each(hold, model.inputs)
+    f = BufferedFunction(model.rhs())
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
     size = max(float(np.max(np.abs(x0))), SMALLEST_START)
-    for piece in pieces:
-        samples = slice(piece.first + 1, piece.last + 1)
-        states[samples] = _integrated(
-            _Guarded(f, force, piece), t, states[piece.first], method, size
-        )
+    for first, last, value, longest in _pieces(t, u, held):
+        rate = _Rate(f, model.theta, force, value, last - first)
+        times = t[first : last + 1]
+        found = _integrated(rate, times, states[first], method, size, longest)
+        states[first + 1 : last + 1] = found
     return states
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
-    """A stretch from the sample ``first`` to ``last`` over which the input is smooth.
+class SampledInputs:
+    """The inputs of a record at any time.
 
-    ``longest``: the longest step that may be taken.
+    Attributes:
+        t: (n_samples,) times.
+        u: (n_samples, n_inputs) inputs at t.
+        slope: (n_samples - 1, n_inputs) of the straight lines between the samples;
+            zero for inputs that are held.
+        is_smooth: (n_inputs,) of bool, which go on a spline instead.
+        smooth: the splines; None where no input is smooth.
     """
 
-    first: int
-    last: int
-    value: Input
-    longest: float
+    t: np.ndarray
+    u: np.ndarray
+    slope: np.ndarray
+    is_smooth: np.ndarray
+    smooth: SmoothInputs | None
+
+    @classmethod
+    def of(cls, t: np.ndarray, u: np.ndarray, hold: np.ndarray) -> "SampledInputs":
+        """From samples (n_samples, n_inputs), and what each input does between them."""
+        slope = np.diff(u, axis=0) / np.diff(t)[:, None]
+        slope[:, hold == "zero"] = 0.0
+        is_smooth = hold == "cubic"
+        smooth = SmoothInputs(t, u) if is_smooth.any() else None
+        return cls(t, u, slope, is_smooth, smooth)
+
+    @cached_property
+    def _times(self) -> list[float]:
+        return self.t.tolist()
+
+    def at(self, last: int, time: float) -> np.ndarray:
+        """The inputs (n_inputs,) before a sample, whose jump is not seen yet."""
+        left = min(max(bisect_right(self._times, time) - 1, 0), last - 1)
+        value = self.u[left] + (time - self.t[left]) * self.slope[left]
+        if self.smooth is None:
+            return value
+        return np.where(self.is_smooth, self.smooth(time), value)
+
+
+def _pieces(
+    t: np.ndarray, u: Any, hold: np.ndarray
+) -> Iterator[tuple[int, int, Input, float]]:
+    """The stretches over which the inputs are smooth.
+
+    Each with its first and last sample, the inputs, and the longest step that may be
+    taken.
+
+    Args:
+        t: (n_samples,) times.
+        u: (n_samples, n_inputs), or a function of the time.
+        hold: (n_inputs,) what each input does between its samples.
+    """
+    end = len(t) - 1
+    sample = float(np.max(np.diff(t)))
+    if callable(u):
+        yield 0, end, u, sample
+        return
+    inputs = SampledInputs.of(t, u, hold)
+    is_held = hold == "zero"
+    changes = np.any(np.diff(u[:-1, is_held], axis=0) != 0, axis=1)
+    ends = np.flatnonzero(changes) + 1
+    # No step may be longer than a sample, or a short pulse is stepped over.
+    longest = np.inf if is_held.all() else sample
+    for first, last in pairwise([0, *ends.tolist(), end]):
+        yield first, last, partial(inputs.at, last), longest
 
 
 def _integrated(
-    f: "_Guarded", t: np.ndarray, x0: np.ndarray, method: str, size: float
+    rate: "_Rate",
+    t: np.ndarray,
+    x0: np.ndarray,
+    method: str,
+    size: float,
+    longest: float,
 ) -> np.ndarray:
-    """The states at the samples of a piece after its first one."""
-    piece = f.piece
+    """The states at the times after the first one."""
     with np.errstate(all="ignore"):
         found = solve_ivp(
-            f,
-            (t[piece.first], t[piece.last]),
+            rate,
+            (t[0], t[-1]),
             x0,
             method,
-            t_eval=t[piece.first + 1 : piece.last + 1],
-            rtol=RTOL,
-            atol=ATOL * size,
-            max_step=piece.longest,
+            t_eval=t[1:],
+            rtol=1e-8,
+            atol=1e-10 * size,
+            max_step=longest,
         )
     # Where it ends before the first sample, SciPy gives an empty list.
     y = np.reshape(found.y, (len(x0), -1))
-    is_whole = y.shape[1] >= piece.last - piece.first
     is_finite = np.all(np.isfinite(y), axis=0)
-    if not (found.success and is_whole and is_finite.all()):
-        n_good = int(np.argmin(is_finite)) if not is_finite.all() else y.shape[1]
-        furthest = t[piece.first + n_good]
+    n_good = int(np.sum(np.cumprod(is_finite)))
+    if not found.success or n_good < len(t) - 1:
         why = found.message if is_finite.all() else "A state is no finite number there."
-        raise _stopped(furthest, why)
+        raise _stopped(t[n_good], why)
     return y.T
 
 
-class _Guarded:
+class BufferedFunction:
+    """A CasADi function that is called many times, on NumPy's own memory.
+
+    CasADi's own conversion of a result walks over it as a list of Python's numbers.
+
+    Args:
+        function: with dense arguments and results.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._function = function  # its memory must outlive the buffer
+        made: Any = function.buffer()
+        self._buffer, self._evaluate = made
+        self._arguments = []
+        for i in range(function.n_in()):
+            argument: Any = np.zeros((function.size2_in(i), function.size1_in(i)))
+            self._arguments.append(argument)
+            if argument.size:
+                self._buffer.set_arg(i, memoryview(argument))
+        self._results = []
+        for i in range(function.n_out()):
+            result: Any = np.zeros((function.size2_out(i), function.size1_out(i)))
+            self._results.append(result)
+            if result.size:
+                self._buffer.set_res(i, memoryview(result))
+
+    def __call__(self, *arguments: Any) -> list[np.ndarray]:
+        """The results, a row per column of CasADi's; so are the arguments.
+
+        They are written over by the next call.
+        """
+        for own, given in zip(self._arguments, arguments, strict=True):
+            own[:] = given
+        self._evaluate()
+        return self._results
+
+
+class _Rate:
     """The right-hand side along a piece; stops a solver that calls it for ever where
     the solution ends, or with far more steps than there are samples.
     """
 
-    def __init__(self, f: Force, force: Force | None, piece: _Piece) -> None:
+    def __init__(
+        self,
+        f: BufferedFunction,
+        theta: np.ndarray,
+        force: Force | None,
+        value: Input,
+        n_samples: int,
+    ) -> None:
         self.f = f
+        self.theta = theta
         self.force = force
-        self.piece = piece
+        self.value = value
         self.furthest = -np.inf
         self.waited = 0
-        n_samples = piece.last - piece.first
         self.left = ALWAYS_ALLOWED + MOST_PER_SAMPLE * n_samples
 
     def __call__(self, at: float, x: np.ndarray) -> np.ndarray:
@@ -182,9 +282,9 @@ class _Guarded:
         self.left -= 1
         if self.left < 0:
             raise _stopped(at, TOO_FAST)
-        u = self.piece.value(at)
-        rate = self.f(at, x, u)
-        return rate if self.force is None else rate + self.force(at, x, u)
+        u = self.value(at)
+        (rates,) = self.f(x, u, at, self.theta)
+        return rates[0] + (0.0 if self.force is None else self.force(at, x, u))
 
 
 def _stopped(at: float, why: str) -> SolveError:
@@ -209,7 +309,16 @@ def _real_numbers(values: Any, name: str) -> np.ndarray:
     raise DataError(f"{name}={values!r} must be an array of real numbers.")
 
 
-def _checked_times(t: Any) -> np.ndarray:
+def checked_arguments(
+    model: Model, t: Any, x0: Any, u: Any
+) -> tuple[np.ndarray, np.ndarray, Any]:
+    """Times (n_samples,), the starting state (n_states,), and the inputs.
+
+    The inputs are an array (n_samples, n_inputs), or the function that was given.
+
+    Raises:
+        DataError: wrong shapes, times or numbers.
+    """
     times = _real_numbers(t, "t")
     is_series = times.ndim == 1 and len(times) >= 2
     is_finite = np.all(np.isfinite(times))
@@ -218,132 +327,31 @@ def _checked_times(t: Any) -> np.ndarray:
             f"t of shape {times.shape} must be at least two finite, strictly "
             "increasing times."
         )
-    return times
-
-
-def _checked_start(model: Model, x0: Any) -> np.ndarray:
     start = _real_numbers(x0, "x0")
     if start.shape != (model.n_states,) or not np.all(np.isfinite(start)):
         raise DataError(
             f"x0={x0!r} must be {model.n_states} finite numbers, one per state "
             f"({', '.join(model.states)})."
         )
-    return start
-
-
-def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
-    """The inputs as a function of the time, or as an array (n_samples, n_inputs)."""
     if callable(u):
-        size = np.size(u(t[0]))
+        size = np.size(u(times[0]))
         if size != model.n_inputs:
             raise DataError(
                 f"the function u gave {size} numbers; expected {model.n_inputs}, one "
                 "per input."
             )
-        return u
-    expected = (len(t), model.n_inputs)
+        return times, start, u
+    expected = (len(times), model.n_inputs)
     if u is None and model.n_inputs:
         raise DataError(
             f"the model has inputs ({', '.join(model.inputs)}); give u of shape "
             f"{expected}."
         )
-    values = np.zeros((len(t), 0)) if u is None else _real_numbers(u, "u")
+    values = np.zeros((len(times), 0)) if u is None else _real_numbers(u, "u")
     if values.ndim == 1 and model.n_inputs == 1:
         values = values[:, None]
     if values.shape != expected or not np.all(np.isfinite(values)):
         raise DataError(
             f"u has shape {values.shape}; expected finite numbers of shape {expected}."
         )
-    return values
-
-
-def _pieces(t: np.ndarray, u: Any, hold: np.ndarray) -> Iterator[_Piece]:
-    """The stretches over which the inputs are smooth.
-
-    Args:
-        t: (n_samples,) times.
-        u: (n_samples, n_inputs), or a function of the time.
-        hold: (n_inputs,) what each input does between its samples.
-    """
-    end = len(t) - 1
-    sample = float(np.max(np.diff(t)))
-    if callable(u):
-        yield _Piece(0, end, partial(_called, u), sample)
-    elif not u.shape[1]:
-        yield _Piece(0, end, partial(_constant, u[0]), np.inf)
-    else:
-        is_held = hold == "zero"
-        held = u[:, is_held]
-        changes = np.flatnonzero(np.any(np.diff(held[:-1], axis=0) != 0, axis=1)) + 1
-        moving = _moving(t, u, hold == "cubic")
-        for first, last in pairwise([0, *changes.tolist(), end]):
-            constant = partial(_constant, u[first])
-            value = _by_input(is_held, constant, moving)
-            # No step may be longer than a sample, or a short pulse is stepped over.
-            yield _Piece(first, last, value, np.inf if is_held.all() else sample)
-
-
-def _moving(t: np.ndarray, u: np.ndarray, is_smooth: np.ndarray) -> Input:
-    """Inputs that go from sample to sample, on straight lines or smoothly."""
-    slope = np.diff(u, axis=0) / np.diff(t)[:, None]
-    lines = partial(_interpolated, t.tolist(), u, slope)
-    return _by_input(is_smooth, SmoothInputs(t, u), lines) if is_smooth.any() else lines
-
-
-def _by_input(chosen: np.ndarray, one: Input, other: Input) -> Input:
-    """Of each input one function of the time where it is chosen, else the other."""
-    if chosen.all():
-        return one
-    return partial(_chosen, chosen, one, other) if chosen.any() else other
-
-
-def _chosen(chosen: np.ndarray, one: Input, other: Input, at: float) -> np.ndarray:
-    return np.where(chosen, one(at), other(at))
-
-
-def _called(u: Callable[[float], Any], at: float) -> np.ndarray:
-    return np.atleast_1d(np.asarray(u(at), dtype=float))
-
-
-def _interpolated(
-    t: list[float], u: np.ndarray, slope: np.ndarray, at: float
-) -> np.ndarray:
-    """The input on the straight lines between its samples, constant outside them."""
-    left = bisect_right(t, at) - 1
-    left = min(max(left, 0), len(slope) - 1)
-    since = max(at, t[0]) - t[left]
-    longest = t[-1] - t[left]
-    return u[left] + min(since, longest) * slope[left]
-
-
-def _constant(value: np.ndarray, at: float) -> np.ndarray:
-    return value
-
-
-def _right_hand_side(model: Model) -> Force:
-    """The right-hand side on NumPy buffers: no call costs a conversion."""
-    made: Any = model.rhs().buffer()  # CasADi's own types say less than what it takes
-    buffer, evaluate = made
-    x = np.zeros(model.n_states)
-    u = np.zeros(max(model.n_inputs, 1))
-    t = np.zeros(1)
-    theta = model.theta if model.free else np.zeros(1)
-    dx = np.zeros(model.n_states)
-    arguments: list[Any] = [x, u, t, theta]
-    for i, array in enumerate(arguments):
-        buffer.set_arg(i, memoryview(array))
-    result: Any = dx
-    buffer.set_res(0, memoryview(result))
-
-    # CasADi holds bare pointers: ``alive`` keeps what nothing else refers to from being
-    # freed under it.
-    def f(
-        at: float, state: np.ndarray, value: np.ndarray, alive: Any = (buffer, theta)
-    ) -> np.ndarray:
-        x[:] = state
-        t[0] = at
-        u[: len(value)] = value
-        evaluate()
-        return dx.copy()
-
-    return f
+    return times, start, values

@@ -10,14 +10,15 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import CERTAIN_FORCE, FAILING_ERROR
+from phsi_opt.comparison.model_selection import is_failing
+from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, rms, window_of
+from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
 from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
@@ -32,18 +33,16 @@ from phsi_opt.presentation.durations import (
 from phsi_opt.presentation.numbers import listed, number, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, rms
 
 # Times the noise floor from which an error alone says that something is missing.
 SURE_ERROR = 1.5
 AT_NOISE = 1.05  # times the noise floor up to which an error is that of the noise
 FAST_DISTURBANCE = "fast disturbance"
-MOST_CHANNELS = 3  # that are told, the worst first
 # Errors over the noise floor: of training data that are fitted to the noise, and of
 # data held out that are not foretold.
 NEAR_FLOOR = 1.1
 FAR_ABOVE_FLOOR = 2.0
-PERCENT = 100.0  # of a whole
 
 
 def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> Answer:
@@ -56,6 +55,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         **more: facts beside those of the diagnosis.
     """
     force = diagnosis.analysis.force_in()
+    strength = float(force.where["strength"]) / force.scale.size
     facts = {
         "d": diagnosis,
         "force": force,
@@ -65,18 +65,18 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
         "at_noise": AT_NOISE,
         "sure_error": SURE_ERROR,
-        "strength": strength_words(force),
-        "classes": [class_of(finding) for finding in diagnosis.findings],
+        "strength": f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)",
+        "classes": list(map(class_of, diagnosis.findings)),
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
         "disturbance": disturbance_word(diagnosis),
         "nearest": nearest_candidate(diagnosis),
         "vibration": VIBRATION_WORDS,
         "experiment": PROPOSED_EXPERIMENT,
-        "fall_with": lambda candidate: PERCENT * _fall_with(diagnosis, candidate),
-        "is_at_floor": _is_at_floor,
-        "off_words": off_words,
+        "fall_with": lambda candidate: 100 * _fall_with(diagnosis, candidate),
+        "is_at_floor": lambda found: not is_failing(found),
+        "off_channels": off_channels,
         "evidence_words": evidence_words,
-        "found": [finding_words(finding) for finding in diagnosis.findings],
+        "found": list(map(finding_words, diagnosis.findings)),
         "likely_cause": likely_cause,
         "is_second_storage": is_second_storage,
         "scale_of_errors": scale_of_errors,
@@ -96,29 +96,20 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
         return answer("where", diagnosis, is_held_out=True)
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
     place = place_answer(force, is_past or bool(diagnosis.findings), is_known)
-    places = _open_places(diagnosis)
-    return answer("where", diagnosis, is_held_out=True, place=place, places=places)
-
-
-def _open_places(diagnosis: Diagnosis) -> list[str]:
-    """Where the members of the classes that were found act, each place once."""
-    places = []
+    # Where the members of the classes that were found act, each place once.
+    places: dict[str, None] = {}
     for finding in diagnosis.findings:
         for effect in () if finding.is_name else finding.effects:
             at = f"in d{effect.equation}/dt"
             if effect.slot == "sensor":
                 at = f"at the sensor of {effect.equation}"
-            places.append(at)
-    return list(dict.fromkeys(places))
+            places[at] = None
+    return answer(
+        "where", diagnosis, is_held_out=True, place=place, places=list(places)
+    )
 
 
 # ---- facts ---------------------------------------------------------------------------
-
-
-def strength_words(force: EquationForce) -> str:
-    """Root mean square of a missing force with its unit."""
-    strength = float(force.where["strength"]) / force.scale.size
-    return f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)"
 
 
 def class_of(finding: Finding) -> str:
@@ -128,12 +119,15 @@ def class_of(finding: Finding) -> str:
 
 def finding_words(finding: Finding) -> str:
     """An effect with its size, and the others of its class."""
-    first, *others = map(str, finding.effects)
+    first = str(finding.effects[0])
     size = with_error(finding.coefficient, finding.std_error)
-    told = f"{first}, {size}{spaced(finding.unit)}"
-    if not others:
-        return told
-    return f"{told} (or {', '.join(others)}: the data do not tell)"
+    return f"{first}, {size}{spaced(finding.unit)}{alternatives(finding, first)}"
+
+
+def alternatives(finding: Finding, name: str) -> str:
+    """The other members of a class, in brackets; "" where there are none."""
+    others = ", ".join(one for one in map(str, finding.effects) if one != name)
+    return f" (or {others}: the data do not tell)" if others else ""
 
 
 def evidence_words(candidate: Candidate) -> str:
@@ -158,10 +152,6 @@ def _fall_with(diagnosis: Diagnosis, candidate: Candidate) -> float:
     """The share of the error that it takes away; 0 where that is not known."""
     found = candidate.comparison
     return 0.0 if found is None else 1 - found.rmse / diagnosis.base.rmse
-
-
-def _is_at_floor(found: Comparison) -> bool:
-    return found.rmse <= FAILING_ERROR * found.noise_floor
 
 
 def disturbance_word(diagnosis: Diagnosis) -> str:
@@ -189,7 +179,7 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     value = parameters["value"].to_numpy(dtype=float)
     error = parameters["std_error"].to_numpy(dtype=float)
     is_open = np.isfinite(error) & (error > np.abs(value))
-    names = [str(name) for name in parameters["name"][is_open]]
+    names = list(map(str, parameters["name"][is_open]))
     if not names:
         return ""
     return (
@@ -198,26 +188,17 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     )
 
 
-def off_words(judged: Comparison) -> list[str]:
-    """Such as "q by 0.122 rad (6.7 % of its movement; noise alone 0.1 %)".
+def off_channels(judged: Comparison) -> pd.DataFrame:
+    """The three channels that are farthest off, the worst first.
 
-    Each of the channels that are farthest off, the worst first.
+    As in `Comparison.table`, with the shares of their movement that the model is off,
+    and that the noise alone is, in percent.
     """
-    table = judged.table
-    shares = PERCENT - table["fit_percent"].to_numpy(dtype=float)
-    worst = np.argsort(-np.nan_to_num(shares), kind="stable")[:MOST_CHANNELS]
-    return [_channel_words(table.iloc[k]) for k in worst.tolist()]
-
-
-def _channel_words(row: pd.Series) -> str:
-    rmse = float(row["rmse"])
-    share = PERCENT - float(row["fit_percent"])
-    noise = share * float(row["noise_floor"]) / max(rmse, TINY)
-    size = f"{number(rmse, 3)}{spaced(str(row['unit']))}"
-    beside = f"{number(share, 2)} % of its movement"
-    if share >= PERCENT:
-        beside = f"{number(share, 3)} % of its movement: a constant would do better"
-    return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
+    table = judged.table.assign(off=100 - judged.table["fit_percent"])
+    ratio: pd.Series = table["noise_floor"] / table["rmse"].clip(lower=TINY)
+    table["noise"] = table["off"] * ratio
+    worst = np.argsort(-np.nan_to_num(table["off"].to_numpy(float)), kind="stable")
+    return table.iloc[worst[:3]]
 
 
 def only_follows(trained: Comparison, judged: Comparison) -> bool:
@@ -266,13 +247,19 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
     name = record.trajectories[force.strongest_run]
+    window = ""  # where no times stand out
+    times = str(force.where["time_window"])
+    if THROUGHOUT not in times:
+        told = times_words(times, record.units.get("t", ""), float(record.t.max()))
+        date = dates_words(times, record.origin_of(name))
+        window = f"t = {told}" + (f" ({date})" if date else "")
     facts: dict[str, Any] = {
         "begin": _beginning(force, strongest) if n_strong == 1 else "",
         "again": "again and again" if _comes_and_goes(force, strongest) else "",
         "n_runs": len(runs),
         "n_clear": len(clear),
         "is_from_start": all(_is_clear(force, one) for one in starts if len(one)),
-        "window": _window(force),
+        "window": window,
         "run": name if len(runs) > 1 else "the training record",
         "gaps": gaps_of(diagnosis, force),
         "only_follows": only_follows(trained, diagnosis.base),
@@ -304,21 +291,6 @@ def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
     return int(np.sum(np.diff(is_strong, prepend=0) > 0)) >= FEWEST_BURSTS
 
 
-def _window(force: EquationForce) -> str:
-    """The times at which the force is strongest; "" where none stand out."""
-    times = str(force.where["time_window"])
-    if THROUGHOUT in times:
-        return ""
-    record = force.record
-    told = times_words(times, record.units.get("t", ""), float(record.t.max()))
-    date = dates_words(times, record.origin_of(str(force.where["trajectory"])))
-    return f"t = {told}{_in_brackets(date)}"
-
-
-def _in_brackets(date: str) -> str:
-    return f" ({date})" if date else ""
-
-
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
     """Whether a part of the force exceeds its standard deviation."""
     typical = float(np.median(force.deviation[inside]))
@@ -340,5 +312,5 @@ def _beginning(force: EquationForce, inside: np.ndarray) -> str:
             date = date_words(t, record.origin_of(str(force.where["trajectory"])))
             longest = float(record.t.max())
             told = time_words(t, record.units.get("t", ""), longest=longest)
-            return told + _in_brackets(date)
+            return told + (f" ({date})" if date else "")
     return ""

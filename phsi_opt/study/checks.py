@@ -1,5 +1,8 @@
 """Checks of what a study's present model leaves, each with a severity and a word."""
 
+from collections.abc import Sequence
+from itertools import repeat
+
 import numpy as np
 import pandas as pd
 
@@ -12,9 +15,8 @@ from phsi_opt.presentation.numbers import p_value_words
 from phsi_opt.presentation.sentences import say
 from phsi_opt.study.record import StudyRecord
 
-# Share of the longest record from which on a free run counts as good to its end.
-WHOLE_RECORD = 0.999
-FROM_START = 0.01  # share of it below which it never was good
+# Share of the longest record below which a free run never was good.
+FROM_START = 0.01
 
 
 def checks_of(study: StudyRecord) -> tuple[Check, ...]:
@@ -47,22 +49,12 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
     }
     is_small = ratio <= FAILING_ERROR
     is_far = ratio > WHITE_ERROR
+    is_white = whiteness >= SURE_LEVEL
+    holds = horizon > 0.999 * shortest  # but for rounding
     asked = (
         ("size", "size of residuals", ratio, is_small, is_far),
-        (
-            "whiteness",
-            "neighbouring residuals",
-            whiteness,
-            whiteness >= SURE_LEVEL,
-            not is_small,
-        ),
-        (
-            "horizon",
-            "how long the free run holds",
-            horizon,
-            horizon >= WHOLE_RECORD * shortest,
-            is_far,
-        ),
+        ("whiteness", "neighbouring residuals", whiteness, is_white, not is_small),
+        ("horizon", "how long the free run holds", horizon, holds, is_far),
     )
     checks = []
     for name, subject, value, is_good, is_bad in asked:
@@ -77,19 +69,17 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
 def _of_fit(study: StudyRecord) -> list[Check]:
     """The solver, its bounds, the warnings of the fit, and what the data lack."""
     fit = study.last.fit
-    checks = []
     severity = GOOD if fit.outcome.success else BAD
     said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
-    checks.append(Check("solver", severity, said))
+    checks = [Check("solver", severity, said)]
+    looks = []
     if fit.outcome.at_bounds:
-        names = ", ".join(fit.outcome.at_bounds)
-        checks.append(Check("bounds", LOOK, f"at a bound: {names}"))
-    for warning in fit.warnings:
-        checks.append(Check("fit", LOOK, warning))
+        looks.append(("bounds", f"at a bound: {', '.join(fit.outcome.at_bounds)}"))
+    looks += zip(repeat("fit"), fit.warnings, strict=False)
+    notes: Sequence[str] = ()
     if study.last.held_out is not None:
-        for note in study.last.held_out.record.aligned.notes:
-            checks.append(Check("data held out", LOOK, note))
+        notes = study.last.held_out.record.aligned.notes
     if study.held_out is None:
-        said = "nothing was held out; errors are those of the training data"
-        checks.append(Check("data held out", LOOK, said))
-    return checks
+        notes = ("nothing was held out; errors are those of the training data",)
+    looks += zip(repeat("data held out"), notes, strict=False)
+    return checks + [Check(subject, LOOK, said) for subject, said in looks]

@@ -11,8 +11,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_report import equation_lines
-from phsi_opt.force_analysis.localization import rms
-from phsi_opt.force_analysis.pictures import FEWEST_PER_CURVE, MOST_PER_CURVE
+from phsi_opt.force_analysis.pictures import samples_of_each
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.presentation.content import (
     HELD_OUT,
@@ -24,7 +23,6 @@ from phsi_opt.presentation.content import (
     ErrorStep,
     Follows,
     ForceRun,
-    Glance,
     ParameterRow,
     Run,
     StudyContent,
@@ -38,6 +36,7 @@ from phsi_opt.presentation.numbers import (
 )
 from phsi_opt.presentation.thinning import thinned
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
+from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     NEAR_FLOOR,
     nearest_candidate,
@@ -68,9 +67,6 @@ HOLD_WORDS = {
     "cubic": "smooth, on the cubic spline through the samples",
 }
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
-# Together in all trajectories and channels: two megabytes of text.
-MOST_DRAWN_SAMPLES = 60_000
-MOST_DRAWN_RUNS = 200  # trajectories that are drawn
 
 
 def study_content(
@@ -85,18 +81,35 @@ def study_content(
             those held out included.
     """
     time = _time(study)
-    steps = _drawn_steps(study)
+    last = len(study.steps) - 1
+    # Whose free runs are drawn: base, first, last.
+    steps = {k: study.steps[k] for k in sorted({0, min(1, last), last})}
     runs = _runs(study, list(steps.values()), time)
     size, unit = scale_of_errors(study.unit)
+    steps_of_errors = []
+    for step in study.steps:
+        held_out = None if step.held_out is None else size * step.held_out.rmse
+        errors = (size * step.train.rmse, held_out, size * step.judged.noise_floor)
+        steps_of_errors.append(ErrorStep(step.label, *errors, step.fit.bic))
+    models = [_model("Base model", study.steps[0].fit)]
+    if last:
+        added = " and ".join(map(str, study.last.added))
+        heading = f"Present model: with {added}" if added else "Present model"
+        models.append(_model(heading, study.last.fit))
     judged = [run for run in runs if run.part == runs[0].part]
+    place = telling_step(study)
+    glance = None  # where what the verdict tells of is seen best
+    if place is not None:
+        model = -1 if place == last else 0
+        glance = glance_of(study.diagnoses[place], runs, time, model)
     return StudyContent(
         title=f"Study of {', '.join(study.train.measured)}",
         headline=headline_of(study),
-        steps=tuple(_error_step(step, size) for step in study.steps),
+        steps=tuple(steps_of_errors),
         unit=unit,
         errors=_errors(study),
-        glance=_glance(study, runs, time),
-        models=tuple(_models(study)),
+        glance=glance,
+        models=tuple(models),
         time=time,
         names=tuple(_name(step, k) for k, step in steps.items()),
         runs=runs,
@@ -117,12 +130,6 @@ def study_content(
 
 
 # ---- errors --------------------------------------------------------------------------
-
-
-def _error_step(step: Step, size: float) -> ErrorStep:
-    held_out = None if step.held_out is None else size * step.held_out.rmse
-    floor = size * step.judged.noise_floor
-    return ErrorStep(step.label, size * step.train.rmse, held_out, floor, step.fit.bic)
 
 
 def _errors(study: StudyRecord) -> str:
@@ -150,19 +157,10 @@ def is_just_below(error: float, floor: float) -> bool:
 # ---- models --------------------------------------------------------------------------
 
 
-def _models(study: StudyRecord) -> Iterator[Equations]:
-    """Base model and present model."""
-    yield _model("Base model", study.steps[0].fit)
-    if len(study.steps) > 1:
-        added = " and ".join(map(str, study.last.added))
-        heading = f"Present model: with {added}" if added else "Present model"
-        yield _model(heading, study.last.fit)
-
-
 def _model(heading: str, fit: Fit) -> Equations:
     intervals = fit.intervals(LEVEL)
     rows = [_parameter(fit, row, intervals) for _, row in fit.parameters.iterrows()]
-    lines = tuple(short_constants(line) for line in equation_lines(fit))
+    lines = tuple(map(short_constants, equation_lines(fit)))
     return Equations(proper_names(heading), lines, tuple(rows))
 
 
@@ -206,12 +204,6 @@ def _time(study: StudyRecord) -> TimeScale:
     return scale_of_time(max(ends), study.train.units.get("t", ""))
 
 
-def _drawn_steps(study: StudyRecord) -> dict[int, Step]:
-    """The steps whose free runs are drawn, by number: base, first, last."""
-    last = len(study.steps) - 1
-    return {k: study.steps[k] for k in sorted({0, min(1, last), last})}
-
-
 def _name(step: Step, number_of_step: int) -> str:
     if number_of_step == 0:
         return step.label
@@ -223,7 +215,7 @@ def _name(step: Step, number_of_step: int) -> str:
 def _runs(
     study: StudyRecord, steps: Sequence[Step], time: TimeScale
 ) -> tuple[Run, ...]:
-    """The trajectories that are drawn, those held out first."""
+    """The trajectories that are drawn, at most 200, those held out first."""
     parts = {TRAINING: [step.train for step in steps]}
     if study.held_out is not None:
         held_out = [step.held_out for step in steps if step.held_out is not None]
@@ -231,9 +223,8 @@ def _runs(
     places = []
     for part, compared in parts.items():
         places += [(part, k) for k in range(len(compared[0].data))]
-    places = places[:MOST_DRAWN_RUNS]
-    n_curves = max(len(places) * len(study.last.judged.noise), 1)
-    most = int(np.clip(MOST_DRAWN_SAMPLES / n_curves, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    places = places[:200]
+    most = samples_of_each(len(places) * len(study.last.judged.noise))
     return tuple(_run(part, parts[part], k, most, time) for part, k in places)
 
 
@@ -301,17 +292,6 @@ def _diagnosed(study: StudyRecord, place: int, time: TimeScale) -> Diagnosed:
     )
 
 
-def _glance(
-    study: StudyRecord, runs: tuple[Run, ...], time: TimeScale
-) -> Glance | None:
-    """Where what the verdict tells of is seen best."""
-    place = telling_step(study)
-    if place is None:
-        return None
-    model = -1 if place == len(study.steps) - 1 else 0
-    return glance_of(study.diagnoses[place], runs, time, model)
-
-
 # ---- how it is repeated --------------------------------------------------------------
 
 
@@ -319,6 +299,11 @@ def _settings(study: StudyRecord) -> Iterator[Answer]:
     held_out = "none" if study.held_out is None else _data(study.held_out)
     units = [f"{name}: {unit}" for name, unit in study.train.units.items() if unit]
     versions = [f"{name} {version(name)}" for name in LIBRARIES]
+    hold = study.train.hold
+    if not isinstance(hold, str):
+        told_holds = (f"{name}: {HOLD_WORDS[word]}" for name, word in hold.items())
+        hold = "; ".join(told_holds)
+    hold = HOLD_WORDS.get(hold, hold)
     starts = "estimated from the whole record of each run, held out or not"
     seeds = "fixed in the package, none taken from a clock: the same data and settings "
     told = {
@@ -326,7 +311,7 @@ def _settings(study: StudyRecord) -> Iterator[Answer]:
         "Data held out": held_out,
         "Starting states": starts,
         "Units": ", ".join(units) or "not given",
-        "Inputs between samples": _hold(study.train),
+        "Inputs between samples": hold,
         "Loss": str(study.loss),
         "Standard errors": str(study.last.fit.std_error_source),
         "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
@@ -337,13 +322,6 @@ def _settings(study: StudyRecord) -> Iterator[Answer]:
         del told["Inputs between samples"]
     for question, said in told.items():
         yield Answer(said, question=question)
-
-
-def _hold(data: Measurements) -> str:
-    """What inputs do between samples."""
-    if isinstance(data.hold, str):
-        return HOLD_WORDS[data.hold]
-    return "; ".join(f"{name}: {HOLD_WORDS[word]}" for name, word in data.hold.items())
 
 
 def _data(data: Measurements) -> str:

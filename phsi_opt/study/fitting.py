@@ -22,8 +22,6 @@ from phsi_opt.study.record import Step
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-MOST_LAWS = 3  # effects whose law a report shows: each is an estimate of its own
-
 
 @dataclass(frozen=True, eq=False)
 class StudyFitting:
@@ -140,9 +138,12 @@ class StudyFitting:
         )
 
     def laws(self, fit: Fit, added: tuple[Effect, ...]) -> tuple[Follows, ...]:
-        """The laws of the effects added first, as far as they can be shown."""
+        """The laws of the three effects added first, as far as they can be shown.
+
+        Each is an estimate of its own.
+        """
         found = []
-        for effect in added[:MOST_LAWS]:
+        for effect in added[:3]:
             try:
                 found.append(self.law(fit, added, effect))
             except PhsiOptError:

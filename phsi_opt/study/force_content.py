@@ -1,10 +1,8 @@
 """What a study tells of missing forces: along runs, over states, laws, candidates."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.criteria import SURE_DEVIATIONS
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
@@ -25,21 +23,19 @@ from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study.answers import evidence_words
 
-MOST_FORCES = 4  # equations whose missing force is drawn
 # Times the training data's error, beside its movement, from which on the data held out
 # show better what is wrong: the model follows what it was fitted to.
 FOLLOWED_TIMES = 2.0
-SURE = 2.0  # standard deviations beyond which a force counts as sure at one time
 
 
 # ---- forces --------------------------------------------------------------------------
 
 
 def sure_forces(diagnosis: Diagnosis, time: TimeScale) -> tuple[Force, ...]:
-    """The missing forces that are surely there, the strongest first."""
+    """The missing forces that are surely there, the four strongest."""
     found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
     sure = [force for force in found if not force.is_uncertain]
-    return tuple(force_of(force, time) for force in sure[:MOST_FORCES])
+    return tuple(force_of(force, time) for force in sure[:4])
 
 
 def all_forces(record: Record, part: str, time: TimeScale) -> tuple[ForceRun, ...]:
@@ -58,27 +54,27 @@ def ranking_of(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
     size, _ = scale_of_errors(diagnosis.base.error_unit)
     classes: dict[str, list[str]] = {}
     for finding in diagnosis.findings:
-        names = [str(effect) for effect in finding.effects]
+        names = list(map(str, finding.effects))
         for name in names:
             classes[name] = [one for one in names if one != name]
-    return tuple(_ranked(one, size, classes) for one in diagnosis.ranking)
-
-
-def _ranked(one: Candidate, size: float, classes: Mapping[str, list[str]]) -> Ranked:
-    alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
-    share = _known(one.share)
-    return Ranked(
-        one.name,
-        float(one.coefficient),
-        float(one.std_error),
-        one.unit,
-        evidence_words(one),
-        None if share is None else min(max(share, 0.0), 1.0),
-        _known(size * one.train_rmse),
-        _known(size * one.held_out_rmse),
-        tuple(alike),
-        one.lost,
-    )
+    ranked = []
+    for one in diagnosis.ranking:
+        alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
+        share = _known(one.share)
+        found = Ranked(
+            one.name,
+            float(one.coefficient),
+            float(one.std_error),
+            one.unit,
+            evidence_words(one),
+            None if share is None else min(max(share, 0.0), 1.0),
+            _known(size * one.train_rmse),
+            _known(size * one.held_out_rmse),
+            tuple(alike),
+            one.lost,
+        )
+        ranked.append(found)
+    return tuple(ranked)
 
 
 def _known(value: float) -> float | None:
@@ -164,7 +160,7 @@ def worst_moment(
     inside = (force.t >= begin) & (force.t <= end)
     if not inside.any():
         inside = np.ones(len(force.t), dtype=bool)
-    is_sure = inside & (sureness > SURE)
+    is_sure = inside & (sureness > SURE_DEVIATIONS)
     if not is_sure.any():
         return float(force.t[np.argmax(np.where(inside, sureness, -1.0))])
     off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))

@@ -2,14 +2,15 @@
 
 from typing import Any
 
+from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
 from phsi_opt.study.answers import (
+    alternatives,
     answer,
     disturbance_word,
     evidence_words,
@@ -29,17 +30,6 @@ SEVERITIES = {
     str(Verdict.UNEXPLAINED): BAD,
     NOT_ASKED: LOOK,
 }
-# What is said of a model to which effects were added.
-NOW = {
-    Verdict.NOTHING_MISSING: "Now nothing is missing.",
-    Verdict.NAMED: "Something more is missing, and it is named below.",
-    Verdict.PARTLY_NAMED: "More is missing; a part of it is named below.",
-    Verdict.UNEXPLAINED: (
-        "Something is still missing that no effect of the catalogue explains."
-    ),
-}
-# The same where an effect was added that is not established.
-NOT_SEEN = "No force is evident beside the present model."
 NOT_ESTABLISHED = "with an effect that is not established"
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
@@ -118,13 +108,13 @@ def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
 
 def _sentence(study: StudyRecord) -> str:
     present = study.present
-    now = lacking = ""
-    if present is not None:
-        is_silent = present.verdict == Verdict.NOTHING_MISSING
-        now = NOT_SEEN if is_silent and study.unestablished else NOW[present.verdict]
-        if not is_silent:
-            is_held_out = study.held_out is not None
-            lacking = str(answer("missing", present, is_held_out))
+    lacking = ""
+    if present is not None and present.verdict != Verdict.NOTHING_MISSING:
+        is_held_out = study.held_out is not None
+        lacking = str(answer("missing", present, is_held_out))
+    found: list[Finding] = []
+    for diagnosis in study.diagnoses.values():
+        found += diagnosis.findings
     open_ = {one.name: evidence_words(one) for one in study.unestablished}
     sure = []
     unsure = []
@@ -133,21 +123,14 @@ def _sentence(study: StudyRecord) -> str:
         if name in open_:
             unsure.append(f"{name} ({open_[name]})")
         else:
-            sure.append(f"{name}{_alternatives(study, effect)}")
-    facts = {"sure": sure, "unsure": unsure, "now": now, "lacking": lacking, "ask": ASK}
+            others = ""
+            for finding in found:
+                if name in map(str, finding.effects) and not others:
+                    others = alternatives(finding, name)
+            sure.append(f"{name}{others}")
+    facts = {"sure": sure, "unsure": unsure, "lacking": lacking, "ask": ASK}
     added = study.last.added if len(study.steps) > 1 else ()
     return said_of(study, "sentence", present=present, added=added, **facts).lead
-
-
-def _alternatives(study: StudyRecord, effect: Effect) -> str:
-    """The other members of the class that an effect stands for, in brackets."""
-    for diagnosis in study.diagnoses.values():
-        for finding in diagnosis.findings:
-            names = [str(one) for one in finding.effects]
-            if str(effect) in names and not finding.is_name:
-                others = [name for name in names if name != str(effect)]
-                return f" (or {', '.join(others)}: the data do not tell)"
-    return ""
 
 
 def _answers(study: StudyRecord) -> tuple[Answer, ...]:
@@ -181,16 +164,17 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
 
 def _was_added(study: StudyRecord) -> Answer:
     """What was added, with the sizes that diagnoses found, and how clear it was."""
-    known = {one.name: f"{one.name}, not established" for one in study.unestablished}
-    evidence = {one.name: evidence_words(one) for one in study.unestablished}
+    told = {
+        one.name: (f"{one.name}, not established", evidence_words(one))
+        for one in study.unestablished
+    }
     for diagnosis in study.diagnoses.values():
         for finding in diagnosis.findings:
-            name = str(finding.effects[0])
-            known[name] = finding_words(finding)
-            evidence[name] = evidence_words(diagnosis.ranking[0])
-    names = [str(effect) for effect in study.last.added]
-    sizes = [known.get(name, name) for name in names]
-    clear = {name: evidence[name] for name in names if name in evidence}
+            evidence = evidence_words(diagnosis.ranking[0])
+            told[str(finding.effects[0])] = (finding_words(finding), evidence)
+    names = list(map(str, study.last.added))
+    sizes = [told.get(name, (name, ""))[0] for name in names]
+    clear = {name: told[name][1] for name in names if name in told}
     return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)
 
 

@@ -93,7 +93,7 @@ class StudyRecord:
             considered |= {one.name: one for one in diagnosis.ranking}
             for finding in diagnosis.findings:
                 established |= set(map(str, finding.effects))
-        names = [str(effect) for effect in self.last.added]
+        names = list(map(str, self.last.added))
         open_ = [name for name in names if name not in established]
         return tuple(considered[name] for name in open_ if name in considered)
 

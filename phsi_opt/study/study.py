@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
@@ -190,16 +189,10 @@ class Study(Summarised):
             executor=executor,
         )
         self._diagnoses[number] = (choice, found)
-        self._keep_better(found.fit)
+        if found.fit is not step.fit:  # a better optimum
+            label = f"{step.label}, re-fitted"
+            self.steps[-1] = self._fitting.step(label, step.added, found.fit)
         return found
-
-    def _keep_better(self, fit: Fit) -> None:
-        """The present model from the better optimum that its diagnosis found."""
-        step = self.steps[-1]
-        if fit is step.fit:
-            return
-        label = f"{step.label}, re-fitted"
-        self.steps[-1] = self._fitting.step(label, step.added, fit)
 
     @interruptible
     def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
@@ -219,7 +212,8 @@ class Study(Summarised):
         present = self.record.present
         if present and present.proposed_fit and present.proposed == (effect,):
             return self._add_all(present.proposed, present.proposed_fit)
-        found = self._known_candidate(effect)
+        ranking = () if present is None else present.ranking
+        found = next((one for one in ranking if one.effect == effect), None)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
             step = self.steps[-1]
@@ -419,12 +413,6 @@ class Study(Summarised):
         from phsi_opt.study.content import study_content
 
         return study_content(self.record, forces=forces)
-
-    def _known_candidate(self, effect: Effect) -> Candidate | None:
-        """What the diagnosis of the present model found of an effect."""
-        present = self.record.present
-        ranking = () if present is None else present.ranking
-        return next((one for one in ranking if one.effect == effect), None)
 
     def _added_effect(self, effect: str | Effect, equation: str | None) -> Effect:
         """The one effect that was added and is meant."""

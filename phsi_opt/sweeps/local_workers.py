@@ -20,7 +20,6 @@ from phsi_opt.interrupts import solving
 
 # What the libraries behind NumPy and SciPy read when they are loaded.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-GONE = 1  # exit code of a worker that was not wanted any more
 
 
 class InThisProcess(Executor):
@@ -118,7 +117,7 @@ def begin_worker(wanted: Connection) -> None:
 
 def _end_with(wanted: Connection) -> None:
     wait([wanted])  # nothing is ever sent: the pipe is ready when it is closed
-    os._exit(GONE)
+    os._exit(1)
 
 
 @contextmanager

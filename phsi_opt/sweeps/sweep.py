@@ -13,19 +13,15 @@ from concurrent.futures import (
     Future,
     wait,
 )
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import dataclass
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.sweeps.kept_results import KeptResults
 from phsi_opt.sweeps.local_workers import local_workers
-
-# Tasks that wait at an executor or are computed: enough for some dozen workers, few
-# enough that arguments and results of all of them fit into memory.
-IN_FLIGHT = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +46,7 @@ def sweep(
     executor: Executor | None = None,
     folder: str | Path | None = None,
     of: str = "",
-    in_flight: int = IN_FLIGHT,
+    in_flight: int = 64,
     progress: Callable[[str], None] | None = None,
 ) -> Iterator[Done]:
     """Call a function for many cases side by side, and give results as they come.
@@ -80,7 +76,8 @@ def sweep(
             and mappings then.
         of: What results depend on beside the key, such as a digest of the data; a
             folder that holds results of something else is refused.
-        in_flight: Cases that are given to the executor and not yet finished, at most.
+        in_flight: Cases that are given to the executor and not yet finished, at most:
+            enough for some dozen workers, few enough to fit into memory.
         progress: Called with a line of text whenever a case is done, such as ``print``.
 
     Returns:
@@ -95,8 +92,7 @@ def sweep(
     _check(function, cases, in_flight)
     check_executor(executor)
     kept = None if folder is None else KeptResults(Path(folder), of)
-    counted = _Counted(len(cases), progress)
-    return _swept(function, cases, executor, kept, in_flight, counted)
+    return _swept(function, cases, executor, kept, in_flight, progress)
 
 
 def check_executor(executor: object) -> None:
@@ -113,54 +109,34 @@ def check_executor(executor: object) -> None:
         )
 
 
-@dataclass
-class _Counted:
-    """How many cases are done, for lines of progress."""
-
-    n_cases: int
-    say: Callable[[str], None] | None
-    n_done: int = 0
-
-    def add(self, key: str, remark: str = "") -> None:
-        self.n_done += 1
-        if self.say is not None:
-            self.say(f"{self.n_done} of {self.n_cases}: {key}{remark}")
-
-
 def _swept(
     function: Callable[[Any], Any],
     cases: Mapping[str, Any],
     executor: Executor | None,
     kept: KeptResults | None,
     in_flight: int,
-    counted: _Counted,
+    progress: Callable[[str], None] | None,
 ) -> Iterator[Done]:
     """Kept results first, then the others as they are computed."""
+    say = progress or (lambda line: None)
+    n_done = count(1)
     finished = set()
     if kept is not None:
         for key, result in kept.found(cases):
             finished.add(key)
-            counted.add(key, ", kept before")
+            say(f"{next(n_done)} of {len(cases)}: {key}, kept before")
             yield Done(key, result, was_kept=True)
     if len(finished) == len(cases):
         return
     missing = ((key, case) for key, case in cases.items() if key not in finished)
-    with _chosen(executor) as workers:
+    # Processes of our own end when the sweep does.
+    given = None if executor is None else nullcontext(executor)
+    with given or local_workers() as workers:
         for done in _computed(function, missing, workers, in_flight):
             if kept is not None:
                 kept.keep(done.key, done.result)
-            counted.add(done.key)
+            say(f"{next(n_done)} of {len(cases)}: {done.key}")
             yield done
-
-
-@contextmanager
-def _chosen(executor: Executor | None) -> Iterator[Executor]:
-    """The executor that was given, or processes that end when the sweep does."""
-    if executor is not None:
-        yield executor
-        return
-    with local_workers() as workers:
-        yield workers
 
 
 def _computed(
