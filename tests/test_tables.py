@@ -414,7 +414,7 @@ def test_what_is_no_data_frame_is_refused() -> None:
     with pytest.raises(
         DataError, match=r"frame is a dict; expected a pandas\.DataFrame"
     ):
-        Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])
+        Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("cell", ["1_000", "1_0.5"])
