@@ -348,7 +348,7 @@ class _Judge:
             last = thorough_refit(self.base, done)
             self.ranking[0] = self.refitted(self.ranking[0], last)
         else:
-            last = thorough_refit(self.base, beside.done)
+            last = thorough_refit(beside.base, beside.done)
         first = self.ranking[0]
         findings = [self.finding(last)]
         leaves_nothing = beside is not None or self.leaves_nothing(done)

@@ -69,11 +69,10 @@ def thorough_fit(aligned: AlignedData, loss: MaximumLikelihood, brief: Fit) -> F
 
 def thorough_refit(base: DiagnosedModel, brief: Refit) -> Refit:
     """A brief re-fit made thorough, with its free runs."""
-    aligned = brief.trained.record.aligned
-    fit = thorough_fit(aligned, base.loss, brief.fit)
-    trained = judged = compare_record(brief.trained.record.refitted(fit))
+    fit = thorough_fit(brief.trained.record.aligned, base.loss, brief.fit)
+    trained = judged = compare_record(base.record.refitted(fit))
     if base.is_held_out:
-        judged = compare_record(brief.judged.record.refitted(fit))
+        judged = compare_record(base.judged.record.refitted(fit))
     return Refit(fit, trained, judged)
 
 
