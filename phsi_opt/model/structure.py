@@ -78,19 +78,20 @@ def position_of_momentum(model: BaseModel) -> dict[str, str]:
     momentum moves it is the first.
     """
     pairs: dict[str, str] = {}
-    partner_of = _momentum if model.has_energy else _velocity
+    # Once: with many states S is large.
+    exchange = np.array(model.S) if model.has_energy else None
     for position in model.states:
-        momentum = partner_of(model, position)
-        told = {model.kind.get(name) for name in (position, momentum)} - {None}
-        # Of one kind, and not heat, which has no pairs.
-        if momentum and len(told) <= 1 and THERMAL not in told:
+        if exchange is not None:
+            momentum = _momentum(model, exchange, position)
+        else:
+            momentum = _velocity(model, position)
+        if momentum and _are_of_one_kind(model, position, momentum):
             pairs.setdefault(momentum, position)
     return pairs
 
 
-def _momentum(model: BaseModel, position: str) -> str:
+def _momentum(model: BaseModel, S: np.ndarray, position: str) -> str:
     """The p of an equation dq/dt = dH/dp; "" where that is not what it says."""
-    S = np.array(model.S)
     row = model.states.index(position)
     (partners,) = np.nonzero(S[row])
     if len(partners) != 1 or not S[row, partners[0]] > 0:
@@ -124,6 +125,12 @@ def _velocity(model: BaseModel, position: str) -> str:
     return velocity if is_proportional and rate[0] > 0 else ""
 
 
+def _are_of_one_kind(model: BaseModel, position: str, momentum: str) -> bool:
+    """Whether two states may be a pair: of one kind, and not heat, which has none."""
+    told = {model.kind[name] for name in (position, momentum) if name in model.kind}
+    return len(told) <= 1 and THERMAL not in told
+
+
 def kind_of(model: BaseModel, state: str) -> str:
     """What a state is, see ``kinds``; "" where that is unknown.
 
@@ -132,10 +139,15 @@ def kind_of(model: BaseModel, state: str) -> str:
     """
     if state in model.kind:
         return str(model.kind[state])
-    for momentum, position in position_of_momentum(model).items():
-        if state in (momentum, position):
-            return str(model.kind.get(momentum) or model.kind.get(position, MECHANICAL))
+    for pair in position_of_momentum(model).items():
+        if state in pair:
+            return _kind_of_pair(model, pair)
     return ""
+
+
+def _kind_of_pair(model: BaseModel, pair: tuple[str, str]) -> str:
+    told = [model.kind[name] for name in pair if name in model.kind]
+    return str(told[0]) if told else MECHANICAL
 
 
 def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
@@ -153,17 +165,11 @@ def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     unpaired = unpaired_states(model)
     is_circuit = ELECTRICAL in map(kind_of_unit, units.values())
     found = {}
-    others = set()
-    for name in unpaired:
-        if plain_unit(units.get(name, "")) not in LENGTHS:
-            others.add(kind_of_unit(units.get(name, "")))
     for name in unpaired:
         unit = units.get(name, "")
         kind = kind_of_unit(unit)
         if plain_unit(unit) in LENGTHS:
-            # Levels or positions, by the other states' units.
-            kind = MECHANICAL if MECHANICAL in others else ""
-            kind = HYDRAULIC if others <= {HYDRAULIC} else kind
+            kind = _kind_of_length(unpaired, units)
         elif plain_unit(unit) in VOLTS and is_circuit:
             kind = ELECTRICAL
         if kind:
@@ -178,6 +184,18 @@ def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     return replace(model, kind={**found, **model.kind})
 
 
+def _kind_of_length(unpaired: tuple[str, ...], units: Mapping[str, str]) -> str:
+    """Whether lengths are levels or positions, by the other states' units."""
+    others = set()
+    for name in unpaired:
+        unit = units.get(name, "")
+        if plain_unit(unit) not in LENGTHS:
+            others.add(kind_of_unit(unit))
+    if others <= {HYDRAULIC}:
+        return HYDRAULIC
+    return MECHANICAL if MECHANICAL in others else ""
+
+
 def forced_rows(model: BaseModel) -> tuple[int, ...]:
     """Indices of the equations in which a force may be missing.
 
@@ -185,8 +203,9 @@ def forced_rows(model: BaseModel) -> tuple[int, ...]:
     dq/dt = dH/dp is kinematics. A capacitor may leak, and so may a chamber.
     """
     kinematic = set(model.memory)
-    for position in position_of_momentum(model).values():
-        if kind_of(model, position) == MECHANICAL:
+    for pair in position_of_momentum(model).items():
+        _, position = pair
+        if model.kind.get(position, _kind_of_pair(model, pair)) == MECHANICAL:
             kinematic.add(position)
     rows = [row for row, name in enumerate(model.states) if name not in kinematic]
     return tuple(rows)
