@@ -70,7 +70,7 @@ def test_the_solver_beside_gradient_descent(readme: str) -> None:
     assert f"best descent is larger by {percent(excess, 1)} % in the median" in readme
     assert f"the true terms on {ours} of {n}, the tuned descent on {theirs}" in readme
     assert f"takes {time.min():.2f} to {time.max():.2f} times" in readme
-    assert set(found.loc[time > 1, "system"]) == {"Tanks and pipes"}  # with a network
+    assert time.max() < 1
 
 
 def test_pruning_by_significance(readme: str) -> None:
