@@ -79,7 +79,7 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
 def robust_deviation(residuals: np.ndarray) -> float:
     """Standard deviation of normal residuals (n,), through their median.
 
-    Of a standard normal z, that of |z| is 0.6745. The median is not moved by the few
+    The median size of a standard normal number is 0.6745. It is not moved by the few
     samples at a jump of the force.
     """
     return float(np.median(np.abs(residuals)) / 0.6745)

@@ -16,7 +16,6 @@ from phsi_opt.presentation.sentences import environment
 
 if TYPE_CHECKING:
     import pandas as pd
-    from markupsafe import Markup
     from rich.table import Table
     from rich.text import Text
 
@@ -179,9 +178,9 @@ def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
     return html_shown("table", columns, n_rows, _remark(table, most_rows))
 
 
-def html_shown(name: str, *facts: Any) -> "Markup":
-    """What a macro of ``shown.html.jinja`` makes of facts."""
-    made: Markup = getattr(_shown(), name)(*facts)
+def html_shown(name: str, *facts: Any) -> str:
+    """What a macro of ``shown.html.jinja`` makes of facts, as safe markup."""
+    made: str = getattr(_shown(), name)(*facts)
     return made.strip()
 
 
