@@ -19,6 +19,7 @@ from phsi_opt.diagnosis.refit_effort import ADDED, BRIEF, THOROUGH
 from phsi_opt.errors import PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
+from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_scanned
 from phsi_opt.transcription.alignment import AlignedData
@@ -68,11 +69,16 @@ def thorough_fit(aligned: AlignedData, loss: MaximumLikelihood, brief: Fit) -> F
 
 
 def thorough_refit(base: DiagnosedModel, brief: Refit) -> Refit:
-    """A brief re-fit made thorough, with its free runs."""
-    fit = thorough_fit(brief.trained.record.aligned, base.loss, brief.fit)
-    trained = judged = compare_record(base.record.refitted(fit))
-    if base.is_held_out:
-        judged = compare_record(base.judged.record.refitted(fit))
+    """A brief re-fit made thorough, with its free runs as a study has them."""
+    aligned = brief.trained.record.aligned
+    fit = thorough_fit(aligned, base.loss, brief.fit)
+    try:
+        trained = judged = compare_record(Record.of_aligned(fit, aligned))
+        if base.is_held_out:
+            held_out = brief.judged.record.aligned
+            judged = compare_record(Record.of_aligned(fit, held_out))
+    except SolveError:
+        return brief
     return Refit(fit, trained, judged)
 
 

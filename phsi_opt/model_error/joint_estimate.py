@@ -43,7 +43,7 @@ LAST_STEPS = 8
 LEVEL_OBJECTIVE = 0.025
 NEARLY_HELD = 1e-2
 PRICE = 2.0  # of a unit of violation, over the largest multiplier
-MOST_SHORTENINGS = 12  # to 1/4096: beside sharp friction steps are as short as its turn
+MOST_SHORTENINGS = 8
 # Length up to which a step is taken whole: what it gains is beyond the accuracy of
 # numbers.
 SHORT_STEP = 1e-2
