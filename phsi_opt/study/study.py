@@ -440,7 +440,14 @@ class Study(Summarised):
             return self.add(effects[0])
         label = " and ".join(map(str, effects))
         self._say(f"adding {label}")
-        return self._take(label, (*self.added, *effects), fit)
+        added = (*self.added, *effects)
+        present = self.record.present
+        first = present.ranking[0] if present else None
+        if first is None or first.fit is not fit or first.trained is None:
+            return self._take(label, added, fit)
+        judged = None if self.held_out is None else first.comparison
+        self.steps.append(Step(label, added, fit, first.trained, judged))
+        return fit
 
     def _check_earlier(self) -> None:
         """Take out effects of earlier steps without which the evidence is higher."""
