@@ -232,11 +232,10 @@ class JointProblem:
         while not has_converged and n_steps < most_steps:
             n_steps += 1
             aim = place.aim(damping)
-            if damping == 0:
-                if n_steps > 1:
-                    contraction = min(aim.length / length, 1.0)
-            else:
+            if damping > 0:
                 contraction = 1.0
+            elif n_steps > 1:
+                contraction = min(aim.length / length, 1.0)
             length = aim.length
             there = self._lower(place, aim)
             if there is None:
