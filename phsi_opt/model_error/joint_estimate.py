@@ -29,6 +29,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     noise_weights,
 )
 from phsi_opt.optimization.bounded_step import SILENT, Room
+from phsi_opt.transcription.elimination import RIDGE
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 # Share of the parameters' information that is added to it where no part of a step leads
@@ -42,6 +43,8 @@ ARMIJO = 0.1  # share of what a step promises to lower that it has to
 LAST_STEPS = 8
 LEVEL_OBJECTIVE = 0.025
 NEARLY_HELD = 1e-2
+# Step, in standard deviations of a parameter, by which slopes are told.
+SMALL_STEP = 1e-3
 PRICE = 2.0  # of a unit of violation, over the largest multiplier
 MOST_SHORTENINGS = 8
 # Length up to which a step is taken whole: what it gains is beyond the accuracy of
@@ -123,6 +126,13 @@ class JointEstimate:
         """The largest of the scaled dynamics that hold."""
         return self.place.violation
 
+    def answer_to(self, slope: np.ndarray) -> float:
+        """How far the parameters go for another tilt, in standard deviations."""
+        problem = self.place.problem
+        change = (slope - problem.slope)[self.likelihood.moving]
+        covariance = self.likelihood.at(problem.disturbances).covariance
+        return float(np.sqrt(max(change @ covariance @ change, 0.0)))
+
 
 @dataclass(frozen=True, eq=False)
 class Target:
@@ -152,12 +162,15 @@ class JointProblem:
         moving: (n_moving,) places of the parameters that are free to move.
         softness: (n_constraints,) variance of what the scaled dynamics are violated by;
             zero where they hold; None: they all hold.
+        tilt: (n_theta,) slope in the parameters of what the log likelihood has beside
+            the objective; None: zero.
     """
 
     linearizer: Linearizer
     disturbances: Disturbances
     moving: np.ndarray
     softness: np.ndarray | None = None
+    tilt: np.ndarray | None = None
 
     @classmethod
     def white(
@@ -182,6 +195,42 @@ class JointProblem:
         """`softness`, (n_constraints,)."""
         n_constraints = self.values.jacobian.shape[0]
         return np.zeros(n_constraints) if self.softness is None else self.softness
+
+    @cached_property
+    def slope(self) -> np.ndarray:
+        """`tilt`, (n_theta,)."""
+        return np.zeros(len(self.values.unknown)) if self.tilt is None else self.tilt
+
+    def tilted(self, found: JointEstimate) -> "JointProblem":
+        """With the tilt that is right where steps ended.
+
+        States and forces that are integrated out leave the logarithm of their volume,
+        -1/2 log|det K|, which depends on the parameters. Without it these are pulled to
+        where forces can do the most: the most likely forces together with parameters
+        are not those of the most likely parameters (Neyman and Scott, Econometrica 16,
+        1948).
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        z = found.point.z
+        likelihood = found.likelihood.with_moving(self.moving[:0])
+        volume = likelihood.log_volume(self.disturbances)
+        border = found.likelihood.border(self.disturbances)
+        told = np.diag(border.information)
+        tilt = np.zeros(len(self.values.unknown))
+        for place, information in zip(found.likelihood.moving, told, strict=False):
+            step = SMALL_STEP / np.sqrt(information + RIDGE)
+            if z[place] + step > self.values.upper[place]:
+                step = -step
+            moved = z.copy()
+            moved[place] += step
+            linear = self.linearizer.at(moved, self._at(moved))
+            along = likelihood.problem.states_of_functions
+            linear = replace(linear, along=along, linear_share=0.0)
+            there = likelihood.relinearized(linear).log_volume(self.disturbances)
+            tilt[place] = (there - volume) / step
+        return replace(self, tilt=tilt)
 
     def optimum(
         self,
@@ -216,7 +265,7 @@ class JointProblem:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        likelihood = before.likelihood.with_softness(self.softness)
+        likelihood = before.likelihood.with_softness(self.softness).tilted(self.slope)
         place = replace(before.place, problem=self, likelihood=likelihood)
         return self._stepped(place, before.contraction, most_steps, target)
 
@@ -340,7 +389,7 @@ class _Place:
         structure = problem.disturbances.structure
         likelihood = MarginalLikelihood(
             linear, structure, problem.moving, problem.softness
-        )
+        ).tilted(problem.slope)
         if beside is None:
             n_x = linear.nodes.size
             processes = np.zeros(likelihood.n_unknowns - n_x)
@@ -412,7 +461,8 @@ class _Place:
         squares = self._squares(
             self.residual, point.processes, point.coefficients, self._excess
         )
-        return squares / 2
+        slope = self.problem.slope
+        return squares / 2 - float(slope @ point.z[: len(slope)])
 
     def _squares(
         self,

@@ -24,6 +24,7 @@ from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.bounded_step import ANY_ROOM, SILENT, Room, bounded_step
 from phsi_opt.optimization.chained import Chain, Chained, TimeLayout
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, RIDGE
 
 NOTHING_HELD = np.zeros(0, dtype=int)
@@ -108,6 +109,12 @@ class Border:
             constant=sum(border.constant for border in borders),
             log_evidence=sum(border.log_evidence for border in borders),
         )
+
+    def tilted(self, slope: np.ndarray) -> "Border":
+        """Beside a logarithm that falls with this slope in the parameters, (n_theta,)."""
+        gradient = self.gradient.copy()
+        gradient[: self.n_theta] += slope
+        return replace(self, gradient=gradient)
 
     def with_priors(self, sizes: np.ndarray) -> np.ndarray:
         """Information with that of functions of these sizes, (n_functions,)."""
@@ -238,6 +245,7 @@ class MarginalLikelihood:
         self.structure = structure
         self.moving = moving
         self._softness = np.zeros(0) if softness is None else softness
+        self._tilt = np.zeros(problem.n_theta)
         self._set_layout()
         self._set_slopes()
 
@@ -252,6 +260,12 @@ class MarginalLikelihood:
         """The same where the dynamics fail to hold by other variances."""
         other = copy(self)
         other._softness = np.zeros(0) if softness is None else softness
+        return other
+
+    def tilted(self, tilt: np.ndarray) -> "MarginalLikelihood":
+        """The same beside a logarithm with this slope in the parameters, (n_theta,)."""
+        other = copy(self)
+        other._tilt = tilt
         return other
 
     def with_moving(self, moving: np.ndarray) -> "MarginalLikelihood":
@@ -490,12 +504,14 @@ class MarginalLikelihood:
         """What is left of states and processes that were solved for."""
         everything = slice(None)
         log_evidence = eliminated.log_evidence + self.problem.log_volume
-        return self._border_of(eliminated, everything, everything, log_evidence)
+        border = self._border_of(eliminated, everything, everything, log_evidence)
+        return border.tilted(self._tilt[self.moving])
 
     def borders_by_run(self, disturbances: Disturbances) -> list[Border]:
         """The same, what every trajectory says by itself.
 
-        The log evidence is that of all of them, shared out evenly.
+        The log evidence is that of all of them, shared out evenly; its slope as the
+        information about each parameter.
 
         Raises:
             SolveError: the states do not follow from the data.
@@ -512,7 +528,13 @@ class MarginalLikelihood:
             unknowns = np.flatnonzero(run_of_unknown == run)
             share = log_evidence * len(values) / self.problem.n_values
             borders.append(self._border_of(eliminated, values, unknowns, share))
-        return borders
+        told = []
+        for border in borders:
+            told.append(np.diag(border.information)[: border.n_theta])
+        slopes = (
+            self._tilt[self.moving] * np.array(told) / (np.sum(told, axis=0) + TINY)
+        )
+        return [one.tilted(slope) for one, slope in zip(borders, slopes, strict=True)]
 
     def at_values(
         self, residual: np.ndarray, offset: np.ndarray
@@ -551,6 +573,7 @@ class MarginalLikelihood:
         sizes = disturbances.function_sizes
         everything = slice(None)
         border = self._border_of(eliminated, everything, everything, 0.0)
+        border = border.tilted(self._tilt[self.moving])
         theta, of_functions = border.step(sizes, damping, room, silent_share)
         solved = eliminated.solved
         moved = np.concatenate([theta, of_functions])
@@ -631,6 +654,19 @@ class MarginalLikelihood:
         n_free = problem.n_values - problem.n_trajectories * problem.n_states
         constant = n_free * np.log(2 * np.pi) / 2
         return float(marginal.log_evidence + log_det / 2 - constant)
+
+    def log_volume(self, disturbances: Disturbances) -> float:
+        """What the log likelihood of given parameters has beside the squares.
+
+        It is the logarithm of the volume that states and disturbances have under these
+        parameters.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        border = self.border(disturbances)
+        information = border.with_priors(disturbances.function_sizes)
+        return float(border.log_evidence - np.linalg.slogdet(information)[1] / 2)
 
     def log_model_evidence(self, disturbances: Disturbances) -> float:
         """`log_likelihood`, less BIC's half log n for every parameter that is free.

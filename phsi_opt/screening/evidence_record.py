@@ -172,6 +172,7 @@ class EvidenceRecord:
             larger.states[:, :n_states],
             larger.processes,
             replace(larger.disturbances, sigma=sigma),
+            tilt=larger.tilt,
         )
         try:
             found = self._weighing.weighed(start)
@@ -207,6 +208,7 @@ class EvidenceRecord:
                 beside.states,
                 beside.processes,
                 beside.disturbances,
+                tilt=beside.tilt,
             )
         unknown = Theta.of(self.first, self.runs)
         theta = np.zeros(len(unknown))
@@ -340,6 +342,7 @@ class EvidenceRecord:
                 base.states,
                 base.processes,
                 base.disturbances.with_functions((function,)),
+                tilt=base.tilt,
             )
             try:
                 found = self._weighing.weighed(start)
@@ -357,13 +360,14 @@ class EvidenceRecord:
             weighed.states,
             weighed.processes,
             weighed.disturbances,
+            tilt=weighed.tilt,
         )
         problem = self._weighing.problem(start)
         z = problem.values.point.scaled
         linear = linearized(problem.values, z, problem.values.at(z))
         return MarginalLikelihood(
             linear, weighed.disturbances.structure, problem.moving
-        )
+        ).tilted(problem.slope)
 
 
 def _states_of(record: Record) -> np.ndarray:

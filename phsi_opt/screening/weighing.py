@@ -77,6 +77,7 @@ class Weighed:
         disturbances: noise, forces and errors of sensors, with their sizes.
         force_shares: root mean square of each force over that of the rates in its
             equation, by the number of the equation.
+        tilt: slope of the log likelihood beside the squares, by parameter.
     """
 
     model: Model
@@ -91,6 +92,7 @@ class Weighed:
     processes: np.ndarray = field(repr=False)
     disturbances: Disturbances = field(repr=False)
     force_shares: Mapping[int, float]
+    tilt: Mapping[str, float]
 
     @property
     def log_held_out(self) -> float:
@@ -114,6 +116,7 @@ class Start:
         processes: values of forces and errors of sensors; None: there are none.
         disturbances: noise, forces and errors of sensors, with their sizes.
         held: names of parameters that stay.
+        tilt: as that of what is weighed.
     """
 
     model: Model
@@ -122,6 +125,7 @@ class Start:
     processes: np.ndarray | None
     disturbances: Disturbances
     held: frozenset[str] = frozenset()
+    tilt: Mapping[str, float] = field(default_factory=dict)
 
     def padded(self, n_old: int) -> "Start":
         """With a size for the memory that a trajectory begins with."""
@@ -205,10 +209,11 @@ class Weighing:
                 problem = own = self._without_bounds_met(problem, z)
             likelihood = joint.likelihood.with_moving(own.moving)
             # Of the sizes that led there: others have their optimum elsewhere.
-            found = _Found(joint, likelihood, problem.disturbances)
+            found = _Found(joint, likelihood, own.disturbances, own.slope)
             sizes = self._better_sizes(likelihood, problem.disturbances)
             change = sizes.distance(problem.disturbances)
-            problem = replace(problem, disturbances=sizes)
+            problem = replace(problem, disturbances=sizes).tilted(joint)
+            change = max(change, joint.answer_to(problem.slope))
             gain = np.inf
             if best is not None and best.is_valid:
                 gain = found.evidence - best.evidence
@@ -249,7 +254,9 @@ class Weighing:
         grid = self._with_memory_at_rest(grid, start.states)
         values = LikelihoodValues(model, grid, SCHEME, point, unknown)
         every = np.arange(len(unknown))
-        return JointProblem(Linearizer(values), start.disturbances, every)
+        slopes = np.array([start.tilt.get(name, 0.0) for name in unknown.names])
+        tilt = slopes * point.theta_scale
+        return JointProblem(Linearizer(values), start.disturbances, every, tilt=tilt)
 
     def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
         """The memory of an effect is known to begin near rest, as if measured."""
@@ -313,7 +320,8 @@ class Weighing:
         evidence = found.evidence
         evidence -= k * np.log(self._n_values(len(borders))) / 2 + price
         covariance = np.full((k, k), np.nan)
-        scale = point.theta_scale[likelihood.moving]
+        scales = point.theta_scale
+        scale = scales[likelihood.moving]
         within = likelihood.at(sizes).covariance * np.outer(scale, scale)
         covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
         n_intervals = likelihood.problem.grid.n_intervals
@@ -337,6 +345,7 @@ class Weighing:
             processes=processes,
             disturbances=sizes,
             force_shares=dict(zip(places, shares.tolist(), strict=True)),
+            tilt=dict(zip(unknown.names, (found.tilt / scales).tolist(), strict=True)),
         )
 
     def _price(self, problem: JointProblem, states: np.ndarray) -> float:
@@ -363,6 +372,7 @@ class _Found:
     joint: JointEstimate
     likelihood: MarginalLikelihood
     sizes: Disturbances
+    tilt: np.ndarray
 
     @cached_property
     def evidence(self) -> float:
