@@ -51,6 +51,7 @@ def of_covariance(
     scaled: np.ndarray,
     at_bounds: tuple[str, ...],
     known: SilentDirections = NOTHING_SILENT,
+    told: np.ndarray | None = None,
 ) -> Uncertainty:
     """A covariance of scaled parameters, without those of which nothing is known.
 
@@ -61,9 +62,13 @@ def of_covariance(
         scaled: (n_theta, n_theta) covariance of theta over scale.
         at_bounds: Names of the parameters that ended at a bound.
         known: Directions that are known to be silent, besides those of the covariance.
+        told: (n_theta, n_theta) covariance that says which directions are silent; None:
+            ``scaled``.
     """
-    held = [*_places(names, at_bounds), *known.parameters]
-    found = silent_directions(names, theta / scale, scaled, held)
+    held = [i for i, name in enumerate(names) if name in at_bounds]
+    held += known.parameters
+    told = scaled if told is None else told
+    found = silent_directions(names, theta / scale, told, held)
     silent = SilentDirections(
         sentences=(*known.sentences, *found.sentences),
         parameters=tuple(sorted({*known.parameters, *found.parameters})),
@@ -71,7 +76,9 @@ def of_covariance(
     )
     covariance = scaled * np.outer(scale, scale)
     not_known = [*held, *silent.parameters]
-    return Uncertainty(_without(covariance, not_known), silent.sentences, silent)
+    covariance[not_known, :] = np.nan
+    covariance[:, not_known] = np.nan
+    return Uncertainty(covariance, silent.sentences, silent)
 
 
 def of_defects(
@@ -127,22 +134,11 @@ def of_defects(
     ridge = RIDGE * mean_information * np.eye(n_theta)
     # A pseudo-inverse, for data from which nothing follows: states that are all zero.
     bread = np.linalg.pinv(information + ridge, hermitian=True)
-
-    held = _places(model.free, at_bounds)
-    relative = bread * mean_information
-    silent = silent_directions(model.free, theta / scale, relative, held)
-    covariance = bread @ of_gradient @ bread * np.outer(scale, scale)
-    not_known = [*held, *silent.parameters]
-    return Uncertainty(_without(covariance, not_known), silent.sentences)
-
-
-def _places(names: Sequence[str], chosen: Sequence[str]) -> list[int]:
-    return [i for i, name in enumerate(names) if name in chosen]
-
-
-def _without(covariance: np.ndarray, not_known: list[int]) -> np.ndarray:
-    """The covariance with NaN in the rows and columns of what is not known."""
-    known = covariance.copy()
-    known[not_known, :] = np.nan
-    known[:, not_known] = np.nan
-    return known
+    return of_covariance(
+        model.free,
+        theta,
+        scale,
+        bread @ of_gradient @ bread,
+        at_bounds,
+        told=bread * mean_information,
+    )

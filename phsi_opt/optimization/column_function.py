@@ -9,7 +9,7 @@ symbols in place of numbers.
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from threading import get_ident
 from typing import Any
 
@@ -36,10 +36,6 @@ def _if_else_zero(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> 
     np.copyto(out, np.where(condition != 0, value, 0.0))
 
 
-def _twice(value: np.ndarray, out: np.ndarray) -> None:
-    np.add(value, value, out)
-
-
 OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_ASSIGN: np.positive,
     ca.OP_OUTPUT: np.positive,
@@ -54,7 +50,7 @@ OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_CONSTPOW: np.power,
     ca.OP_SQRT: np.sqrt,
     ca.OP_SQ: np.square,
-    ca.OP_TWICE: _twice,
+    ca.OP_TWICE: partial(np.multiply, 2.0),
     ca.OP_SIN: np.sin,
     ca.OP_COS: np.cos,
     ca.OP_TAN: np.tan,

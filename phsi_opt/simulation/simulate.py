@@ -227,18 +227,17 @@ class BufferedFunction:
         self._function = function  # its memory must outlive the buffer
         made: Any = function.buffer()
         self._buffer, self._evaluate = made
-        self._arguments = []
-        for i in range(function.n_in()):
-            argument: Any = np.zeros((function.size2_in(i), function.size1_in(i)))
-            self._arguments.append(argument)
-            if argument.size:
-                self._buffer.set_arg(i, memoryview(argument))
-        self._results = []
-        for i in range(function.n_out()):
-            result: Any = np.zeros((function.size2_out(i), function.size1_out(i)))
-            self._results.append(result)
-            if result.size:
-                self._buffer.set_res(i, memoryview(result))
+        self._arguments: list[np.ndarray] = []
+        self._results: list[np.ndarray] = []
+        for own, n, size, give in (
+            (self._arguments, function.n_in(), function.size_in, self._buffer.set_arg),
+            (self._results, function.n_out(), function.size_out, self._buffer.set_res),
+        ):
+            for i in range(n):
+                part: Any = np.zeros(size(i)[::-1])
+                own.append(part)
+                if part.size:
+                    give(i, memoryview(part))
 
     def __call__(self, *arguments: Any) -> list[np.ndarray]:
         """The results, a row per column of CasADi's; so are the arguments.

@@ -14,7 +14,9 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.transcription.defects import interval_symbols, rates_within
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.interval_map import argument_symbols, interval_arguments
 from phsi_opt.transcription.point import UNBOUNDED
 
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
@@ -132,7 +134,7 @@ class MemoryIntegration:
             first = self.grid.first[number]
             start = self._start(first, intervals[0], values)
             repeated = np.repeat(values[:, None], len(intervals), axis=1)
-            arguments = self._interval_arguments(intervals)
+            arguments = interval_arguments(self.grid.intervals(intervals), self.x.T)
             at_ends, run_means = integrate(start, *arguments, repeated)
             states[first, n_old:] = start
             states[self.grid.begin[intervals] + 1, n_old:] = at_ends.full().T
@@ -148,21 +150,9 @@ class MemoryIntegration:
             return start
         return np.zeros(len(start))
 
-    def _interval_arguments(self, intervals: np.ndarray) -> list[np.ndarray]:
-        """x0, x1, u0, u1, t0 and h of the intervals, as columns."""
-        begin = self.grid.begin[intervals]
-        return [
-            self.x[begin].T,
-            self.x[begin + 1].T,
-            self.grid.u0[intervals].T,
-            self.grid.u1[intervals].T,
-            self.grid.t[begin][None, :],
-            self.grid.h[intervals][None, :],
-        ]
-
 
 def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> (z at the end, mean of z).
+    """CasADi function (z, x0, x1, t0, h, u0, u1, theta) -> (z at the end, mean of z).
 
     Steps of the trapezoidal rule, linearised at their beginning: with r the rate of z
     and J its slope in z there, each step dt adds::
@@ -175,20 +165,16 @@ def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
     z = ca.SX.sym("z", n_memory)
     x0 = ca.SX.sym("x0", n_old)
     x1 = ca.SX.sym("x1", n_old)
-    u0 = ca.SX.sym("u0", model.n_inputs)
-    u1 = ca.SX.sym("u1", model.n_inputs)
-    t0 = ca.SX.sym("t0")
-    h = ca.SX.sym("h")
-    theta = ca.SX.sym("theta", len(model.free))
+    interval = interval_symbols(model)
     share = ca.SX.sym("share")  # of the interval that lies behind
-    given = [x0, x1, u0, u1, t0, h, theta]
+    given = [x0, x1, *interval]
     rhs = model.rhs()
 
     def rate(value: Any, at: Any) -> Any:
         x = ca.vertcat(x0 + at * (x1 - x0), value)
-        return rhs(x, u0 + at * (u1 - u0), t0 + at * h, theta)[n_old:]
+        return rates_within(rhs, interval, x, at)[n_old:]
 
-    dt = h / MEMORY_STEPS
+    dt = interval[1] / MEMORY_STEPS
     both_rates = rate(z, share) + rate(z, share + 1 / MEMORY_STEPS)
     slope = ca.jacobian(rate(z, share), z)
     implicit = ca.SX.eye(n_memory) - dt / 2 * slope
@@ -215,15 +201,12 @@ def _memory_at_rest(model: Model, n_old: int) -> ca.Function:
 
     Zeros where the rates are not linear in the memory.
     """
-    x = ca.SX.sym("x", n_old)
-    u = ca.SX.sym("u", model.n_inputs)
-    t = ca.SX.sym("t")
-    theta = ca.SX.sym("theta", len(model.free))
-    z = ca.SX.sym("z", model.n_states - n_old)
-    rates = model.rhs()(ca.vertcat(x, z), u, t, theta)[n_old:]
+    rhs = model.rhs()
+    states, *others = argument_symbols(rhs)
+    z = states[n_old:]
+    rates = rhs(states, *others)[n_old:]
     slope = ca.jacobian(rates, z)
-    zeros = ca.DM.zeros(z.numel())
-    if ca.depends_on(slope, z):
-        return ca.Function("rest", [x, u, t, theta], [zeros])
-    at_zero = ca.substitute(rates, z, zeros)
-    return ca.Function("rest", [x, u, t, theta], [-ca.solve(slope, at_zero)])
+    rest: Any = ca.DM.zeros(z.numel())
+    if not ca.depends_on(slope, z):
+        rest = -ca.solve(slope, ca.substitute(rates, z, rest))
+    return ca.Function("rest", [states[:n_old], *others], [rest])

@@ -24,14 +24,14 @@ from phsi_opt.transcription.interval_map import (
 FINE_STEPS = 8  # of RK4 along the interval by which one step of a scheme is checked
 
 
-def _interval(model: Model) -> list[ca.SX]:
-    """Symbols of one interval: start, length, inputs at both ends, parameters."""
+def interval_symbols(model: Model) -> list[ca.SX]:
+    """Of one interval: start, length, inputs at both ends, parameters."""
     sizes = {"t0": 1, "h": 1, "u0": model.n_inputs, "u1": model.n_inputs}
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     return [*symbols, ca.SX.sym("theta", len(model.free))]
 
 
-def _rates(rhs: ca.Function, interval: list[ca.SX], x: Any, share: Any) -> Any:
+def rates_within(rhs: ca.Function, interval: list[ca.SX], x: Any, share: Any) -> Any:
     """Right-hand side at a state, where a share of the interval lies behind."""
     t0, h, u0, u1, theta = interval
     return rhs(x, u0 + share * (u1 - u0), t0 + share * h, theta)
@@ -63,10 +63,10 @@ def _defect(model: Model, scheme: str, n_moving: int | None) -> ca.Function:
     psi = integrator(scheme).psi
     x0 = ca.SX.sym("x0", n_states)
     x1 = ca.SX.sym("x1", n_states)
-    interval = _interval(model)
+    interval = interval_symbols(model)
 
     def g(x: Any, share: float) -> Any:
-        rates = _rates(rhs, interval, x, share)
+        rates = rates_within(rhs, interval, x, share)
         if n_moving is None:
             return rates
         return ca.vertcat(rates[:n_moving], ca.SX.zeros(n_states - n_moving))
@@ -129,11 +129,11 @@ def _fine_integration(model: Model) -> ca.Function:
     psi = integrator("rk4").psi
     x0 = ca.SX.sym("x0", model.n_states)
     n_done = ca.SX.sym("n_done")
-    interval = _interval(model)
+    interval = interval_symbols(model)
     h_fine = interval[1] / FINE_STEPS
 
     def g(at: Any, c: float) -> Any:
-        return _rates(rhs, interval, at, (n_done + c) / FINE_STEPS)
+        return rates_within(rhs, interval, at, (n_done + c) / FINE_STEPS)
 
     behind = x0 + h_fine * psi(g, x0, x0, h_fine)
     step = ca.Function("step", [x0, n_done, *interval], [behind])
