@@ -37,15 +37,8 @@ from phsi_opt.model_error.state_functions import LINEAR_SHARE
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-MOST_SOLVES = 3  # each followed by better sizes of the disturbances
 # Change of the logarithm of the evidence by better sizes up to which they stay.
 SETTLED_EVIDENCE = 0.1
-# Standard errors by which a parameter moves where the record is linearised anew, up to
-# which it stays. Functions of states, and the directions that forces may not take, are
-# those of the states before: after one solve with such directions the stiffness of an
-# oscillator was off by 4 to 7 standard errors, after two by a thousandth.
-SETTLED_STEP = 0.1
-MOST_STEPS_OF_A_SOLVE = 100  # of one solve
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -196,21 +189,24 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     z = plain.z
     evidence = -np.inf
     move = np.inf
-    for _ in range(MOST_SOLVES):
+    for _ in range(3):  # solves, each followed by better sizes, at most
         found = search.best_of([disturbances])
         disturbances = found.disturbances
         is_settled = found.log_evidence < evidence + SETTLED_EVIDENCE
-        if is_settled and move < SETTLED_STEP:
+        # Functions of states, and the directions that forces may not take, are those of
+        # the states before: after one solve with such directions the stiffness of an
+        # oscillator was off by 4 to 7 standard errors, after two by a thousandth.
+        if is_settled and move < 0.1:
             break
         task.say("parameters, states and forces together")
         problem = JointProblem(linearizer, disturbances, search.moving)
-        joint = problem.optimum(z, MOST_STEPS_OF_A_SOLVE)
+        joint = problem.optimum(z, most_steps=100)
         z = joint.point.z
-        weights = noise_weights(joint.linear, disturbances.sigma)
+        weights = noise_weights(joint.place.linear, disturbances.sigma)
         solution = solution_of_steps(
             values,
             z,
-            joint.residual * weights * np.sqrt(2 / len(weights)),
+            joint.place.residual * weights * np.sqrt(2 / len(weights)),
             violation=joint.violation,
             n_steps=joint.n_steps,
             is_found=joint.has_converged,
@@ -234,7 +230,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         )
         if not solution.outcome.success:
             return estimate
-        search = plain.search(replace(joint.linear, along=None))
+        search = plain.search(replace(joint.place.linear, along=None))
         estimate = replace(estimate, search=search)
         marginal = estimate._likelihood.at(disturbances)
         evidence = marginal.log_evidence

@@ -11,6 +11,7 @@ import numpy as np
 
 from phsi_opt.estimation.likelihood_steps import Optimum
 from phsi_opt.estimation.noise_estimation import NOISE_TOLERANCE, NoiseIteration
+from phsi_opt.model_error.joint_estimate import NEARLY_HELD
 from phsi_opt.optimization.ipopt import Solution, Solver
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
@@ -26,7 +27,6 @@ NOISE_FREE_RMS = 0.01
 # Scaled defect up to which a stalled iterate satisfies the model: the solver's own
 # tolerance.
 NOISE_FREE_DEFECT = 1e-8
-NEARLY_HOLDING = 1e-2  # scaled defect up to which IPOPT begins where full steps ended
 
 
 def by_ipopt(
@@ -47,7 +47,7 @@ def by_ipopt(
     """
     starts = [(False, program.start), (True, program.start)]  # whether it is exact
     if by_steps is not None:
-        if by_steps.solution.outcome.infeasibility < NEARLY_HOLDING:
+        if by_steps.solution.outcome.infeasibility < NEARLY_HELD:
             # Steps are Gauss-Newton's: where they stalled, IPOPT's creep.
             starts = [(True, by_steps.solution.z), (False, program.start)]
         if not settings.thorough:

@@ -23,6 +23,7 @@ from phsi_opt.estimation.noise_estimation import NOISE_TOLERANCE, NoiseIteration
 from phsi_opt.model_error.joint_estimate import (
     EXACTLY,
     SETTLED_VIOLATION,
+    STEPS_OF_A_PROBLEM,
     JointProblem,
     Target,
 )
@@ -38,14 +39,11 @@ from phsi_opt.optimization.outcome import (
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 
-MOST_NOISE_UPDATES = 10
-STEPS_WITH_ONE_NOISE = 30  # with one noise
 # Length of a step, in standard deviations of what is unknown, that is short enough for
 # the noise to be re-estimated.
 FOR_THE_NOISE = Target(length=0.1)
 # Sizes of the force, as a share of each state's own rate, and where its steps end.
 FORCE_SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
-MOST_STEPS_OF_A_SIZE = 30
 NEXT_SIZE = Target(fall=1e-3)
 
 
@@ -74,26 +72,25 @@ def by_steps(
         sigma: (n_states,) noise to start from.
     """
     began = time.perf_counter()
-    most = min(STEPS_WITH_ONE_NOISE, settings.max_iterations)
+    most = min(STEPS_OF_A_PROBLEM, settings.max_iterations)
     target = FOR_THE_NOISE if noise.is_estimated.any() else EXACTLY
     linearizer = Linearizer(values)
     joint = None
     n_steps = 0
     is_found = False
-    for _ in range(MOST_NOISE_UPDATES):
+    for _ in range(10):  # noises, at most
         problem = JointProblem.white(linearizer, sigma)
         try:
-            if joint is None:
-                joint = problem.optimum(z, most, target=target)
-            else:
-                joint = problem.onward(joint, most, target)
+            joint = problem.optimum(z, most, target=target, before=joint)
         except (SolveError, np.linalg.LinAlgError):
             break
         n_steps += joint.n_steps
         is_late = time.perf_counter() - began > settings.max_seconds
         if not joint.has_converged or is_late:
             break
-        updated = noise.updated(sigma, _mean_residual(joint.residual, sigma, values))
+        updated = noise.updated(
+            sigma, _mean_residual(joint.place.residual, sigma, values)
+        )
         change = noise.change(sigma, updated)
         sigma = updated
         has_settled = change < NOISE_TOLERANCE
@@ -168,11 +165,8 @@ def continued(values: LikelihoodValues, sigma: np.ndarray) -> np.ndarray | None:
     for size in FORCE_SIZES:
         problem = JointProblem.white(linearizer, sigma, (size * rates) ** 2)
         try:
-            if found is None:
-                z, most = values.point.scaled, MOST_STEPS_OF_A_SIZE
-                found = problem.optimum(z, most, target=NEXT_SIZE)
-            else:
-                found = problem.onward(found, MOST_STEPS_OF_A_SIZE, NEXT_SIZE)
+            z = values.point.scaled
+            found = problem.optimum(z, target=NEXT_SIZE, before=found)
         except (SolveError, np.linalg.LinAlgError):
             return None
     return None if found is None else found.point.z

@@ -22,7 +22,13 @@ from phsi_opt.model_error.ascent import climbed
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.force_posterior import ForcePosterior
-from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
+from phsi_opt.model_error.joint_estimate import (
+    NEARLY_HELD,
+    STEPS_OF_A_PROBLEM,
+    JointEstimate,
+    JointPoint,
+    JointProblem,
+)
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.processes import Process
 from phsi_opt.transcription.grid import Grid
@@ -33,14 +39,8 @@ from phsi_opt.transcription.point import Point
 Known = bool | np.ndarray  # whether the noise is known, of all states or of each
 Forces = tuple[Process, ...]
 
-# Steps while the force's size is still sought, and where few are not enough.
-ROUGHLY = 30
-THOROUGHLY = 200
 SIZE_STEPS = 8  # uphill between two solves, at most
 SETTLED_SIZE = 0.02  # change of the logarithm of a size at which the rounds end
-# Violation of the (scaled) dynamics beyond which a search that did not end well is of
-# no use.
-LOST = 1e-2
 # Factor on the force's size after a search from its usual size failed.
 GENEROUS = 100.0
 # The mean duration of a record holds as many of the force's correlation times.
@@ -161,21 +161,23 @@ def estimate_force(
     linearizer = Linearizer(_values(model, grid, point, integrator))
     last: JointPoint | None = None
 
-    def solved(start: JointPoint | None, most_steps: int) -> JointEstimate:
+    def solved(
+        start: JointPoint | None, most_steps: int = STEPS_OF_A_PROBLEM
+    ) -> JointEstimate:
         problem = JointProblem(linearizer, disturbances, NO_PARAMETERS)
         z = linearizer.values.point.scaled if start is None else start.z
         return problem.optimum(z, most_steps, start)
 
     for n_left in reversed(range(rounds)):
-        found = solved(last, ROUGHLY)
+        found = solved(last)
         if _is_lost(found):
             # A force large enough lets the states follow the data, whatever the model.
             larger = _scaled(disturbances.forces, GENEROUS)
             disturbances = replace(disturbances, forces=larger)
-            found = solved(None, ROUGHLY)
+            found = solved(None)
         is_unfinished = n_left == 0 and not found.has_converged
         if is_patient and (_is_lost(found) or is_unfinished):
-            found = solved(found.point, THOROUGHLY)
+            found = solved(found.point, 200)
         if _is_lost(found):
             raise SolveError(
                 "the missing force could not be estimated: no states obey the model "
@@ -226,7 +228,7 @@ def _scaled(forces: Forces, factor: float) -> Forces:
 
 
 def _is_lost(found: JointEstimate) -> bool:
-    return not found.has_converged and found.violation > LOST
+    return not found.has_converged and found.violation > NEARLY_HELD
 
 
 # Factors on the width of corners that are too sharp.

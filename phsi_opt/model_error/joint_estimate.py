@@ -29,30 +29,21 @@ from phsi_opt.model_error.marginal_likelihood import (
     noise_weights,
 )
 from phsi_opt.optimization.bounded_step import SILENT, Room
+from phsi_opt.optimization.outcome import is_level
 from phsi_opt.transcription.elimination import RIDGE
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
+# Steps of a problem that others follow, with other noise or another size of the force.
+STEPS_OF_A_PROBLEM = 30
 # Share of the parameters' information that is added to it where no part of a step leads
 # down (Levenberg 1944, Marquardt 1963).
 LEAST_STEP_DAMPING = 1e-2
-STEP_DAMPING_GROWTH = 10.0
-MOST_STEP_DAMPING = 1e6
-ARMIJO = 0.1  # share of what a step promises to lower that it has to
-# Steps whose objectives are level (log likelihoods) beside a kink of the model, where
-# no step is short, and the violation up to which the dynamics then hold.
-LAST_STEPS = 8
-LEVEL_OBJECTIVE = 0.025
-NEARLY_HELD = 1e-2
 # Step, in standard deviations of a parameter, by which slopes are told.
 SMALL_STEP = 1e-3
-PRICE = 2.0  # of a unit of violation, over the largest multiplier
-MOST_SHORTENINGS = 8
-# Length up to which a step is taken whole: what it gains is beyond the accuracy of
-# numbers.
-SHORT_STEP = 1e-2
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
-# Information that defects of size 1 may bring about, as a share of the largest one.
-CURVED_BY_DEFECTS = 1e-3
+# Violation up to which a search that did not settle is of use: beside a kink of the
+# model, or for a start.
+NEARLY_HELD = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +101,6 @@ class JointEstimate:
     def likelihood(self) -> MarginalLikelihood:
         """Of the record linearised there."""
         return self.place.likelihood
-
-    @property
-    def linear(self) -> Linearization:
-        """The record linearised there."""
-        return self.likelihood.problem
-
-    @property
-    def residual(self) -> np.ndarray:
-        """Measured less shown, errors of sensors included, (n_values,)."""
-        return self.place.residual
 
     @property
     def violation(self) -> float:
@@ -232,12 +213,14 @@ class JointProblem:
             tilt[place] = (there - volume) / step
         return replace(self, tilt=tilt)
 
+    @np.errstate(all="ignore")
     def optimum(
         self,
         z: np.ndarray,
-        most_steps: int,
+        most_steps: int = STEPS_OF_A_PROBLEM,
         beside: JointPoint | None = None,
         target: Target = EXACTLY,
+        before: JointEstimate | None = None,
     ) -> JointEstimate:
         """The most likely point, as far as the steps lead there.
 
@@ -246,33 +229,19 @@ class JointProblem:
             most_steps: at most.
             beside: disturbances to start from; None: there are none.
             target: where they end.
+            before: where steps ended with disturbances of other sizes, to start from in
+                place of z; of the same record, structure and kind of softness.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        return self._stepped(_Place.of(self, z, beside), 1.0, most_steps, target)
-
-    def onward(
-        self, before: JointEstimate, most_steps: int, target: Target = EXACTLY
-    ) -> JointEstimate:
-        """The same from where steps ended, if with disturbances of other sizes.
-
-        Args:
-            before: of the same record, structure and kind of softness.
-            most_steps: at most.
-            target: where they end.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
-        likelihood = before.likelihood.with_softness(self.softness).tilted(self.slope)
-        place = replace(before.place, problem=self, likelihood=likelihood)
-        return self._stepped(place, before.contraction, most_steps, target)
-
-    @np.errstate(all="ignore")
-    def _stepped(
-        self, place: "_Place", contraction: float, most_steps: int, target: Target
-    ) -> JointEstimate:
+        if before is None:
+            place, contraction = _Place.of(self, z, beside), 1.0
+        else:
+            likelihood = before.likelihood.with_softness(self.softness)
+            likelihood = likelihood.tilted(self.slope)
+            place = replace(before.place, problem=self, likelihood=likelihood)
+            contraction = before.contraction
         n_steps = 0
         has_converged = False
         damping = 0.0
@@ -288,21 +257,20 @@ class JointProblem:
             length = aim.length
             there = self._lower(place, aim)
             if there is None:
-                damping = max(STEP_DAMPING_GROWTH * damping, LEAST_STEP_DAMPING)
-                if damping > MOST_STEP_DAMPING or not len(self.moving):
+                damping = max(10 * damping, LEAST_STEP_DAMPING)
+                if damping > 1e6 or not len(self.moving):
                     break
                 continue
             is_whole = damping == 0
-            damping = (
-                damping / STEP_DAMPING_GROWTH if damping > LEAST_STEP_DAMPING else 0.0
-            )
+            damping = damping / 10 if damping > LEAST_STEP_DAMPING else 0.0
             objectives.append(there.cost(0.0))
             fall = target.fall * objectives[-1]
             is_short = is_whole and length * contraction < target.length
             has_converged = is_short and there.violation < SETTLED_VIOLATION
             if place.cost(0.0) - objectives[-1] < fall and length**2 / 2 < fall:
                 has_converged = True
-            if _is_level(objectives) and there.violation < NEARLY_HELD:
+            # No step is short beside a kink.
+            if is_level(2 * np.array(objectives)) and there.violation < NEARLY_HELD:
                 has_converged = True
             place = there
         return JointEstimate(place, n_steps, has_converged, length, contraction)
@@ -312,13 +280,14 @@ class JointProblem:
 
         None where there is none.
         """
-        price = PRICE * aim.largest_multiplier
+        price = 2 * aim.largest_multiplier  # of a unit of violation
         cost = place.cost(price)
-        promise = ARMIJO * (cost - place.cost(0.0) + aim.length**2 / 2)
-        if aim.length < SHORT_STEP:
+        # A tenth of what the step promises to lower (Armijo).
+        promise = 0.1 * (cost - place.cost(0.0) + aim.length**2 / 2)
+        if aim.length < 1e-2:  # what it gains is beyond the accuracy of numbers
             promise = -np.inf
-        share = 1.0
-        for _ in range(MOST_SHORTENINGS):
+        for n_halvings in range(8):
+            share = 0.5**n_halvings
             there = self._moved(place, place.point.towards(aim.point, share))
             if there.cost(price) < cost - share * promise:
                 return there.renewed()
@@ -327,7 +296,6 @@ class JointProblem:
                 there = self._moved(there, again)
                 if there.cost(price) < cost - promise:
                     return there.renewed()
-            share /= 2
         return None
 
     def _moved(self, place: "_Place", point: JointPoint) -> "_Place":
@@ -508,14 +476,14 @@ class _Place:
     ) -> Smoothed:
         """The optimum within the bounds; states at one that lead out of it are held.
 
-        Defects that do not hold curve directions about which the data say nothing.
+        Defects that do not hold curve directions about which the data say nothing:
+        those of size 1 by a thousandth of the largest information.
         """
         problem = self.problem
         values = problem.values
         silent_share = SILENT
         if problem.softness is None:
-            curved = CURVED_BY_DEFECTS * min(self.violation, 1.0)
-            silent_share = max(SILENT, curved)
+            silent_share = max(SILENT, 1e-3 * min(self.violation, 1.0))
         z, x = self.point.z, values.point.of_x
         room = problem.room(z)
         is_low, is_high = z[x] <= values.lower[x], z[x] >= values.upper[x]
@@ -562,9 +530,3 @@ class _Place:
         moved = moved + self.linear.shown_in_theta @ found.theta
         excess = self.problem.variance * found.multipliers - self._excess
         return float(np.sqrt(self._squares(moved, processes, coefficients, excess)))
-
-
-def _is_level(objectives: list[float]) -> bool:
-    """Whether the last steps went to and fro over a kink of the model."""
-    last = objectives[-LAST_STEPS:]
-    return len(last) == LAST_STEPS and float(np.ptp(last)) < LEVEL_OBJECTIVE

@@ -18,19 +18,17 @@ import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
-from phsi_opt.optimization.outcome import USABLE, Outcome, words_of_ipopt
+from phsi_opt.optimization.outcome import (
+    USABLE,
+    Outcome,
+    is_level,
+    words_of_ipopt,
+)
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.statistics import TINY
 
 SETTLED_AT_KINK = "the iterates settled at a kink of the model, where no slope vanishes"
-# Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over
-# the last `SETTLING` of them the logarithm of the objective, times the number of
-# residuals (a change of -2 log likelihood), stays within `LEVEL_DEVIANCE`, and the
-# constraints hold to `HOLDING`. Without curvature that would also be slow progress.
-SETTLING = 8
-LEVEL_DEVIANCE = 0.05
-HOLDING = 1e-5
-VIOLATED = 1e-6  # scaled violation beyond which a failure names the constraint
 AT_BOUND = 1e-6  # scaled distance up to which a parameter is at its bound
 
 
@@ -165,7 +163,7 @@ class Solver:
         g_lower, g_upper = program.g_bounds
         outside = np.maximum(g_lower - g, g - g_upper)
         violation = float(np.max(outside, initial=0.0))
-        if not success and violation > VIOLATED:
+        if not success and violation > 1e-6:
             where = program.name_of(int(np.argmax(outside)), program.constraints)
             sentence += f"; the largest violation is {violation:.1e} in {where}"
         return Outcome(
@@ -250,15 +248,17 @@ def _ipopt_options(settings: SolverSettings) -> dict[str, Any]:
 
 
 def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
-    """Whether the last iterates go to and fro over a kink (`SETTLING`)."""
+    """Whether the last iterates go to and fro over a kink, where constraints hold.
+
+    The logarithm of the objective, times the number of residuals, changes as -2 log
+    likelihood does.
+    """
     history = stats.get("iterations", {})
-    objective = np.array(history.get("obj", []))[-SETTLING:]
-    violation = np.array(history.get("inf_pr", []))[-SETTLING:]
-    if len(objective) < SETTLING or not np.all(np.isfinite(objective)):
-        return False
-    spread = n_residuals * np.ptp(objective)
-    is_level = spread <= LEVEL_DEVIANCE * np.max(np.abs(objective))
-    return bool(is_level and np.max(violation) < HOLDING)
+    objective = np.array(history.get("obj", []))[-8:]
+    violation = np.array(history.get("inf_pr", []))[-8:]
+    size = np.max(np.abs(objective), initial=TINY)
+    holds = np.isfinite(size) and np.max(violation, initial=0.0) < 1e-5
+    return bool(holds and is_level(n_residuals * objective / size))
 
 
 def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:

@@ -6,6 +6,8 @@ it is raised as an error is decided elsewhere.
 
 from dataclasses import dataclass
 
+import numpy as np
+
 DIRECT_STEPS = "Direct_Steps"  # status of full Gauss-Newton steps
 TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded")
 OTHERWISE = "Start from other values, or use more steps per sample."
@@ -69,6 +71,19 @@ def words_of_ipopt(status: str, max_seconds: float) -> tuple[str, str]:
         )
     unknown = (f"the solver stopped: {status}", "Try other starting values.")
     return (USABLE | FAILURES).get(status, unknown)
+
+
+def is_level(deviances: np.ndarray) -> bool:
+    """Whether the last eight steps went to and fro over a kink of the model.
+
+    Beside one (a dead zone, a gap) no step becomes short. Without the curvature of the
+    constraints, or where these do not hold, it would also be slow progress.
+
+    Args:
+        deviances: (n_steps,) -2 log likelihood after each.
+    """
+    last = deviances[-8:]
+    return len(last) == 8 and float(np.ptp(last)) < 0.05
 
 
 @dataclass(frozen=True)
