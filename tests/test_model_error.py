@@ -973,7 +973,7 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
     assert hidden.forces
     nothing = estimated(simulated(0, size=0.0), MaximumLikelihood())
     assert isinstance(nothing, LikelihoodEstimate)
-    assert not nothing.plain.search._promising.is_any
+    assert not nothing.plain.search.is_promising
 
 
 def test_trials_that_are_asked_together_promise_what_each_does_alone(

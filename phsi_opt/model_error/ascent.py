@@ -23,24 +23,14 @@ from phsi_opt.model_error.marginal_likelihood import (
 from phsi_opt.model_error.processes import Process, Whitener, random_signs
 from phsi_opt.statistics import TINY
 
-PROBED_VALUES = 8_000  # values that all random vectors together look at, at least
+# Random vectors: as many as together look at 8000 values, within these limits.
 LEAST_PROBES = 6
 MOST_PROBES = 24
-# Share of the information that is added to it (Levenberg 1944, Marquardt 1963), and the
-# factor on it after a step that led down.
-FIRST_DAMPING = 0.1
-LEAST_DAMPING = 1e-3
-MOST_DAMPING = 1e4
-MORE_DAMPING = 10.0
 LEAST_INFORMATION = 0.1  # of a coordinate: a size that nothing tells moves freely
-LONGEST_STEP = 2.0  # of a logarithm
 MOST_STEPS = 25
 # Gain of the log evidence by a step at which an ascent ends: far below what makes a
 # difference to a standard error, and about what the random signs leave open.
 LEAST_GAIN = 0.03
-# An ascent may gain so many times what the quadratic at a place promises: the evidence
-# is steeper in logarithms of sizes that are far too small or too large.
-HOPE = 3.0
 PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 
@@ -119,29 +109,31 @@ def climbed(
     lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
     sums = coordinates.among_slopes()
     vector = np.zeros(len(lower))
-    damping = FIRST_DAMPING
-    try:
-        here = slopes(likelihood, coordinates.at(vector), channels, sums)
-    except SolveError:
+    # Share of the information that is added to it (Levenberg 1944, Marquardt 1963).
+    damping = 0.1
+    here = _slopes_at(likelihood, coordinates.at(vector), channels, sums)
+    if here is None:
         return Climbed(vector, -np.inf, np.zeros((len(vector), len(vector))))
     for _ in range(most_steps):
         leads_out = (vector <= lower) & (here.gradient < 0)
         leads_out |= (vector >= upper) & (here.gradient > 0)
-        hope = HOPE * _promise(here, ~leads_out)
+        # The evidence is steeper than a quadratic in logarithms of sizes that are far
+        # too small or too large.
+        hope = 3 * _promise(here, ~leads_out)
         if hope < least_gain or here.log_evidence + hope < worth:
             break
         step = _newton_step(here.gradient, here.information, ~leads_out, damping)
         trial = np.clip(vector + step, lower, upper)
         there = _slopes_at(likelihood, coordinates.at(trial), channels, sums)
         if there is None or there.log_evidence < here.log_evidence:
-            damping *= MORE_DAMPING
-            if damping > MOST_DAMPING:
+            damping *= 10
+            if damping > 1e4:
                 break
             continue
         gain = there.log_evidence - here.log_evidence
         vector = trial
         here = there
-        damping = max(damping / MORE_DAMPING, LEAST_DAMPING)
+        damping = max(damping / 10, 1e-3)
         if gain < least_gain:
             break
     return Climbed(vector, here.log_evidence, here.information)
@@ -174,7 +166,7 @@ def _slopes_at(
 def _newton_step(
     gradient: np.ndarray, information: np.ndarray, moves: np.ndarray, damping: float
 ) -> np.ndarray:
-    """A step uphill, no coordinate by more than `LONGEST_STEP`."""
+    """A step uphill, no coordinate (a logarithm) by more than two."""
     step = np.zeros(len(gradient))
     if not moves.any():
         return step
@@ -183,7 +175,7 @@ def _newton_step(
     damped = inner + np.diag(damping * diagonal + LEAST_INFORMATION)
     step[moves] = np.linalg.solve(damped, gradient[moves])
     longest = np.max(np.abs(step))
-    return step * min(1.0, LONGEST_STEP / max(longest, TINY))
+    return step * min(1.0, 2.0 / max(longest, TINY))
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +279,7 @@ class _Derivatives:
         n_slopes = len(self.channels) + 2 * len(self.priors) + len(self.sizes)
         changes, data = self._changes(np.eye(n_slopes) if sums is None else sums)
         n_values = self.problem.n_values
-        n_probes = int(np.clip(PROBED_VALUES // n_values, LEAST_PROBES, MOST_PROBES))
+        n_probes = int(np.clip(8_000 // n_values, LEAST_PROBES, MOST_PROBES))
         lengths = (n_values, *(prior.n for prior in self.priors))
         signs = random_signs(lengths, n_probes)
         probes = self._probes(signs)

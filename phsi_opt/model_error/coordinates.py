@@ -12,7 +12,6 @@ from phsi_opt.statistics import TINY
 # millionth of where it began is not there.
 SMALLEST_LOG = -14.0
 LARGEST_LOG = 7.0  # and up to which it goes
-LEAST_WHITE = 0.1  # share of the least noise of a channel that stays white
 # Sizes of noises and processes that are estimated one by one, at most: beyond, those of
 # one kind keep their ratios.
 MOST_SIZES = 27
@@ -80,12 +79,12 @@ class Coordinates:
     def _least_white(self, channel: int) -> float:
         """White noise of a channel, at least: what errors that last leave of its noise.
 
-        Not none of it: the weight of a value is one over its white noise.
+        Not less than a tenth of it: the weight of a value is one over its white noise.
         """
         least = self.least_noise[channel]
         lasting = [one.size for one in self.origin.sensors if one.place == channel]
         left = least**2 - sum(size**2 for size in lasting)
-        return float(np.sqrt(max(left, (LEAST_WHITE * least) ** 2)))
+        return float(np.sqrt(max(left, (0.1 * least) ** 2)))
 
     def is_free(self, distance: float) -> np.ndarray:
         """Whether the origin is farther from both bounds, (n_coordinates,) of bool."""

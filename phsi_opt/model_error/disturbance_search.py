@@ -26,28 +26,12 @@ from phsi_opt.model_error.processes import Process
 from phsi_opt.model_error.score_test import Trial, WhiteRecord
 from phsi_opt.statistics import TINY
 
-# Correlation times to begin with: in sampling intervals, and as shares of a record.
-FIRST_INTERVALS = 3.0
-FIRST_DURATION_SHARE = 0.1
-# Sizes to begin with: a force as shares of the typical rate of its state, a sensor's
-# process as a share of the residuals.
+# Sizes of a force to begin with, as shares of the typical rate of its state.
 FORCE_SHARES = (0.1, 0.01)
-SENSOR_SHARE = 0.7
 # Sizes of a function that are tried, as shares of the typical rate. The last is also
 # the limit: a model that lacks more is wrong and not inexact, and a smooth function of
 # any size would imitate the corner of a friction that is not smooth.
 FUNCTION_SHARES = (0.003, 0.01, 0.03, 0.1)
-# Least noise as a share of what neighbouring samples scatter, which is noise and what
-# a cubic does not follow.
-LEAST_NOISE = 0.1
-SHORTEST_INTERVALS = 0.3  # shortest correlation time, in sampling intervals
-NO_STATES = 1e12  # stands for minus the log evidence where no states follow
-# Intervals on which a search begins: sizes and times are known to a few percent from
-# them, and the whole record has the last word.
-MOST_SEARCHED = 1_500
-MOST_SEARCHED_STATES = 13_500  # and states on them, all together
-SHORTEST_PIECE = 250  # samples of the pieces that a long record is searched on
-STEPS_ON_WHOLE = 4  # uphill, from what was found in pieces
 # Gain of the log evidence by a step at which the ascent of a re-fit ends: it moves its
 # standard errors by a few percent.
 BRIEF_GAIN = 0.2
@@ -59,9 +43,6 @@ PROMISING_SHARE = 0.5
 # search found something, three promised less than half and one, in which no force was
 # put, less than this; of 40 of 8 masses in which no force was put ten promised more.
 PROMISING_SHARE_TIED = 0.25
-# Columns of functions beside the parameters, at most: each costs as much as one more
-# parameter.
-MOST_FUNCTION_COLUMNS = 80
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +78,6 @@ class _Promising:
     forces: bool
     sensors: bool
     functions: bool
-
-    @property
-    def is_any(self) -> bool:
-        """Whether there is one."""
-        return self.noises or self.forces or self.sensors or self.functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +128,7 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        return (self.pieces or self)._promising.is_any
+        return any(vars((self.pieces or self)._promising).values())
 
     def found(self) -> Evidence:
         """What the record shows, white noise where it shows no more.
@@ -177,7 +153,7 @@ class DisturbanceSearch:
         ratios = np.log(in_pieces.sigma / pieces.noises()[0])
         sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
         start = replace(in_pieces, sigma=sigma)
-        best = self.best_of([start], most_steps=STEPS_ON_WHOLE)
+        best = self.best_of([start], most_steps=4)
         is_clear = best.log_evidence > white.log_evidence + STRONG_EVIDENCE
         return best if is_clear else white
 
@@ -235,15 +211,19 @@ class DisturbanceSearch:
 
     @cached_property
     def pieces(self) -> "DisturbanceSearch | None":
-        """The same search on a part of a long record; None for one that is short."""
+        """The same search on a part of a long record; None for one that is short.
+
+        Sizes and times are known to a few percent from so many intervals and states,
+        and the whole record has the last word.
+        """
         n_intervals = self.problem.grid.n_intervals
         n_states = self.problem.nodes.shape[1]
-        most_intervals = min(MOST_SEARCHED, MOST_SEARCHED_STATES / n_states)
+        most_intervals = min(1_500, 13_500 / n_states)
         if n_intervals <= 1.5 * most_intervals:
             return None
         per_sample = max(n_intervals / max(int(self.problem.grid.sample.sum()), 1), 1.0)
         most = most_intervals * per_sample**0.5
-        n_pieces = max(int(n_intervals / (SHORTEST_PIECE * per_sample)), 2)
+        n_pieces = max(int(n_intervals / (250 * per_sample)), 2)  # of 250 samples
         stride = max(round(n_intervals / most), 2)
         numbers = self.problem.piece_numbers(n_pieces)
         chosen = np.where(numbers % stride == 0, numbers, -1)
@@ -303,14 +283,15 @@ class DisturbanceSearch:
         below ``worth`` is of no use.
         """
         if not starts:
-            return Evidence(Disturbances(self.plain), -NO_STATES)
+            return Evidence(Disturbances(self.plain), -np.inf)
         likelihood = self.likelihood(starts[0])
-        values = [_negative_evidence(likelihood, start) for start in starts]
-        origin = starts[int(np.argmin(values))]
+        values = [_log_evidence(likelihood, start) for start in starts]
+        origin = starts[int(np.argmax(values))]
         coordinates = Coordinates(
             origin=origin,
             channels=self.channels,
-            least_noise=LEAST_NOISE * np.mean(self.scatter, axis=0),
+            # The scatter is noise and what a cubic does not follow.
+            least_noise=0.1 * np.mean(self.scatter, axis=0),
             shortest=self.shortest,
             longest=self._longest,
             largest_functions=tuple(
@@ -349,12 +330,15 @@ class DisturbanceSearch:
     @property
     def shortest(self) -> float:
         """Shortest correlation time, as good as white."""
-        return SHORTEST_INTERVALS * self.interval
+        return 0.3 * self.interval
 
     def first_times(self) -> list[float]:
-        """Correlation times to begin a search with."""
-        short = FIRST_INTERVALS * self.interval
-        long = max(FIRST_DURATION_SHARE * self._longest, 2 * short)
+        """Correlation times to begin a search with.
+
+        Three intervals, a tenth of a record, and one between.
+        """
+        short = 3 * self.interval
+        long = max(0.1 * self._longest, 2 * short)
         return [short, float(np.sqrt(short * long)), long]
 
     def noises(self) -> list[np.ndarray]:
@@ -384,7 +368,7 @@ class DisturbanceSearch:
         starts = []
         for sigma in self.noises():
             for time in self.first_times():
-                sensors = self._sensors(SENSOR_SHARE, time)
+                sensors = self._sensors(0.7, time)
                 starts.append(Disturbances(sigma, sensors=sensors))
         return starts
 
@@ -429,7 +413,11 @@ class DisturbanceSearch:
         return tuple(chosen)
 
     def _function_candidates(self) -> tuple[StateFunction, ...]:
-        """The functions that are tried, as large as the typical rate."""
+        """The functions that are tried, as large as the typical rate.
+
+        None where they have more than 80 columns beside the parameters: each costs as
+        much as one more parameter.
+        """
         problem = self.problem
         rates = self.rates()
         candidates = []
@@ -441,21 +429,20 @@ class DisturbanceSearch:
                     size = float(rates[equation])
                     candidates.append(StateFunction(equation, state, size))
                     n_columns += n_functions
-        return tuple(candidates) if n_columns <= MOST_FUNCTION_COLUMNS else ()
+        return tuple(candidates) if n_columns <= 80 else ()
 
     def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
         """Typical rate in the equation of each function, (n_functions,)."""
         return self.rates()[[function.equation for function in functions]]
 
 
-def _negative_evidence(
-    likelihood: MarginalLikelihood, disturbances: Disturbances
-) -> float:
+def _log_evidence(likelihood: MarginalLikelihood, disturbances: Disturbances) -> float:
+    """Of disturbances; minus infinity where no states follow."""
     try:
-        value = -likelihood.at(disturbances).log_evidence
+        value = likelihood.at(disturbances).log_evidence
     except (SolveError, np.linalg.LinAlgError):
-        return NO_STATES
-    return value if np.isfinite(value) else NO_STATES
+        return -np.inf
+    return value if np.isfinite(value) else -np.inf
 
 
 def _chosen_sizes(border: Border, rates: np.ndarray) -> np.ndarray:

@@ -16,10 +16,6 @@ from phsi_opt.statistics import TINY
 
 # Numbers that are held at once while the linearised problem is solved: 240 MB.
 MOST_SOLVED = 3e7
-# Intervals at which the standard deviation is solved for, at least and at most; it
-# changes slowly and is interpolated between them.
-FEWEST_DEVIATIONS = 16
-MOST_DEVIATIONS = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +54,11 @@ class ForcePosterior:
     def deviation(self) -> np.ndarray:
         """Standard deviation of the forces, (n_intervals, n_forced).
 
-        It is solved for at as many intervals as fit in memory, and interpolated
-        between.
+        It changes slowly, is solved for at 16 to 400 intervals, as many as fit in
+        memory, and interpolated between.
         """
         that_fit = MOST_SOLVED / self.n_unknowns
-        most = int(np.clip(that_fit, FEWEST_DEVIATIONS, MOST_DEVIATIONS))
+        most = int(np.clip(that_fit, 16, 400))
         n_intervals = self.likelihood.problem.grid.n_intervals
         evenly = np.linspace(0, n_intervals - 1, min(most, n_intervals))
         chosen = np.unique(evenly.astype(int))

@@ -17,9 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes
-# Information of a logarithm, at least: a size that the record tells no better is known
-# to a factor of four.
-LEAST_CERTAINTY = 0.5
 FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
 MOST = 1e9  # degrees of freedom of a variance that is as good as known
 
@@ -59,7 +56,8 @@ def degrees_of_freedom(
         return np.full(len(at_zero), MOST)
     units = LOG_STEP * np.eye(len(is_free))[is_free]
     values, vectors = np.linalg.eigh(information[np.ix_(is_free, is_free)])
-    spread = 1 / np.maximum(values, LEAST_CERTAINTY)
+    # A size that the record tells no better is known to a factor of four.
+    spread = 1 / np.maximum(values, 0.5)
     covariance = (vectors * spread) @ vectors.T
     changes = [log_variances(unit) - log_variances(-unit) for unit in units]
     slopes = np.array(changes) / (2 * LOG_STEP)

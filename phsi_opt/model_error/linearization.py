@@ -110,6 +110,11 @@ class Linearization:
         return len(self.residual)
 
     @property
+    def noise_freedom(self) -> np.ndarray:
+        """Degrees of freedom where noise is all there is, (n_theta,)."""
+        return np.full(self.n_theta, max(float(self.n_values - self.n_theta), 1.0))
+
+    @property
     def n_trajectories(self) -> int:
         """Number of trajectories."""
         return int(self.grid.trajectory[-1]) + 1

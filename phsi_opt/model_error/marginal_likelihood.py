@@ -28,7 +28,6 @@ from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, RIDGE
 
 NOTHING_HELD = np.zeros(0, dtype=int)
-HELD_STATE = 1e9  # share of the largest curvature by which a state does not move
 LOST_TO_ROUNDING = (
     "the information about the parameters is lost to rounding: noise and model error "
     "are too far apart in size."
@@ -462,7 +461,7 @@ class MarginalLikelihood:
         curvature = self._products * squared[self._pairs.value]
         largest = np.max(curvature)
         shift = np.full(problem.nodes.size, regular * largest)
-        shift[held] = HELD_STATE * largest
+        shift[held] = 1e9 * largest
         entries = [self._dynamics_entries, curvature, shift]
         log_prior = 0.0
         for process, whitener in zip(processes, whiteners, strict=True):

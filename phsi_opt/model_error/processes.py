@@ -12,9 +12,6 @@ from scipy.linalg.lapack import dtbtrs
 
 from phsi_opt.statistics import TINY
 
-SEED = 0  # of random signs
-MOST_SETS = 4  # sets of signs; a search asks for the same ones at every step
-
 
 @dataclass(frozen=True)
 class Process:
@@ -125,7 +122,7 @@ class Whitener:
         return self.coloured(self.factor_of(values))
 
 
-@lru_cache(MOST_SETS)
+@lru_cache(4)  # a search asks for the same ones at every step
 def random_signs(lengths: tuple[int, ...], n: int) -> tuple[np.ndarray, ...]:
     """Signs, (n_values, n) for each of the lengths n_values, read-only.
 
@@ -133,7 +130,7 @@ def random_signs(lengths: tuple[int, ...], n: int) -> tuple[np.ndarray, ...]:
     Communications in Statistics 19, 1990). The same signs everywhere make an estimate
     the same every time, and smooth in what the matrix depends on.
     """
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(0)
     drawn = []
     for length in lengths:
         signs = np.asfortranarray(rng.choice([-1.0, 1.0], (length, n)))

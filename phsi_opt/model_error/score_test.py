@@ -35,10 +35,6 @@ from phsi_opt.transcription.elimination import RIDGE
 # Random vectors for every group of processes: a slope is then known to about a third of
 # its standard deviation.
 N_SIGNS = 8
-# Slope, in standard deviations, below which a process is as unwanted as any: that of a
-# channel whose residuals are zero is beyond numbers.
-MOST_UNWANTED = -1e6
-ALMOST_NONE = 1e-9  # share of the information that is added where there is none
 
 
 @dataclass(frozen=True)
@@ -303,7 +299,8 @@ class WhiteRecord:
         ends = np.cumsum([0, *(len(kind) for kind in asked.kinds)])
         by_chance = np.add.reduceat(products, ends[:-1]) / N_SIGNS
         slopes = (asked.seen / asked.size - by_chance) / 2
-        asked.excess = np.maximum(slopes, MOST_UNWANTED)
+        # That of a channel whose residuals are zero is beyond numbers.
+        asked.excess = np.maximum(slopes, -1e6)
 
 
 def _kinds(members: list[M], is_tied: bool) -> list[list[M]]:
@@ -322,7 +319,7 @@ def _gain(slopes: np.ndarray, information: np.ndarray) -> float:
     """
     if not np.any(slopes > 0):
         return 0.0
-    regular = information + ALMOST_NONE * np.eye(len(slopes))
+    regular = information + 1e-9 * np.eye(len(slopes))  # where there is none
     found = np.linalg.solve(regular, slopes)
     if np.any(found < 0):
         lower = np.linalg.cholesky(regular)

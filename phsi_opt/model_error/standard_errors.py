@@ -86,12 +86,6 @@ class PlainEstimate:
         """Noise of the plain likelihood, (n_trajectories, n_states)."""
         return self.search.plain
 
-    @property
-    def noise_freedom(self) -> np.ndarray:
-        """Degrees of freedom where noise is all there is, (n_theta,)."""
-        n_theta = len(self.covariance)
-        return np.full(n_theta, max(float(self.problem.n_values - n_theta), 1.0))
-
 
 @dataclass(frozen=True, eq=False)
 class StandardErrors:
@@ -117,7 +111,7 @@ class StandardErrors:
 
 def standard_errors(plain: PlainEstimate) -> StandardErrors:
     """The standard errors of a plain estimate."""
-    of_noise = Spread(plain.covariance, plain.noise_freedom)
+    of_noise = Spread(plain.covariance, plain.problem.noise_freedom)
     spreads = {Source.NOISE: of_noise}
     found = Disturbances(plain.sigma)
     # Beyond what numbers hold are slopes of 1e300, noise of 1e-14.
@@ -168,8 +162,7 @@ def under_disturbances(
     """
     problem = search.problem
     coordinates = best.coordinates
-    n_theta = problem.n_theta
-    freedom = np.full(n_theta, max(float(problem.n_values - n_theta), 1.0))
+    freedom = problem.noise_freedom
     if coordinates is None or best.information is None:
         covariance = covariance_under(problem, response, best.disturbances)
         return Spread(covariance, freedom)

@@ -14,9 +14,6 @@ from phsi_opt.statistics import TINY
 # longer, a curved function is not found. Measured on oscillators with a hidden cubic
 # spring: 0.7 and 1.5 hold the stiffness in 80 to 95 % and 65 to 95 % of the records.
 LENGTH = 1.0
-N_POINTS = 10  # at which the process is written down exactly, over the state's range
-# Share of the largest variance below which a function is left out.
-LEAST_VARIANCE = 1e-4
 # Share of its size that the linear part of a function keeps. A machine's model has the
 # springs and dampers of its states already, and what is straight over the record went
 # to them; a share is left for what is straight here and not elsewhere. Measured on
@@ -51,9 +48,10 @@ def smooth_functions(
     if not spread > TINY:
         return np.zeros((len(values), 0))
     standard = (values - np.mean(values)) / spread
-    points = np.linspace(standard.min(), standard.max(), N_POINTS)
+    # Where the process is written down exactly.
+    points = np.linspace(standard.min(), standard.max(), 10)
     variance, directions = np.linalg.eigh(_covariance(points, points))
-    is_kept = variance > LEAST_VARIANCE * variance[-1]
+    is_kept = variance > 1e-4 * variance[-1]
     to_functions = directions[:, is_kept] / np.sqrt(variance[is_kept])
     functions: np.ndarray = _covariance(standard, points) @ to_functions
     functions -= functions.mean(axis=0)
