@@ -131,7 +131,7 @@ class Estimate(ABC):
 
     def noise_by_name(self, sigma: np.ndarray) -> dict[str, float]:
         """Noise of the states that were measured, of that of all, (n_states,)."""
-        measured = np.flatnonzero(self.grid.measured.any(axis=0)).tolist()
+        measured = np.flatnonzero(self.grid.measured_states).tolist()
         return {self.model.states[k]: float(sigma[k]) for k in measured}
 
     def fit(self) -> Fit:
@@ -179,9 +179,8 @@ class Estimate(ABC):
         place = self.unknown.names.index(name)
         parameter = self.unknown.entries[place].parameter
         value = self.theta[place]
-        is_low = value - parameter.lower <= parameter.upper - value
-        side = "lower" if is_low else "upper"
-        bound = parameter.lower if is_low else parameter.upper
+        bound = parameter.nearest_bound(value)
+        side = "lower" if bound == parameter.lower else "upper"
         return (
             f"{name} ended at its {side} bound {bound:g}, to which the data press it: "
             "the model may lack something, or the bound is not right; it has no "

@@ -70,7 +70,7 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
         least_noise=least,
     )
     estimate = search(guess)
-    measured = grid.measured.any(axis=0)
+    measured = grid.measured_states
 
     def is_doubtful(found: ForceEstimate) -> bool:
         return bool(np.any(measured & (found.white > DOUBTFUL_NOISE * scatter)))

@@ -15,6 +15,7 @@ from phsi_opt.data.checks import Hold
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
 from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.simulation.free_run import rates
 from phsi_opt.simulation.simulate import simulate
 
 if TYPE_CHECKING:
@@ -161,13 +162,7 @@ class Identified:
 
         x is (n_states,), u (n_inputs,), t a number; the fitted numbers stand in it.
         """
-        x = ca.SX.sym("x", self.model.n_states)
-        u = ca.SX.sym("u", self.model.n_inputs)
-        t = ca.SX.sym("t")
-        values = self.values
-        theta = [values[name] for name in self.model.free]
-        dx = self.model.rhs()(x, u, t, theta)
-        return ca.Function("fitted", [x, u, t], [dx], ["x", "u", "t"], ["dx"])
+        return rates(self.model)
 
     def equations(self) -> list[str]:
         """The right-hand sides with the fitted numbers, one text per state.

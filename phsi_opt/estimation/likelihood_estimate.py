@@ -66,10 +66,7 @@ class LikelihoodEstimate(Estimate):
     @property
     def states(self) -> tuple[np.ndarray, ...]:
         """States at the samples, (n_samples, n_states) per trajectory."""
-        nodes = self.grid.split(self.nodes)
-        is_sample = self.grid.split(self.grid.sample)
-        pairs = zip(nodes, is_sample, strict=True)
-        return tuple(x[sample] for x, sample in pairs)
+        return self.task.grid.split(self.nodes[self.grid.sample])
 
     @property
     def standardized(self) -> np.ndarray:
@@ -201,7 +198,7 @@ class LikelihoodEstimate(Estimate):
             problem: the likelihood, linearised.
         """
         shape = (problem.n_trajectories, len(self.sigma))
-        measured = problem.grid.measured.any(axis=0)
+        measured = problem.grid.measured_states
         scatter = scatter_by_run(self.task.data)
         stays = [*self.held, *self.uncertainty.silent.pinned]
         return DisturbanceSearch(

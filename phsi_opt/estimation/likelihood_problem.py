@@ -55,11 +55,6 @@ class NoiseLevels:
         """Noise that is known of every state."""
         return cls(sigma, np.ones(len(sigma), dtype=bool), np.zeros(len(sigma)))
 
-    def with_estimates(self, sigma: np.ndarray) -> "NoiseLevels":
-        """``sigma`` in place of what was not declared."""
-        estimated = np.maximum(sigma, self.least)
-        return replace(self, sigma=np.where(self.is_known, self.sigma, estimated))
-
 
 @dataclass(frozen=True, eq=False)
 class StartingPoint:
@@ -133,7 +128,10 @@ class LikelihoodProblem:
 
     def with_noise_of(self, sigma: np.ndarray) -> "LikelihoodProblem":
         """``sigma`` (n_states,) in place of the noise that was not declared."""
-        return replace(self, noise=self.noise.with_estimates(sigma))
+        noise = self.noise
+        estimated = np.maximum(sigma, noise.least)
+        sigma = np.where(noise.is_known, noise.sigma, estimated)
+        return replace(self, noise=replace(noise, sigma=sigma))
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
         """The optimum of the whole record, however far off the start is.

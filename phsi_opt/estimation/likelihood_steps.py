@@ -181,7 +181,7 @@ def _sizes_of_rates(values: LikelihoodValues) -> np.ndarray:
     typical = np.median(moving) if len(moving) else 1 / np.ptp(grid.t)
     # A state that stands still in the start is as fast as the others.
     rate = np.where(rate > 0, rate, typical * point.x_scale)
-    rate = np.where(grid.measured.any(axis=0), rate, 0.0)
+    rate = np.where(grid.measured_states, rate, 0.0)
     return np.asarray((rate * grid.h[:, None] / point.x_scale).ravel())
 
 

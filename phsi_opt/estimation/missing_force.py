@@ -154,9 +154,9 @@ def estimate_force(
         SolveError: no states and force were found that obey the dynamics.
     """
     forces = generous_force(model, grid, point) if forces is None else forces
-    noise = np.tile(sigma, (int(grid.trajectory[-1]) + 1, 1))
+    noise = np.tile(sigma, (grid.n_trajectories, 1))
     disturbances = Disturbances(noise, forces, sensors)
-    unknown = grid.measured.any(axis=0) & ~np.broadcast_to(known_noise, len(sigma))
+    unknown = grid.measured_states & ~np.broadcast_to(known_noise, len(sigma))
     channels = tuple(np.flatnonzero(unknown).tolist())
     linearizer = Linearizer(_values(model, grid, point, integrator))
     last: JointPoint | None = None
@@ -213,7 +213,7 @@ def _values(
     model: Model, grid: Grid, point: Point, integrator: str
 ) -> LikelihoodValues:
     """The likelihood at parameters that stay."""
-    runs = tuple(str(number) for number in range(int(grid.trajectory[-1]) + 1))
+    runs = tuple(str(number) for number in range(grid.n_trajectories))
     unknown = Theta.of(model, runs)
     theta = point.theta
     if theta.ndim == 2:

@@ -77,7 +77,7 @@ def model_error_rows(
         add(SENSOR_ERROR, sensor.place, sensor.size, sensor.time, is_sensor=True)
     # White noise of every trajectory, for the states of which it differs.
     differs = np.ptp(disturbances.sigma, axis=0) > 0
-    for k in np.flatnonzero(differs & grid.measured.any(axis=0)):
+    for k in np.flatnonzero(differs & grid.measured_states):
         for run, size in zip(task.runs, disturbances.sigma[:, k].tolist(), strict=True):
             add(f"noise of {run}", int(k), size, 0.0, is_sensor=True)
     return tuple(rows)

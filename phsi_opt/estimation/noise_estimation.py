@@ -56,12 +56,12 @@ class NoiseIteration:
     @cached_property
     def _least_of_data(self) -> np.ndarray:
         """Noise that is assumed of data without any; zero where nothing is measured."""
-        is_measured = self.grid.measured.any(axis=0)
+        is_measured = self.grid.measured_states
         return np.where(is_measured, least_noise(self.grid.y), 0.0)
 
     def change(self, sigma: np.ndarray, updated: np.ndarray) -> float:
         """Of the logarithm of the noise, the largest that moves the estimates."""
-        is_measured = self.grid.measured.any(axis=0)
+        is_measured = self.grid.measured_states
         change = np.log(updated / sigma)[is_measured]
         # One factor for all channels leaves the estimates where they are.
         is_scale_free = (
@@ -101,4 +101,4 @@ def estimated_noise(
         within = (1 - outside) - 2 * huber * normal_density(huber)
         freedom *= within + huber**2 * outside
     estimate = sigma * grid.rms_by_channel(residual) / np.sqrt(freedom)
-    return np.where(grid.measured.any(axis=0), estimate, sigma)
+    return np.where(grid.measured_states, estimate, sigma)

@@ -39,7 +39,7 @@ def _worst_ratio(estimate: LikelihoodEstimate) -> tuple[float, str]:
 
     With the name of its channel.
     """
-    is_measured = estimate.grid.measured.any(axis=0)
+    is_measured = estimate.grid.measured_states
     between_samples = np.nan_to_num(difference_noise(estimate.task.data))
     spread = np.where(is_measured, channel_spread(estimate.task.data), 0.0)
     floor = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * spread
@@ -62,7 +62,7 @@ def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
     """
     if not estimate.is_success:
         return False
-    is_measured = estimate.grid.measured.any(axis=0)
+    is_measured = estimate.grid.measured_states
     limit = FAR_OFF_SHARE * channel_spread(estimate.task.data)
     is_small = np.all((_rms_residual(estimate) <= limit)[is_measured])
     return bool(is_small) and _worst_ratio(estimate)[0] < AT_SCATTER

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import (
@@ -26,14 +27,12 @@ from phsi_opt.transcription.parameter_vector import Theta
 # Difference of -2 log likelihood up to which two starts found the same optimum: far
 # below what one parameter more explains by chance, far above the solver's tolerance.
 SAME_DEVIANCE = 0.1
-SEED = 0  # the same points every time
 # Standard deviation of the logarithm of the factor on a value: one value in three is
 # more than doubled or halved.
 LOG_FACTOR_SPREAD = 0.7
 # Standard deviation of what is added to a value of zero, in units of the parameter's
 # size.
 SHIFT_SPREAD = 0.3
-LEAST_STATE_SPREAD = 1e-12  # stands for that of a state that does not move
 
 
 def best_optimum(
@@ -98,11 +97,11 @@ def _random_values(
         return []
     unknown = Theta.of(first.model, problem.task.runs)
     x = np.concatenate(first.states)
-    x_spread = np.maximum(np.std(x, axis=0), LEAST_STATE_SPREAD)
+    x_spread = np.maximum(np.std(x, axis=0), LEAST_SIZE)
     means = unknown.means(first.theta)
     sizes = theta_scale(first.model, problem.task.grid, means, x, x_spread)
     shift = SHIFT_SPREAD * unknown.spread(sizes)
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(0)  # the same points every time
     found = []
     for _ in range(n_further):
         for_factor, for_shift = rng.normal(size=(2, len(first.theta)))

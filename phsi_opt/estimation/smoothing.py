@@ -6,7 +6,7 @@ trajectory has of its own, where the fit was not made from that record. A free r
 begins at the first of these states.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -94,7 +94,9 @@ def _most_likely_states(
     parameters: dict[str, Mapping[str, float]] = {}
     for number, run in enumerate(data.trajectories):
         known = record.parameters[run.name]
-        model = _with_own_parameters_free(fit.model.with_values(known), own_names)
+        # Free is only what the trajectory has of its own, if unknown.
+        others = {name: v for name, v in known.items() if name not in own_names}
+        model = fit.model.with_values(known).with_fixed(others)
         state = _accurate(
             fit,
             model,
@@ -109,11 +111,6 @@ def _most_likely_states(
         parameters[run.name] = {**known, **own}
         states += state.states
     return SmoothedStates(tuple(states), parameters)
-
-
-def _with_own_parameters_free(model: Model, own: Collection[str]) -> Model:
-    """The model of one trajectory: free is only what it has of its own, if unknown."""
-    return model.with_fixed({n: v for n, v in model.values.items() if n not in own})
 
 
 def _accurate(

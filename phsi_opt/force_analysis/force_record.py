@@ -53,7 +53,7 @@ class Points:
         middle = (x[grid.begin] + x[grid.begin + 1]) / 2
         u = (grid.u0 + grid.u1) / 2
         t = grid.t[grid.begin] + grid.h / 2
-        return cls(middle, u, t, record.theta[:, grid.trajectory[grid.begin]])
+        return cls(middle, u, t, record.theta[:, grid.runs])
 
     def values(self, function: ca.Function) -> np.ndarray:
         """Of a function of states, inputs, time and parameters, (n, n_out)."""
@@ -126,7 +126,7 @@ class ForceRecord:
     def run(self) -> np.ndarray:
         """Number of the trajectory, (n_intervals,)."""
         grid = self.estimate.grid
-        return grid.trajectory[grid.begin]
+        return grid.runs
 
     @cached_property
     def efforts(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from itertools import chain
 import casadi as ca
 import numpy as np
 
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.initialization.frequency_scan import (
     N_STARTS,
     RANK,
@@ -24,12 +25,11 @@ from phsi_opt.initialization.frequency_scan import (
     squared_defects,
     with_entry,
 )
-from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
-from phsi_opt.transcription.interval_map import argument_symbols
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta

@@ -6,8 +6,6 @@ follows from it. These are rough states to start from: their noise is that of
 differences.
 """
 
-from itertools import pairwise
-
 import numpy as np
 
 from phsi_opt.initialization.scaling import interpolated, invert_sensors
@@ -38,7 +36,7 @@ def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
     """
     grid = invert_sensors(model, grid)
     x = interpolated(grid)
-    known = np.flatnonzero(grid.measured.any(axis=0))
+    known = np.flatnonzero(grid.measured_states)
     no_memory = [k for k, name in enumerate(model.states) if name not in model.memory]
     unknown = np.setdiff1d(no_memory, known)
     while len(unknown) and len(known):
@@ -86,7 +84,7 @@ def _rates_and_slopes(
 def _rates(grid: Grid, x: np.ndarray) -> np.ndarray:
     """Differences over time along every trajectory, in the shape of x (n_nodes, k)."""
     rates = np.zeros(x.shape)
-    for begin, end in pairwise([*grid.first.tolist(), grid.n_nodes]):
+    for begin, end in grid.spans:
         if end - begin > 1:
             rates[begin:end] = np.gradient(x[begin:end], grid.t[begin:end], axis=0)
     return rates

@@ -127,7 +127,7 @@ def intervals_at_rest(
     at_end = np.abs(speed[grid.begin + 1])
     is_slow = np.maximum(at_begin, at_end) < STILL * width
     acceleration = np.sqrt(np.nanmean(grid.rates(speed[:, None]) ** 2))
-    trajectory = grid.trajectory[grid.begin]
+    trajectory = grid.runs
     is_changed = is_slow[1:] != is_slow[:-1]
     is_next_trajectory = trajectory[1:] != trajectory[:-1]
     stretch = np.cumsum(np.r_[True, is_changed | is_next_trajectory]) - 1

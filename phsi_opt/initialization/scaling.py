@@ -9,11 +9,11 @@ interpolated.
 from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import with_slopes
 from phsi_opt.statistics import TINY
@@ -26,7 +26,6 @@ from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
-LEAST_SIZE = 1e-12  # of what is zero all along
 N_RATE_STRETCHES = 200  # of a record, over which rates are taken
 N_SLOPES = 25  # nodes at which slopes of the model and the sensors are averaged
 # By how much the size of a parameter may differ from its own value. Far from its start,
@@ -71,7 +70,7 @@ def point_at(
     from_data = _measured_scale(invert_sensors(model, grid))
     spread = np.std(x, axis=0)
     from_states = np.where(spread > 0, spread, np.nan)
-    x_scale = np.where(grid.measured.any(axis=0), from_data, from_states)
+    x_scale = np.where(grid.measured_states, from_data, from_states)
     means = unknown.means(theta)
     x_scale = _with_unmeasured_scale(model, grid, means, x, x_scale)
     sizes = theta_scale(model, grid, means, x, x_scale, held)
@@ -158,7 +157,7 @@ def interpolated(grid: Grid) -> np.ndarray:
     x = np.nan_to_num(grid.y)
     is_measured = grid.measured
     with_gaps = np.flatnonzero(~is_measured.all(axis=0))
-    for begin, end in pairwise([*grid.first.tolist(), grid.n_nodes]):
+    for begin, end in grid.spans:
         for k in with_gaps:
             known = begin + np.flatnonzero(is_measured[begin:end, k])
             if len(known):
@@ -174,7 +173,7 @@ def _measured_scale(grid: Grid) -> np.ndarray:
     (n_states,), NaN where nobody measured it.
     """
     scale = np.full(grid.y.shape[1], np.nan)
-    for k in np.flatnonzero(grid.measured.any(axis=0)):
+    for k in np.flatnonzero(grid.measured_states):
         deviation = np.nanstd(grid.y[:, k])
         mean = float(np.nanmean(grid.y[:, k]))
         scale[k] = deviation if deviation > 0 else max(abs(mean), LEAST_SIZE)

@@ -66,7 +66,7 @@ class ForceSamples:
         std = np.maximum(estimate.posterior.deviation[:, column], TINY)
         grid = estimate.grid
         unknown = Theta.of(model, record.trajectories)
-        places = unknown.table[:, grid.trajectory[grid.begin]].T
+        places = unknown.table[:, grid.runs].T
         columns = np.zeros((n_intervals, len(unknown)))
         np.put_along_axis(columns, places, points.slopes(model)[:, row], axis=1)
         basis, sizes, _ = np.linalg.svd(columns / std[:, None], full_matrices=False)

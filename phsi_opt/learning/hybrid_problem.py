@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
-from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.learning.force_signals import with_force, with_signals
 from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
@@ -126,7 +126,7 @@ class HybridProblem:
 
         Whole trajectories, or blocks where there are fewer than `N_FOLDS` of them.
         """
-        trajectory = self.grid.trajectory[self.grid.begin]
+        trajectory = self.grid.runs
         if trajectory[-1] + 1 >= N_FOLDS:
             return trajectory % N_FOLDS
         return np.arange(len(trajectory)) * N_FOLDS // len(trajectory)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.initialization.scaling import LEAST_SIZE
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.network import (
     Layers,

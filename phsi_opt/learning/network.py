@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.errors import ModelError
-from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.optimization.torch_threads import one_thread
 
 # (weight (n_out, n_in), bias (n_out,)) of every layer

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
-from phsi_opt.initialization.scaling import LEAST_SIZE
 from phsi_opt.learning.force_samples import ForceSamples, Response
 from phsi_opt.learning.network import (
     Layers,

@@ -169,12 +169,16 @@ def function_of(
     return ca.Function(name, [x, u, t, theta], [result], names, ["value"])
 
 
+def argument_symbols(function: ca.Function) -> list[ca.SX]:
+    """A column of symbols for every argument of a function, named as there."""
+    return [ca.SX.sym(name, function.size1_in(name)) for name in function.name_in()]
+
+
 def with_slopes(function: ca.Function, argument: str) -> ca.Function:
     """The function, and its slopes in an argument, (n_out * n_argument,) row by row."""
-    names = function.name_in()
-    arguments = [ca.SX.sym(name, function.size1_in(name)) for name in names]
+    arguments = argument_symbols(function)
     values = function(*arguments)
-    slopes = ca.jacobian(values, arguments[names.index(argument)])
+    slopes = ca.jacobian(values, arguments[function.index_in(argument)])
     return ca.Function("slopes", arguments, [values, ca.vec(ca.densify(slopes.T))])
 
 

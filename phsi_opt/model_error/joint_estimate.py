@@ -162,7 +162,7 @@ class JointProblem:
     ) -> "JointProblem":
         """All parameters, and white noise sigma (n_states,) of the sensors."""
         values = linearizer.values
-        n_runs = int(values.grid.trajectory[-1]) + 1
+        n_runs = values.grid.n_trajectories
         noise = Disturbances(np.tile(sigma, (n_runs, 1)))
         return cls(linearizer, noise, np.arange(len(values.unknown)), softness)
 

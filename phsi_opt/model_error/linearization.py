@@ -12,7 +12,6 @@ in the unit of a rate of their state.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -117,7 +116,7 @@ class Linearization:
     @property
     def n_trajectories(self) -> int:
         """Number of trajectories."""
-        return int(self.grid.trajectory[-1]) + 1
+        return self.grid.n_trajectories
 
     @cached_property
     def middles(self) -> np.ndarray:
@@ -125,11 +124,6 @@ class Linearization:
         grid = self.grid
         middles: np.ndarray = grid.t[grid.begin] + grid.h / 2
         return middles
-
-    @cached_property
-    def runs(self) -> np.ndarray:
-        """Number of the trajectory of each interval, (n_intervals,)."""
-        return self.grid.trajectory[self.grid.begin]
 
     @cached_property
     def log_volume(self) -> float:
@@ -202,8 +196,7 @@ class Linearization:
         length = max(int(np.ceil(self.grid.n_nodes / n_pieces)), 1)
         numbers = np.zeros(self.grid.n_nodes, dtype=int)
         first = 0
-        limits = [*self.grid.first.tolist(), self.grid.n_nodes]
-        for begin, end in pairwise(limits):
+        for begin, end in self.grid.spans:
             n_of_run = max(round((end - begin) / length), 1)
             place = np.arange(end - begin) * n_of_run // (end - begin)
             numbers[begin:end] = first + place

@@ -519,7 +519,7 @@ class MarginalLikelihood:
         log_evidence = eliminated.log_evidence + self.problem.log_volume
         run_of_value = self.problem.grid.trajectory[self.problem.node]
         run_of_unknown = self._of_unknowns(
-            self.problem.grid.trajectory, self.problem.runs
+            self.problem.grid.trajectory, self.problem.grid.runs
         )
         borders = []
         for run in range(self.problem.n_trajectories):
@@ -841,7 +841,7 @@ def noise_weights(problem: Linearization, sigma: np.ndarray) -> np.ndarray:
 
 def whitener_of_force(problem: Linearization, force: Process) -> Whitener:
     """Of a force, at the middles of the intervals."""
-    return Whitener.of(problem.middles, problem.runs, force.time)
+    return Whitener.of(problem.middles, problem.grid.runs, force.time)
 
 
 def whitener_of_sensor(problem: Linearization, sensor: Process) -> Whitener:

@@ -194,7 +194,7 @@ class Chained:
         pulled = passage.pulled(a[passage.inside])
         a_samples = a[passage.samples] - passage.first.T @ pulled
         missed = self._over_gaps @ (weights * a_samples) - passage.over(b)
-        of_last = self._multipliers(missed)
+        of_last: np.ndarray = dpbtrs(self._factors, missed, lower=True)[0]
         samples = weights * (a_samples - self._over_gaps.T @ of_last)
         offset = b[passage.of_inside] - passage.first @ samples
         x = np.empty_like(a)
@@ -205,11 +205,6 @@ class Chained:
         onward = passage.pulled(passage.onward.T @ of_last)
         multipliers[passage.of_inside] = pulled - onward
         return x, multipliers
-
-    def _multipliers(self, right: np.ndarray) -> np.ndarray:
-        """S^-1 of right-hand sides (n_last, k)."""
-        found: np.ndarray = dpbtrs(self._factors, right, lower=True)[0]
-        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -242,7 +242,7 @@ def _ipopt_options(settings: SolverSettings) -> dict[str, Any]:
         # the factors fill the memory.
         "max_hessian_perturbation": 1e4,
     }
-    if settings.is_timed:
+    if settings.max_seconds < np.inf:
         options["max_wall_time"] = settings.max_seconds
     return options
 

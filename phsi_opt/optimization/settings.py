@@ -65,8 +65,3 @@ class SolverSettings:
     def has_own_steps(self) -> bool:
         """Whether a likelihood may be solved without IPOPT."""
         return self.solver == AUTO
-
-    @property
-    def is_timed(self) -> bool:
-        """Whether a limit of time is set."""
-        return self.max_seconds < np.inf

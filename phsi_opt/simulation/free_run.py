@@ -21,6 +21,7 @@ from scipy.integrate import RK45
 
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.simulation.simulate import (
     BufferedFunction,
     SampledInputs,
@@ -73,13 +74,13 @@ def free_run(
 
 
 def rates(model: Model) -> ca.Function:
-    """CasADi function (x, u, t) -> dx/dt with the present values of the parameters."""
+    """CasADi function (x, u, t) -> dx, which is dx/dt at the present parameters."""
     return _rates(model.rhs(), model.theta)
 
 
 def _rates(rhs: ca.Function, theta: Any) -> ca.Function:
-    x, u, t = (ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(3))
-    return ca.Function("rates", [x, u, t], [rhs(x, u, t, theta)])
+    given = argument_symbols(rhs)[:3]
+    return ca.Function("rates", given, [rhs(*given, theta)], ["x", "u", "t"], ["dx"])
 
 
 @lru_cache(maxsize=4)

@@ -14,9 +14,10 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.transcription.defects import interval_symbols, rates_within
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols, interval_arguments
+from phsi_opt.transcription.interval_map import interval_arguments
 from phsi_opt.transcription.point import UNBOUNDED
 
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
@@ -112,7 +113,7 @@ class MemoryIntegration:
         # Of every trajectory its intervals, and the steps over them.
         self._runs = []
         interval = _memory_over_interval(model, x.shape[1])
-        trajectory = grid.trajectory[grid.begin]
+        trajectory = grid.runs
         for run in range(len(grid.first)):
             intervals = np.flatnonzero(trajectory == run)
             integrate = interval.mapaccum("memory", len(intervals))

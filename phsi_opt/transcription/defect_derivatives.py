@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
-    argument_symbols,
     in_intervals,
     interval_arguments,
 )

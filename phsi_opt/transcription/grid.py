@@ -66,6 +66,11 @@ class Grid:
         return measured
 
     @cached_property
+    def measured_states(self) -> np.ndarray:
+        """Whether a state was measured at all, (n_states,)."""
+        return np.asarray(self.measured.any(axis=0))
+
+    @cached_property
     def channel(self) -> np.ndarray:
         """State of every measured value in the order of the nodes, (n_values,)."""
         return np.nonzero(self.measured)[1]
@@ -87,10 +92,24 @@ class Grid:
         """First node of each trajectory."""
         return np.flatnonzero(np.diff(self.trajectory, prepend=-1))
 
+    @property
+    def n_trajectories(self) -> int:
+        """Number of trajectories."""
+        return int(self.trajectory[-1]) + 1
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First node of each trajectory, and the node behind its last."""
+        return list(pairwise([*self.first.tolist(), self.n_nodes]))
+
+    @cached_property
+    def runs(self) -> np.ndarray:
+        """Number of the trajectory of each interval, (n_intervals,)."""
+        return self.trajectory[self.begin]
+
     def split(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
         """Values (n_nodes, ...) at the nodes, per trajectory."""
-        limits = [*self.first.tolist(), self.n_nodes]
-        return tuple(values[begin:end] for begin, end in pairwise(limits))
+        return tuple(values[begin:end] for begin, end in self.spans)
 
     def intervals(self, keep: np.ndarray) -> "Grid":
         """The same nodes with only the intervals ``keep``, given by their numbers."""

@@ -19,14 +19,6 @@ from phsi_opt.transcription.grid import Grid
 MOST_KEPT = 32
 
 
-def argument_symbols(function: ca.Function) -> list[ca.SX]:
-    """A column of symbols for every argument of a function, named as there."""
-    return [
-        ca.SX.sym(function.name_in(i), function.size1_in(i))
-        for i in range(function.n_in())
-    ]
-
-
 def interval_arguments(grid: Grid, x: Any) -> list[Any]:
     """x0, x1, t0, h, u0 and u1 of every interval, as columns.
 
@@ -55,7 +47,10 @@ def _of_each(theta: Any, trajectory: np.ndarray) -> tuple[Any, bool]:
     shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
     if len(shape) < 2 or shape[1] == 1:
         return theta, True
-    return theta[:, trajectory.tolist()], False
+    places: Any = trajectory
+    if not isinstance(theta, np.ndarray):  # CasADi takes lists of places
+        places = trajectory.tolist()
+    return theta[:, places], False
 
 
 def map_intervals(
@@ -69,7 +64,7 @@ def map_intervals(
         arguments: the other arguments, a column per interval.
         theta: (n_free,) parameters, or (n_free, n_trajectories).
     """
-    own, is_shared = _of_each(theta, grid.trajectory[grid.begin])
+    own, is_shared = _of_each(theta, grid.runs)
     return mapped(function, grid.n_intervals, is_shared)(*arguments, own)
 
 
@@ -92,7 +87,7 @@ def in_intervals(
     function: ca.Function, grid: Grid, arguments: list[Any], theta: np.ndarray
 ) -> list[np.ndarray]:
     """`map_intervals` in numbers: entries of every result, (n_entries, n_intervals)."""
-    return _in_columns(function, arguments, theta, grid.trajectory[grid.begin])
+    return _in_columns(function, arguments, theta, grid.runs)
 
 
 def at_nodes(

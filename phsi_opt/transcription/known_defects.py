@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.column_function import in_columns
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
-    argument_symbols,
     in_intervals,
     interval_arguments,
 )

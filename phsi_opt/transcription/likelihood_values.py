@@ -9,15 +9,17 @@ the places of the entries, and other noise asks for no evaluation.
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from scipy.sparse import coo_matrix
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.transcription.defect_derivatives import linear_defect, linear_function
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import known_arguments, node_arguments
+from phsi_opt.transcription.interval_map import (
+    at_nodes,
+    in_intervals,
+    known_arguments,
+)
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
 
@@ -133,18 +135,6 @@ class LikelihoodValues:
         own = (self.model, self.grid, self.scheme, self.point, self.unknown)
         return LikelihoodValues, own
 
-    def _function(self, function: ca.Function) -> ColumnFunction:
-        """Parameters of all trajectories are one column where they are shared."""
-        last = function.n_in() - 1
-        return ColumnFunction(function, (last,) if self.unknown.is_shared else ())
-
-    def _of_runs(self, theta: np.ndarray, node: np.ndarray) -> np.ndarray:
-        """The model's parameters theta, a column per node unless all share one."""
-        by_trajectory: np.ndarray = self.unknown.by_trajectory(theta)
-        if self.unknown.is_shared:
-            return by_trajectory
-        return by_trajectory[:, self.grid.trajectory[node]]
-
     def places(self, node: np.ndarray, n_nodes: int) -> np.ndarray:
         """Places in z of the states at a node and the next ones, then of parameters.
 
@@ -173,7 +163,6 @@ class LikelihoodValues:
         self.jacobian = Pattern.of(rows.ravel(), columns.ravel(), shape)
         self.per_size = grid.h[:, None] / self.point.x_scale
         self.factor = self.per_size[:, equation] * self.scale[columns]
-        self._defect = self._function(self.linear_defect.function)
         self._known = known_arguments(grid)
 
     def _set_shown(self) -> None:
@@ -191,17 +180,17 @@ class LikelihoodValues:
         self._is_shown = self.grid.measured[:, channel]
         rows = row[:, channel][self._is_shown]
         self.shown = Pattern.of(rows, columns[self._is_shown], shape)
-        self._sensor = self._function(one.function)
+        self._sensor = one.function
 
     def at(self, z: np.ndarray) -> PointValues:
         """Defects and what is shown, with their slopes, at z (n_variables,)."""
         grid = self.grid
         values = z * self.scale
-        theta = values[self.point.of_theta]
+        theta = self.unknown.by_trajectory(values[self.point.of_theta])
         x = values[self.point.of_x].reshape(-1, self.n_states)
-        states = [x[grid.begin].T, x[grid.begin + 1].T]
-        of_intervals = self._of_runs(theta, grid.begin)
-        d, entries = self._defect(*states, *self._known, of_intervals)
+        arguments = [x[grid.begin].T, x[grid.begin + 1].T, *self._known]
+        defect = self.linear_defect.function
+        d, entries = in_intervals(defect, grid, arguments, theta)
         misfit, slopes = self._misfit(x, theta)
         return PointValues(
             g=(d.T * self.per_size).ravel(),
@@ -216,6 +205,5 @@ class LikelihoodValues:
         """Measured minus shown (n_values,), and unscaled slopes of what is shown."""
         if not self.model.sensor:
             return self._y - x.ravel()[self._measured], np.ones(len(self._y))
-        of_nodes = self._of_runs(theta, np.arange(self.grid.n_nodes))
-        shown, entries = self._sensor(*node_arguments(self.grid, x.T), of_nodes)
+        shown, entries = at_nodes(self._sensor, self.grid, x.T, theta)
         return self._y - shown.T.ravel()[self._measured], entries.T[self._is_shown]

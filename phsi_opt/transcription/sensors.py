@@ -12,8 +12,9 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols, map_nodes
+from phsi_opt.transcription.interval_map import map_nodes
 from phsi_opt.transcription.parameter_vector import Theta
 
 
