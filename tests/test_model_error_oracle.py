@@ -473,7 +473,7 @@ def test_one_interval_between_samples_is_the_same_record_with_a_force_held() -> 
         slopes = of_coarse.force_slopes(force.place)
         grid = coarse.grid
         middles = (grid.t[grid.begin] + grid.t[grid.begin + 1]) / 2
-        found = slopes @ kernel(force, middles, coarse.runs) @ slopes.T
+        found = slopes @ kernel(force, middles, coarse.grid.runs) @ slopes.T
         expected = held_between_samples(fine, force, grid.n_intervals)
         np.testing.assert_allclose(found, expected, atol=1e-10)
 

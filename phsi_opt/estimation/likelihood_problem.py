@@ -145,7 +145,7 @@ class LikelihoodProblem:
             found = []
             if settings.has_own_steps:
                 near = self.solve(start, most_steps=FIRST_STEPS)
-                if near.is_success and is_at_scatter(near):
+                if is_at_scatter(near):
                     return near
                 found.append(near)
             there = self.continued(start)

@@ -44,20 +44,32 @@ class NoiseIteration:
     least: np.ndarray | float = 0.0
 
     def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """The noise that ``residual`` shows, which the program has with ``sigma``."""
-        n_values = len(self.grid.channel)
+        """The noise that ``residual`` shows, which the program has with ``sigma``.
+
+        Root mean square per channel, (n_states,), with the degrees of freedom that the
+        fit used taken off. Of residuals that are cut at Huber's limit the mean square
+        that normal noise would leave within it is divided out (proposal 2 of Huber
+        1964).
+        """
+        grid, huber = self.grid, self.huber
+        n_values = len(grid.channel)
         standardized = residual * np.sqrt(n_values / 2)
-        estimate = estimated_noise(
-            self.grid, standardized, sigma, self.n_theta, self.huber
-        )
+        # Every piece of a trajectory has a starting state.
+        n_pieces = grid.n_nodes - grid.n_intervals
+        n_used = self.n_theta + n_pieces * grid.y.shape[1]
+        freedom = max(1 - n_used / n_values, LEAST_FREEDOM)
+        if huber is not None:  # E[min(|e|, limit)^2] for standard normal e
+            outside = 2 * normal_tail(huber)
+            within = (1 - outside) - 2 * huber * normal_density(huber)
+            freedom *= within + huber**2 * outside
+        estimate = sigma * grid.rms_by_channel(standardized) / np.sqrt(freedom)
         estimate = np.maximum(estimate, np.maximum(self.least, self._least_of_data))
-        return np.where(self.is_estimated, estimate, sigma)
+        return np.where(self.is_estimated & grid.measured_states, estimate, sigma)
 
     @cached_property
     def _least_of_data(self) -> np.ndarray:
-        """Noise that is assumed of data without any; zero where nothing is measured."""
-        is_measured = self.grid.measured_states
-        return np.where(is_measured, least_noise(self.grid.y), 0.0)
+        """Noise that is assumed of data without any."""
+        return least_noise(self.grid.y)
 
     def change(self, sigma: np.ndarray, updated: np.ndarray) -> float:
         """Of the logarithm of the noise, the largest that moves the estimates."""
@@ -69,36 +81,3 @@ class NoiseIteration:
         )
         largest = float(np.max(np.abs(change)))
         return min(largest, float(np.ptp(change))) if is_scale_free else largest
-
-
-def estimated_noise(
-    grid: Grid,
-    residual: np.ndarray,
-    sigma: np.ndarray,
-    n_theta: int,
-    huber: float | None,
-) -> np.ndarray:
-    """Root mean square residual per channel, (n_states,).
-
-    With the degrees of freedom that the fit used taken off.
-
-    Args:
-        grid: of the program.
-        residual: (y - x)/sigma of every measured value in the order of the nodes, cut
-            at ``huber`` where that is given; then the mean square that normal noise
-            would leave within the limit is divided out (proposal 2 of Huber
-            1964).
-        sigma: (n_states,) noise in the residuals' denominator.
-        n_theta: number of free parameters.
-        huber: limit of the loss, or None.
-    """
-    # Every piece of a trajectory has a starting state.
-    n_pieces = grid.n_nodes - grid.n_intervals
-    n_used = n_theta + n_pieces * grid.y.shape[1]
-    freedom = max(1 - n_used / len(grid.channel), LEAST_FREEDOM)
-    if huber is not None:  # E[min(|e|, limit)^2] for standard normal e
-        outside = 2 * normal_tail(huber)
-        within = (1 - outside) - 2 * huber * normal_density(huber)
-        freedom *= within + huber**2 * outside
-    estimate = sigma * grid.rms_by_channel(residual) / np.sqrt(freedom)
-    return np.where(grid.measured_states, estimate, sigma)

@@ -1,6 +1,6 @@
 """How `PHSILoss` is solved: the states are the data, every start of a scan is tried."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -106,6 +106,19 @@ class PHSISolver:
             l1=l1,
         )
 
+    def pruned_from(
+        self,
+        model: Model,
+        starts: Sequence[np.ndarray],
+        removed: tuple[str, ...] = (),
+    ) -> list[PHSIEstimate]:
+        """An estimate from each start (n_free,), beside what was removed before."""
+        estimates = []
+        for theta in starts:
+            first = self.solve(model, theta, self.task.l1)
+            estimates.append(pruned(replace(first, removed=removed), self.solve))
+        return estimates
+
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     """The best of the solutions from several starts, each pruned.
@@ -129,10 +142,7 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
         known = model.values | start.values
         starts = [np.array([known[name] for name in model.free])]
     solver = PHSISolver(task, loss, grid)
-    estimates = []
-    for theta in starts:
-        first = solver.solve(model, theta, task.l1)
-        estimates.append(pruned(first, solver.solve))
+    estimates = solver.pruned_from(model, starts)
     if start is None:
         best = min(estimates, key=_bic_like)
         estimates += _without_imitators(solver, model, used, best)
@@ -162,12 +172,8 @@ def _without_imitators(
     if not removable or has_waves_alone:
         return []
     smaller = model.without(removable)
-    estimates = []
-    for theta in starting_values(smaller, used, solver.task.l1):
-        first = solver.solve(smaller, theta, solver.task.l1)
-        first = replace(first, removed=tuple(sorted(removable)))
-        estimates.append(pruned(first, solver.solve))
-    return estimates
+    starts = starting_values(smaller, used, solver.task.l1)
+    return solver.pruned_from(smaller, starts, tuple(sorted(removable)))
 
 
 def best_of_starts(

@@ -15,23 +15,14 @@ from phsi_opt.data.resolution import DEVIATION_PER_STEP, unresolved_channels
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.statistics import TINY
 
-# Residuals over the scatter of neighbouring samples beyond which a solution is doubted.
-SUSPICIOUS_RATIO = 2.0
-# And up to which residuals are no more than the scatter: that of a few hundred samples
-# is known to about a tenth.
+# Residuals over the scatter of neighbouring samples up to which they are no more than
+# it: that of a few hundred samples is known to about a tenth.
 AT_SCATTER = 1.25
 # Share of a channel's standard deviation that residuals reach, at least, in an optimum
 # that is far off. A motion out of step leaves its own size: 0.53 to 1 in ten wrong
 # optima of swinging machines. Forces of 1 to 5 % that a model lacked left up to 0.26 in
 # 74 right ones.
 FAR_OFF_SHARE = 0.3
-# Scatter that data without noise are taken to have, in units of the least noise that is
-# assumed: what they scatter says nothing about it.
-NOISE_FREE_SCATTER = 10
-
-
-# Share of the least noise within which the estimate counts as held up by it.
-AT_LEAST_NOISE = 1e-9
 
 
 def _worst_ratio(estimate: LikelihoodEstimate) -> tuple[float, str]:
@@ -42,7 +33,8 @@ def _worst_ratio(estimate: LikelihoodEstimate) -> tuple[float, str]:
     is_measured = estimate.grid.measured_states
     between_samples = np.nan_to_num(difference_noise(estimate.task.data))
     spread = np.where(is_measured, channel_spread(estimate.task.data), 0.0)
-    floor = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * spread
+    # What data without noise scatter says nothing about it.
+    floor = 10 * LEAST_NOISE_SHARE * spread
     scatter = np.maximum(between_samples, floor + TINY)
     ratio = np.where(is_measured, _rms_residual(estimate) / scatter, 0.0)
     worst = int(np.argmax(ratio))
@@ -79,7 +71,7 @@ def scatter_warnings(
     if is_known.any() or not estimate.is_success:
         return ()
     ratio, channel = _worst_ratio(estimate)
-    if ratio < SUSPICIOUS_RATIO:
+    if ratio < 2:
         return ()
     return (
         f"the residuals of {channel} are {ratio:.1f} times what "
@@ -107,7 +99,7 @@ def resolution_notes(
         name = estimate.model.states[k]
         unit = data.units.get(name, "")
         step = f"{least[k] / DEVIATION_PER_STEP:.3g} {unit}".rstrip()
-        if estimate.sigma[k] <= (1 + AT_LEAST_NOISE) * least[k]:
+        if estimate.sigma[k] <= (1 + 1e-9) * least[k]:
             at_least = f"{least[k]:.2g} {unit}".rstrip()
             notes.append(
                 f"the values of {name} are quantised in steps of {step}: at least "

@@ -240,34 +240,31 @@ class DisturbanceSearch:
         promising = self._promising
         best = self.white
         if promising.noises:
-            worth = best.log_evidence + self._evidence_of_runs
             noises = Disturbances(self.noises()[0])
-            by_run = self.best_of([noises], worth=worth)
-            if by_run.log_evidence > worth:
-                best = by_run
-        worth = best.log_evidence + STRONG_EVIDENCE
+            best = self._clearer(best, [noises], self._evidence_of_runs)
         force_starts = self._force_starts() if promising.forces else []
         sensor_starts = self._sensor_starts() if promising.sensors else []
-        of_forces = self.best_of(force_starts, worth=worth)
-        of_sensors = self.best_of(sensor_starts, worth=worth)
+        of_forces = self._clearer(best, force_starts)
+        of_sensors = self._clearer(best, sensor_starts)
         one = max(of_forces, of_sensors, key=lambda found: found.log_evidence)
-        if one.log_evidence > worth:
-            best = one
-            promises = (
-                promising.sensors if one.disturbances.forces else promising.forces
-            )
-            if promises and not self.is_brief:
-                best = self._clearer(best, self._with_the_other_kind(one.disturbances))
         if self.is_brief:
-            return best
-        functions = self._chosen_functions(best.disturbances)
+            return one
+        # Both kinds promise, and one was found.
+        if one is not best and promising.forces and promising.sensors:
+            one = self._clearer(one, self._with_the_other_kind(one.disturbances))
+        functions = self._chosen_functions(one.disturbances)
         if not functions:
-            return best
-        return self._clearer(best, [best.disturbances.with_functions(functions)])
+            return one
+        return self._clearer(one, [one.disturbances.with_functions(functions)])
 
-    def _clearer(self, best: Evidence, starts: Sequence[Disturbances]) -> Evidence:
+    def _clearer(
+        self,
+        best: Evidence,
+        starts: Sequence[Disturbances],
+        needed: float = STRONG_EVIDENCE,
+    ) -> Evidence:
         """What is found from some starts, where the evidence for it is clear."""
-        worth = best.log_evidence + STRONG_EVIDENCE
+        worth = best.log_evidence + needed
         found = self.best_of(starts, worth=worth)
         return found if found.log_evidence > worth else best
 

@@ -217,27 +217,20 @@ class WhiteRecord:
 
     def asked(self, trial: Trial) -> Asked:
         """A trial, nothing worked out about it."""
-        problem = self.problem
-        forces = []
-        for force in trial.forces:
-            whitener = whitener_of_force(problem, force)
-            forces.append(self._component(force, whitener, is_force=True))
-        sensors = []
-        for sensor in trial.sensors:
-            whitener = whitener_of_sensor(problem, sensor)
-            sensors.append(self._component(sensor, whitener, is_force=False))
+        forces = [self._component(one, is_force=True) for one in trial.forces]
+        sensors = [self._component(one, is_force=False) for one in trial.sensors]
         of_forces = _kinds(forces, trial.is_tied)
         return Asked(of_forces + _kinds(sensors, trial.is_tied), len(of_forces))
 
-    def _component(
-        self, process: Process, whitener: Whitener, *, is_force: bool
-    ) -> _Component:
+    def _component(self, process: Process, *, is_force: bool) -> _Component:
         """A process; what its place does is made once for all trials."""
         key = (is_force, process.place)
         if key not in self._made:
             effects = self._effects(*key)
             self._made[key] = (effects, effects.T @ self.left)
         effects, felt = self._made[key]
+        whitener_of = whitener_of_force if is_force else whitener_of_sensor
+        whitener = whitener_of(self.problem, process)
         return _Component(process.size * effects, whitener, process.size * felt)
 
     def _effects(self, is_force: bool, place: int) -> csc_matrix:

@@ -12,8 +12,6 @@ from scipy.optimize import lsq_linear
 # Share of the largest curvature of (scaled) parameters below which a direction is as
 # good as rounding: it is the difference of numbers as large as the largest.
 SILENT = 1e-12
-# Changes of the active set per parameter, at most; each is made once or twice.
-MOST_CHANGES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +73,7 @@ def bounded_step(
     d = np.zeros(n)
     is_free = np.ones(n, dtype=bool)
     loose = SILENT * np.max(np.abs(pull))
-    for _ in range(MOST_CHANGES * n):
+    for _ in range(10 * n):  # each change of the active set is made once or twice
         slope = pull - curvature @ d
         step = np.zeros(n)
         free = np.linalg.eigh(curvature[np.ix_(is_free, is_free)])

@@ -28,11 +28,6 @@ from phsi_opt.optimization.passage import Passage, neighbours_first
 
 # From this number of states on: below, the band is as fast.
 FEWEST_STATES = 14
-GAPS_TOGETHER = 64  # whose products are worked out at a time
-# Curvature, as a share of the largest, above which a state is measured, and below which
-# it is not. What lies between would cost digits.
-LEAST_CURVED = 1e-8
-MOST_UNCURVED = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +247,7 @@ def _band_of_squares(
     transposed = slopes.T.tocsr()
     height = 1 + _farthest(transposed)
     band = np.zeros(height * n)
-    step = GAPS_TOGETHER * n_states
+    step = 64 * n_states  # gaps whose products are worked out at a time
     for first in range(0, n, step):
         part = (weighted[first : first + step] @ transposed).tocoo()
         below = part.row + first - part.col
@@ -284,8 +279,9 @@ def _samples(begin: np.ndarray, curvature: np.ndarray) -> np.ndarray | None:
     None where it is not so, or where a trajectory begins or ends between samples.
     """
     largest = np.max(curvature, initial=0.0)
-    is_sample = np.all(curvature > LEAST_CURVED * largest, axis=1)
-    is_between = np.all(curvature <= MOST_UNCURVED * largest, axis=1)
+    # What lies between the two limits would cost digits.
+    is_sample = np.all(curvature > 1e-8 * largest, axis=1)
+    is_between = np.all(curvature <= 1e-11 * largest, axis=1)
     has_next = np.zeros(len(curvature), dtype=bool)
     has_next[begin] = True
     has_previous = np.zeros(len(curvature), dtype=bool)

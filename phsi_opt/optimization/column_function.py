@@ -22,9 +22,6 @@ from scipy.special import erf
 AT_ONCE = 2048
 NUMBERS_AT_ONCE = 2**18
 LEAST_AT_ONCE = 256
-# Functions whose instructions are remembered, those last asked for.
-MOST_LISTINGS = 128
-MOST_MACHINES = 32  # memories that are kept
 
 # A number, or one per place: an entry of an argument, of a result, or what an
 # instruction writes.
@@ -137,7 +134,7 @@ class _Listing:
         self.at_once = min(AT_ONCE, max(fitting, LEAST_AT_ONCE))
 
 
-_listing = lru_cache(MOST_LISTINGS)(_Listing)
+_listing = lru_cache(128)(_Listing)  # those last asked for
 
 
 def _without_repetitions(function: ca.Function) -> ca.Function:
@@ -149,7 +146,7 @@ def _without_repetitions(function: ca.Function) -> ca.Function:
     return ca.Function("columns", arguments, ca.cse(results))
 
 
-@lru_cache(MOST_MACHINES)
+@lru_cache(32)
 class _Machine:
     """A listing with memory for a number of places; each thread has its own."""
 

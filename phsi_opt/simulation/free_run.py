@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import RK45
 
-from phsi_opt.data.checks import Hold, hold_of_each
+from phsi_opt.data.checks import LARGEST_VALUE, Hold, hold_of_each
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.simulation.simulate import (
@@ -35,9 +35,6 @@ from phsi_opt.statistics import TINY
 TOLERANCE = 1e-6
 MOST_STEPS_PER_GAP = 150  # per interval on average, beyond which SciPy is faster
 LARGEST_FACTOR = 8  # parts of a step in one round
-FEW = 0.03  # share of the steps: so few are at kinks
-CHAOTIC = 0.1  # change by twice the steps from which on no number of steps will do
-LARGEST = 1e100  # squares of larger values leave the range of numbers
 # Steps per call of the compiled loop: large against the cost of a call, small against
 # that of building it.
 CHUNK = 500
@@ -169,7 +166,7 @@ class Runs:
                 change = fine.change_from(run)
                 if change < tolerance:
                     return fine.x
-                if change > CHAOTIC:
+                if change > 0.1:  # no number of steps will do
                     return None
                 # Below what would be in proportion; from far off not at once.
                 aim *= max(0.3 * tolerance / change, 1e-3)
@@ -247,7 +244,7 @@ class _Run:
     def is_finite(self) -> bool:
         """Whether the run stayed in the range of numbers."""
         values = np.vstack([self.x, self.errors])
-        return bool(np.all(np.abs(values) < LARGEST))
+        return bool(np.all(np.abs(values) < LARGEST_VALUE))
 
     @property
     def scale(self) -> np.ndarray:
@@ -289,7 +286,7 @@ def _parts(run: _Run, aim: float) -> np.ndarray:
     parts = np.ceil(np.clip(factor, 1, LARGEST_FACTOR)).astype(int)
     is_cut = parts > 1
     # At a kink the order is lower than five, and few steps are cheap to cut.
-    return np.where(is_cut, LARGEST_FACTOR, 1) if np.mean(is_cut) < FEW else parts
+    return np.where(is_cut, LARGEST_FACTOR, 1) if np.mean(is_cut) < 0.03 else parts
 
 
 def _cut(steps: _Steps, parts: np.ndarray) -> _Steps:

@@ -14,10 +14,6 @@ import numpy as np
 from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.transcription.grid import Grid
 
-# Mapped functions that are kept: those of one model and its next neighbours. Each
-# takes some memory per interval.
-MOST_KEPT = 32
-
 
 def interval_arguments(grid: Grid, x: Any) -> list[Any]:
     """x0, x1, t0, h, u0 and u1 of every interval, as columns.
@@ -75,7 +71,7 @@ def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:
     return mapped(function, grid.n_nodes, is_shared)(*arguments, own)
 
 
-@lru_cache(MOST_KEPT)
+@lru_cache(32)  # of one model and its next neighbours; each takes some memory
 def mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
     """The function in n columns; the last argument may be one and the same for all."""
     if is_shared:

@@ -22,7 +22,7 @@ import numpy as np
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.program import SLACK_ABOVE, Program
 from phsi_opt.presentation.short_repr import short_number
 from phsi_opt.transcription.defect_constraint import (
     constraint_curvature,
@@ -36,8 +36,6 @@ from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import outputs
 
-# Slacks of outliers begin here, in standard deviations: inside their bound at zero.
-OUTLIER_START = 0.1
 MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
 
@@ -217,7 +215,7 @@ def _outlier_slack(program: Program, n_measured: int, limit: float) -> ca.MX:
 
     Source: P. J. Huber, Robust estimation of a location parameter, 1964.
     """
-    start = np.full(n_measured, OUTLIER_START)
+    start = np.full(n_measured, SLACK_ABOVE)  # standard deviations
     above = program.variable("outlier_above", start, lower=0.0)
     below = program.variable("outlier_below", start, lower=0.0)
     program.cost += 2 * limit / n_measured * (ca.sum1(above) + ca.sum1(below))
