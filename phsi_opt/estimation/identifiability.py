@@ -15,20 +15,8 @@ from scipy.linalg import qr
 from phsi_opt.errors import SolveError
 from phsi_opt.transcription.elimination import RIDGE
 
-# Share of the largest information below which it is made of rounding errors.
-ROUNDED = 1e-11
-# Share by which relative changes may differ and still be one factor: as a test of a
-# direction, and when the direction is put into words.
-SAME_FACTOR = 0.005
-SAME_FACTOR_IN_WORDS = 0.02
-# Share of the ridge's own variance from which nothing but the ridge holds a direction.
-RIDGE_SHARE = 0.01
-# Variance of scaled parameters up to which rounding errors are not asked for.
-UNSUSPICIOUS = 100.0
 # Share of a direction's largest member from which a parameter belongs to it.
 MEMBER_SHARE = 0.1
-# Share of the largest entry below which one of a separated direction is rounding.
-ROUNDED_SHARE = 1e-6
 # Standard deviation of a common factor from which it is called open.
 OPEN_FACTOR = 2
 
@@ -145,17 +133,20 @@ def _separated(directions: np.ndarray, variance: float) -> list[_Open]:
     _, _, order = qr(directions.T, mode="economic", pivoting=True)
     own = order[: directions.shape[1]]
     separated = directions @ np.linalg.inv(directions[own])
-    separated[np.abs(separated) < ROUNDED_SHARE * np.max(np.abs(separated))] = 0.0
+    is_rounding = np.abs(separated) < 1e-6 * np.max(np.abs(separated))
+    separated[is_rounding] = 0.0
     separated = separated / np.linalg.norm(separated, axis=0)
     pairs = zip(separated.T, own.tolist(), strict=True)
     return [_Open(variance, direction, place) for direction, place in pairs]
 
 
 def _is_unknown(variance: float, best_known: float) -> bool:
-    """Whether only the ridge holds a direction, or only rounding errors tell it."""
-    is_held_by_ridge = variance > RIDGE_SHARE / RIDGE
-    is_rounding = variance > max(UNSUSPICIOUS, best_known / ROUNDED)
-    return is_held_by_ridge or is_rounding
+    """Whether only the ridge holds a direction, or only rounding errors tell it.
+
+    From a hundredth of the ridge's own variance nothing else holds it. Below 1e-11 of
+    the largest information all is rounding; a variance up to 100 is not suspicious.
+    """
+    return variance > min(0.01 / RIDGE, max(100.0, best_known / 1e-11))
 
 
 def _members(direction: np.ndarray, spread: np.ndarray, size: np.ndarray) -> np.ndarray:
@@ -177,7 +168,7 @@ def _is_scaling(spread: np.ndarray, size: np.ndarray) -> bool:
     relative = spread[is_member] / np.where(member_size > 0, member_size, np.nan)
     has_several = is_member.sum() > 1
     is_open = np.min(relative) > OPEN_FACTOR
-    is_one_factor = np.ptp(relative) < SAME_FACTOR * np.max(relative)
+    is_one_factor = np.ptp(relative) < 0.005 * np.max(relative)
     return bool(has_several and is_open and is_one_factor)
 
 
@@ -192,7 +183,7 @@ def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
     if np.all(theta != 0):
         relative = change / theta
         size = np.abs(relative)
-        if np.ptp(size) < SAME_FACTOR_IN_WORDS * np.max(size):
+        if np.ptp(size) < 0.02 * np.max(size):  # one factor, in words
             return apart + _common_factor(names, relative)
     return f"{apart}fix one of them to a known value"
 

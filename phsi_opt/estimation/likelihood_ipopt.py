@@ -16,18 +16,6 @@ from phsi_opt.optimization.ipopt import Solution, Solver
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 
-MOST_IPOPT_SOLVES = 6  # with a noise re-estimated
-# Iterations after which the exact Hessian takes over from Gauss-Newton's: that
-# converges in a few, or creeps (a pendulum over the top without its friction: 134).
-GAUSS_NEWTON_ITERATIONS = 200
-# Iterations with the exact Hessian where a solve need not be thorough.
-BRIEF_ITERATIONS = 25
-# Root mean square residual, over the noise assumed, of data without noise.
-NOISE_FREE_RMS = 0.01
-# Scaled defect up to which a stalled iterate satisfies the model: the solver's own
-# tolerance.
-NOISE_FREE_DEFECT = 1e-8
-
 
 def by_ipopt(
     program: Program,
@@ -64,7 +52,7 @@ def _settled(
     solver: Solver, noise: NoiseIteration, z: np.ndarray, sigma: np.ndarray
 ) -> Optimum:
     """Solved again and again with better noise."""
-    for _ in range(MOST_IPOPT_SOLVES):
+    for _ in range(6):  # noises, at most
         solution = solver.solve(z, sigma)
         solution = noise_free_is_success(solution)
         if not solution.outcome.success or not noise.is_estimated.any():
@@ -79,9 +67,14 @@ def _settled(
 
 
 def _limits(settings: SolverSettings, is_exact: bool) -> SolverSettings:
+    """Fewer iterations of a brief solve, and with Gauss-Newton's Hessian.
+
+    With that it converges in a few, or creeps (a pendulum over the top without its
+    friction: 134); then the exact one takes over.
+    """
     if is_exact and settings.thorough:
         return settings
-    most = BRIEF_ITERATIONS if is_exact else GAUSS_NEWTON_ITERATIONS
+    most = 25 if is_exact else 200
     return replace(settings, max_iterations=min(most, settings.max_iterations))
 
 
@@ -92,8 +85,8 @@ def noise_free_is_success(solution: Solution) -> Solution:
     """
     outcome = solution.outcome
     mean_square = float(np.sum(solution.residual**2)) / 2
-    is_noise_free = mean_square < NOISE_FREE_RMS**2
-    holds = outcome.infeasibility <= NOISE_FREE_DEFECT
+    is_noise_free = mean_square < 0.01**2  # of the noise that is assumed
+    holds = outcome.infeasibility <= 1e-8  # the solver's own tolerance
     if outcome.success or not is_noise_free or not holds:
         return solution
     sentence = (

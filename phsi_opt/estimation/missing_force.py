@@ -39,12 +39,6 @@ from phsi_opt.transcription.point import Point
 Known = bool | np.ndarray  # whether the noise is known, of all states or of each
 Forces = tuple[Process, ...]
 
-SIZE_STEPS = 8  # uphill between two solves, at most
-SETTLED_SIZE = 0.02  # change of the logarithm of a size at which the rounds end
-# Factor on the force's size after a search from its usual size failed.
-GENEROUS = 100.0
-# The mean duration of a record holds as many of the force's correlation times.
-N_CORRELATION_TIMES = 10
 NO_PARAMETERS = np.zeros(0, dtype=int)  # that are free to move
 
 
@@ -115,7 +109,7 @@ def generous_force(model: Model, grid: Grid, point: Point) -> Forces:
     mean_square = np.mean(np.diff(point.x, axis=0) ** 2, axis=0)
     rate = np.sqrt(mean_square) / np.median(grid.h)
     size = np.maximum(rate, point.x_scale / duration)
-    time = duration / N_CORRELATION_TIMES
+    time = duration / 10
     return tuple(Process(row, float(size[row]), time) for row in forced_rows(model))
 
 
@@ -172,7 +166,7 @@ def estimate_force(
         found = solved(last)
         if _is_lost(found):
             # A force large enough lets the states follow the data, whatever the model.
-            larger = _scaled(disturbances.forces, GENEROUS)
+            larger = _scaled(disturbances.forces, 100.0)
             disturbances = replace(disturbances, forces=larger)
             found = solved(None)
         is_unfinished = n_left == 0 and not found.has_converged
@@ -193,10 +187,10 @@ def estimate_force(
             least_noise=np.broadcast_to(least_noise, len(sigma)),
             fixed_times=True,
         )
-        sized = climbed(found.likelihood, coordinates, channels, SIZE_STEPS)
+        sized = climbed(found.likelihood, coordinates, channels, most_steps=8)
         before = disturbances
         disturbances = coordinates.at(sized.vector)
-        if disturbances.distance(before) < SETTLED_SIZE and found.has_converged:
+        if disturbances.distance(before) < 0.02 and found.has_converged:
             break
     x = linearizer.values.point.unscaled(found.point.z)["x"]
     n_forces = len(forces) * grid.n_intervals
@@ -233,9 +227,6 @@ def _is_lost(found: JointEstimate) -> bool:
 
 # Factors on the width of corners that are too sharp.
 ROUNDER = (1.0, 4.0, 16.0, 64.0)
-# Factor on the force's usual size where no search from it ends well: beside a corner of
-# the user's own, which is not known as one.
-SMALL = 0.01
 
 
 def smoothed(
@@ -303,7 +294,8 @@ def smoothed(
 
     # Factors on the width of corners, and the forces to begin with.
     attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
-    attempts.append((1.0, _scaled(usual, SMALL)))
+    # Beside a corner of the user's own, which is not known as one, a small force.
+    attempts.append((1.0, _scaled(usual, 0.01)))
     if widths:
         # Beside a corner that can be rounded, patience is for when all else fails.
         with suppress(SolveError):

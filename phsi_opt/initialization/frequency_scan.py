@@ -23,8 +23,6 @@ from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.known_defects import KnownDefects
 
 N_STARTS = 3  # frequencies of the scan that are tried
-MOST_FREQUENCIES = 4000  # of one scan: each of them costs a least-squares problem
-BELOW_NYQUIST = 0.9  # share of the Nyquist frequency up to which waves are scanned
 RANK = (
     1e-8  # share of the largest singular value below which a direction counts as none
 )
@@ -64,8 +62,8 @@ def frequency_scans(model: Model) -> list[FrequencyScan]:
 def frequency_grid(grid: Grid, variable: np.ndarray) -> np.ndarray:
     """Frequencies worth trying, in rad per unit of the variable.
 
-    From half a period over the record up to the Nyquist frequency, half a resolution
-    apart.
+    From half a period over the record up to nine tenths of the Nyquist frequency, half
+    a resolution apart; at most 4000, as each costs a least-squares problem.
 
     Args:
         grid: which node belongs to which trajectory.
@@ -77,8 +75,8 @@ def frequency_grid(grid: Grid, variable: np.ndarray) -> np.ndarray:
     steps = steps[steps > 0]
     step = float(np.median(steps)) if len(steps) else span
     lowest = np.pi / span
-    highest = max(BELOW_NYQUIST * np.pi / step, 2 * lowest)
-    return np.arange(lowest, highest, lowest / 2)[:MOST_FREQUENCIES]
+    highest = max(0.9 * np.pi / step, 2 * lowest)
+    return np.arange(lowest, highest, lowest / 2)[:4000]
 
 
 def candidate_frequencies(

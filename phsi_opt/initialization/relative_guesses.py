@@ -16,11 +16,7 @@ from phsi_opt.transcription.augmented_states import padded
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import at_nodes
 
-# Factor on bounds that follow from efforts, whose scale depends on parameters.
-ROOM = 3.0
 STILL = 4.0  # widths of dry friction's corner within which a speed counts as rest
-# A rest lasts at least so many times as long as a body takes to turn round.
-STAYING = 5.0
 
 
 def corner_widths(model: Model) -> dict[str, Share]:
@@ -78,7 +74,7 @@ def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
     for number, name in enumerate(model.states):
         effort = f"dH_d{name}"
         if effort in followed:
-            room = ROOM
+            room = 3.0  # the scale of efforts depends on parameters
         # The memory of effects has no column in the measurements.
         is_hidden = not grid.measured[:, number : number + 1].any()
         if is_hidden and name not in model.memory and {name, effort} & followed:
@@ -113,7 +109,8 @@ def intervals_at_rest(
     """Whether a body stays at rest along each interval, (n_intervals,) of bool.
 
     Its speed is within some widths of zero. A body that only turns round is as slow,
-    but passes through in a time that its usual acceleration tells.
+    but passes through in a time that its usual acceleration tells; a rest lasts five
+    times as long.
 
     Args:
         model: the model.
@@ -132,7 +129,7 @@ def intervals_at_rest(
     is_next_trajectory = trajectory[1:] != trajectory[:-1]
     stretch = np.cumsum(np.r_[True, is_changed | is_next_trajectory]) - 1
     duration = np.bincount(stretch, grid.h)[stretch]
-    return is_slow & (duration * acceleration > STAYING * 2 * STILL * width)
+    return is_slow & (duration * acceleration > 5 * 2 * STILL * width)
 
 
 def values_at(

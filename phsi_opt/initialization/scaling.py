@@ -25,8 +25,6 @@ from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
-SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
-N_RATE_STRETCHES = 200  # of a record, over which rates are taken
 N_SLOPES = 25  # nodes at which slopes of the model and the sensors are averaged
 # By how much the size of a parameter may differ from its own value. Far from its start,
 # in units of its effect, it would meet the solver as a huge number; a frequency inside
@@ -94,7 +92,7 @@ def invert_sensors(model: Model, grid: Grid) -> Grid:
             shown = np.array(outputs(model, grid, finite.T, theta)).T
             slopes = output_slopes(model, grid, finite, theta).in_states
             own_slope = np.einsum("aii->ai", slopes)
-            is_steep = np.abs(own_slope) > SHALLOW
+            is_steep = np.abs(own_slope) > 1e-6
             step = (grid.y - shown) / np.where(is_steep, own_slope, np.nan)
             x = x + np.where(np.isfinite(step), step, 0.0)
     return replace(grid, y=x)
@@ -212,9 +210,9 @@ def _with_unmeasured_scale(
 def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
     """Root mean square of each state's rate, (n_states,).
 
-    Over longer stretches, where the noise of a sample no longer dominates.
+    Over 200 stretches of a record, where the noise of a sample no longer dominates.
     """
-    stride = max(1, grid.n_nodes // N_RATE_STRETCHES)
+    stride = max(1, grid.n_nodes // 200)
     is_inside = grid.trajectory[:-stride] == grid.trajectory[stride:]
     if is_inside.any():
         duration = (grid.t[stride:] - grid.t[:-stride])[is_inside]

@@ -168,8 +168,6 @@ def _newton_step(
 ) -> np.ndarray:
     """A step uphill, no coordinate (a logarithm) by more than two."""
     step = np.zeros(len(gradient))
-    if not moves.any():
-        return step
     inner = information[np.ix_(moves, moves)]
     diagonal = np.maximum(np.diag(inner), LEAST_INFORMATION)
     damped = inner + np.diag(damping * diagonal + LEAST_INFORMATION)
@@ -198,11 +196,6 @@ class _Prior:
     def n(self) -> int:
         """Number of its values."""
         return len(self.whitener.diagonal)
-
-    @property
-    def d_log_det(self) -> float:
-        """Slope of the whitener's log determinant in the logarithm of the time."""
-        return (self.later.log_det - self.whitener.log_det) / PRIOR_STEP
 
     @cached_property
     def _changes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -364,8 +357,9 @@ class _Derivatives:
         moved = np.zeros((self.likelihood.n_unknowns, 2 * n_processes))
         for number, prior in enumerate(self.priors):
             values = self.unknowns[prior.places]
-            changed = prior.changed(values)[:, None]
-            by_time = prior.whitener.covariance_times(changed)[:, 0]
+            # The covariance of the values times how its inverse changes.
+            normals = prior.whitener.factor_of(prior.changed(values))
+            by_time = prior.whitener.coloured(normals)
             moved[prior.places, number] = 2 * values
             by_time = by_time * prior.process.size**2
             moved[prior.places, n_processes + number] = -by_time
@@ -409,7 +403,8 @@ class _Derivatives:
             change = float(values @ prior.changed(values))
             coloured = prior.changed(whitener.coloured(own) * size)
             trace = float(np.mean(np.sum(found * coloured, axis=0)))
-            by_time.append(prior.d_log_det - (change + trace) / 2)
+            d_log_det = (prior.later.log_det - whitener.log_det) / PRIOR_STEP
+            by_time.append(d_log_det - (change + trace) / 2)
         return np.array(by_size), np.array(by_time)
 
     def _in_functions(self) -> np.ndarray:

@@ -117,10 +117,6 @@ class Whitener:
         found, _ = dtbtrs(lower, columns, uplo="L", trans="T" if transposed else "N")
         return np.asarray(found).reshape(right.shape)
 
-    def covariance_times(self, values: np.ndarray) -> np.ndarray:
-        """The covariance times values (n, k)."""
-        return self.coloured(self.factor_of(values))
-
 
 @lru_cache(4)  # a search asks for the same ones at every step
 def random_signs(lengths: tuple[int, ...], n: int) -> tuple[np.ndarray, ...]:

@@ -24,7 +24,6 @@ from phsi_opt.model.model import Model
 
 Input = Callable[[float], Any]  # of the time
 Force = Callable[[float, np.ndarray, np.ndarray], np.ndarray]  # of t, x, u
-SMALLEST_START = 1e-3  # size of the starting state below which `atol` falls no more
 # evaluations without progress in time, before a simulation is given up
 LONGEST_WAIT = 10_000
 # evaluations between two samples, and those of a piece in all, that are never refused:
@@ -70,9 +69,7 @@ def simulate(
         DataError: wrong shapes, times or numbers.
         SolveError: the solution cannot be continued.
     """
-    added: Force | None = None
-    if force is not None:
-        added = lambda at, x, u: force(at, x)  # noqa: E731
+    added = None if force is None else (lambda at, x, u: force(at, x))
     return simulate_forced(model, t, x0, u, added, hold=hold, method=method)
 
 
@@ -106,7 +103,7 @@ def simulate_forced(
     f = BufferedFunction(model.rhs())
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
-    size = max(float(np.max(np.abs(x0))), SMALLEST_START)
+    size = max(float(np.max(np.abs(x0))), 1e-3)  # below, `atol` falls no more
     for first, last, value, longest in _pieces(t, u, held):
         rate = _Rate(f, model.theta, force, value, last - first)
         times = t[first : last + 1]
