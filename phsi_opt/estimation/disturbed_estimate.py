@@ -70,8 +70,7 @@ class DisturbedEstimate(Estimate):
 
     @cached_property
     def _likelihood(self) -> MarginalLikelihood:
-        structure = self.disturbances.structure
-        return MarginalLikelihood(self.search.problem, structure, self.search.moving)
+        return self.search.likelihood(self.disturbances)
 
     @cached_property
     def spreads(self) -> dict[Source, Spread]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from phsi_opt.criteria import DIFFERENT_STD_ERRORS
 from phsi_opt.estimation.fit_record import FitRecord
+from phsi_opt.estimation.identified import DIGITS
 from phsi_opt.model.equation_text import dictionary_rows, structure_rows
 from phsi_opt.model.terms import Term
 from phsi_opt.model_error.standard_errors import Source
@@ -19,7 +20,6 @@ from phsi_opt.presentation.summary import Part, Summary
 SHOWN_PARAMETERS = ("name", "value", "std_error", "unit")
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 
-FEW_DIGITS = 6  # of a constant in a formula that is printed
 LONG_NUMBER = re.compile(r"(?<![\w.])\d+\.\d{7,}(?:e[+-]?\d+)?")
 
 
@@ -63,7 +63,7 @@ def equation_lines(fit: FitRecord) -> list[str]:
 
 
 def _few_digits(found: re.Match[str]) -> str:
-    return f"{float(found[0]):.{FEW_DIGITS}g}"
+    return f"{float(found[0]):.{DIGITS}g}"
 
 
 def _remarks(fit: FitRecord) -> list[str]:

@@ -14,6 +14,7 @@ from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.model_error_table import model_error_rows
+from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.uncertainty import Uncertainty
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.gaps import between_samples
@@ -29,13 +30,6 @@ from phsi_opt.transcription.elimination import regularized_inverse
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
-
-# Standard deviations that a slack takes over at a residual beyond Huber's limit, at
-# least; the solver leaves smaller ones at residuals within it.
-CUT_BY_HUBER = 1e-3
-# Share of the residuals within Huber's limit, at least: with fewer the variance would
-# be divided by what is nearly zero.
-LEAST_SHARE_WITHIN = 0.1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -147,8 +141,9 @@ class LikelihoodEstimate(Estimate):
         """Share of the residuals that Huber's function does not cut."""
         if self.loss.huber is None:
             return 1.0
-        is_within = np.sum(self._huber_slacks(), axis=0) < CUT_BY_HUBER
-        return max(float(np.mean(is_within)), LEAST_SHARE_WITHIN)
+        # The solver leaves smaller slacks at residuals within the limit.
+        is_within = np.sum(self._huber_slacks(), axis=0) < 1e-3
+        return max(float(np.mean(is_within)), LEAST_COUNTED)
 
     @property
     def score_variance(self) -> float:

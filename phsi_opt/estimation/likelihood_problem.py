@@ -28,13 +28,6 @@ from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
-FIRST_STEPS = 12  # from a crude start: few are enough where it is near
-# The memory that a trajectory begins with is free; that of a short delay fades within a
-# few samples. With coarse steps there it could take values far off for the sake of the
-# first residuals, and a simulation from them would go astray.
-FADING_GAPS = 4  # gaps between samples from the start
-FADING_STEPS = 16  # intervals in each of them, at least
-
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevels:
@@ -144,7 +137,8 @@ class LikelihoodProblem:
         if settings.thorough and not start.is_optimum:
             found = []
             if settings.has_own_steps:
-                near = self.solve(start, most_steps=FIRST_STEPS)
+                # Few steps are enough where a crude start is near.
+                near = self.solve(start, most_steps=12)
                 if is_at_scatter(near):
                     return near
                 found.append(near)
@@ -258,9 +252,14 @@ def likeliest(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
 
 
 def _fine_at_start(steps: np.ndarray) -> np.ndarray:
-    """The steps of a trajectory, many where what it began with as memory fades."""
-    is_fading = np.arange(len(steps)) < FADING_GAPS
-    return np.where(is_fading, np.maximum(steps, FADING_STEPS), steps)
+    """The steps of a trajectory, many in the first four gaps between samples.
+
+    The memory that it begins with is free; that of a short delay fades within a few
+    samples. With coarse steps there it could take values far off for the sake of the
+    first residuals, and a simulation from them would go astray.
+    """
+    is_fading = np.arange(len(steps)) < 4
+    return np.where(is_fading, np.maximum(steps, 16), steps)
 
 
 def _check_sensors(task: Task) -> None:

@@ -28,8 +28,6 @@ from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-MOST_STEP_REFINEMENTS = 5
-
 
 def by_likelihood(
     task: Task, loss: MaximumLikelihood, start: Fit | None
@@ -61,7 +59,7 @@ def _with_fine_steps(
 
     Where these lead nowhere the last optimum stays, with a note.
     """
-    for _ in range(MOST_STEP_REFINEMENTS):
+    for _ in range(5):
         steps = finer_steps(estimate) if estimate.is_success else None
         if steps is None:
             break

@@ -17,9 +17,9 @@ from phsi_opt.transcription.grid import Grid
 # Change of the logarithm of the noise at which its estimate stays: a tenth of its
 # standard error with 200 values.
 NOISE_TOLERANCE = 0.005
-# Share of the measured values, at least, that counts as degrees of freedom: with fewer
-# the noise would be divided by what is nearly zero.
-LEAST_FREEDOM = 0.1
+# Share of the measured values, at least, that counts: with fewer a variance would be
+# divided by what is nearly zero.
+LEAST_COUNTED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class NoiseIteration:
         # Every piece of a trajectory has a starting state.
         n_pieces = grid.n_nodes - grid.n_intervals
         n_used = self.n_theta + n_pieces * grid.y.shape[1]
-        freedom = max(1 - n_used / n_values, LEAST_FREEDOM)
+        freedom = max(1 - n_used / n_values, LEAST_COUNTED)
         if huber is not None:  # E[min(|e|, limit)^2] for standard normal e
             outside = 2 * normal_tail(huber)
             within = (1 - outside) - 2 * huber * normal_density(huber)

@@ -27,6 +27,7 @@ from phsi_opt.optimization.chained import Chain, Chained, TimeLayout
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, RIDGE
 
+EVERY = slice(None)
 NOTHING_HELD = np.zeros(0, dtype=int)
 LOST_TO_ROUNDING = (
     "the information about the parameters is lost to rounding: noise and model error "
@@ -110,18 +111,24 @@ class Border:
         )
 
     def tilted(self, slope: np.ndarray) -> "Border":
-        """Beside a logarithm that falls with this slope in the parameters, (n_theta,)."""
+        """Beside a logarithm that falls with this slope in parameters, (n_theta,)."""
         gradient = self.gradient.copy()
         gradient[: self.n_theta] += slope
         return replace(self, gradient=gradient)
 
     def with_priors(self, sizes: np.ndarray) -> np.ndarray:
-        """Information with that of functions of these sizes, (n_functions,)."""
+        """Information with that of functions of these sizes, (n_functions,).
+
+        Raises:
+            SolveError: it is not finite.
+        """
         precision = np.zeros(len(self.gradient))
         precision[: self.n_theta] = RIDGE
         coefficients = slice(self.n_theta, self.n_theta + len(self.owner))
         precision[coefficients] = 1 / sizes[self.owner] ** 2
         information: np.ndarray = self.information + np.diag(precision)
+        if not np.all(np.isfinite(information)):
+            raise SolveError(LOST_TO_ROUNDING)
         return information
 
     def gains_by_function(
@@ -162,8 +169,6 @@ class Border:
             SolveError: rounding has made the information indefinite.
         """
         information = self.with_priors(sizes)
-        if not np.all(np.isfinite(information)):
-            raise SolveError(LOST_TO_ROUNDING)
         n = self.n_theta
         mixed = information[:n, n:]
         through = solve_border(information[n:, n:], np.c_[mixed.T, self.gradient[n:]])
@@ -180,8 +185,6 @@ class Border:
             SolveError: rounding has made the information indefinite.
         """
         information = self.with_priors(sizes)
-        if not np.all(np.isfinite(information)):
-            raise SolveError(LOST_TO_ROUNDING)
         found = solve_border(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         sign, log_det = np.linalg.slogdet(information)
@@ -501,9 +504,8 @@ class MarginalLikelihood:
 
     def border_of(self, eliminated: "Eliminated") -> Border:
         """What is left of states and processes that were solved for."""
-        everything = slice(None)
         log_evidence = eliminated.log_evidence + self.problem.log_volume
-        border = self._border_of(eliminated, everything, everything, log_evidence)
+        border = self._border_of(eliminated, log_evidence)
         return border.tilted(self._tilt[self.moving])
 
     def borders_by_run(self, disturbances: Disturbances) -> list[Border]:
@@ -526,7 +528,7 @@ class MarginalLikelihood:
             values = np.flatnonzero(run_of_value == run)
             unknowns = np.flatnonzero(run_of_unknown == run)
             share = log_evidence * len(values) / self.problem.n_values
-            borders.append(self._border_of(eliminated, values, unknowns, share))
+            borders.append(self._border_of(eliminated, share, values, unknowns))
         told = []
         for border in borders:
             told.append(np.diag(border.information)[: border.n_theta])
@@ -570,8 +572,7 @@ class MarginalLikelihood:
         """
         eliminated = self.eliminated(disturbances, REGULAR, held)
         sizes = disturbances.function_sizes
-        everything = slice(None)
-        border = self._border_of(eliminated, everything, everything, 0.0)
+        border = self._border_of(eliminated, 0.0)
         border = border.tilted(self._tilt[self.moving])
         theta, of_functions = border.step(sizes, damping, room, silent_share)
         solved = eliminated.solved
@@ -612,7 +613,11 @@ class MarginalLikelihood:
         return Response(to_dynamics, to_values)
 
     def _border_of(
-        self, eliminated: "Eliminated", values: Any, unknowns: Any, log_evidence: float
+        self,
+        eliminated: "Eliminated",
+        log_evidence: float,
+        values: Any = EVERY,
+        unknowns: Any = EVERY,
     ) -> Border:
         """From some of the values, and the unknowns that belong to them."""
         weights = eliminated.weights[values]

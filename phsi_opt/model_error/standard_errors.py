@@ -22,7 +22,6 @@ from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.freedom import LOG_STEP, Spread, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import (
-    MarginalLikelihood,
     Response,
     whitener_of_force,
     whitener_of_sensor,
@@ -67,9 +66,7 @@ class PlainEstimate:
             SolveError: the states do not follow from the data.
         """
         white = Disturbances(self.sigma)
-        structure = white.structure
-        likelihood = MarginalLikelihood(self.problem, structure, self.moving)
-        return likelihood.response(white).over(self.within)
+        return self.search.likelihood(white).response(white).over(self.within)
 
     @property
     def problem(self) -> Linearization:
