@@ -365,7 +365,7 @@ class DisturbanceSearch:
         starts = []
         for sigma in self.noises():
             for time in self.first_times():
-                sensors = self._sensors(0.7, time)
+                sensors = self._sensors(0.7, time)  # of the residuals
                 starts.append(Disturbances(sigma, sensors=sensors))
         return starts
 
