@@ -108,7 +108,7 @@ class JointEstimate:
         return self.place.violation
 
     def answer_to(self, slope: np.ndarray) -> float:
-        """How far the parameters go for another tilt, in standard deviations."""
+        """How far parameters go for a tilt (n_theta,), in standard deviations."""
         problem = self.place.problem
         change = (slope - problem.slope)[self.likelihood.moving]
         covariance = self.likelihood.at(problem.disturbances).covariance
