@@ -71,19 +71,10 @@ class TableReaders:
         cls,
         source: Source | Iterable[Source],
         *,
-        time: str | int | None = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
         columns: Sequence[str] | None = None,
         separator: str | None = None,
         decimal: str | None = None,
+        **told: Unpack[TableWords],
     ) -> Self:
         """Read text tables.
 
@@ -120,18 +111,6 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
-        told: TableWords = {
-            "time": time,
-            "states": states,
-            "inputs": inputs,
-            "hold": hold,
-            "trajectory": trajectory,
-            "units": units,
-            "noise": noise,
-            "step": step,
-            "start": start,
-            "date_format": date_format,
-        }
         wanted = _layout(told).columns
         form = TextFormat(columns, separator, decimal)
         tables = [table_of_csv(file, wanted, form) for file in text_files(source)]
