@@ -35,8 +35,6 @@ from phsi_opt.transcription.sensors import outputs_at_samples
 if TYPE_CHECKING:
     import pandas as pd
 
-FEWEST_DRAWS = 2  # of which a scatter can be taken
-
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
@@ -159,8 +157,8 @@ def bootstrap(
             "the fit has no states, as one that was loaded from a file; identify it "
             "again from its measurements."
         )
-    if n_draws < FEWEST_DRAWS:
-        raise DataError(f"n_draws={n_draws!r} must be {FEWEST_DRAWS} or more.")
+    if n_draws < 2:  # of one no scatter can be taken
+        raise DataError(f"n_draws={n_draws!r} must be 2 or more.")
     plan = _plan(fit, data)
     # What the draws follow from.
     content = {
@@ -189,7 +187,7 @@ def bootstrap(
             failed[number] = done.result["failed"]
         else:
             found[number] = done.result["estimates"]
-    if len(found) < FEWEST_DRAWS:
+    if len(found) < 2:
         reason = next(iter(failed.values()), "")
         raise SolveError(f"{len(failed)} of {n_draws} draws have no fit: {reason}")
     rows = dict(sorted(found.items()))

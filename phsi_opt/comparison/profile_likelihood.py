@@ -27,11 +27,6 @@ from phsi_opt.transcription.alignment import AlignedData
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Standard errors by which the repeated fit may differ from the fit: beyond, the
-# measurements are not those of the fit.
-REPEATED = 0.1
-FARTHEST_END = 8  # half widths beyond which no end is looked for
-
 
 @dataclass(frozen=True, eq=False)
 class Profile:
@@ -204,7 +199,7 @@ class _Line:
             x = Record.of_aligned(fit, aligned).start
         best = self._solved(fit.model, x)
         value = fit.values[name]
-        limit = REPEATED * fit.std_errors[name]
+        limit = 0.1 * fit.std_errors[name]  # beyond, they are not those of the fit
         if best is None or abs(best.values[name] - value) > limit:
             now = "not solved" if best is None else f"{best.values[name]:.6g}"
             raise SolveError(
@@ -245,7 +240,7 @@ class _Line:
     def end(self, bound: float, half: float, threshold: float) -> float:
         """Where the profile crosses the threshold towards a bound of the parameter.
 
-        The bound, or infinity, where it does not.
+        The bound, or infinity, where it does not within eight half widths.
         """
         side = -1.0 if bound < self.value else 1.0
         reach = abs(bound - self.value)
@@ -266,7 +261,7 @@ class _Line:
             far = min(1.5 * far, reach)
             if near == reach:
                 return bound
-            if far > FARTHEST_END * half:
+            if far > 8 * half:
                 return side * np.inf
         crossing = brentq(above, near, far, xtol=0.02 * half)
         return self.value + side * crossing

@@ -126,7 +126,8 @@ def _check_pairs(
                 "expected the same shape."
             )
     check_same_length(starts, "one row per pair")
-    t, t_end = starts["t_start"], ends["t_end"]
+    t = starts["t_start"]
+    t_end = ends["t_end"]
     if not len(t):
         raise DataError(
             "there are no pairs; expected at least one row in x_start and t_start."

@@ -19,9 +19,6 @@ from phsi_opt.statistics import TINY, rms
 
 # Times the frequency of the motion from which a force is a vibration beside it.
 VIBRATION = 10.0
-# Cycles per sample from which on a force is as fast as the samples: two fifths of the
-# fastest that they show.
-NEAR_SAMPLING = 0.2
 
 
 @dataclass(frozen=True)
@@ -73,8 +70,8 @@ class Pace:
 
     @property
     def is_near_sampling(self) -> bool:
-        """Whether the force is as fast as the samples."""
-        return self.frequency * self.interval > NEAR_SAMPLING
+        """Whether the force is two fifths as fast as the fastest that samples show."""
+        return self.frequency * self.interval > 0.2
 
     @property
     def samples_per_cycle(self) -> int:

@@ -27,18 +27,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_DRAWN_SAMPLES = 60_000  # in all curves together: two megabytes of text
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
-FEWEST_PER_CURVE = 120
 
 
 # ---- as records ----------------------------------------------------------------------
 
 
 def samples_of_each(n_curves: int) -> int:
-    """How many samples are drawn of each of so many curves."""
-    share = MOST_DRAWN_SAMPLES / max(n_curves, 1)
-    return int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    """How many samples are drawn of each of so many curves.
+
+    All together have at most 60 000, two megabytes of text, unless there are very many.
+    """
+    return int(np.clip(60_000 / max(n_curves, 1), 120, MOST_PER_CURVE))
 
 
 def force_of(force: EquationForce, time: TimeScale) -> Force:

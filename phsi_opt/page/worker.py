@@ -33,7 +33,6 @@ ADD = "add"
 UNDO = "undo"
 AUTO = "auto"
 REPORT = "report"
-CANCEL_GRACE = 1.0  # s that a cancelled worker has before it is killed
 Receiver = Callable[["WorkerHandle", Any], None]
 
 
@@ -118,12 +117,10 @@ class WorkerHandle:
         self._orders.put(order)
 
     def end(self) -> None:
-        """End the process: politely, and after ``CANCEL_GRACE`` seconds in any case."""
-        self._process.terminate()
-        self._process.join(CANCEL_GRACE)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join(CANCEL_GRACE)
+        """End the process: politely, and after a second in any case."""
+        for end in (self._process.terminate, self._process.kill):
+            end()
+            self._process.join(1.0)
 
     def _listen(self) -> None:
         message: Any = ""

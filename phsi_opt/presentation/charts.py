@@ -64,7 +64,6 @@ MATPLOTLIB_LOOKS: dict[str, Any] = {
 }
 TWO_DEVIATIONS = "two standard deviations"
 DEVIATION = "std. deviation"
-LETTERS_OF_TICKS = 60  # of all labels of steps, side by side
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "report",  # the same names of parts in every run
@@ -166,7 +165,7 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     is_log = n > 1 and known.size > 0 and known.max() >= 10 * known.min()
     panel = Panel(label("error", unit), curves, scale=LOG if is_log else FROM_ZERO)
     changes = [proper_names(step.change(k)) for k, step in enumerate(steps)]
-    n_letters = max(LETTERS_OF_TICKS // n, 8)
+    n_letters = max(60 // n, 8)  # of each label: side by side they have 60
     return Chart("", (panel,), ticks=tuple(wrap(one, n_letters) for one in changes))
 
 

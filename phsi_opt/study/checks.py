@@ -15,9 +15,6 @@ from phsi_opt.presentation.numbers import p_value_words
 from phsi_opt.presentation.sentences import say
 from phsi_opt.study.record import StudyRecord
 
-# Share of the longest record below which a free run never was good.
-FROM_START = 0.01
-
 
 def checks_of(study: StudyRecord) -> tuple[Check, ...]:
     """Size, whiteness and horizon by channel; then the fit's and the data's."""
@@ -43,7 +40,7 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
         "ratio": ratio,
         "shortest": shortest,
         "scale": scale_of_time(shortest, unit_of_time),
-        "is_from_start": horizon < FROM_START * shortest,
+        "is_from_start": horizon < 0.01 * shortest,  # it never was good
         "spaced": spaced,
         "p_value_words": p_value_words,
     }

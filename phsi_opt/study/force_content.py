@@ -23,11 +23,6 @@ from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study.answers import evidence_words
 
-# Times the training data's error, beside its movement, from which on the data held out
-# show better what is wrong: the model follows what it was fitted to.
-FOLLOWED_TIMES = 2.0
-
-
 # ---- forces --------------------------------------------------------------------------
 
 
@@ -109,7 +104,7 @@ def glance_of(
     judged = worst_run([one for one in runs if one.part != TRAINING] or [run], model)
     shares = [worst_channel(one, model).share_off(model) for one in (run, judged)]
     along = window = None
-    if shares[1] > FOLLOWED_TIMES * shares[0]:
+    if shares[1] > 2 * shares[0]:  # the model follows what it was fitted to
         run = judged
         channel = worst_channel(run, model)
         off = np.abs(channel.measured - channel.models[model])
