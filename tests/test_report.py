@@ -27,11 +27,6 @@ from phsi_opt.force_analysis.next_step import (
     step_without_name,
 )
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.units import (
-    RateScale,
-    frequency_words,
-    scale_of_rate,
-)
 from phsi_opt.presentation.charts import glance_chart, svg
 from phsi_opt.presentation.content import (
     GOOD,
@@ -62,7 +57,13 @@ from phsi_opt.presentation.numbers import (
     with_error,
 )
 from phsi_opt.presentation.thinning import rounded, thinned
-from phsi_opt.presentation.units import rate_unit, scale_of_errors
+from phsi_opt.presentation.units import (
+    RateScale,
+    frequency_words,
+    rate_unit,
+    scale_of_errors,
+    scale_of_rate,
+)
 from phsi_opt.study.answers import (
     _comes_and_goes,
     answer,

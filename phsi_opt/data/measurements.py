@@ -35,21 +35,10 @@ from phsi_opt.data.trajectory import (
 )
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.summary import Part, Summarised, Summary, text_of_summary
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.tables import printed_table
 
 if TYPE_CHECKING:
     import pandas as pd
-
-COLUMNS_OF_CHANNELS = (
-    "channel",
-    "part",
-    "unit",
-    "measured",
-    "lowest",
-    "highest",
-    "noise",
-)
-
 
 Arguments = ParamSpec("Arguments")
 Derived = Callable[Concatenate["Measurements", Arguments], np.ndarray]
@@ -305,19 +294,23 @@ class Measurements(TableReaders, Selections, Summarised):
         frame.insert(0, "trajectory", np.repeat(np.array(names, object), n_samples))
         return frame
 
-    def _channels(self) -> Iterator[tuple[Any, ...]]:
-        """A row per channel, in `COLUMNS_OF_CHANNELS`; NaN for what is not known."""
+    def _channels(self) -> Iterator[dict[str, Any]]:
+        """A row per channel; NaN for what is not known."""
         values_of = [*self.stacked("x").T, *self.stacked("u").T]
         parts = ["state"] * self.n_states + ["input"] * self.n_inputs
         channels = (*self.states, *self.inputs)
         noise = self.noise or {}
         for part, name, values in zip(parts, channels, values_of, strict=True):
             known = values[np.isfinite(values)]
-            lowest = known.min() if known.size else np.nan
-            highest = known.max() if known.size else np.nan
-            measured = f"{known.size} of {values.size}"
-            sigma = noise.get(name, np.nan)
-            yield name, part, self.units[name], measured, lowest, highest, sigma
+            yield {
+                "channel": name,
+                "part": part,
+                "unit": self.units[name],
+                "measured": f"{known.size} of {values.size}",
+                "lowest": known.min() if known.size else np.nan,
+                "highest": known.max() if known.size else np.nan,
+                "noise": noise.get(name, np.nan),
+            }
 
     def _summary(self) -> Summary:
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
@@ -325,7 +318,7 @@ class Measurements(TableReaders, Selections, Summarised):
         unit = f" [{self.units['t']}]" if self.units["t"] else ""
         span = f"t = {t.min():g} to {t.max():g}{unit}"
         title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
-        table = printed_table(self._channels(), columns=list(COLUMNS_OF_CHANNELS))
+        table = printed_table(self._channels())
         return Summary(title, (Part(table=table),))
 
     def __repr__(self) -> str:

@@ -25,7 +25,7 @@ from phsi_opt.presentation.summary import (
     Summary,
     text_of_summary,
 )
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.tables import printed_table
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,10 +20,10 @@ from phsi_opt.force_analysis.localization import (
     strongest_window,
 )
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.units import RateScale, force_unit, scale_of_rate
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
+from phsi_opt.presentation.units import RateScale, force_unit, scale_of_rate
 from phsi_opt.statistics import rms
 
 if TYPE_CHECKING:

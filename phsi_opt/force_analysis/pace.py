@@ -13,8 +13,8 @@ import numpy as np
 from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.spectrum import spectrum
-from phsi_opt.force_analysis.units import frequency_words
 from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.units import frequency_words
 from phsi_opt.statistics import TINY, rms
 
 # Times the frequency of the motion from which a force is a vibration beside it.

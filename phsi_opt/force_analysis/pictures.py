@@ -15,13 +15,13 @@ from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import is_mostly_constant
 from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
-from phsi_opt.force_analysis.units import frequency_unit
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
 from phsi_opt.presentation.axes import MEASURED, MODEL
 from phsi_opt.presentation.content import TRAINING, Follows, Force, ForceMap, ForceRun
 from phsi_opt.presentation.durations import TimeScale, scale_of_time
 from phsi_opt.presentation.thinning import thinned
+from phsi_opt.presentation.units import frequency_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -145,7 +145,7 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
     """
     import matplotlib.pyplot as plt
 
-    from phsi_opt.presentation.charts import draw, follows_chart, force_chart, map_chart
+    from phsi_opt.presentation.charts import Chart, draw, follows_chart, force_chart
 
     force = analysis.force_in(equation)
     time = scale_of_time(float(force.record.t.max()), force.record.units.get("t", ""))
@@ -153,7 +153,7 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
     found = map_of(force)
     over_states = follows_chart(follows_of(force, force.map_variables[0]))
     if found is not None:
-        over_states = map_chart(found)
+        over_states = Chart(found.x_label, map=found)
     variable = force.single_variable
     panels = (
         (force_chart([run], time.unit), _sure_title(force)),

@@ -21,13 +21,13 @@ from phsi_opt.force_analysis.localization import (
     StrongRange,
     strong_region,
 )
-from phsi_opt.force_analysis.units import frequency_words, spaced
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.kinds import TURN, plain_unit
 from phsi_opt.model.structure import exchange_partners, position_rows
 from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.durations import dates_words, time_words, times_words
 from phsi_opt.presentation.sentences import say
+from phsi_opt.presentation.units import spaced
 from phsi_opt.statistics import TINY
 
 VIBRATION_WORDS = "a vibration or an error of a sensor, rather than a law of the motion"
@@ -59,8 +59,6 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "place": partial(place_words, force),
         "loss_of": _loss_of,
         "period_words": _period_words,
-        "frequency_words": frequency_words,
-        "spaced": spaced,
     }
     return say(__package__, name, **facts, **more)
 

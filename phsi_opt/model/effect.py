@@ -19,7 +19,7 @@ from phsi_opt.presentation.summary import (
     Summary,
     text_of_summary,
 )
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.tables import printed_table
 
 COLUMNS_OF_EFFECTS = ("effect", "equation", "slot", "family")
 

@@ -144,13 +144,8 @@ class ModelView:
                 "dH_dp, and the parameters below."
             ).classes("faint")
             with ui.element("div").classes("fields"):
-                choice(
-                    "kind of model",
-                    MODEL_TYPES,
-                    draft.type,
-                    self._set_type,
-                    width="20em",
-                )
+                kinds = (MODEL_TYPES, draft.type, self._set_type)
+                choice("kind of model", *kinds, width="20em")
                 text_fields(draft.table, NAME_FIELDS, self._named)
                 if draft.type == ENERGY:
                     text_fields(draft.table, ENERGY_FIELDS, self._checked)

@@ -22,7 +22,6 @@ from phsi_opt.presentation.charts import (
     follows_chart,
     force_chart,
     glance_chart,
-    map_chart,
     plotly,
     run_chart,
     svg,
@@ -87,7 +86,7 @@ def _places(content: StudyContent) -> dict[str, _Place]:
             places[f"{name}-time"] = _Place(along, force.shown)
             charts[f"{name}-follows"] = follows_chart(force.follows)
             if force.map is not None:
-                charts[f"{name}-map"] = map_chart(force.map)
+                charts[f"{name}-map"] = Chart(force.map.x_label, map=force.map)
     return places | {name: _Place([[chart]]) for name, chart in charts.items()}
 
 

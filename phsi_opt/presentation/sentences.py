@@ -10,7 +10,14 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.presentation.content import Answer, unestablished_words
-from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
+from phsi_opt.presentation.numbers import (
+    capitalised,
+    lowered,
+    number,
+    p_value_words,
+    with_error,
+)
+from phsi_opt.presentation.units import frequency_words, scale_of_errors, spaced
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
@@ -18,6 +25,7 @@ if TYPE_CHECKING:
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
 UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
+FUNCTIONS = (frequency_words, p_value_words, scale_of_errors, spaced)
 FILTERS = {
     "number": number,
     "estimate": with_error,
@@ -28,12 +36,13 @@ FILTERS = {
 
 
 def environment(package: str, folder: str = "", **settings: Any) -> "Environment":
-    """The templates of a package, with the filters that all of them use."""
+    """The templates of a package, with what all of them use."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to load
 
     loader = PackageLoader(package, folder)
     found = Environment(loader=loader, undefined=StrictUndefined, **settings)
     found.filters |= FILTERS
+    found.globals |= {one.__name__: one for one in FUNCTIONS}
     found.tests["startingwith"] = str.startswith
     return found
 

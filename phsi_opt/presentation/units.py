@@ -1,4 +1,4 @@
-"""Units as people write them: N in place of kg m/s/s.
+"""Units as people write them: N in place of kg m/s/s; rates and frequencies.
 
 Only units without a prefix are put together, as "mm" or "kN" would need a factor. "C"
 stays as it is: it is coulomb to one and degree Celsius to another.
@@ -7,6 +7,9 @@ stays as it is: it is coulomb to one and degree Celsius to another.
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from phsi_opt.presentation.durations import SECONDS, scale_of_time, time_words
 
 # Powers of units, by their names.
 Powers = Mapping[str, float]
@@ -164,3 +167,54 @@ def _sorted(powers: Powers) -> list[tuple[str, float]]:
 
 def _factor(name: str, power: float) -> str:
     return name if power == 1 else f"{name}^{power:.4g}"
+
+
+# ---- of a missing force and its frequency --------------------------------------------
+
+
+def frequency_unit(units: Mapping[str, str]) -> str:
+    """Hz where the time is in seconds, else cycles per unit of time."""
+    time = units.get("t", "")
+    if time == "s":
+        return "Hz"
+    return f"cycles per {time or 'unit of time'}"
+
+
+def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
+    """A frequency; its period where that is told in minutes, hours or days."""
+    unit = units.get("t", "")
+    is_long = unit != "s" and unit in SECONDS
+    if is_long or scale_of_time(1 / frequency, unit).size > 1.0:
+        return f"with a period of {time_words(1 / frequency, unit)}"
+    return f"at {frequency:.3g} {frequency_unit(units)}"
+
+
+def force_unit(equation: str, units: Mapping[str, str]) -> str:
+    """Unit of the missing force of an equation, "" where units are not known."""
+    return rate_unit(units.get(equation, ""), units.get("t", ""))
+
+
+@dataclass(frozen=True)
+class RateScale:
+    """A unit in which a rate is told, and how many of its own unit that is."""
+
+    unit: str
+    size: float = 1.0
+
+
+def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> RateScale:
+    """A rate per hour where a record of seconds lasts for hours: degC/h.
+
+    Rates with a name of their own (N, m/s) and other units of time stay; ``longest`` is
+    the last time of the record.
+    """
+    unit = force_unit(equation, units)
+    in_seconds = scale_of_time(longest, units.get("t", "")).size >= SECONDS["h"]
+    if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED_RATES:
+        return RateScale(unit)
+    return RateScale(rate_unit(units[equation], "h"), 1 / SECONDS["h"])
+
+
+def spaced(unit: str) -> str:
+    """The unit with a space before it, or nothing."""
+    return f" {unit}" if unit else ""

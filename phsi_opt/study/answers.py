@@ -20,7 +20,6 @@ from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
 from phsi_opt.force_analysis.next_step import likely_cause
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
 from phsi_opt.model.laws import is_second_storage
 from phsi_opt.presentation.content import Answer
@@ -32,7 +31,7 @@ from phsi_opt.presentation.durations import (
 )
 from phsi_opt.presentation.numbers import listed, number, with_error
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import scale_of_errors
+from phsi_opt.presentation.units import spaced
 from phsi_opt.statistics import TINY, rms
 
 FAST_DISTURBANCE = "fast disturbance"
@@ -75,8 +74,6 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "found": list(map(finding_words, diagnosis.findings)),
         "likely_cause": likely_cause,
         "is_second_storage": is_second_storage,
-        "scale_of_errors": scale_of_errors,
-        "spaced": spaced,
     }
     return say(__package__, name, **facts, **more)
 

@@ -8,10 +8,8 @@ import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import FAILING_ERROR, SURE_LEVEL, WHITE_ERROR
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Check
 from phsi_opt.presentation.durations import scale_of_time
-from phsi_opt.presentation.numbers import p_value_words
 from phsi_opt.presentation.sentences import say
 from phsi_opt.study.record import StudyRecord
 
@@ -41,8 +39,6 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
         "shortest": shortest,
         "scale": scale_of_time(shortest, unit_of_time),
         "is_from_start": horizon < 0.01 * shortest,  # it never was good
-        "spaced": spaced,
-        "p_value_words": p_value_words,
     }
     is_small = ratio <= FAILING_ERROR
     is_far = ratio > WHITE_ERROR

@@ -8,7 +8,6 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.localization import window_of
 from phsi_opt.force_analysis.pictures import force_of, force_runs
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import (
     TRAINING,
     Channel,
@@ -20,7 +19,7 @@ from phsi_opt.presentation.content import (
 )
 from phsi_opt.presentation.durations import TimeScale
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import scale_of_errors
+from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.study.answers import evidence_words
 
 # ---- forces --------------------------------------------------------------------------

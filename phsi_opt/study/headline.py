@@ -4,11 +4,10 @@ from typing import Any
 
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors, spaced
 from phsi_opt.study.answers import (
     alternatives,
     answer,

@@ -199,7 +199,7 @@ class Study(Summarised):
         """Add an effect, re-fit, and return the fit.
 
         Args:
-            effect: an `Effect`, or its name in the catalogue.
+            effect: an `Effect`, or its name in the ranking or the catalogue.
             equation: the equation that a named effect acts in; not needed where only
                 one can have it.
 
@@ -207,12 +207,16 @@ class Study(Summarised):
             ModelError: there is no such effect, or it is in the model already.
             SolveError: the larger model could not be fitted.
         """
-        if isinstance(effect, str):
-            effect = effect_named(self.model, effect, equation, self.train.units)
         present = self.record.present
+        ranking = () if present is None else present.ranking
+        if isinstance(effect, str):
+            ranked = {one.name: one.effect for one in ranking}
+            units = self.train.units
+            effect = ranked.get(effect) or effect_named(
+                self.model, effect, equation, units
+            )
         if present and present.proposed_fit and present.proposed == (effect,):
             return self._add_all(present.proposed, present.proposed_fit)
-        ranking = () if present is None else present.ranking
         found = next((one for one in ranking if one.effect == effect), None)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
