@@ -75,7 +75,12 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
     if _n_repeated(runs) < 0.03 * len(values):
         return 0.0
     values = np.unique(values)
-    step = _even_step(values) or _step_of_each(runs)
+    step = _even_step(values)
+    if step == 0:  # trajectories with different offsets; one that rests is left out
+        different = [np.unique(run) for run in runs]
+        steps = [_even_step(own) for own in different if len(own) > 1]
+        if len(steps) >= 2 and min(steps) > 0:
+            step = float(np.median(steps))
     if step > 0:
         return step
     if len(values) > 1 and _stays_and_comes_back(runs):
@@ -96,19 +101,10 @@ def _even_step(values: np.ndarray) -> float:
     for error in STORED_ERRORS:
         step = lattice_step(values, error * size)
         if step > 0:
-            return _behind_digits(values, step)
+            # Of digits printed, unless the values are as dense as these.
+            is_sparse = len(values) > 2 and np.diff(values).min() >= 2.5 * step
+            return max(lattice_step(values, step / 2), step) if is_sparse else step
     return 0.0
-
-
-def _step_of_each(runs: Sequence[np.ndarray]) -> float:
-    """The median step of trajectories with different offsets; zero if one has none.
-
-    A trajectory that does not move is left out.
-    """
-    different = [np.unique(run) for run in runs]
-    steps = [_even_step(values) for values in different if len(values) > 1]
-    is_even = len(steps) >= 2 and min(steps) > 0
-    return float(np.median(steps)) if is_even else 0.0
 
 
 def lattice_step(values: np.ndarray, error: float) -> float:
@@ -127,7 +123,10 @@ def lattice_step(values: np.ndarray, error: float) -> float:
     while step > SAME_VALUE * error:  # a remainder is at most half of the step
         fitted, distance = _fitted_lattice(values, step, error)
         if distance <= 1.3 * error:  # of a value from what was fitted to all
-            return fitted if _is_no_chance(len(values), error / fitted) else 0.0
+            # Two values always lie near to one; would more do so by chance, anywhere,
+            # in more than one of 10 000 cases?
+            chance = (len(values) - 2) * np.log(2 * (error / fitted))
+            return fitted if len(values) == 2 or chance < np.log(1e-4) else 0.0
         remainders = np.abs(gaps - np.round(gaps / step) * step)
         is_left = remainders > SAME_VALUE * error
         if not is_left.any():
@@ -161,26 +160,6 @@ def _fitted_lattice(
     fitted = float(k @ (values - values.mean()) / (k @ k))
     away = values - fitted * counted(fitted)
     return fitted, float(np.max(np.abs(away - away.mean())))
-
-
-def _is_no_chance(n_values: int, error: float) -> bool:
-    """Whether values anywhere would lie so near to a lattice in one of 10 000 cases.
-
-    Two values always do: they are one step apart. The error is that of a value, in
-    steps.
-    """
-    return n_values == 2 or bool((n_values - 2) * np.log(2 * error) < np.log(1e-4))
-
-
-def _behind_digits(values: np.ndarray, step: float) -> float:
-    """The step of the sensor, where ``step`` is that of the digits printed.
-
-    The same where the values are as dense as their digits: between two of them are
-    fewer than 2.5, so that no coarser lattice can be told.
-    """
-    if len(values) == 2 or np.diff(values).min() < 2.5 * step:
-        return step
-    return max(lattice_step(values, step / 2), step)
 
 
 def _stays_and_comes_back(runs: Sequence[np.ndarray]) -> bool:

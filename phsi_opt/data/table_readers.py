@@ -242,8 +242,10 @@ def _runs_in(
             elif part == TIME_PART:
                 clock = clock_of(table, layout, list(rows.values()))
             else:
-                may_be_missing = part[0] == "states"
-                values[part[0]].append(_values(table, column, may_be_missing))
+                cells = np.full(len(table.frame), np.nan)
+                if column is not None:
+                    cells = numbers_in(table, column, part[0] == "states")
+                values[part[0]].append(cells)
         except DataError as error:
             faults.setdefault(part, error)
     if faults:
@@ -267,13 +269,6 @@ def _layout(told: TableWords) -> Layout:
     for name in ("hold", "units", "noise"):
         words.pop(name, None)
     return Layout(**words)
-
-
-def _values(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
-    """The values of a column, (n_rows,); NaN where there is none."""
-    if column is None:
-        return np.full(len(table.frame), np.nan)
-    return numbers_in(table, column, may_be_missing)
 
 
 def _with_seconds(units: Any, are_dates: bool) -> Any:

@@ -169,14 +169,13 @@ class Sessions:
         """
         if len(self._by_key) < MOST_SESSIONS:
             return
-        empty = [key for key, one in self._by_key.items() if one.is_empty]
+        empty: dict[str, tuple[bool, float]] = {}
+        for key, session in self._by_key.items():
+            if session.is_empty:
+                empty[key] = (session.is_shown, session.seen)
         if not empty:
             raise DataError(
                 f"this page holds {MOST_SESSIONS} studies, and no more at once. Try "
                 "again when somebody has ended one: Menu, Begin again."
             )
-        self._by_key.pop(min(empty, key=self._usage)).close()
-
-    def _usage(self, key: str) -> tuple[bool, float]:
-        session = self._by_key[key]
-        return session.is_shown, session.seen
+        self._by_key.pop(min(empty, key=empty.__getitem__)).close()

@@ -5,8 +5,7 @@ stays as it is: it is coulomb to one and degree Celsius to another.
 """
 
 import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from phsi_opt.presentation.durations import SECONDS, scale_of_time, time_words
@@ -56,7 +55,7 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
     written = powers_as_written(unit)
     below = powers_as_written(unit_of_time)
     if written is not None and below is not None:
-        powers = _quotient(written, below)
+        powers = _product([(written, 1), (below, -1)])
         if set(powers) <= set(KNOWN):
             basic = _in_base_units(powers)
             for name in NAMED_RATES:
@@ -68,16 +67,18 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
     return f"{unit}/{unit_of_time}"
 
 
-def _quotient(above: Powers, below: Powers) -> Powers:
-    powers = dict(above)
-    for name, power in below.items():
-        powers[name] = powers.get(name, 0) - power
-    return {name: power for name, power in powers.items() if power}
+def _product(factors: Iterable[tuple[Powers, float]]) -> Powers:
+    """The powers of units that are raised to powers; none that are zero."""
+    total: dict[str, float] = {}
+    for powers, exponent in factors:
+        for name, power in powers.items():
+            total[name] = total.get(name, 0) + exponent * power
+    return {name: power for name, power in total.items() if power}
 
 
 def powers_as_written(unit: str) -> Powers | None:
     """Powers of the units as they are written, of any name; None: not readable."""
-    powers: Counter[str] = Counter()
+    factors: list[tuple[Powers, float]] = []
     for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
         sign = 1 if place == 0 else -1
         for factor in FACTOR_SEPARATORS.split(part.strip()):
@@ -86,8 +87,8 @@ def powers_as_written(unit: str) -> Powers | None:
                 continue
             if found is None:
                 return None
-            powers[found[1]] += sign * int(found[2] or 1)
-    return {name: power for name, power in powers.items() if power}
+            factors.append(({found[1]: int(found[2] or 1)}, sign))
+    return _product(factors)
 
 
 KNOWN: Mapping[str, Powers] = {
@@ -103,11 +104,7 @@ def powers_in_base_units(unit: str) -> Powers | None:
 
 
 def _in_base_units(written: Powers) -> Powers:
-    powers: dict[str, float] = {}
-    for name, exponent in written.items():
-        for base, power in KNOWN.get(name, {name: 1}).items():
-            powers[base] = powers.get(base, 0.0) + exponent * power
-    return {base: power for base, power in powers.items() if power}
+    return _product((KNOWN.get(name, {name: 1}), n) for name, n in written.items())
 
 
 def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:

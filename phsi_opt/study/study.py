@@ -14,6 +14,7 @@ from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.problem import silent
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.choice import EffectChoice, Given
@@ -83,7 +84,7 @@ class Study(Summarised):
         loss = loss or MaximumLikelihood()
         self._fitting = StudyFitting.of(model, train, held_out, loss)
         self.stopped = ""
-        self._say = progress or _silent
+        self._say = progress or silent
         # By the number of the step, with the effects that were considered.
         self._diagnoses: dict[int, tuple[EffectChoice, Diagnosis]] = {}
         for note in self._fitting.notes:
@@ -464,7 +465,3 @@ class Study(Summarised):
             if fit.log_evidence > self.fit.log_evidence:
                 self._say(f"{effect} has become superfluous")
                 self._take(f"without {effect}", kept, fit)
-
-
-def _silent(line: str) -> None:
-    pass

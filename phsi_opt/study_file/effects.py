@@ -9,29 +9,10 @@ from phsi_opt.model.model import Model
 from phsi_opt.study_file.complaints import Complaints
 from phsi_opt.study_file.sections import StudySection
 
-ON = " on "  # between the name of an effect and its equation
-
 
 def own_effect(name: str, own: Sequence[Effect]) -> Effect | None:
     """The effect of the user's own that is called so, with its place or without."""
     return next((one for one in own if name in (one.name, str(one))), None)
-
-
-def meant_effect(
-    model: Model, name: str, own: Sequence[Effect], units: Mapping[str, str]
-) -> Effect:
-    """The effect that a name such as ``"coulomb friction on p"`` stands for.
-
-    Args:
-        model: to which it could be added.
-        name: with its place, or without where only one equation can have it.
-        own: effects that are not in the catalogue; they come first.
-        units: of the states, as in `catalogue`.
-
-    Raises:
-        ModelError: there is no such effect.
-    """
-    return own_effect(name, own) or effect_named(model, name, units=units)
 
 
 def check_effects(
@@ -45,7 +26,8 @@ def check_effects(
     larger = model
     for name in steps.added:
         with found.noting("study", "added", value=name):
-            larger = larger.add(meant_effect(larger, name, own, units))
+            effect = own_effect(name, own) or effect_named(larger, name, units=units)
+            larger = larger.add(effect)
     for key in ("effects", "without"):
         for name in getattr(steps, key) or ():
             if own_effect(name, own) is None:
