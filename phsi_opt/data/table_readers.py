@@ -233,7 +233,10 @@ def _runs_in(
     """The trajectories of a table; none, and the faults noted, where it has some."""
     rows: dict[str, np.ndarray] = {}
     clock = NO_CLOCK
-    values = {what: [np.empty((len(table.frame), 0))] for what in ("states", "inputs")}
+    n_rows = len(table.frame)
+    values: dict[str, list[np.ndarray]] = {}
+    for what in ("states", "inputs"):
+        values[what] = [np.empty((n_rows, 0))]
     for part, column in layout.parts.items():
         try:
             _check_column(table, column, layout)
@@ -242,7 +245,7 @@ def _runs_in(
             elif part == TIME_PART:
                 clock = clock_of(table, layout, list(rows.values()))
             else:
-                cells = np.full(len(table.frame), np.nan)
+                cells = np.full(n_rows, np.nan)
                 if column is not None:
                     cells = numbers_in(table, column, part[0] == "states")
                 values[part[0]].append(cells)

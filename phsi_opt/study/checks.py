@@ -1,7 +1,6 @@
 """Checks of what a study's present model leaves, each with a severity and a word."""
 
 from collections.abc import Sequence
-from itertools import repeat
 
 import numpy as np
 import pandas as pd
@@ -65,14 +64,17 @@ def _of_fit(study: StudyRecord) -> list[Check]:
     severity = GOOD if fit.outcome.success else BAD
     said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
     checks = [Check("solver", severity, said)]
-    looks = []
-    if fit.outcome.at_bounds:
-        looks.append(("bounds", f"at a bound: {', '.join(fit.outcome.at_bounds)}"))
-    looks += zip(repeat("fit"), fit.warnings, strict=False)
-    notes: Sequence[str] = ()
+    bounds = ", ".join(fit.outcome.at_bounds)
+    notes: Sequence[str] = [
+        "nothing was held out; errors are those of the training data"
+    ]
     if study.last.held_out is not None:
         notes = study.last.held_out.record.aligned.notes
-    if study.held_out is None:
-        notes = ("nothing was held out; errors are those of the training data",)
-    looks += zip(repeat("data held out"), notes, strict=False)
-    return checks + [Check(subject, LOOK, said) for subject, said in looks]
+    looks = {
+        "bounds": [f"at a bound: {bounds}"] if bounds else [],
+        "fit": fit.warnings,
+        "data held out": notes,
+    }
+    for subject, remarks in looks.items():
+        checks += (Check(subject, LOOK, remark) for remark in remarks)
+    return checks

@@ -22,7 +22,6 @@ from phsi_opt.presentation.content import (
     Equations,
     ErrorStep,
     Follows,
-    ForceRun,
     ParameterRow,
     Run,
     StudyContent,
@@ -115,7 +114,7 @@ def study_content(
         runs=runs,
         shown=runs.index(worst_run(judged, 0)),
         runs_told=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
-        forces=tuple(_forces(study, time)) if forces else (),
+        forces=all_forces(study, time) if forces else (),
         laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
         is_diagnosed=study.present is not None,
@@ -197,11 +196,9 @@ def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
 
 def _time(study: StudyRecord) -> TimeScale:
     """The unit in which times are told: that of the longest run."""
-    parts = [study.train] if study.held_out is None else [study.train, study.held_out]
-    ends: list[float] = []
-    for part in parts:
-        ends += (float(run.t[-1]) for run in part.trajectories)
-    return scale_of_time(max(ends), study.train.units.get("t", ""))
+    runs = [*study.train.trajectories, *(study.held_out or ())]
+    longest = max(float(run.t[-1]) for run in runs)
+    return scale_of_time(longest, study.train.units.get("t", ""))
 
 
 def _name(step: Step, number_of_step: int) -> str:
@@ -262,12 +259,6 @@ def _known_rms(values: np.ndarray) -> float | None:
 
 
 # ---- what is missing -----------------------------------------------------------------
-
-
-def _forces(study: StudyRecord, time: TimeScale) -> Iterator[ForceRun]:
-    yield from all_forces(study.last.train.record, TRAINING, time)
-    if study.last.held_out is not None:
-        yield from all_forces(study.last.held_out.record, HELD_OUT, time)
 
 
 def _diagnosed(study: StudyRecord, place: int, time: TimeScale) -> Diagnosed:

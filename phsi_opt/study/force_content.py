@@ -4,11 +4,11 @@ import numpy as np
 
 from phsi_opt.criteria import SURE_DEVIATIONS
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.localization import window_of
 from phsi_opt.force_analysis.pictures import force_of, force_runs
 from phsi_opt.presentation.content import (
+    HELD_OUT,
     TRAINING,
     Channel,
     Force,
@@ -21,6 +21,7 @@ from phsi_opt.presentation.durations import TimeScale
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.study.answers import evidence_words
+from phsi_opt.study.record import StudyRecord
 
 # ---- forces --------------------------------------------------------------------------
 
@@ -32,11 +33,14 @@ def sure_forces(diagnosis: Diagnosis, time: TimeScale) -> tuple[Force, ...]:
     return tuple(force_of(force, time) for force in sure[:4])
 
 
-def all_forces(record: Record, part: str, time: TimeScale) -> tuple[ForceRun, ...]:
-    """The missing force of a model's record, by equation and run."""
+def all_forces(study: StudyRecord, time: TimeScale) -> tuple[ForceRun, ...]:
+    """The missing force of the present model, by part, equation and run."""
+    parts = {TRAINING: study.last.train, HELD_OUT: study.last.held_out}
     found: tuple[ForceRun, ...] = ()
-    for force in ForceAnalysis.of(record).forces:
-        found += force_runs(force, part, time)
+    for part, compared in parts.items():
+        if compared is not None:
+            for force in ForceAnalysis.of(compared.record).forces:
+                found += force_runs(force, part, time)
     return found
 
 

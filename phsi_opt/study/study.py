@@ -8,6 +8,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from phsi_opt.baselines.descent_settings import require_choice, require_count
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
@@ -149,17 +150,14 @@ class Study(Summarised):
             DataError: data held out are asked for, and there are none.
         """
         step = self.steps[-1]
-        if on is None:
-            return step.judged
-        if on == TRAINING:
-            return step.train
-        if on != HELD_OUT:
+        if on not in (None, TRAINING, HELD_OUT):
             raise DataError(f"on={on!r} is neither {HELD_OUT!r} nor {TRAINING!r}.")
-        if step.held_out is None:
+        found = {None: step.judged, TRAINING: step.train, HELD_OUT: step.held_out}[on]
+        if found is None:
             raise DataError(
                 f"on={on!r}, but no data were held out; give Study(..., held_out=...)."
             )
-        return step.held_out
+        return found
 
     @interruptible
     def diagnose(self, *, executor: Executor | None = None) -> Diagnosis:
@@ -299,12 +297,8 @@ class Study(Summarised):
             ModelError: one of the ``effects``, or of those to leave out, is unknown, or
                 an argument is none of its values.
         """
-        if not isinstance(max_steps, int) or max_steps < 1:
-            raise ModelError(
-                f"max_steps={max_steps!r} must be a whole number of at least 1."
-            )
-        if reach not in (DECISIVE, STRONG):
-            raise ModelError(f"reach={reach!r} is neither {DECISIVE!r} nor {STRONG!r}.")
+        require_count("max_steps", max_steps)
+        require_choice("reach", reach, (DECISIVE, STRONG))
         check_executor(executor)
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
         choice = self._choice.narrowed(further.effects, further.without)
@@ -423,11 +417,10 @@ class Study(Summarised):
         """The one effect that was added and is meant."""
         name = effect if isinstance(effect, str) else effect.name
         place = equation if isinstance(effect, str) else effect.equation
-        found = [
-            known
-            for known in self.added
-            if known.name == name and place in (None, known.equation)
-        ]
+        found = []
+        for known in self.added:
+            if known.name == name and place in (None, known.equation):
+                found.append(known)
         if len(found) != 1:
             listed = ", ".join(map(str, self.added)) or "none"
             raise ModelError(
