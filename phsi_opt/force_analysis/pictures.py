@@ -19,7 +19,7 @@ from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
 from phsi_opt.presentation.axes import MEASURED, MODEL
 from phsi_opt.presentation.content import TRAINING, Follows, Force, ForceMap, ForceRun
-from phsi_opt.presentation.durations import TimeScale, scale_of_time
+from phsi_opt.presentation.durations import Scale, scale_of_time
 from phsi_opt.presentation.thinning import thinned
 from phsi_opt.presentation.units import frequency_unit
 
@@ -41,7 +41,7 @@ def samples_of_each(n_curves: int) -> int:
     return int(np.clip(60_000 / max(n_curves, 1), 120, MOST_PER_CURVE))
 
 
-def force_of(force: EquationForce, time: TimeScale) -> Force:
+def force_of(force: EquationForce, time: Scale) -> Force:
     """All that is drawn of a missing force; ``time`` is the unit of its times."""
     return Force(
         f"d{force.equation}/dt",
@@ -53,9 +53,7 @@ def force_of(force: EquationForce, time: TimeScale) -> Force:
     )
 
 
-def force_runs(
-    force: EquationForce, part: str, time: TimeScale
-) -> tuple[ForceRun, ...]:
+def force_runs(force: EquationForce, part: str, time: Scale) -> tuple[ForceRun, ...]:
     """A force along each trajectory of its part of the data."""
     record = force.record
     scale = force.scale

@@ -76,16 +76,6 @@ def sentence(force: EquationForce) -> str:
     return _said(force, "sentence", window=window, best=best).lead
 
 
-def cause_words(force: EquationForce) -> str:
-    """What the force does: the end of a sentence that begins with "It".
-
-    With the share of each cause that is worth naming. The shares are those of the
-    estimate, with its errors: beside the statement that an effect was all that was
-    missing, they seem to contradict it.
-    """
-    return _said(force, "cause").lead
-
-
 def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
     """The equation of a force, and what it follows or else where it is largest.
 
@@ -155,14 +145,12 @@ def _period_words(force: EquationForce) -> str:
 
 
 def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str:
-    """At which values of its variables a force is strong; memories are left out.
+    """At which values of its variables a force is strong.
 
     Such as "where q is highest (above 0.7 m)"; "" where no values stand out. Without
     names the variables are those of the force's map.
     """
-    names = force.map_variables if names is None else names
-    memory = force.record.model.memory
-    region = strong_region(force, [name for name in names if name not in memory])
+    region = strong_region(force, force.map_variables if names is None else names)
     return ", and ".join(range_words(force, *found) for found in region.items())
 
 

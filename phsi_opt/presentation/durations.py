@@ -10,22 +10,22 @@ RANGE_OF_TIMES = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?) to (-?[\d.]+(?:e[+-]?\d+)
 
 
 @dataclass(frozen=True)
-class TimeScale:
-    """A unit of time and how many of the user's unit it has."""
+class Scale:
+    """A unit in which something is told, and how many of the user's unit it has."""
 
     unit: str
-    size: float
+    size: float = 1.0
 
 
 # Seconds from which on times are told in a unit, the largest first.
 LEAST_SECONDS = (
-    (2 * 86400.0, TimeScale("days", 86400.0)),
-    (3 * 3600.0, TimeScale("h", 3600.0)),
-    (1800.0, TimeScale("min", 60.0)),
+    (2 * 86400.0, Scale("days", 86400.0)),
+    (3 * 3600.0, Scale("h", 3600.0)),
+    (1800.0, Scale("min", 60.0)),
 )
 
 
-def scale_of_time(longest: float, unit: str) -> TimeScale:
+def scale_of_time(longest: float, unit: str) -> Scale:
     """The unit in which times up to the longest are told: days for 200 h.
 
     None smaller than the user's; other units than s, min and h stay.
@@ -33,8 +33,8 @@ def scale_of_time(longest: float, unit: str) -> TimeScale:
     size = SECONDS.get(unit, 0.0)
     for least, scale in LEAST_SECONDS:
         if size and abs(longest) * size >= least and scale.size > size:
-            return TimeScale(scale.unit, scale.size / size)
-    return TimeScale(unit, 1.0)
+            return Scale(scale.unit, scale.size / size)
+    return Scale(unit)
 
 
 def time_words(t: float, unit: str, longest: float = 0.0) -> str:

@@ -6,9 +6,8 @@ stays as it is: it is coulomb to one and degree Celsius to another.
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
-from phsi_opt.presentation.durations import SECONDS, scale_of_time, time_words
+from phsi_opt.presentation.durations import SECONDS, Scale, scale_of_time, time_words
 
 # Powers of units, by their names.
 Powers = Mapping[str, float]
@@ -191,15 +190,7 @@ def force_unit(equation: str, units: Mapping[str, str]) -> str:
     return rate_unit(units.get(equation, ""), units.get("t", ""))
 
 
-@dataclass(frozen=True)
-class RateScale:
-    """A unit in which a rate is told, and how many of its own unit that is."""
-
-    unit: str
-    size: float = 1.0
-
-
-def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> RateScale:
+def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Scale:
     """A rate per hour where a record of seconds lasts for hours: degC/h.
 
     Rates with a name of their own (N, m/s) and other units of time stay; ``longest`` is
@@ -208,8 +199,8 @@ def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Ra
     unit = force_unit(equation, units)
     in_seconds = scale_of_time(longest, units.get("t", "")).size >= SECONDS["h"]
     if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED_RATES:
-        return RateScale(unit)
-    return RateScale(rate_unit(units[equation], "h"), 1 / SECONDS["h"])
+        return Scale(unit)
+    return Scale(rate_unit(units[equation], "h"), 1 / SECONDS["h"])
 
 
 def spaced(unit: str) -> str:

@@ -26,7 +26,7 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.durations import TimeScale, scale_of_time
+from phsi_opt.presentation.durations import Scale, scale_of_time
 from phsi_opt.presentation.numbers import (
     number,
     number_of,
@@ -194,7 +194,7 @@ def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
 # ---- measurements beside free runs ---------------------------------------------------
 
 
-def _time(study: StudyRecord) -> TimeScale:
+def _time(study: StudyRecord) -> Scale:
     """The unit in which times are told: that of the longest run."""
     runs = [*study.train.trajectories, *(study.held_out or ())]
     longest = max(float(run.t[-1]) for run in runs)
@@ -209,9 +209,7 @@ def _name(step: Step, number_of_step: int) -> str:
     return f"step {number_of_step}: {'' if removes else 'with '}{told}"
 
 
-def _runs(
-    study: StudyRecord, steps: Sequence[Step], time: TimeScale
-) -> tuple[Run, ...]:
+def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, ...]:
     """The trajectories that are drawn, at most 200, those held out first."""
     parts = {TRAINING: [step.train for step in steps]}
     if study.held_out is not None:
@@ -226,7 +224,7 @@ def _runs(
 
 
 def _run(
-    part: str, comparisons: list[Comparison], place: int, most: int, time: TimeScale
+    part: str, comparisons: list[Comparison], place: int, most: int, time: Scale
 ) -> Run:
     """One trajectory with the free runs of all models."""
     data = comparisons[0].data
@@ -261,7 +259,7 @@ def _known_rms(values: np.ndarray) -> float | None:
 # ---- what is missing -----------------------------------------------------------------
 
 
-def _diagnosed(study: StudyRecord, place: int, time: TimeScale) -> Diagnosed:
+def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     """The diagnosis of a step's model; ``place``: number of the step."""
     diagnosis = study.diagnoses[place]
     label = study.steps[place].label

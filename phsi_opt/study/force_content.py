@@ -17,7 +17,7 @@ from phsi_opt.presentation.content import (
     Ranked,
     Run,
 )
-from phsi_opt.presentation.durations import TimeScale
+from phsi_opt.presentation.durations import Scale
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.study.answers import evidence_words
@@ -26,14 +26,14 @@ from phsi_opt.study.record import StudyRecord
 # ---- forces --------------------------------------------------------------------------
 
 
-def sure_forces(diagnosis: Diagnosis, time: TimeScale) -> tuple[Force, ...]:
+def sure_forces(diagnosis: Diagnosis, time: Scale) -> tuple[Force, ...]:
     """The missing forces that are surely there, the four strongest."""
     found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
     sure = [force for force in found if not force.is_uncertain]
     return tuple(force_of(force, time) for force in sure[:4])
 
 
-def all_forces(study: StudyRecord, time: TimeScale) -> tuple[ForceRun, ...]:
+def all_forces(study: StudyRecord, time: Scale) -> tuple[ForceRun, ...]:
     """The missing force of the present model, by part, equation and run."""
     parts = {TRAINING: study.last.train, HELD_OUT: study.last.held_out}
     found: tuple[ForceRun, ...] = ()
@@ -83,7 +83,7 @@ def _known(value: float) -> float | None:
 
 
 def glance_of(
-    diagnosis: Diagnosis, runs: tuple[Run, ...], time: TimeScale, model: int
+    diagnosis: Diagnosis, runs: tuple[Run, ...], time: Scale, model: int
 ) -> Glance | None:
     """What is missing, where it is seen best; None where no force is sure.
 
