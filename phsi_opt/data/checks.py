@@ -71,7 +71,7 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
     return floats
 
 
-def from_first(values: Any, first: Any = None) -> Any:
+def from_first(values: Any, first: Any = ()) -> Any:
     """Whole numbers that floats cannot hold, counted from the first of them.
 
     Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. All else
@@ -79,12 +79,12 @@ def from_first(values: Any, first: Any = None) -> Any:
 
     Args:
         values: (n_samples,) times.
-        first: to count from; None: the first value.
+        first: those that begin with the one to count from; (): these.
     """
     whole = np.asarray(values)
     if whole.dtype.kind not in "iu" or not whole.size:
         return values
-    begin = int(whole.flat[0]) if first is None else int(first)
+    begin = int(np.asarray(first if np.size(first) else whole).flat[0])
     if max(abs(int(whole.max())), abs(int(whole.min()))) <= LARGEST_EXACT:
         return values
     return (whole.astype(object) - begin).astype(np.int64)

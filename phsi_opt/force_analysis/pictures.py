@@ -120,9 +120,8 @@ def follows_of(
     w = w / force.scale.size
     binned = [binned_statistic(z, w, one, bins=16) for one in ("mean", "std")]
     count, edges = np.histogram(z, binned[0].bin_edges)
-    columns = ((edges[:-1] + edges[1:]) / 2, *(one.statistic for one in binned))
-    is_shown = count > 2  # of fewer there is no spread
-    centre, mean, std = (one[is_shown] for one in columns)
+    columns = [(edges[:-1] + edges[1:]) / 2, *(one.statistic for one in binned)]
+    centre, mean, std = np.array(columns)[:, count > 2]  # of fewer there is no spread
     step = max(1, len(z) // MOST_PER_CURVE)
     said = said or dependence_title(force, variable)
     labels = (x_label, force.force_label())

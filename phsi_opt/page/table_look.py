@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from phsi_opt.data.file_opening import NamedFile
 from phsi_opt.data.tables import numbers_in
 from phsi_opt.page.drafts import NOT_USED, ColumnDraft, DataDraft
-from phsi_opt.presentation.short_repr import shortened
+from phsi_opt.presentation.numbers import shortened
 from phsi_opt.study_file.columns import UNUSED
 from phsi_opt.study_file.survey import check_alike, survey
 

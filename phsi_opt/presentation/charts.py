@@ -42,8 +42,7 @@ from phsi_opt.presentation.content import (
     StudyContent,
 )
 from phsi_opt.presentation.durations import date_words
-from phsi_opt.presentation.numbers import number, proper_names
-from phsi_opt.presentation.short_repr import shortened
+from phsi_opt.presentation.numbers import number, proper_names, shortened
 from phsi_opt.presentation.thinning import rounded
 
 FORCE_COLORS = (FORCE, ATTENTION, FLOOR, MODEL)

@@ -76,15 +76,12 @@ def telling_step(study: StudyRecord) -> int | None:
     That of the present model while something is missing; else the first one that found
     something: it says what was wrong.
     """
-    found = [
-        place
-        for place, diagnosis in sorted(study.diagnoses.items())
-        if diagnosis.verdict != Verdict.NOTHING_MISSING
-    ]
+    found = []
+    for place, diagnosis in sorted(study.diagnoses.items()):
+        if diagnosis.verdict != Verdict.NOTHING_MISSING:
+            found.append(place)
     last = len(study.steps) - 1
-    if last in found:
-        return last
-    return found[0] if found else None
+    return last if last in found else next(iter(found), None)
 
 
 def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:

@@ -13,8 +13,7 @@ import pandas as pd
 from phsi_opt.data.tables import Table, rows_of_runs
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.data.times import format_of_dates
-from phsi_opt.presentation.numbers import number_of
-from phsi_opt.presentation.short_repr import shortened
+from phsi_opt.presentation.numbers import number_of, shortened
 from phsi_opt.study_file.headers import TIMES, Header
 
 TIME = "time"

@@ -17,9 +17,14 @@ from phsi_opt.model.catalogue import catalogue, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.study import Study
-from phsi_opt.study_file.effects import own_effect
 from phsi_opt.study_file.reading import read_sections
-from phsi_opt.study_file.sections import DataSection, HeldOut, Sections, StudySection
+from phsi_opt.study_file.sections import (
+    DataSection,
+    HeldOut,
+    Sections,
+    StudySection,
+    own_effect,
+)
 from phsi_opt.study_file.study_script import study_script
 from phsi_opt.study_file.study_text import study_text
 from phsi_opt.study_file.written_data import joined, section_of, write_table
