@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from phsi_opt.errors import SolveError
-from phsi_opt.presentation.tables import printed_table
+from phsi_opt.presentation.summary import printed_table
 
 Progress = Callable[[str], None]
 Step = Callable[[Sequence[Tensor], float], None]  # down gradients, at a learning rate

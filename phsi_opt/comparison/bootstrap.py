@@ -26,7 +26,7 @@ from phsi_opt.estimation.model_content import model_content
 from phsi_opt.estimation.smoothing import likelihood_of
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
-from phsi_opt.presentation.tables import printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.sweeps.sweep import sweep
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood

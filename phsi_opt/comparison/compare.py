@@ -35,9 +35,9 @@ from phsi_opt.presentation.summary import (
     Part,
     Summarised,
     Summary,
+    printed_table,
     text_of_summary,
 )
-from phsi_opt.presentation.tables import printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms

@@ -8,6 +8,7 @@ is a re-fit of all other parameters, started from the one before (Venzon and Moo
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,11 +17,9 @@ from scipy.optimize import brentq
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, did_you_mean
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import likelihood_of, maximum_along, steps_on
 from phsi_opt.interrupts import interruptible
-from phsi_opt.model.model import Model
 from phsi_opt.statistics import f_limit
 from phsi_opt.transcription.alignment import AlignedData
 
@@ -187,17 +186,21 @@ class _Line:
         name: str,
         say: Callable[[str], None] | None,
     ) -> None:
-        self.aligned = aligned
         self.name = name
         self.say = say
-        self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
-        self.loss = likelihood_of(fit)
-        self.steps = steps_on(fit, aligned.data)
+        sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
+        self.solved = partial(
+            maximum_along,
+            aligned,
+            sigma,
+            likelihood_of(fit),
+            steps=steps_on(fit, aligned.data),
+        )
         lengths = [run.n_samples for run in aligned.data.trajectories]
         x: Sequence[np.ndarray] = fit.states
         if list(map(len, x)) != lengths:  # other data: beside a missing force
             x = Record.of_aligned(fit, aligned).start
-        best = self._solved(fit.model, x)
+        best = self.solved(fit.model, x)
         value = fit.values[name]
         limit = 0.1 * fit.std_errors[name]  # beyond, they are not those of the fit
         if best is None or abs(best.values[name] - value) > limit:
@@ -212,11 +215,6 @@ class _Line:
         self.points = {self.value: 0.0}
         self.found = {self.value: best}
 
-    def _solved(
-        self, model: Model, x: Sequence[np.ndarray]
-    ) -> LikelihoodEstimate | None:
-        return maximum_along(self.aligned, self.sigma, self.loss, model, x, self.steps)
-
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held at a value.
 
@@ -227,7 +225,7 @@ class _Line:
         nearest = self.found[min(self.found, key=lambda known: abs(known - held))]
         values = {n: v for n, v in nearest.values.items() if n != self.name}
         model = nearest.model.with_values(values).with_fixed({self.name: held})
-        state = self._solved(model, nearest.states)
+        state = self.solved(model, nearest.states)
         if state is None:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
         rise = max(state.chi_square - self.lowest, 0.0)

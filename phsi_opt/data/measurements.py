@@ -34,8 +34,13 @@ from phsi_opt.data.trajectory import (
     checked_trajectories,
 )
 from phsi_opt.presentation.numbers import number_of
-from phsi_opt.presentation.summary import Part, Summarised, Summary, text_of_summary
-from phsi_opt.presentation.tables import printed_table
+from phsi_opt.presentation.summary import (
+    Part,
+    Summarised,
+    Summary,
+    printed_table,
+    text_of_summary,
+)
 
 if TYPE_CHECKING:
     import pandas as pd

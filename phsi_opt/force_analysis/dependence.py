@@ -28,7 +28,7 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
-from phsi_opt.presentation.tables import printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.statistics import TINY, mean_ranks
 
 if TYPE_CHECKING:

@@ -105,10 +105,10 @@ def proper_names(text: str) -> str:
     return PEOPLE.sub(lambda found: found[0].title(), text)
 
 
-def listed(names: Sequence[str], nothing: str = "", most: int = 4) -> str:
-    """Names with commas; of many the first few, and how many more there are."""
-    if len(names) > most:
-        return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
+def listed(names: Sequence[str], nothing: str = "") -> str:
+    """Names with commas; of more than four three, and how many more there are."""
+    if len(names) > 4:
+        return f"{', '.join(names[:3])} and {len(names) - 3} more"
     return ", ".join(names) or nothing
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
 UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
-FUNCTIONS = (frequency_words, p_value_words, scale_of_errors, spaced)
+GLOBALS = (frequency_words, p_value_words, scale_of_errors, spaced)
 FILTERS = {
     "number": number,
     "estimate": with_error,
@@ -42,7 +42,7 @@ def environment(package: str, folder: str = "", **settings: Any) -> "Environment
     loader = PackageLoader(package, folder)
     found = Environment(loader=loader, undefined=StrictUndefined, **settings)
     found.filters |= FILTERS
-    found.globals |= {one.__name__: one for one in FUNCTIONS}
+    found.globals |= {one.__name__: one for one in GLOBALS}
     found.tests["startingwith"] = str.startswith
     return found
 

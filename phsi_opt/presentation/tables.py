@@ -2,7 +2,7 @@
 
 Rich lays them out. A table that is too wide for its lines first gets headers and texts
 of several lines, and is then cut into blocks, one below the other, in which the first
-columns come again. No column is left out. Pandas is imported when the first is made.
+columns come again. No column is left out.
 """
 
 import io
@@ -19,23 +19,9 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from phsi_opt.presentation.printed_table import PrintedTable
-
 LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
 COLUMN_GAP = 2  # characters between columns
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
-
-
-def printed_table(*args: Any, **kwargs: Any) -> "PrintedTable":
-    """A data frame that prints itself with all of its columns.
-
-    Args:
-        *args: As those of `pandas.DataFrame`.
-        **kwargs: Likewise.
-    """
-    from phsi_opt.presentation.printed_table import PrintedTable
-
-    return PrintedTable(*args, **kwargs)
 
 
 class Column(NamedTuple):

@@ -11,8 +11,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import unestablished_words
-from phsi_opt.presentation.summary import Part, Summary
-from phsi_opt.presentation.tables import printed_table
+from phsi_opt.presentation.summary import Part, Summary, printed_table
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:

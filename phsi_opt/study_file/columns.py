@@ -156,7 +156,10 @@ def columns_of(table: Table) -> list[Column]:
     lines = [table.row(i) for i in range(len(table.frame))]
     seen = []
     for number, header in enumerate(headers):
-        cells = table.frame.iloc[:, number].map(_as_text).str.strip()
+        cells = table.frame.iloc[:, number].map(
+            lambda cell: "" if cell is None else str(cell)
+        )
+        cells = cells.str.strip()
         if table.decimal == ",":
             cells = cells.str.replace(",", ".", regex=False)
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
@@ -164,10 +167,6 @@ def columns_of(table: Table) -> list[Column]:
         _look_at(one, headers.count(header))
         seen.append(one)
     return seen
-
-
-def _as_text(cell: Any) -> str:
-    return "" if cell is None else str(cell)
 
 
 def _look_at(one: Column, n_of_this_name: int) -> None:
