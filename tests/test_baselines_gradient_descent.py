@@ -16,8 +16,12 @@ import torch
 
 import phsi_opt as ph
 from phsi_opt.baselines.descent import Adam
-from phsi_opt.baselines.gradient_descent import Descent, DescentRun, gradient_descent
-from phsi_opt.baselines.starting_values import starting_values
+from phsi_opt.baselines.gradient_descent import (
+    Descent,
+    DescentRun,
+    gradient_descent,
+    starting_values,
+)
 from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
 from phsi_opt.baselines.torch_polynomials import Cell, Polynomials, monomial
 from phsi_opt.baselines.torch_steps import Steps

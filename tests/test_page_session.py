@@ -40,7 +40,7 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.durations import TimeScale
+from phsi_opt.presentation.durations import Scale
 from phsi_opt.study.force_content import worst_channel, worst_moment
 from tests.page_tools import bad_table, spring_table, wait_for
 
@@ -502,9 +502,7 @@ def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
     t = np.linspace(0.0, 20.0, 101)
     channel = Channel("Ti", "degC", 0.01, t, np.sin(t), (np.cos(t),), (1.0,), 0.7)
     run = Run("house", "training", (channel,))
-    house = replace(
-        studied.content, time=TimeScale("days", 86400.0), names=("base model",)
-    )
+    house = replace(studied.content, time=Scale("days", 86400.0), names=("base model",))
     figure = plotly(run_chart(house, run, 0, (5.0, "worst moment")))
     notes = {note["text"]: note for note in figure["layout"]["annotations"]}
     assert notes["worst moment"]["x"] == 5.0

@@ -27,11 +27,6 @@ from phsi_opt.force_analysis.next_step import (
     step_without_name,
 )
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.units import (
-    RateScale,
-    frequency_words,
-    scale_of_rate,
-)
 from phsi_opt.presentation.charts import glance_chart, svg
 from phsi_opt.presentation.content import (
     GOOD,
@@ -43,7 +38,7 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.durations import date_words, dates_words, times_words
+from phsi_opt.presentation.durations import Scale, date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import (
     html_report,
     interval_words,
@@ -62,7 +57,12 @@ from phsi_opt.presentation.numbers import (
     with_error,
 )
 from phsi_opt.presentation.thinning import rounded, thinned
-from phsi_opt.presentation.units import rate_unit, scale_of_errors
+from phsi_opt.presentation.units import (
+    frequency_words,
+    rate_unit,
+    scale_of_errors,
+    scale_of_rate,
+)
 from phsi_opt.study.answers import (
     _comes_and_goes,
     answer,
@@ -691,11 +691,11 @@ def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
 def test_rates_of_long_records_are_told_per_hour() -> None:
     units = {"Ti": "degC", "p": "kg m/s", "q": "m", "t": "s"}
     day = 86400.0
-    assert scale_of_rate("Ti", units, day) == RateScale("degC/h", 1 / 3600)
-    assert scale_of_rate("Ti", units, 600.0) == RateScale("degC/s")
-    assert scale_of_rate("p", units, day) == RateScale("N")
-    assert scale_of_rate("q", units, day) == RateScale("m/s")
-    assert scale_of_rate("Ti", units | {"t": "h"}, 300.0) == RateScale("degC/h")
+    assert scale_of_rate("Ti", units, day) == Scale("degC/h", 1 / 3600)
+    assert scale_of_rate("Ti", units, 600.0) == Scale("degC/s")
+    assert scale_of_rate("p", units, day) == Scale("N")
+    assert scale_of_rate("q", units, day) == Scale("m/s")
+    assert scale_of_rate("Ti", units | {"t": "h"}, 300.0) == Scale("degC/h")
 
 
 def test_a_period_of_a_day_is_told_as_one() -> None:

@@ -21,7 +21,7 @@ from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.force_analysis.words import (
-    cause_words,
+    _said,
     place_answer,
     place_words,
     plain_name,
@@ -40,6 +40,11 @@ UNITS = {"q": "m", "p": "kg m/s", "t": "s", "u": "N"}
 Force = Callable[[float, float, float, float], float]  # of t, q, v, u
 Number = Parameter | float
 Case = Record
+
+
+def cause_of(force: EquationForce) -> str:
+    """What the force does: the end of a sentence that begins with "It"."""
+    return _said(force, "cause").lead
 
 
 def spring(c: Number | None = None) -> PseudoHamiltonian:
@@ -221,7 +226,7 @@ def test_what_the_hidden_force_does_with_energy_is_named(
     shares = found.energy.drop(columns=["equation", "mean_power"]).iloc[0]
     assert shares.drop("unexplained").idxmax() == cause
     assert shares.sum() == pytest.approx(1.0, abs=1e-12)
-    assert words in cause_words(found.force_in("p"))
+    assert words in cause_of(found.force_in("p"))
 
 
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
@@ -317,7 +322,7 @@ def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:
     found = analysis.follows
     # 2 to 49 coefficients for 400 values, none of them earned.
     assert found["share"].max() < 0.1
-    assert cause_words(analysis.force_in("p")) == "no clear pattern"
+    assert cause_of(analysis.force_in("p")) == "no clear pattern"
 
 
 def test_shares_do_not_depend_on_the_unit_of_the_force(cases: dict[str, Case]) -> None:
@@ -419,7 +424,7 @@ def test_what_moves_together_is_said_not_to_be_separable(
     force = ForceAnalysis.of(cases["friction"]).force_in()
     driven = Causes({"inputs": 0.82}, {"inputs": 0.82}, goes_together=True)
     closed_loop = with_found(force, causes=driven)
-    assert cause_words(closed_loop) == (
+    assert cause_of(closed_loop) == (
         "follows the input u, which explains 82 % of it; not told apart from the "
         "velocity of q, which moves together with the input here"
     )
@@ -523,7 +528,7 @@ def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
     case = Record.of(fit, data)
     assert best(case, "p1")[0] == "q1, q2"
     analysis = ForceAnalysis.of(case)
-    assert "positions q1, q2" in cause_words(analysis.force_in("p1"))
+    assert "positions q1, q2" in cause_of(analysis.force_in("p1"))
     ax = plot_where(analysis, "p1").axes[MAP]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "q2")
 

@@ -13,14 +13,10 @@ import torch
 from torch import Tensor
 
 from phsi_opt.errors import SolveError
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import printed_table
 
 Progress = Callable[[str], None]
 Step = Callable[[Sequence[Tensor], float], None]  # down gradients, at a learning rate
-# Defaults of Adam (Kingma and Ba 2015): decay of the means of the gradient and of its
-# square.
-MEAN_DECAY = 0.9
-SQUARE_DECAY = 0.999
 
 
 class Adam:
@@ -51,16 +47,19 @@ class Adam:
     def step(self, gradients: Sequence[Tensor], rate: float) -> None:
         """One step down the gradients, which are used up."""
         self.steps += 1
-        towards = -rate / (1 - MEAN_DECAY**self.steps)
-        unbiased = 1 / sqrt(1 - SQUARE_DECAY**self.steps)
+        # Decay of the means of the gradient and of its square, as in the paper.
+        first = 0.9
+        second = 0.999
+        towards = -rate / (1 - first**self.steps)
+        unbiased = 1 / sqrt(1 - second**self.steps)
         for raw, gradient, mean, square, relative in zip(
             self.raw, gradients, self.means, self.squares, self.relative, strict=True
         ):
             if self.weight_decay:
                 gradient.add_(raw, alpha=self.weight_decay)
-            mean.lerp_(gradient, 1 - MEAN_DECAY)
-            square.mul_(SQUARE_DECAY)
-            square.addcmul_(gradient, gradient, value=1 - SQUARE_DECAY)
+            mean.lerp_(gradient, 1 - first)
+            square.mul_(second)
+            square.addcmul_(gradient, gradient, value=1 - second)
             size = square.sqrt().mul_(unbiased).add_(1e-8)
             raw.addcdiv_(mean, size, value=towards * relative)
 

@@ -83,13 +83,13 @@ class Polynomials:
         degree = max(1, *map(len, monomials))
         padded = [body + (n_variables,) * (degree - len(body)) for body in monomials]
         self.factors = torch.tensor(padded).T.contiguous()  # (degree, n_monomials)
-        places = [
-            monomials.index(cell.monomial) * n_columns + cell.column for cell in cells
-        ]
-        parameters = [cell.parameter for cell in cells]
-        self.places = torch.tensor(places, dtype=torch.long)
-        self.parameters = torch.tensor(parameters, dtype=torch.long)
-        self.scales = torch.tensor([cell.factor for cell in cells], dtype=dtype)
+        table: list[tuple[float, ...]] = []  # place in C, parameter, factor
+        for cell in cells:
+            place = monomials.index(cell.monomial) * n_columns + cell.column
+            table.append((place, cell.parameter, cell.factor))
+        columns = torch.tensor(table, dtype=torch.float64).view(-1, 3).T.contiguous()
+        self.places, self.parameters = columns[:2].long()
+        self.scales = columns[2].to(dtype)
         self.empty = torch.zeros(len(monomials) * n_columns, dtype=dtype)
         self.n_columns = n_columns
 

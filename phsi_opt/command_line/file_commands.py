@@ -12,7 +12,6 @@ from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.reading import file_bytes
 from phsi_opt.study_file.adding import add_effects
-from phsi_opt.study_file.effects import ON
 from phsi_opt.study_file.filling_in import first_text, unfilled
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import check_alike, survey
@@ -125,7 +124,8 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
     model = file.model()
     if equation is not None:
         model.index(equation, "--equation")
-        name = f"{name.removesuffix(f'{ON}{equation}')}{ON}{equation}"
+        place = f" on {equation}"
+        name = name.removesuffix(place) + place
     effect = file.meant(model, name)
     larger = model.add(effect)
     backup = add_effects(path, [str(effect)])

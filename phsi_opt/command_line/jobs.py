@@ -108,7 +108,7 @@ class _Keeper:
                     raise
                 self.tell(f"no report of this step: {error}")
         found = tuple(map(str, study.added[self.n_known :]))
-        content = {"history": table_content(study.history), "found": list(found)}
+        content = plain({"history": study.history, "found": found})
         self.tell(Finished(str(study.history), content, tuple(files), found))
 
 
@@ -119,13 +119,13 @@ def _fit_answer(fit: Fit) -> Answer:
     text = "\n".join([str(fit), "", *fit.equations()])
     content = {
         "equations": fit.equations(),
-        "parameters": table_content(fit.parameters),
+        "parameters": fit.parameters,
         "noise": fit.noise,
         "bic": fit.bic,
         "success": fit.outcome.success,
         "outcome": str(fit.outcome),
-        "warnings": list(fit.warnings),
-        "provenance": dict(fit.provenance),
+        "warnings": fit.warnings,
+        "provenance": fit.provenance,
     }
     return Answer(text, plain(content))
 
@@ -135,7 +135,7 @@ def _compare_answer(comparison: Comparison) -> Answer:
         "rmse": comparison.rmse,
         "noise_floor": comparison.noise_floor,
         "n_samples": comparison.data.n_samples,
-        "states": table_content(comparison.table),
+        "states": comparison.table,
         "warning": comparison.warning,
     }
     return Answer(str(comparison), plain(content))
@@ -145,10 +145,10 @@ def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
     content = {
         "verdict": str(found.verdict),
         "reason": found.reason,
-        "proposed": [str(effect) for effect in found.proposed],
-        "sentences": list(found.sentences),
+        "proposed": found.proposed,
+        "sentences": found.sentences,
         "next": str(found.next_step),
-        "candidates": table_content(found.candidates),
+        "candidates": found.candidates,
     }
     text = lines(__package__, "diagnosis", found=found)
     return Answer(text, plain(content), _code(found, job))
@@ -171,7 +171,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     listed = {
         "next": advice,
         "stopped": study.stopped,
-        "history": table_content(study.history),
+        "history": study.history,
         "added": content.added,
         "unestablished": content.unestablished,
         "verdict": content.headline.status if job.is_auto else None,
@@ -187,19 +187,15 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
 # ---- tables and numbers --------------------------------------------------------------
 
 
-def table_content(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a table for JSON."""
-    rows: list[dict[str, Any]] = plain(table.to_dict("records"))
-    return rows
-
-
 def plain(value: Any) -> Any:
-    """A value for JSON: what is not finite becomes null, what is unknown its text."""
+    """A value for JSON: rows of tables, null for what is not finite, else its text."""
     text = json.dumps(value, default=_simpler)
     return json.loads(text, parse_constant=lambda _: None)
 
 
 def _simpler(value: Any) -> Any:
+    if isinstance(value, pd.DataFrame):
+        return value.to_dict("records")
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return dict(value) if isinstance(value, Mapping) else str(value)

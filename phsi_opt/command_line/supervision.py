@@ -158,8 +158,11 @@ def work(pipe: Connection, job: Job) -> None:
         pipe.send(answer_to(error))
     except BrokenPipeError:
         pass  # nobody is waiting any more
-    except Exception as error:
-        pipe.send(_unexpected(error))
+    except Exception as error:  # a mistake of the package: its trace helps
+        trace = "".join(traceback.format_exception(error))
+        told = f"{trace}\nThis is a mistake of phsi_opt; please report it with this."
+        content = {"error": repr(error), "trace": trace}
+        pipe.send(Answer(told, content, ExitCode.FAILED))
 
 
 def answer_to(error: PhsiOptError) -> Answer:
@@ -170,10 +173,3 @@ def answer_to(error: PhsiOptError) -> Answer:
     is_failure = isinstance(error, SolveError)
     code = ExitCode.FAILED if is_failure else ExitCode.BAD_INPUT
     return Answer(str(error), content, code)
-
-
-def _unexpected(error: Exception) -> Answer:
-    """A mistake of the package: its trace helps who repairs it."""
-    trace = "".join(traceback.format_exception(error))
-    text = f"{trace}\nThis is a mistake of phsi_opt; please report it with these lines."
-    return Answer(text, {"error": repr(error), "trace": trace}, ExitCode.FAILED)

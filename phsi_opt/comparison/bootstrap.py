@@ -7,7 +7,7 @@ Tibshirani, An Introduction to the Bootstrap, 1993, chapter 6).
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -26,7 +26,7 @@ from phsi_opt.estimation.model_content import model_content
 from phsi_opt.estimation.smoothing import likelihood_of
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.sweeps.sweep import sweep
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -34,8 +34,6 @@ from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
     import pandas as pd
-
-FEWEST_DRAWS = 2  # of which a scatter can be taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,26 +96,6 @@ class Bootstrap:
     __repr__ = __str__
 
 
-@dataclass(frozen=True, eq=False)
-class _Plan:
-    """What all draws share.
-
-    Attributes:
-        model: Fitted, its values where the re-fits start.
-        data: The measurements; of a draw only measured values are taken.
-        shown: What the fitted model shows at the samples, one (n_samples, n_channels)
-            per trajectory.
-        sigma: Noise by channel, (n_channels,).
-        loss: Of the re-fits.
-    """
-
-    model: Model
-    data: Measurements
-    shown: tuple[np.ndarray, ...]
-    sigma: np.ndarray
-    loss: MaximumLikelihood
-
-
 @interruptible
 def bootstrap(
     fit: Fit,
@@ -159,16 +137,28 @@ def bootstrap(
             "the fit has no states, as one that was loaded from a file; identify it "
             "again from its measurements."
         )
-    if n_draws < FEWEST_DRAWS:
-        raise DataError(f"n_draws={n_draws!r} must be {FEWEST_DRAWS} or more.")
-    plan = _plan(fit, data)
+    if n_draws < 2:  # of one no scatter can be taken
+        raise DataError(f"n_draws={n_draws!r} must be 2 or more.")
+    aligned = AlignedData.of(fit.model, data)
+    data = aligned.data
+    lengths = [run.n_samples for run in data.trajectories]
+    if list(map(len, fit.states)) != lengths:
+        raise DataError(
+            f"the measurements have trajectories of {lengths} samples, the fit "
+            f"{list(map(len, fit.states))}; give the measurements of the fit."
+        )
+    theta = parameter_matrix(fit.model, parameters_of(fit, data))
+    # What the fitted model shows at the samples, (n_samples, n_channels) each.
+    shown = outputs_at_samples(fit.model, aligned.grid, fit.states, theta)
+    cut = [np.array(one[:, : data.n_states]) for one in shown]
+    draw = partial(_drawn_estimates, fit.model, data, cut, dict(fit.noise))
     # What the draws follow from.
     content = {
         "model": model_content(fit.model),
         "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
         "noise": dict(fit.noise),
         "huber": fit.huber,
-        "data": plan.data.digest,
+        "data": data.digest,
         "seed": seed,
     }
     text = json.dumps(content, sort_keys=True)
@@ -177,7 +167,7 @@ def bootstrap(
     found: dict[int, Mapping[str, float]] = {}
     failed: dict[int, str] = {}
     for done in sweep(
-        partial(_drawn_estimates, plan),
+        partial(draw, likelihood_of(fit)),
         cases,
         executor=executor,
         folder=folder,
@@ -189,7 +179,7 @@ def bootstrap(
             failed[number] = done.result["failed"]
         else:
             found[number] = done.result["estimates"]
-    if len(found) < FEWEST_DRAWS:
+    if len(found) < 2:
         reason = next(iter(failed.values()), "")
         raise SolveError(f"{len(failed)} of {n_draws} draws have no fit: {reason}")
     rows = dict(sorted(found.items()))
@@ -197,35 +187,27 @@ def bootstrap(
     return Bootstrap(fit, table, dict(sorted(failed.items())))
 
 
-def _plan(fit: Fit, data: Measurements) -> _Plan:
-    aligned = AlignedData.of(fit.model, data)
-    lengths = [run.n_samples for run in aligned.data.trajectories]
-    if list(map(len, fit.states)) != lengths:
-        raise DataError(
-            f"the measurements have trajectories of {lengths} samples, the fit "
-            f"{list(map(len, fit.states))}; give the measurements of the fit."
-        )
-    theta = parameter_matrix(fit.model, parameters_of(fit, aligned.data))
-    shown = outputs_at_samples(fit.model, aligned.grid, fit.states, theta)
-    channels = aligned.data.states
-    sigma = np.array([fit.noise.get(name, 0.0) for name in channels])
-    cut = tuple(np.array(one[:, : len(channels)]) for one in shown)
-    return _Plan(fit.model, aligned.data, cut, sigma, likelihood_of(fit))
-
-
-def _drawn_estimates(plan: _Plan, seed: np.random.SeedSequence) -> dict[str, Any]:
+def _drawn_estimates(
+    model: Model,
+    data: Measurements,
+    shown: Sequence[np.ndarray],
+    noise: Mapping[str, float],
+    loss: MaximumLikelihood,
+    seed: np.random.SeedSequence,
+) -> dict[str, Any]:
     """The estimates of one draw by name; or why there are none.
 
     A draw is what the fitted model shows plus noise, measured where the data are.
     """
     rng = np.random.default_rng(seed)
+    sigma = np.array([noise.get(name, 0.0) for name in data.states])
     runs = []
-    for run, shown in zip(plan.data.trajectories, plan.shown, strict=True):
-        noisy = shown + plan.sigma * rng.normal(size=shown.shape)
+    for run, exact in zip(data.trajectories, shown, strict=True):
+        noisy = exact + sigma * rng.normal(size=exact.shape)
         runs.append(replace(run, x=np.where(np.isnan(run.x), np.nan, noisy)))
-    drawn = replace(plan.data, trajectories=tuple(runs))
+    drawn = replace(data, trajectories=tuple(runs))
     try:
-        fit = identify(plan.model, drawn, plan.loss)
+        fit = identify(model, drawn, loss)
     except PhsiOptError as error:
         return {"failed": f"{type(error).__name__}: {error}"}
     return {"estimates": dict(fit.estimates)}

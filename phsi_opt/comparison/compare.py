@@ -35,9 +35,9 @@ from phsi_opt.presentation.summary import (
     Part,
     Summarised,
     Summary,
+    printed_table,
     text_of_summary,
 )
-from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
@@ -48,18 +48,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from phsi_opt.presentation.pictures import Channel
-
-TABLE_COLUMNS = (
-    "state",
-    "unit",
-    "fit_percent",
-    "rmse",
-    "noise_floor",
-    "chi2_dof",
-    "whiteness",
-    "horizon",
-    "n_samples",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,9 +125,9 @@ class Comparison(Summarised):
         until a residual leaves the noise, in the worst trajectory); n_samples.
         """
         rows = map(self._row, np.flatnonzero(self._n_values).tolist())
-        return printed_table(rows, columns=list(TABLE_COLUMNS))
+        return printed_table(rows)
 
-    def _row(self, number: int) -> tuple[object, ...]:
+    def _row(self, number: int) -> dict[str, object]:
         name = self.model.states[number]
         residuals = [_known(run[:, number]) for run in self.residuals]
         rmse = rms(np.concatenate(residuals))
@@ -150,17 +138,17 @@ class Comparison(Summarised):
             is_beyond = np.abs(of_run[:, number]) > HORIZON_RESIDUAL * floor
             beyond = np.append(np.flatnonzero(is_beyond), run.n_samples - 1)
             horizons.append(float(run.t[beyond[0]] - run.t[0]))
-        return (
-            name,
-            self.data.units.get(name, ""),
-            100 * (1 - rmse / max(spread, TINY)),
-            rmse,
-            floor,
-            (rmse / floor) ** 2,
-            ljung_box(residuals),
-            min(horizons),
-            int(self._n_values[number]),
-        )
+        return {
+            "state": name,
+            "unit": self.data.units.get(name, ""),
+            "fit_percent": 100 * (1 - rmse / max(spread, TINY)),
+            "rmse": rmse,
+            "noise_floor": floor,
+            "chi2_dof": (rmse / floor) ** 2,
+            "whiteness": ljung_box(residuals),
+            "horizon": min(horizons),
+            "n_samples": int(self._n_values[number]),
+        }
 
     @cached_property
     def flat(self) -> tuple[str, ...]:

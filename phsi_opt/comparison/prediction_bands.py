@@ -20,10 +20,6 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.sensors import output_slopes, output_slopes_in_theta
 
-# Values in a record up to which bands are worked out: beyond, they take longer than the
-# fit and are too narrow to be seen.
-MOST_VALUES = 200_000
-
 
 def prediction_bands(
     record: Record,
@@ -45,10 +41,10 @@ def prediction_bands(
     grid = record.grid
     is_known = np.isfinite(np.diag(fit.covariance))
     has_covariance = not fit.names or is_known.any()
-    n_values = sum(states.size for states in simulated)
-    if not has_covariance or n_values > MOST_VALUES:
-        return None
     nodes = np.concatenate(simulated)
+    # Of very many values they take longer than the fit, and are too narrow to be seen.
+    if not has_covariance or nodes.size > 200_000:
+        return None
     if not np.all(np.isfinite(nodes)) or not grid.measured.any():
         return None
     model = record.model

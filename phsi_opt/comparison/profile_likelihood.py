@@ -8,6 +8,7 @@ is a re-fit of all other parameters, started from the one before (Venzon and Moo
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,21 +17,14 @@ from scipy.optimize import brentq
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, did_you_mean
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import likelihood_of, maximum_along, steps_on
 from phsi_opt.interrupts import interruptible
-from phsi_opt.model.model import Model
 from phsi_opt.statistics import f_limit
 from phsi_opt.transcription.alignment import AlignedData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-# Standard errors by which the repeated fit may differ from the fit: beyond, the
-# measurements are not those of the fit.
-REPEATED = 0.1
-FARTHEST_END = 8  # half widths beyond which no end is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,19 +186,23 @@ class _Line:
         name: str,
         say: Callable[[str], None] | None,
     ) -> None:
-        self.aligned = aligned
         self.name = name
         self.say = say
-        self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
-        self.loss = likelihood_of(fit)
-        self.steps = steps_on(fit, aligned.data)
+        sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
+        self.solved = partial(
+            maximum_along,
+            aligned,
+            sigma,
+            likelihood_of(fit),
+            steps=steps_on(fit, aligned.data),
+        )
         lengths = [run.n_samples for run in aligned.data.trajectories]
         x: Sequence[np.ndarray] = fit.states
         if list(map(len, x)) != lengths:  # other data: beside a missing force
             x = Record.of_aligned(fit, aligned).start
-        best = self._solved(fit.model, x)
+        best = self.solved(fit.model, x)
         value = fit.values[name]
-        limit = REPEATED * fit.std_errors[name]
+        limit = 0.1 * fit.std_errors[name]  # beyond, they are not those of the fit
         if best is None or abs(best.values[name] - value) > limit:
             now = "not solved" if best is None else f"{best.values[name]:.6g}"
             raise SolveError(
@@ -217,11 +215,6 @@ class _Line:
         self.points = {self.value: 0.0}
         self.found = {self.value: best}
 
-    def _solved(
-        self, model: Model, x: Sequence[np.ndarray]
-    ) -> LikelihoodEstimate | None:
-        return maximum_along(self.aligned, self.sigma, self.loss, model, x, self.steps)
-
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held at a value.
 
@@ -232,7 +225,7 @@ class _Line:
         nearest = self.found[min(self.found, key=lambda known: abs(known - held))]
         values = {n: v for n, v in nearest.values.items() if n != self.name}
         model = nearest.model.with_values(values).with_fixed({self.name: held})
-        state = self._solved(model, nearest.states)
+        state = self.solved(model, nearest.states)
         if state is None:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
         rise = max(state.chi_square - self.lowest, 0.0)
@@ -245,7 +238,7 @@ class _Line:
     def end(self, bound: float, half: float, threshold: float) -> float:
         """Where the profile crosses the threshold towards a bound of the parameter.
 
-        The bound, or infinity, where it does not.
+        The bound, or infinity, where it does not within eight half widths.
         """
         side = -1.0 if bound < self.value else 1.0
         reach = abs(bound - self.value)
@@ -266,7 +259,7 @@ class _Line:
             far = min(1.5 * far, reach)
             if near == reach:
                 return bound
-            if far > FARTHEST_END * half:
+            if far > 8 * half:
                 return side * np.inf
         crossing = brentq(above, near, far, xtol=0.02 * half)
         return self.value + side * crossing

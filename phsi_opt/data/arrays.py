@@ -49,10 +49,9 @@ def trajectories_in_arrays(
         names = numbered_names("run ", len(t))
     lists = {"t": t, "x": x, "u": u, "names": names}
     check_same_length(lists, "one entry per trajectory")
-    first = np.asarray(t[0]).flat[0] if np.size(t[0]) else None
     trajectories = []
     for name, t_run, x_run, u_run in zip(names, t, x, u, strict=True):
-        trajectories.append(Trajectory(name, from_first(t_run, first), x_run, u_run))
+        trajectories.append(Trajectory(name, from_first(t_run, t[0]), x_run, u_run))
     return tuple(trajectories)
 
 
@@ -91,11 +90,9 @@ def joined_pairs(
             "only one of u_start and u_end is given; expected both. "
             "If u keeps its value: hold='zero'."
         )
-    first = np.asarray(t[0]).flat[0] if np.size(t[0]) else None
-    t = (from_first(t[0], first), from_first(t[1], first))
     sides = []
     for k, side in enumerate(("start", "end")):
-        told = {"x": x[k], "t": from_first(t[k], first), "u": u[k]}
+        told = {"x": x[k], "t": from_first(t[k], t[0]), "u": u[k]}
         arrays = {}
         for label, values in told.items():
             title = f"{label}_{side}"
@@ -126,7 +123,8 @@ def _check_pairs(
                 "expected the same shape."
             )
     check_same_length(starts, "one row per pair")
-    t, t_end = starts["t_start"], ends["t_end"]
+    t = starts["t_start"]
+    t_end = ends["t_end"]
     if not len(t):
         raise DataError(
             "there are no pairs; expected at least one row in x_start and t_start."

@@ -27,8 +27,6 @@ LARGEST_EXACT = 2**53  # up to which every whole number is a float
 RESERVED_NAMES = ("t", "trajectory")
 # Formulas write dH_dp for the effort dH/dp, and dF_du for the slope dF/du.
 RESERVED_PREFIXES = ("dH_d", "dF_d")
-# sums of squares of larger values come near the end of the range of float64, 1.8e308
-LARGEST_VALUE = 1e100
 
 
 def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
@@ -73,7 +71,7 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
     return floats
 
 
-def from_first(values: Any, first: Any = None) -> Any:
+def from_first(values: Any, first: Any = ()) -> Any:
     """Whole numbers that floats cannot hold, counted from the first of them.
 
     Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. All else
@@ -81,12 +79,12 @@ def from_first(values: Any, first: Any = None) -> Any:
 
     Args:
         values: (n_samples,) times.
-        first: to count from; None: the first value.
+        first: those that begin with the one to count from; (): these.
     """
     whole = np.asarray(values)
     if whole.dtype.kind not in "iu" or not whole.size:
         return values
-    begin = int(whole.flat[0]) if first is None else int(first)
+    begin = int(np.asarray(first if np.size(first) else whole).flat[0])
     if max(abs(int(whole.max())), abs(int(whole.min()))) <= LARGEST_EXACT:
         return values
     return (whole.astype(object) - begin).astype(np.int64)
@@ -105,7 +103,8 @@ def check_values(
     Raises:
         DataError: A value cannot be used; the first one is named.
     """
-    bad = np.abs(values) > LARGEST_VALUE
+    # Sums of squares of larger values come near the end of float64, 1.8e308.
+    bad = np.abs(values) > 1e100
     if not may_be_missing:
         bad |= np.isnan(values)
     if not bad.any():
@@ -124,8 +123,7 @@ def check_values(
             "Correct it; a state that was not measured is NaN."
         )
     raise DataError(
-        f"{said} expected at most {LARGEST_VALUE:g} in size. "
-        "Correct it or choose a larger unit."
+        f"{said} expected at most 1e+100 in size. Correct it or choose a larger unit."
     )
 
 

@@ -19,8 +19,6 @@ from phsi_opt.data.text_cells import TextFormat, n_filled
 from phsi_opt.errors import DataError, did_you_mean
 
 MOST_CELLS = 50_000_000  # of a sheet, with the empty ones between; 20 GB of memory
-EXCEL_ROWS = 1_048_576  # of a sheet, as Excel has
-COLUMN_LETTERS = 3  # of a column: the last is XFD
 USUAL_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 SHEET_PART = re.compile(r"xl/worksheets/[^/]+\.xml")
 DEFINITIONS = re.compile(rb"<!(?:DOCTYPE|ENTITY)")
@@ -100,10 +98,10 @@ def _filled_rows(rows: Iterable[Sequence[Any]], title: str) -> Rows:
         if cells:
             filled[number] = cells
             width = max(width, len(cells))
-        if number > EXCEL_ROWS or width * len(filled) > MOST_CELLS:
+        if number > 1_048_576 or width * len(filled) > MOST_CELLS:
             raise DataError(
-                f"{title} has more than {EXCEL_ROWS} rows, which Excel does not have, "
-                f"or more than {MOST_CELLS} cells. Save its table as CSV."
+                f"{title} has more than 1048576 rows, which Excel does not have, or "
+                f"more than {MOST_CELLS} cells. Save its table as CSV."
             )
     for cells in filled.values():
         cells += [""] * (width - len(cells))
@@ -197,7 +195,7 @@ def _check_order(sheet: bytes, title: str) -> None:
             column = (len(letters), letters)  # orders A, Z, AA, XFD
             is_next = not letters or column > last
             last = max(last, column)
-        if not is_next or len(letters) > COLUMN_LETTERS:
+        if not is_next or len(letters) > 3:  # the last column is XFD
             place = (letters + number).decode()
             raise DataError(
                 f"{title} has the row or cell {place} in the wrong place, and rows "

@@ -25,7 +25,6 @@ from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.tables import Table, Variable
 from phsi_opt.errors import DataError, did_you_mean
 
-MOST_VECTORS = 20  # columns that a matrix has, at most, where it is taken for a table
 Vectors = dict[Variable, dict[str, np.ndarray]]  # those of each variable, by name
 WORKER = Path(__file__).with_name("matlab_worker.py")
 TIME_LIMIT = 120.0  # seconds; a file of 500 MB takes about 5
@@ -61,10 +60,11 @@ def table_of_vectors(file: OpenedFile) -> Table:
             names and sizes of what it holds.
     """
     variables = _variables(file)
+    # A matrix that is taken for a table has few columns.
+    few = {one: found for one, found in variables.items() if len(found) <= 20}
     lengths: list[int] = []
-    for vectors in variables.values():
-        if len(vectors) <= MOST_VECTORS:
-            lengths += [one.size for one in vectors.values()]
+    for vectors in few.values():
+        lengths += (one.size for one in vectors.values())
     n_rows = max(lengths, key=lambda n: (n > 1, lengths.count(n), n), default=0)
     if n_rows < 2:
         raise DataError(
@@ -73,11 +73,11 @@ def table_of_vectors(file: OpenedFile) -> Table:
         )
     columns: dict[str, np.ndarray] = {}
     further = []
-    for variable, vectors in variables.items():
+    for variable in variables:
+        vectors = few.get(variable, {})
         fitting = {k: one.ravel() for k, one in vectors.items() if one.size == n_rows}
-        if fitting and len(vectors) <= MOST_VECTORS:
-            columns |= fitting
-        else:
+        columns |= fitting
+        if not fitting:
             further.append(variable)
     return _table(file, columns, tuple(further))
 

@@ -4,7 +4,7 @@ Every later step relies on what is checked here: times increase, inputs are know
 every sample, states are finite or NaN (not measured), names can be used in formulas.
 Values are reported when they are wrong, never repaired, interpolated, scaled or
 filtered. How tables are read is told in `table_readers`, which column is what in
-`layout`, how integration steps join in `arrays`.
+`layout`, how integration steps join in `arrays`, how parts are taken in `selection`.
 """
 
 import hashlib
@@ -24,44 +24,26 @@ from phsi_opt.data.checks import (
     checked_by_name,
     checked_hold,
     checked_names,
-    hold_of_each,
     numbered_names,
 )
-from phsi_opt.data.selection import (
-    check_fraction,
-    check_interval,
-    check_slice,
-    checked_group_size,
-    number_of_trajectory,
-    part_between,
-    size_of_first_part,
-    thinned_run,
-)
+from phsi_opt.data.selection import Selections
 from phsi_opt.data.table_readers import TableReaders
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
     checked_trajectories,
-    part_of,
 )
-from phsi_opt.errors import DataError
 from phsi_opt.presentation.numbers import number_of
-from phsi_opt.presentation.summary import Part, Summarised, Summary, text_of_summary
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import (
+    Part,
+    Summarised,
+    Summary,
+    printed_table,
+    text_of_summary,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
-
-COLUMNS_OF_CHANNELS = (
-    "channel",
-    "part",
-    "unit",
-    "measured",
-    "lowest",
-    "highest",
-    "noise",
-)
-
 
 Arguments = ParamSpec("Arguments")
 Derived = Callable[Concatenate["Measurements", Arguments], np.ndarray]
@@ -83,7 +65,7 @@ def worked_out_once(make: Derived[Arguments]) -> Derived[Arguments]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Measurements(TableReaders, Summarised):
+class Measurements(TableReaders, Selections, Summarised):
     """Several trajectories of the same channels, with names, units and noise levels.
 
     Made by `from_csv`, `from_excel`, `from_mat`, `from_dataframe`, `from_arrays` or
@@ -290,108 +272,6 @@ class Measurements(TableReaders, Summarised):
         """The trajectories in order."""
         return iter(self.trajectories)
 
-    def __getitem__(self, key: int | slice | str) -> Self:
-        """The measurements of one trajectory (by number or name) or of a slice.
-
-        Raises:
-            DataError: There is no such trajectory, or samples seem to be meant.
-        """
-        if isinstance(key, slice):
-            check_slice([run.name for run in self.trajectories], key)
-            return replace(self, trajectories=self.trajectories[key])
-        run = self.trajectories[self.trajectory_number(key)]
-        return replace(self, trajectories=(run,))
-
-    def trajectory_number(self, trajectory: str | int) -> int:
-        """The number of a trajectory, counted from 0, by its name or its number.
-
-        Negative numbers count from the end, as in a list.
-
-        Raises:
-            DataError: There is no such trajectory.
-        """
-        names = [run.name for run in self.trajectories]
-        return number_of_trajectory(names, trajectory)
-
-    def split(self, fraction: float = 0.7) -> tuple[Self, Self]:
-        """Training and test data: the first trajectories, and the others.
-
-        A single trajectory is cut in time instead: its first round(fraction *
-        n_samples) samples, and the samples after them. Nothing is drawn at random: the
-        order of the file decides. Each part has at least one trajectory, or two
-        samples, and no sample is in both.
-
-        Args:
-            fraction: The share of the training data, between 0 and 1.
-
-        Raises:
-            DataError: The fraction is not between 0 and 1, or a single trajectory has
-                fewer than 4 samples.
-        """
-        check_fraction(fraction)
-        if self.n_trajectories > 1:
-            n_train = size_of_first_part(self.n_trajectories, fraction, at_least=1)
-            return self[:n_train], self[n_train:]
-        (run,) = self.trajectories
-        if run.n_samples < 4:
-            raise DataError(
-                f"trajectory {run.name!r} has {run.n_samples} samples; "
-                "a split in time needs at least 4."
-            )
-        n_train = size_of_first_part(run.n_samples, fraction, at_least=2)
-        train = part_of(run, slice(n_train))
-        test = part_of(run, slice(n_train, None))
-        return replace(self, trajectories=(train,)), replace(self, trajectories=(test,))
-
-    def between(self, begin: float | None, end: float | None) -> Self:
-        """The samples with begin <= t <= end of every trajectory.
-
-        Clocks are kept: a force that follows the time, and an input, act when they did.
-
-        Args:
-            begin: The first time, in the unit of the times; None: from the start.
-            end: The last time; None: to the end.
-
-        Raises:
-            DataError: The times are not in order, or a trajectory has fewer than 2
-                samples between them.
-        """
-        check_interval(begin, end)
-        parts = [part_between(run, begin, end) for run in self.trajectories]
-        return replace(self, trajectories=tuple(parts))
-
-    def thinned(self, n: int, by: str = "mean") -> Self:
-        """Fewer samples: one for every n of each trajectory.
-
-        With ``by="mean"`` a sample is the mean of n neighbouring ones, at the mean of
-        their times: what is faster than the new sampling rate is averaged out instead
-        of appearing as something slower (aliasing). A state is missing where one of its
-        n samples is. Noise that is given becomes smaller by sqrt(n), as if the errors
-        of samples were independent. An input that is held (``hold="zero"``) is averaged
-        over the time from each new sample to the next.
-
-        With ``by="picking"`` every n-th sample is kept as it is, from the first. Use it
-        where the signals are smooth at the new rate, or states have gaps; what inputs
-        did between the samples that are kept is lost.
-
-        Samples at the end that do not fill a group of n are left out by the mean.
-
-        Args:
-            n: How many samples make one.
-            by: "mean" or "picking".
-
-        Raises:
-            DataError: n is no positive number, or a trajectory would have fewer than 2
-                samples.
-        """
-        size = checked_group_size(n, by)
-        hold = hold_of_each(self.hold, self.inputs)
-        runs = [thinned_run(run, size, by, hold) for run in self.trajectories]
-        noise = self.noise
-        if noise is not None and by == "mean":
-            noise = {name: sigma / np.sqrt(size) for name, sigma in noise.items()}
-        return replace(self, trajectories=tuple(runs), noise=noise)
-
     def with_noise(self, noise: Mapping[str, float] | None) -> Self:
         """The same measurements with other standard deviations of the noise.
 
@@ -419,19 +299,23 @@ class Measurements(TableReaders, Summarised):
         frame.insert(0, "trajectory", np.repeat(np.array(names, object), n_samples))
         return frame
 
-    def _channels(self) -> Iterator[tuple[Any, ...]]:
-        """A row per channel, in `COLUMNS_OF_CHANNELS`; NaN for what is not known."""
+    def _channels(self) -> Iterator[dict[str, Any]]:
+        """A row per channel; NaN for what is not known."""
         values_of = [*self.stacked("x").T, *self.stacked("u").T]
         parts = ["state"] * self.n_states + ["input"] * self.n_inputs
         channels = (*self.states, *self.inputs)
         noise = self.noise or {}
         for part, name, values in zip(parts, channels, values_of, strict=True):
             known = values[np.isfinite(values)]
-            lowest = known.min() if known.size else np.nan
-            highest = known.max() if known.size else np.nan
-            measured = f"{known.size} of {values.size}"
-            sigma = noise.get(name, np.nan)
-            yield name, part, self.units[name], measured, lowest, highest, sigma
+            yield {
+                "channel": name,
+                "part": part,
+                "unit": self.units[name],
+                "measured": f"{known.size} of {values.size}",
+                "lowest": known.min() if known.size else np.nan,
+                "highest": known.max() if known.size else np.nan,
+                "noise": noise.get(name, np.nan),
+            }
 
     def _summary(self) -> Summary:
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
@@ -439,7 +323,7 @@ class Measurements(TableReaders, Summarised):
         unit = f" [{self.units['t']}]" if self.units["t"] else ""
         span = f"t = {t.min():g} to {t.max():g}{unit}"
         title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
-        table = printed_table(self._channels(), columns=list(COLUMNS_OF_CHANNELS))
+        table = printed_table(self._channels())
         return Summary(title, (Part(table=table),))
 
     def __repr__(self) -> str:

@@ -23,10 +23,6 @@ NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the mi
 # least noise that is assumed, as a share of the spread of a channel: weights stay
 # within double precision
 LEAST_NOISE_SHARE = 1e-5
-# share of a channel's spread with which the estimation starts where no trajectory has
-# enough samples for `difference_noise`
-UNKNOWN_NOISE_SHARE = 0.1
-LEAST_SIZE = 1e-12  # taken for the size of a channel that is zero throughout, its unit
 
 
 @worked_out_once
@@ -132,7 +128,8 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
         )
     spread = channel_spread(data)
     noise = difference_noise(data) if given is None else given
-    unknown = UNKNOWN_NOISE_SHARE * np.where(spread > 0, spread, _size(y))
+    # Where no trajectory has enough samples, the estimation starts with a tenth.
+    unknown = 0.1 * np.where(spread > 0, spread, _size(y))
     noise = np.where(np.isfinite(noise), noise, unknown)
     noise = np.maximum(noise, least_noise(y))
     is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
@@ -174,8 +171,8 @@ def _spread(y: np.ndarray) -> np.ndarray:
 
 
 def _size(y: np.ndarray) -> np.ndarray:
-    """Largest absolute value per channel, (n_states,), not zero."""
-    return np.fmax(np.fmax.reduce(np.abs(y), axis=0), LEAST_SIZE)
+    """Largest absolute value per channel, (n_states,), not zero in its unit."""
+    return np.fmax(np.fmax.reduce(np.abs(y), axis=0), 1e-12)
 
 
 def scatter_by_run(data: Measurements) -> np.ndarray:

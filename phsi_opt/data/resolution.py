@@ -18,9 +18,6 @@ import numpy as np
 from phsi_opt.criteria import RESOLVED_STEPS
 from phsi_opt.data.measurements import Measurements, worked_out_once
 
-# Share of the values, at least, that repeat another one of their trajectory: 5 to 75 %
-# of the measured channels that are quantised, none of continuous ones.
-REPEATED_SHARE = 0.03
 # Errors of a stored number, as a share of the largest one of the channel: of single
 # precision, of double precision after a change of unit. The larger one first: single
 # precision is a fine lattice itself.
@@ -31,17 +28,6 @@ STORED_ERRORS = (
 # Errors between two values below which they are the same value; a finer lattice has a
 # point near every value.
 SAME_VALUE = 4.0
-# Probability up to which other values would lie as near to a lattice by chance.
-CHANCE = 1e-4
-# Errors that a value may be away from the lattice that was fitted to all values.
-FARTHEST = 1.3
-# Digits' steps between two values at which a coarser lattice can be told from theirs.
-SPARSE_DIGITS = 2.5
-# Stretches of equal values per value from which a channel comes back to its values,
-# as those of a continuous channel that was sampled and held never do; and share of the
-# neighbours that are equal, as those of a periodic motion without noise never are.
-STRETCHES_PER_VALUE = 2
-EQUAL_NEIGHBOURS = 0.25
 DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one step
 
 
@@ -84,10 +70,17 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
     values = np.concatenate(runs)
     if len(values) < 20:  # among a few, repeats are chance
         return 0.0
-    if _n_repeated(runs) < REPEATED_SHARE * len(values):
+    # Of measured channels that are quantised, 5 to 75 % of the values repeat another
+    # one of their trajectory; of continuous ones none do.
+    if _n_repeated(runs) < 0.03 * len(values):
         return 0.0
     values = np.unique(values)
-    step = _even_step(values) or _step_of_each(runs)
+    step = _even_step(values)
+    if step == 0:  # trajectories with different offsets; one that rests is left out
+        different = [np.unique(run) for run in runs]
+        steps = [_even_step(own) for own in different if len(own) > 1]
+        if len(steps) >= 2 and min(steps) > 0:
+            step = float(np.median(steps))
     if step > 0:
         return step
     if len(values) > 1 and _stays_and_comes_back(runs):
@@ -108,19 +101,10 @@ def _even_step(values: np.ndarray) -> float:
     for error in STORED_ERRORS:
         step = lattice_step(values, error * size)
         if step > 0:
-            return _behind_digits(values, step)
+            # Of digits printed, unless the values are as dense as these.
+            is_sparse = len(values) > 2 and np.diff(values).min() >= 2.5 * step
+            return max(lattice_step(values, step / 2), step) if is_sparse else step
     return 0.0
-
-
-def _step_of_each(runs: Sequence[np.ndarray]) -> float:
-    """The median step of trajectories with different offsets; zero if one has none.
-
-    A trajectory that does not move is left out.
-    """
-    different = [np.unique(run) for run in runs]
-    steps = [_even_step(values) for values in different if len(values) > 1]
-    is_even = len(steps) >= 2 and min(steps) > 0
-    return float(np.median(steps)) if is_even else 0.0
 
 
 def lattice_step(values: np.ndarray, error: float) -> float:
@@ -138,8 +122,11 @@ def lattice_step(values: np.ndarray, error: float) -> float:
     step = float(gaps.min())
     while step > SAME_VALUE * error:  # a remainder is at most half of the step
         fitted, distance = _fitted_lattice(values, step, error)
-        if distance <= FARTHEST * error:
-            return fitted if _is_no_chance(len(values), error / fitted) else 0.0
+        if distance <= 1.3 * error:  # of a value from what was fitted to all
+            # Two values always lie near to one; would more do so by chance, anywhere,
+            # in more than one of 10 000 cases?
+            chance = (len(values) - 2) * np.log(2 * (error / fitted))
+            return fitted if len(values) == 2 or chance < np.log(1e-4) else 0.0
         remainders = np.abs(gaps - np.round(gaps / step) * step)
         is_left = remainders > SAME_VALUE * error
         if not is_left.any():
@@ -175,34 +162,11 @@ def _fitted_lattice(
     return fitted, float(np.max(np.abs(away - away.mean())))
 
 
-def _is_no_chance(n_values: int, error: float) -> bool:
-    """Whether values anywhere would hardly lie so near to a lattice.
-
-    Two values always do: they are one step apart.
-
-    Args:
-        n_values: that differ.
-        error: of a value, in steps.
-    """
-    if n_values == 2:
-        return True
-    return bool((n_values - 2) * np.log(2 * error) < np.log(CHANCE))
-
-
-def _behind_digits(values: np.ndarray, step: float) -> float:
-    """The step of the sensor, where ``step`` is that of the digits printed.
-
-    The same where the values are as dense as their digits.
-    """
-    if len(values) == 2 or np.diff(values).min() < SPARSE_DIGITS * step:
-        return step
-    return max(lattice_step(values, step / 2), step)
-
-
 def _stays_and_comes_back(runs: Sequence[np.ndarray]) -> bool:
     """Whether the channel stays at values, and comes back to them after others."""
     n_samples = sum(map(len, runs))
     n_equal = sum(int(np.sum(np.diff(values) == 0)) for values in runs)
-    n_different = sum(len(np.unique(values)) for values in runs)
-    comes_back = n_samples - n_equal >= STRETCHES_PER_VALUE * n_different
-    return comes_back and n_equal >= EQUAL_NEIGHBOURS * n_samples
+    # A continuous channel that was sampled and held has one stretch per value; a
+    # periodic motion without noise has few equal neighbours.
+    comes_back = n_samples - n_equal >= 2 * (n_samples - _n_repeated(runs))
+    return comes_back and n_equal >= n_samples / 4

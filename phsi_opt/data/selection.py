@@ -1,54 +1,181 @@
 """Parts of measurements: trajectories by name, samples in time, one for every n."""
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError, did_you_mean
 
 WAYS_OF_THINNING = ("mean", "picking")
 
 
-def number_of_trajectory(names: Sequence[str], trajectory: str | int) -> int:
-    """The number of a trajectory among all names: see `Measurements.trajectory_number`.
+class Selections:
+    """The parts of `Measurements`, each of which is one."""
 
-    Raises:
-        DataError: There is no such trajectory.
-    """
-    if isinstance(trajectory, str):
-        if trajectory in names:
-            return names.index(trajectory)
-        hint = did_you_mean(trajectory, names)
-        raise DataError(
-            f"there is no trajectory {trajectory!r}; expected one of {names}.{hint}"
-        )
-    if not hasattr(trajectory, "__index__"):
-        raise DataError(
-            f"trajectory {trajectory!r} is unknown; expected a name of {names} "
-            "or a number, counted from 0. Samples are chosen by data.between(begin, "
-            "end)."
-        )
-    number = operator.index(trajectory)
-    n_trajectories = len(names)
-    if not -n_trajectories <= number < n_trajectories:
-        raise DataError(
-            f"there is no trajectory {number}; there are {n_trajectories}, "
-            f"counted from 0: {names}."
-        )
-    return number % n_trajectories
+    trajectories: tuple[Trajectory, ...]
+    inputs: tuple[str, ...]
+    hold: Hold
+    noise: Mapping[str, float] | None
+
+    def _of(self, runs: Iterable[Trajectory], **further: Any) -> Self:
+        """The same with other trajectories."""
+        whole: Any = self  # a `Measurements`
+        part: Self = replace(whole, trajectories=tuple(runs), **further)
+        return part
+
+    def __getitem__(self, key: int | slice | str) -> Self:
+        """The measurements of one trajectory (by number or name) or of a slice.
+
+        Raises:
+            DataError: There is no such trajectory, or samples seem to be meant.
+        """
+        if isinstance(key, slice):
+            _check_slice([run.name for run in self.trajectories], key)
+            return self._of(self.trajectories[key])
+        return self._of([self.trajectories[self.trajectory_number(key)]])
+
+    def trajectory_number(self, trajectory: str | int) -> int:
+        """The number of a trajectory, counted from 0, by its name or its number.
+
+        Negative numbers count from the end, as in a list.
+
+        Raises:
+            DataError: There is no such trajectory.
+        """
+        names = [run.name for run in self.trajectories]
+        if isinstance(trajectory, str):
+            if trajectory in names:
+                return names.index(trajectory)
+            hint = did_you_mean(trajectory, names)
+            raise DataError(
+                f"there is no trajectory {trajectory!r}; expected one of {names}.{hint}"
+            )
+        if not hasattr(trajectory, "__index__"):
+            raise DataError(
+                f"trajectory {trajectory!r} is unknown; expected a name of {names} "
+                "or a number, counted from 0. Samples are chosen by "
+                "data.between(begin, end)."
+            )
+        number = operator.index(trajectory)
+        if not -len(names) <= number < len(names):
+            raise DataError(
+                f"there is no trajectory {number}; there are {len(names)}, "
+                f"counted from 0: {names}."
+            )
+        return number % len(names)
+
+    def split(self, fraction: float = 0.7) -> tuple[Self, Self]:
+        """Training and test data: the first trajectories, and the others.
+
+        A single trajectory is cut in time instead: its first round(fraction *
+        n_samples) samples, and the samples after them. Nothing is drawn at random: the
+        order of the file decides. Each part has at least one trajectory, or two
+        samples, and no sample is in both.
+
+        Args:
+            fraction: The share of the training data, between 0 and 1.
+
+        Raises:
+            DataError: The fraction is not between 0 and 1, or a single trajectory has
+                fewer than 4 samples.
+        """
+        if not isinstance(fraction, Real) or not 0 < float(fraction) < 1:
+            raise DataError(
+                f"fraction={fraction!r} is not between 0 and 1; "
+                "give the training data's share, e.g. 0.7."
+            )
+        if len(self.trajectories) > 1:
+            n_train = _size_of_first(len(self.trajectories), fraction, at_least=1)
+            return self[:n_train], self[n_train:]
+        (run,) = self.trajectories
+        if run.n_samples < 4:
+            raise DataError(
+                f"trajectory {run.name!r} has {run.n_samples} samples; "
+                "a split in time needs at least 4."
+            )
+        n_train = _size_of_first(run.n_samples, fraction, at_least=2)
+        train = part_of(run, slice(n_train))
+        test = part_of(run, slice(n_train, None))
+        return self._of([train]), self._of([test])
+
+    def between(self, begin: float | None, end: float | None) -> Self:
+        """The samples with begin <= t <= end of every trajectory.
+
+        Clocks are kept: a force that follows the time, and an input, act when they did.
+
+        Args:
+            begin: The first time, in the unit of the times; None: from the start.
+            end: The last time; None: to the end.
+
+        Raises:
+            DataError: The times are not in order, or a trajectory has fewer than 2
+                samples between them.
+        """
+        said = f"between({begin!r}, {end!r})"
+        for value in (begin, end):
+            is_number = isinstance(value, Real) and not isinstance(value, bool)
+            if value is not None and (not is_number or np.isnan(value)):
+                raise DataError(
+                    f"{said}: {value!r} is no time; expected numbers in the unit of "
+                    "the times, or None."
+                )
+        if begin is not None and end is not None and not begin < end:
+            raise DataError(f"{said}: the first time must be less than the last.")
+        first = -np.inf if begin is None else float(begin)
+        last = np.inf if end is None else float(end)
+        return self._of(_between(run, first, last) for run in self.trajectories)
+
+    def thinned(self, n: int, by: str = "mean") -> Self:
+        """Fewer samples: one for every n of each trajectory.
+
+        With ``by="mean"`` a sample is the mean of n neighbouring ones, at the mean of
+        their times: what is faster than the new sampling rate is averaged out instead
+        of appearing as something slower (aliasing). A state is missing where one of its
+        n samples is. Noise that is given becomes smaller by sqrt(n), as if the errors
+        of samples were independent. An input that is held (``hold="zero"``) is averaged
+        over the time from each new sample to the next.
+
+        With ``by="picking"`` every n-th sample is kept as it is, from the first. Use it
+        where the signals are smooth at the new rate, or states have gaps; what inputs
+        did between the samples that are kept is lost.
+
+        Samples at the end that do not fill a group of n are left out by the mean.
+
+        Args:
+            n: How many samples make one.
+            by: "mean" or "picking".
+
+        Raises:
+            DataError: n is no positive number, or a trajectory would have fewer than 2
+                samples.
+        """
+        if by not in WAYS_OF_THINNING:
+            hint = did_you_mean(by, WAYS_OF_THINNING)
+            raise DataError(
+                f"by={by!r} is unknown; expected 'mean' or 'picking'.{hint}"
+            )
+        is_integer = hasattr(n, "__index__") and not isinstance(n, bool)
+        if not is_integer or operator.index(n) < 1:
+            raise DataError(
+                f"thinned({n!r}): expected how many samples make one, such as 10."
+            )
+        size = operator.index(n)
+        hold = hold_of_each(self.hold, self.inputs)
+        runs = [_thinned_run(run, size, by, hold) for run in self.trajectories]
+        noise = self.noise
+        if noise is not None and by == "mean":
+            noise = {name: sigma / np.sqrt(size) for name, sigma in noise.items()}
+        return self._of(runs, noise=noise)
 
 
-def check_slice(names: Sequence[str], key: slice) -> None:
-    """Refuse a slice beyond the trajectories, which was meant for samples.
-
-    Raises:
-        DataError: It begins, ends or steps beyond the trajectories, or is empty.
-    """
+def _check_slice(names: Sequence[str], key: slice) -> None:
+    """Refuse a slice beyond the trajectories, which was meant for samples."""
     bounds = [key.start, key.stop, key.step]
     for bound in bounds:
         is_whole = bound is None or hasattr(bound, "__index__")
@@ -67,52 +194,14 @@ def check_slice(names: Sequence[str], key: slice) -> None:
     )
 
 
-def check_fraction(fraction: Any) -> None:
-    """Refuse a share of the training data that is not between 0 and 1.
-
-    Raises:
-        DataError: It is none.
-    """
-    if not isinstance(fraction, Real) or not 0 < float(fraction) < 1:
-        raise DataError(
-            f"fraction={fraction!r} is not between 0 and 1; "
-            "give the training data's share, e.g. 0.7."
-        )
-
-
-def size_of_first_part(n: int, fraction: float, at_least: int) -> int:
+def _size_of_first(n: int, fraction: float, at_least: int) -> int:
     """The size of the first of two parts of n things, each of ``at_least`` things."""
     n_first = max(round(fraction * n), at_least)
     return min(n_first, n - at_least)
 
 
-def check_interval(begin: Any, end: Any) -> None:
-    """Refuse what is no part of the time; None is an open end.
-
-    Raises:
-        DataError: An end is no number, or they are not in order.
-    """
-    for value in (begin, end):
-        is_number = isinstance(value, Real) and not isinstance(value, bool)
-        if value is not None and (not is_number or np.isnan(value)):
-            raise DataError(
-                f"between({begin!r}, {end!r}): {value!r} is no time; expected numbers "
-                "in the unit of the times, or None."
-            )
-    if begin is not None and end is not None and not begin < end:
-        raise DataError(
-            f"between({begin!r}, {end!r}): the first time must be less than the last."
-        )
-
-
-def part_between(run: Trajectory, begin: float | None, end: float | None) -> Trajectory:
-    """The samples of a trajectory with begin <= t <= end, their times as they are.
-
-    Raises:
-        DataError: There are fewer than 2.
-    """
-    first = -np.inf if begin is None else float(begin)
-    last = np.inf if end is None else float(end)
+def _between(run: Trajectory, first: float, last: float) -> Trajectory:
+    """The samples of a trajectory with first <= t <= last, their times as they are."""
     rows = np.searchsorted(run.t, first), np.searchsorted(run.t, last, side="right")
     n_samples = max(int(rows[1] - rows[0]), 0)
     if n_samples < 2:
@@ -124,35 +213,8 @@ def part_between(run: Trajectory, begin: float | None, end: float | None) -> Tra
     return part_of(run, slice(*rows))
 
 
-def checked_group_size(n: Any, by: Any) -> int:
-    """How many samples make one, where the way is known.
-
-    Raises:
-        DataError: n is no positive integer, or the way is unknown.
-    """
-    if by not in WAYS_OF_THINNING:
-        hint = did_you_mean(by, WAYS_OF_THINNING)
-        raise DataError(f"by={by!r} is unknown; expected 'mean' or 'picking'.{hint}")
-    is_integer = hasattr(n, "__index__") and not isinstance(n, bool)
-    if not is_integer or operator.index(n) < 1:
-        raise DataError(
-            f"thinned({n!r}): expected how many samples make one, such as 10."
-        )
-    return operator.index(n)
-
-
-def thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajectory:
-    """A trajectory with one sample for every n: see `Measurements.thinned`.
-
-    Args:
-        run: The trajectory.
-        n: The number of samples that make one.
-        by: "picking" keeps every n-th, from the first, "mean" the means of n.
-        hold: (n_inputs,) what each input does between samples.
-
-    Raises:
-        DataError: Fewer than 2 samples would be left.
-    """
+def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajectory:
+    """A trajectory with one sample for every n, and its inputs' (n_inputs,) holds."""
     is_picked = by == "picking"
     n_left = 1 + (run.n_samples - 1) // n if is_picked else run.n_samples // n
     if n_left < 2:

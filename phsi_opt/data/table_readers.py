@@ -71,19 +71,10 @@ class TableReaders:
         cls,
         source: Source | Iterable[Source],
         *,
-        time: str | int | None = None,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: Hold = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-        step: float | None = None,
-        start: Any = None,
-        date_format: str | None = None,
         columns: Sequence[str] | None = None,
         separator: str | None = None,
         decimal: str | None = None,
+        **told: Unpack[TableWords],
     ) -> Self:
         """Read text tables.
 
@@ -120,18 +111,6 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
-        told: TableWords = {
-            "time": time,
-            "states": states,
-            "inputs": inputs,
-            "hold": hold,
-            "trajectory": trajectory,
-            "units": units,
-            "noise": noise,
-            "step": step,
-            "start": start,
-            "date_format": date_format,
-        }
         wanted = _layout(told).columns
         form = TextFormat(columns, separator, decimal)
         tables = [table_of_csv(file, wanted, form) for file in text_files(source)]
@@ -254,7 +233,10 @@ def _runs_in(
     """The trajectories of a table; none, and the faults noted, where it has some."""
     rows: dict[str, np.ndarray] = {}
     clock = NO_CLOCK
-    values = {what: [np.empty((len(table.frame), 0))] for what in ("states", "inputs")}
+    n_rows = len(table.frame)
+    values: dict[str, list[np.ndarray]] = {}
+    for what in ("states", "inputs"):
+        values[what] = [np.empty((n_rows, 0))]
     for part, column in layout.parts.items():
         try:
             _check_column(table, column, layout)
@@ -263,8 +245,10 @@ def _runs_in(
             elif part == TIME_PART:
                 clock = clock_of(table, layout, list(rows.values()))
             else:
-                may_be_missing = part[0] == "states"
-                values[part[0]].append(_values(table, column, may_be_missing))
+                cells = np.full(n_rows, np.nan)
+                if column is not None:
+                    cells = numbers_in(table, column, part[0] == "states")
+                values[part[0]].append(cells)
         except DataError as error:
             faults.setdefault(part, error)
     if faults:
@@ -288,13 +272,6 @@ def _layout(told: TableWords) -> Layout:
     for name in ("hold", "units", "noise"):
         words.pop(name, None)
     return Layout(**words)
-
-
-def _values(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
-    """The values of a column, (n_rows,); NaN where there is none."""
-    if column is None:
-        return np.full(len(table.frame), np.nan)
-    return numbers_in(table, column, may_be_missing)
 
 
 def _with_seconds(units: Any, are_dates: bool) -> Any:

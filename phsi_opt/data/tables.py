@@ -27,8 +27,7 @@ from phsi_opt.data.text_cells import (
     separator_of,
 )
 from phsi_opt.errors import DataError
-from phsi_opt.presentation.numbers import number_of
-from phsi_opt.presentation.short_repr import short_number
+from phsi_opt.presentation.numbers import number_of, short_number
 
 if TYPE_CHECKING:
     import pandas as pd

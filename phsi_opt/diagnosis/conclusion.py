@@ -33,8 +33,8 @@ from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.diagnosis.weighed_round import weighed_round
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect, is_wave
+from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.evidence_record import EvidenceRecord
 

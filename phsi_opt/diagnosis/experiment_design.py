@@ -24,7 +24,7 @@ from phsi_opt.diagnosis.imitation import FittedModel
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.model import Model
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.tables import text_of_table
 from phsi_opt.statistics import TINY
 

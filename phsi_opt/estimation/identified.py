@@ -14,7 +14,7 @@ import numpy as np
 from phsi_opt.data.checks import Hold
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.simulation.free_run import rates
 from phsi_opt.simulation.simulate import simulate
 

@@ -12,7 +12,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.words import sentence
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import printed_table
 
 if TYPE_CHECKING:
     import pandas as pd

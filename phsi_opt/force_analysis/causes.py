@@ -63,11 +63,10 @@ class Causes:
         """The causes worth naming, strongest first."""
         if sum(self.contributions.values()) < CLEAR_PATTERN:
             return []
-        named = [
-            cause
-            for cause, share in self.contributions.items()
-            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT)
-        ]
+        named = []
+        for cause, share in self.contributions.items():
+            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT):
+                named.append(cause)
         return named
 
     @property
@@ -169,10 +168,9 @@ def _strongest(shares: Mapping[str, float], least: float) -> str | None:
 
     None where no share is above ``least``.
     """
-    above = {cause: share for cause, share in shares.items() if share > least}
-    best = max(above.values(), default=0.0)
-    for cause, share in above.items():
-        if share >= best - TIED_CAUSES / 2:
+    best = max(shares.values(), default=0.0)
+    for cause, share in shares.items():
+        if share > least and share >= best - TIED_CAUSES / 2:
             return cause
     return None
 

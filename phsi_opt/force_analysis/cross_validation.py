@@ -47,9 +47,6 @@ def odd_basis(z: np.ndarray) -> np.ndarray:
 # ---- judged on stretches left out ----------------------------------------------------
 
 N_FOLDS = 5  # every fifth stretch is left out in turn
-N_VALIDATION_STRETCHES = 40  # into which a record is cut
-HOLDS_IN_STRETCH = 3  # values of an input that is held, in a stretch, at least
-COEFFICIENT_RIDGE = 1e-3  # weight of the smallness of coefficients, in samples per knot
 
 # Functions (n, k) that are sought on the intervals that are fitted to, (n,) of bool.
 Sought = Callable[[np.ndarray], np.ndarray]
@@ -63,7 +60,7 @@ def left_out_error(
 ) -> float:
     """Sum of squares of a force that fits leave on stretches of time left out.
 
-    Their coefficients are slightly drawn to zero.
+    Their coefficients are slightly drawn to zero: as by a thousandth of the samples.
 
     Args:
         w: the force, (n_intervals,).
@@ -83,7 +80,7 @@ def left_out_error(
         rest = normal - normal_equations(left_out, w[is_left_out])
         gram = rest[:, :-1]
         n = len(gram)
-        weight = COEFFICIENT_RIDGE * np.trace(gram) / max(n, 1) + TINY
+        weight = 1e-3 * np.trace(gram) / max(n, 1) + TINY
         coefficients = np.linalg.solve(gram + weight * np.eye(n), rest[:, -1])
         residual = w[is_left_out] - left_out @ coefficients
         error += float(residual @ residual)
@@ -103,12 +100,13 @@ def normal_equations(columns: np.ndarray, w: np.ndarray) -> np.ndarray:
 def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
     """Which fold leaves each interval out, (n_intervals,).
 
-    Stretches of each trajectory, as long as one another, are dealt to the folds in
-    turn; where functions of inputs (n_intervals, n_inputs) are judged, stretches of
-    whole holds, if an input is held for a third of a stretch.
+    Forty stretches of the record, as long as one another, are dealt to the folds in
+    turn, at least one of each trajectory; where functions of inputs (n_intervals,
+    n_inputs) are judged, stretches of whole holds, if an input is held for a third of a
+    stretch.
     """
     count = np.bincount(run)
-    share_of_record = N_VALIDATION_STRETCHES * count / len(run)
+    share_of_record = 40 * count / len(run)
     at_most = np.maximum(count, 1)
     n_stretches = np.clip(np.round(share_of_record), 1, at_most).astype(int)
     n_before = np.cumsum(n_stretches) - n_stretches
@@ -119,7 +117,7 @@ def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarra
         longest = int(np.bincount(hold).max())
         # Else there are too few for the folds, or one is longer than a fold.
         if n_holds >= N_FOLDS and longest <= len(hold) / N_FOLDS:
-            n_of_holds = max(n_holds // HOLDS_IN_STRETCH, N_FOLDS)
+            n_of_holds = max(n_holds // 3, N_FOLDS)
             of_holds = hold * n_of_holds // n_holds
             if of_holds[-1] < stretch[-1]:
                 stretch = of_holds

@@ -28,7 +28,7 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.statistics import TINY, mean_ranks
 
 if TYPE_CHECKING:
@@ -39,7 +39,6 @@ TIME_NAME = "t"
 CONSTANT = "constant"
 PARAMETERS = "parameters"
 NO_VARIABLES = (CONSTANT, PARAMETERS)
-MOST_PAIRS = 6  # pairs of states that are looked at
 # Singular values, as a share of the largest, below which functions count as dependent.
 LEAST_SINGULAR_VALUE = 1e-6
 
@@ -103,7 +102,7 @@ def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.nda
 def variables(force: Force) -> list[str]:
     """Names of what a force may follow, pairs of states as 'q, p'.
 
-    Pairs with the equation's own state come before others.
+    Pairs with the equation's own state come before others; six are looked at.
     """
     record = force.record
     states = [name for name in record.model.states if _varies(record, name)]
@@ -117,7 +116,7 @@ def variables(force: Force) -> list[str]:
             known.append(ranks)
     inputs = [name for name in record.model.inputs if _varies(record, name)]
     pairs = sorted(combinations(states, 2), key=lambda ab: force.equation not in ab)
-    joined = map(", ".join, pairs[:MOST_PAIRS])
+    joined = map(", ".join, pairs[:6])
     return [*states, *efforts, *inputs, TIME_NAME, *joined]
 
 

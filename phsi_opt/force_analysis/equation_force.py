@@ -20,10 +20,11 @@ from phsi_opt.force_analysis.localization import (
     strongest_window,
 )
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.units import RateScale, force_unit, scale_of_rate
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
+from phsi_opt.presentation.durations import Scale
+from phsi_opt.presentation.units import force_unit, scale_of_rate
 from phsi_opt.statistics import rms
 
 if TYPE_CHECKING:
@@ -52,10 +53,8 @@ class EquationForce(Force):
 
     @cached_property
     def region(self) -> Region:
-        """Where among the states, those of an effect's memory left out."""
-        model = self.record.model
-        own = [name for name in model.states if name not in model.memory]
-        return strong_region(self, own)
+        """Where among the states."""
+        return strong_region(self, self.record.model.states)
 
     @cached_property
     def pace(self) -> Pace:
@@ -138,7 +137,7 @@ class EquationForce(Force):
         return usual if {self.equation, usual[0]} <= set(pair) else pair
 
     @property
-    def scale(self) -> RateScale:
+    def scale(self) -> Scale:
         """The unit in which a text or a report tells the force."""
         longest = float(self.record.t.max())
         return scale_of_rate(self.equation, self.record.units, longest)

@@ -24,10 +24,6 @@ from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.statistics import TINY
 
-# Distance to a bound, as a change of the rates beside these, up to which a parameter
-# stands at it.
-AT_BOUND = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class Points:
@@ -159,7 +155,8 @@ class ForceRecord:
             bounds = model.entries[name].parameter
             value = model.values[name]
             to_bounds.append(min(abs(value - bounds.lower), abs(bounds.upper - value)))
-        is_moving = np.array(to_bounds) * np.maximum(strength, TINY) > AT_BOUND
+        # As a change of the rates beside these; else it stands at a bound.
+        is_moving = np.array(to_bounds) * np.maximum(strength, TINY) > 1e-6
         scaled = slopes / np.where(size > 0, size, 1.0)
         return scaled[:, :, is_moving]
 

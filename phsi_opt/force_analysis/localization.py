@@ -108,18 +108,22 @@ Region = Mapping[str, Sequence[StrongRange]]
 
 
 def strong_region(force: Force, names: Sequence[str]) -> Region:
-    """Ranges of variables in which a force is strong; of those where any stands out."""
+    """Ranges of variables in which a force is strong; of those where any stands out.
+
+    The states of an effect's memory are left out.
+    """
     region = {}
     for name in names:
-        ranges = strong_ranges(force.record.variable(name), force.w)
-        if ranges:
-            region[name] = ranges
+        if name not in force.record.model.memory:
+            ranges = strong_ranges(force.record.variable(name), force.w)
+            if ranges:
+                region[name] = ranges
     return region
 
 
 def region_words(region: Region) -> str:
     """A region in a table: 'q -1 to -0.6 or 0.7 to 1, p 2 to 3'."""
-    told = [
-        f"{name} {' or '.join(map(str, ranges))}" for name, ranges in region.items()
-    ]
+    told = []
+    for name, ranges in region.items():
+        told.append(f"{name} {' or '.join(map(str, ranges))}")
     return ", ".join(told)

@@ -13,15 +13,12 @@ import numpy as np
 from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.spectrum import spectrum
-from phsi_opt.force_analysis.units import frequency_words
 from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.units import frequency_words
 from phsi_opt.statistics import TINY, rms
 
 # Times the frequency of the motion from which a force is a vibration beside it.
 VIBRATION = 10.0
-# Cycles per sample from which on a force is as fast as the samples: two fifths of the
-# fastest that they show.
-NEAR_SAMPLING = 0.2
 
 
 @dataclass(frozen=True)
@@ -73,8 +70,8 @@ class Pace:
 
     @property
     def is_near_sampling(self) -> bool:
-        """Whether the force is as fast as the samples."""
-        return self.frequency * self.interval > NEAR_SAMPLING
+        """Whether the force is two fifths as fast as the fastest that samples show."""
+        return self.frequency * self.interval > 0.2
 
     @property
     def samples_per_cycle(self) -> int:

@@ -15,33 +15,33 @@ from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import is_mostly_constant
 from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
-from phsi_opt.force_analysis.units import frequency_unit
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
 from phsi_opt.presentation.axes import MEASURED, MODEL
 from phsi_opt.presentation.content import TRAINING, Follows, Force, ForceMap, ForceRun
-from phsi_opt.presentation.durations import TimeScale, scale_of_time
+from phsi_opt.presentation.durations import Scale, scale_of_time
 from phsi_opt.presentation.thinning import thinned
+from phsi_opt.presentation.units import frequency_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_DRAWN_SAMPLES = 60_000  # in all curves together: two megabytes of text
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
-FEWEST_PER_CURVE = 120
 
 
 # ---- as records ----------------------------------------------------------------------
 
 
 def samples_of_each(n_curves: int) -> int:
-    """How many samples are drawn of each of so many curves."""
-    share = MOST_DRAWN_SAMPLES / max(n_curves, 1)
-    return int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    """How many samples are drawn of each of so many curves.
+
+    All together have at most 60 000, two megabytes of text, unless there are very many.
+    """
+    return int(np.clip(60_000 / max(n_curves, 1), 120, MOST_PER_CURVE))
 
 
-def force_of(force: EquationForce, time: TimeScale) -> Force:
+def force_of(force: EquationForce, time: Scale) -> Force:
     """All that is drawn of a missing force; ``time`` is the unit of its times."""
     return Force(
         f"d{force.equation}/dt",
@@ -53,9 +53,7 @@ def force_of(force: EquationForce, time: TimeScale) -> Force:
     )
 
 
-def force_runs(
-    force: EquationForce, part: str, time: TimeScale
-) -> tuple[ForceRun, ...]:
+def force_runs(force: EquationForce, part: str, time: Scale) -> tuple[ForceRun, ...]:
     """A force along each trajectory of its part of the data."""
     record = force.record
     scale = force.scale
@@ -122,9 +120,8 @@ def follows_of(
     w = w / force.scale.size
     binned = [binned_statistic(z, w, one, bins=16) for one in ("mean", "std")]
     count, edges = np.histogram(z, binned[0].bin_edges)
-    columns = ((edges[:-1] + edges[1:]) / 2, *(one.statistic for one in binned))
-    is_shown = count > 2  # of fewer there is no spread
-    centre, mean, std = (one[is_shown] for one in columns)
+    columns = [(edges[:-1] + edges[1:]) / 2, *(one.statistic for one in binned)]
+    centre, mean, std = np.array(columns)[:, count > 2]  # of fewer there is no spread
     step = max(1, len(z) // MOST_PER_CURVE)
     said = said or dependence_title(force, variable)
     labels = (x_label, force.force_label())
@@ -145,7 +142,7 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
     """
     import matplotlib.pyplot as plt
 
-    from phsi_opt.presentation.charts import draw, follows_chart, force_chart, map_chart
+    from phsi_opt.presentation.charts import Chart, draw, follows_chart, force_chart
 
     force = analysis.force_in(equation)
     time = scale_of_time(float(force.record.t.max()), force.record.units.get("t", ""))
@@ -153,7 +150,7 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
     found = map_of(force)
     over_states = follows_chart(follows_of(force, force.map_variables[0]))
     if found is not None:
-        over_states = map_chart(found)
+        over_states = Chart(found.x_label, map=found)
     variable = force.single_variable
     panels = (
         (force_chart([run], time.unit), _sure_title(force)),

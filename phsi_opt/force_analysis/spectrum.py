@@ -11,9 +11,6 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
-# Points to which a trajectory is resampled at most: one short step among millions of
-# long ones does not decide the size of the transform.
-MOST_POINTS = 2**18
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +58,8 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     if duration == 0.0:
         return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
     typical_steps = [float(np.median(np.diff(t[inside]))) for inside in runs]
-    step = max(min(typical_steps), duration / MOST_POINTS)
+    # One short step among millions of long ones does not decide the size.
+    step = max(min(typical_steps), duration / 2**18)
     n_steps = int(duration / step + 2)
     n_fft = next_fast_len(POINTS_PER_FREQUENCY * n_steps, real=True)
     frequencies = np.fft.rfftfreq(n_fft, step)

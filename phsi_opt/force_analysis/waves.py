@@ -19,8 +19,6 @@ from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.model.structure import exchange_partners
 from phsi_opt.statistics import TINY, local_maxima
 
-# Intervals (drawn at random where there are more) on which a frequency is refined.
-MOST_REFINED = 3000
 N_TRIED = 21  # frequencies that are tried about a good one
 # Periods that are tried within the positions that were visited: fewer are a curve,
 # which knots show.
@@ -66,13 +64,13 @@ def _near(candidates: np.ndarray, width: float) -> np.ndarray:
     return tried[is_positive] if is_positive.any() else candidates
 
 
-def _drawn(is_fitted: np.ndarray) -> np.ndarray:
+def _drawn(is_fitted: np.ndarray, most: int = 3000) -> np.ndarray:
     """Places of all that is fitted, or a random choice of them where there are many."""
     places = np.flatnonzero(is_fitted)
-    if len(places) <= MOST_REFINED:
+    if len(places) <= most:
         return places
     rng = np.random.default_rng(0)
-    return np.sort(rng.choice(places, MOST_REFINED, replace=False))
+    return np.sort(rng.choice(places, most, replace=False))
 
 
 # ---- along the time

@@ -21,13 +21,13 @@ from phsi_opt.force_analysis.localization import (
     StrongRange,
     strong_region,
 )
-from phsi_opt.force_analysis.units import frequency_words, spaced
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.kinds import TURN, plain_unit
 from phsi_opt.model.structure import exchange_partners, position_rows
 from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.durations import dates_words, time_words, times_words
 from phsi_opt.presentation.sentences import say
+from phsi_opt.presentation.units import spaced
 from phsi_opt.statistics import TINY
 
 VIBRATION_WORDS = "a vibration or an error of a sensor, rather than a law of the motion"
@@ -59,8 +59,6 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "place": partial(place_words, force),
         "loss_of": _loss_of,
         "period_words": _period_words,
-        "frequency_words": frequency_words,
-        "spaced": spaced,
     }
     return say(__package__, name, **facts, **more)
 
@@ -76,16 +74,6 @@ def sentence(force: EquationForce) -> str:
         window += f" ({dates})" if dates else ""
     best = leading(force.follows, force.equation)
     return _said(force, "sentence", window=window, best=best).lead
-
-
-def cause_words(force: EquationForce) -> str:
-    """What the force does: the end of a sentence that begins with "It".
-
-    With the share of each cause that is worth naming. The shares are those of the
-    estimate, with its errors: beside the statement that an effect was all that was
-    missing, they seem to contradict it.
-    """
-    return _said(force, "cause").lead
 
 
 def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
@@ -157,14 +145,12 @@ def _period_words(force: EquationForce) -> str:
 
 
 def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str:
-    """At which values of its variables a force is strong; memories are left out.
+    """At which values of its variables a force is strong.
 
     Such as "where q is highest (above 0.7 m)"; "" where no values stand out. Without
     names the variables are those of the force's map.
     """
-    names = force.map_variables if names is None else names
-    memory = force.record.model.memory
-    region = strong_region(force, [name for name in names if name not in memory])
+    region = strong_region(force, force.map_variables if names is None else names)
     return ", and ".join(range_words(force, *found) for found in region.items())
 
 

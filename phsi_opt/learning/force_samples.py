@@ -16,7 +16,6 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.parameter_vector import Theta
 
-MIN_INTERVALS = 50  # so that every stretch of time that is left out holds a few
 # Singular value, as a share of the largest, below which a direction is one that others
 # explain.
 RANK_TOLERANCE = 1e-8
@@ -56,10 +55,10 @@ class ForceSamples:
                 "learn it in the equation of a momentum."
             )
         n_intervals = estimate.grid.n_intervals
-        if n_intervals < MIN_INTERVALS:
+        if n_intervals < 50:  # every stretch of time left out holds a few
             raise DataError(
                 f"{n_intervals} intervals are too few to learn a force; "
-                f"at least {MIN_INTERVALS} are needed."
+                "at least 50 are needed."
             )
         points = Points.middles(record)
         column = estimate.rows.index(row)

@@ -44,7 +44,6 @@ __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 
 # By then the network has taken its part, and what is small is small beside it.
 FIRST_PRUNED_TURN = 2
-RATE_DECAY = 0.8  # of the learning rate, from turn to turn
 
 
 @interruptible
@@ -100,7 +99,7 @@ def hybrid(
         fit = identify_forced(forced, record, loss, l1, prune, laid_out, fit)
         model = without_signals(fit.model)
         stages = problem.training_set(model, at_stages)
-        rate = force.learning_rate * RATE_DECAY**turn
+        rate = force.learning_rate * 0.8**turn
         epochs = max(force.epochs // 4, 1) if turn > 0 else force.epochs
         in_turn = replace(force, epochs=epochs, learning_rate=rate)
         trained = train(in_turn, trained, stages, seed)

@@ -173,10 +173,9 @@ class LearnedForce:
         return read_json(path, FORMAT, "a learned force", _from_content)
 
     def __str__(self) -> str:
-        ranges = [
-            f"{name} {lower:.4g} to {upper:.4g}"
-            for name, (lower, upper) in zip(self.on, self.network.seen.T, strict=True)
-        ]
+        ranges = []
+        for name, (lower, upper) in zip(self.on, self.network.seen.T, strict=True):
+            ranges.append(f"{name} {lower:.4g} to {upper:.4g}")
         return (
             f"learned force in d{self.equation}/dt, known for {', '.join(ranges)}: "
             f"explains {self.explains:.2f} of what is missing"
@@ -289,15 +288,11 @@ def _re_estimated(learned: LearnedForce, record: Record) -> Fit:
         return fit
     data = record.data
     grid = record.estimate.grid
-    states = [
-        x[is_sample]
-        for x, is_sample in zip(record.start, grid.split(grid.sample), strict=True)
-    ]
-    noise = {
-        name: float(sigma)
-        for name, sigma in zip(data.states, record.estimate.sigma, strict=True)
-        if name in data.measured
-    }
+    states = []
+    for x, is_sample in zip(record.start, grid.split(grid.sample), strict=True):
+        states.append(x[is_sample])
+    of_states = zip(data.states, record.estimate.sigma.tolist(), strict=True)
+    noise = {name: sigma for name, sigma in of_states if name in data.measured}
     start = replace(learned.fit, states=tuple(states), noise=noise, steps=fit.steps)
     found = identify(learned.fit.model, data, MaximumLikelihood(), start=start)
     values = {name: found.values[name] for name in fit.model.free}

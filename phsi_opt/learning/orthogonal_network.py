@@ -34,7 +34,6 @@ from phsi_opt.learning.network import (
 from phsi_opt.learning.ridge import RIDGE_WEIGHTS, SINGULAR, solutions
 from phsi_opt.statistics import TINY, rms
 
-N_HIDDEN = 16
 # Bounds of the first weights of both layers: some units bend within the range, some are
 # nearly straight; the output is in root mean squares of the target.
 FIRST_WEIGHTS = (2.5, 0.1)
@@ -111,7 +110,7 @@ class Training:
         stops = [round(share * self.epochs) for share in STOPS]
         found: dict[int, Layers] = {}
         with torch_for("a learned force", self.seed) as torch:
-            net = trainable((samples.v.shape[1], N_HIDDEN, 1), scaled.activation)
+            net = trainable((samples.v.shape[1], 16, 1), scaled.activation)
             torch.manual_seed(self.seed)
             for layer, bound in zip(net[::2], FIRST_WEIGHTS, strict=True):
                 for tensor in layer.parameters():

@@ -17,9 +17,9 @@ from phsi_opt.presentation.summary import (
     Part,
     Summarised,
     Summary,
+    printed_table,
     text_of_summary,
 )
-from phsi_opt.presentation.table_making import printed_table
 
 COLUMNS_OF_EFFECTS = ("effect", "equation", "slot", "family")
 

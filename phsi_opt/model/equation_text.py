@@ -5,8 +5,7 @@ from collections.abc import Callable
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Term
-from phsi_opt.presentation.summary import Part, Summary
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import Part, Summary, printed_table
 
 SHOWN_OF_MODEL = ("name", "value", "known", "lower", "upper", "unit")
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.presentation.short_repr import short_repr
+from phsi_opt.presentation.numbers import short_repr
 
 
 @dataclass(frozen=True)

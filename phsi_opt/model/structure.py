@@ -31,7 +31,7 @@ from phsi_opt.model.kinds import (
     kind_of_unit,
     plain_unit,
 )
-from phsi_opt.presentation.short_repr import short_number
+from phsi_opt.presentation.numbers import short_number
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 MOST_POSITIONS = 1000  # a structure matrix of 4 million numbers

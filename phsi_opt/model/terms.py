@@ -18,7 +18,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import FUNCTIONS
 from phsi_opt.model.expressions import MAX_EXPONENT, names_of
 from phsi_opt.model.parameters import Parameter, Scan
-from phsi_opt.presentation.short_repr import short_number, short_repr
+from phsi_opt.presentation.numbers import short_number, short_repr
 
 LARGEST_DICTIONARY = 5_000  # terms; a program with more does not end in hours
 

@@ -186,13 +186,8 @@ class DataView:
                 ui.label(str(column.column)).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
             roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
-            choice(
-                f"{column.column} is",
-                roles,
-                column.role,
-                lambda role: self._set_role(column, role),
-                width="10em",
-            )
+            set_role = partial(self._set_role, column)
+            choice(f"{column.column} is", roles, column.role, set_role, width="10em")
             fields = FIELDS_OF_ROLE.get(column.role, ())
             text_fields(column.table, fields, self._checked, str(column.column))
 

@@ -189,11 +189,6 @@ class DataDraft:
             if column is not None and str(known.column) == column:
                 known.becomes(role, name)
 
-    def held_out_content(self) -> Content:
-        """The section [held_out]."""
-        key = HELD_OUT_KEYS.get(self.way)
-        return {} if key is None else {key: self.held_out.get(key, "")}
-
     def content(self, states: list[str]) -> Content:
         """The section [data] for a model of these states."""
         content: Content = {"files": self.files, **self.settings, "time": self.time}
@@ -401,7 +396,8 @@ class StudyDraft:
         content: Content = {**self.kept, "model": self.model.content()}
         if self.data is not None:
             content["data"] = self.data.content(self.model.names("states"))
-            content["held_out"] = self.data.held_out_content()
+            key = HELD_OUT_KEYS.get(self.data.way, "")
+            content["held_out"] = {key: self.data.held_out.get(key, "")} if key else {}
         named = {one.name: _without(one.table, "name") for one in self.model.parameters}
         content["parameters"] = _without(named, "")
         return content

@@ -46,13 +46,8 @@ class BaseModel:
         return draft
 
 
-def _entries() -> dict[str, BaseModel]:
-    text = (files("phsi_opt.page") / "gallery.toml").read_text(encoding="utf-8")
-    found = tomllib.loads(text)
-    return {title: BaseModel(title, **entry) for title, entry in found.items()}
-
-
-GALLERY = _entries()
+_TEXT = (files("phsi_opt.page") / "gallery.toml").read_text(encoding="utf-8")
+GALLERY = {name: BaseModel(name, **one) for name, one in tomllib.loads(_TEXT).items()}
 
 
 # ---- which column is which state -----------------------------------------------------

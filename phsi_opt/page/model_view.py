@@ -31,7 +31,6 @@ from phsi_opt.page.parts import (
     choice,
     complaints,
     heading,
-    strong,
     text_fields,
 )
 from phsi_opt.page.session import Session
@@ -112,7 +111,8 @@ class ModelView:
             tile.classes("chosen")
         with tile:
             chosen = " (chosen)" if is_chosen else ""
-            strong(f"{base.title}{chosen}")
+            title = ui.label(f"{base.title}{chosen}")
+            title.style("font-weight: 600; line-height: 1.35")
             ui.label(base.about).classes("faint")
         tile.on("click", lambda: self._choose(base))
 
@@ -144,13 +144,8 @@ class ModelView:
                 "dH_dp, and the parameters below."
             ).classes("faint")
             with ui.element("div").classes("fields"):
-                choice(
-                    "kind of model",
-                    MODEL_TYPES,
-                    draft.type,
-                    self._set_type,
-                    width="20em",
-                )
+                kinds = (MODEL_TYPES, draft.type, self._set_type)
+                choice("kind of model", *kinds, width="20em")
                 text_fields(draft.table, NAME_FIELDS, self._named)
                 if draft.type == ENERGY:
                     text_fields(draft.table, ENERGY_FIELDS, self._checked)
@@ -260,12 +255,10 @@ def unknown_names(draft: ModelDraft) -> list[str]:
     model = draft.content()
     slots = [("H", model.get("H", "")), *((s, model.get(s, {}).values()) for s in "RF")]
     for slot, formulas in slots:
-        for formula in filter(_is_formula, listed(formulas)):
+        for formula in listed(formulas):
+            if not isinstance(formula, str) or not formula.strip():
+                continue
             with suppress(ModelError):  # the check says what is wrong with it
                 names = names_of(formula) - variables.of_slot(slot) - known
                 found |= dict.fromkeys(sorted(names))
     return list(found)
-
-
-def _is_formula(terms: object) -> bool:
-    return isinstance(terms, str) and bool(terms.strip())

@@ -20,11 +20,6 @@ def heading(text: str, level: int = 2) -> TextElement:
     return TextElement(tag=f"h{level}", text=text)
 
 
-def strong(text: str) -> ui.label:
-    """What is to be understood at once."""
-    return ui.label(text).style("font-weight: 600; line-height: 1.35")
-
-
 def card() -> ui.element:
     """A box with a border."""
     return ui.column().classes("card gap-3")

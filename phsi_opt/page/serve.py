@@ -107,10 +107,6 @@ def is_loopback(host: str) -> bool:
 
 # Browsers that one server keeps; each may hold a process of about 300 MB.
 MOST_SESSIONS = 20
-# Seconds without work after which a worker ends; the session keeps its study.
-IDLE_WORKER = 600.0
-# Seconds without a sign of the browser after which a session is forgotten.
-FORGOTTEN_SESSION = 24 * 3600.0
 
 
 class Sessions:
@@ -148,11 +144,15 @@ class Sessions:
         return self.of(key)
 
     def tidy(self) -> None:
-        """End workers without work, and sessions whose browser is gone."""
+        """End workers after ten minutes without work; forget sessions after a day.
+
+        A session that ends its worker keeps its study; one is forgotten that no browser
+        has shown for so long.
+        """
         for key, session in list(self._by_key.items()):
-            if time.monotonic() - session.seen > FORGOTTEN_SESSION:
+            if time.monotonic() - session.seen > 24 * 3600:
                 self._by_key.pop(key).close()
-            elif session.idle_seconds > IDLE_WORKER:
+            elif session.idle_seconds > 600:
                 session.rest()
 
     def close(self) -> None:
@@ -169,14 +169,13 @@ class Sessions:
         """
         if len(self._by_key) < MOST_SESSIONS:
             return
-        empty = [key for key, one in self._by_key.items() if one.is_empty]
+        empty: dict[str, tuple[bool, float]] = {}
+        for key, session in self._by_key.items():
+            if session.is_empty:
+                empty[key] = (session.is_shown, session.seen)
         if not empty:
             raise DataError(
                 f"this page holds {MOST_SESSIONS} studies, and no more at once. Try "
                 "again when somebody has ended one: Menu, Begin again."
             )
-        self._by_key.pop(min(empty, key=self._usage)).close()
-
-    def _usage(self, key: str) -> tuple[bool, float]:
-        session = self._by_key[key]
-        return session.is_shown, session.seen
+        self._by_key.pop(min(empty, key=empty.__getitem__)).close()

@@ -264,22 +264,21 @@ class Session:
         headers = [column.column for column in data.columns]
         if known is None:
             self.draft.data = data
-        elif headers != [column.column for column in known.columns]:
-            self._replace(known, data, f"{name} has other columns")
-        elif not self._are_uploaded(known):
-            self._replace(known, data, f"{name} is a table of its own")
         else:
-            others = {one: at for one, at in known.places.items() if one != name}
-            _look_again(known, {**others, name: place})
+            folders = {at.parent for at in known.places.values()}
+            why = ""
+            if headers != [column.column for column in known.columns]:
+                why = "has other columns"
+            elif folders != {self._uploads}:  # those known are a study file's
+                why = "is a table of its own"
+            if why:
+                self.draft.data = data
+                replaced = ", ".join(known.files)
+                self.message = f"{name} {why}: it takes the place of {replaced}."
+            else:
+                others = {one: at for one, at in known.places.items() if one != name}
+                _look_again(known, {**others, name: place})
         self.check()
-
-    def _replace(self, known: DataDraft, data: DataDraft, why: str) -> None:
-        self.draft.data = data
-        self.message = f"{why}: it takes the place of {', '.join(known.files)}."
-
-    def _are_uploaded(self, data: DataDraft) -> bool:
-        """Whether no table is a study file's own."""
-        return all(place.parent == self._uploads for place in data.places.values())
 
     def _remove_unused(self) -> None:
         """Remove uploads that neither the draft nor a fit names any more."""
@@ -294,24 +293,21 @@ class Session:
     def remove_file(self, name: str) -> None:
         """Take a table away; with the last one its columns go."""
         with self._taking:
-            self._remove(name)
-
-    def _remove(self, name: str) -> None:
-        data = self.draft.data
-        if data is None or name not in data.places:
-            return
-        left = {one: place for one, place in data.places.items() if one != name}
-        self.upload_error = ""
-        self.message = ""
-        if left:
+            data = self.draft.data
+            left = self.draft.places
+            if data is None or left.pop(name, None) is None:
+                return
+            self.upload_error = ""
+            self.message = ""
             try:
-                _look_again(data, left)
+                if left:
+                    _look_again(data, left)
+                else:
+                    self.draft.data = None
             except DataError as error:  # a file has changed, or is gone
                 self.upload_error = str(error)
-        else:
-            self.draft.data = None
-        self.check()
-        self.shape += 1
+            self.check()
+            self.shape += 1
 
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
@@ -480,7 +476,10 @@ class Session:
             if self.job is not None:
                 self.job.show()
             self._show(message.content)
-            self._keep_fitted()
+            if self._fitting is not None:  # the first result of a fit
+                self.fitted = self._fitting
+                self._fitting = None
+                os.replace(self._state / FITTING_FILE, self._state / FITTED_FILE)
         elif isinstance(message, Path):
             self.report_path = message
         elif isinstance(message, Refused):
@@ -491,8 +490,14 @@ class Session:
             self.job = None
             self._fitting = None
             self._idle_since = time.monotonic()
-        elif message is None:
-            self._lose_worker()
+        elif message is None:  # it ended by itself, for want of memory perhaps
+            if self.job is not None:
+                self.message = (
+                    "The process that was at work ended unexpectedly "
+                    f"({self.job.label}). What was found before is kept; try again, "
+                    "with fewer samples if memory is short."
+                )
+            self._end_worker()
         self.version += 1
 
     def _show(self, content: StudyContent) -> None:
@@ -504,25 +509,6 @@ class Session:
         self.content = content
         if self.job is None or not self.job.compares:
             self.look = Look.at(content)
-
-    def _keep_fitted(self) -> None:
-        """Remember the draft that the first result of a fit belongs to."""
-        if self._fitting is not None:
-            self.fitted = self._fitting
-            self._fitting = None
-            os.replace(self._state / FITTING_FILE, self._state / FITTED_FILE)
-
-    def _lose_worker(self) -> None:
-        """The process ended by itself, for want of memory perhaps."""
-        if self.job is not None:
-            self.message = (
-                f"The process that was at work ended unexpectedly ({self.job.label}). "
-                "What was found before is kept; try again, with fewer samples if "
-                "memory is short."
-            )
-        self._worker = None
-        self.job = None
-        self._fitting = None
 
     # ---- files to take away ----------------------------------------------------------
 

@@ -75,12 +75,13 @@ class Shell:
             ui.element("div").classes("page").props('id="content" tabindex="-1"'),
             ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
         ):
-            with ui.tab_panel(DATA_PART), ui.column().classes("w-full gap-3"):
-                self._data.build()
-            with ui.tab_panel(MODEL_PART), ui.column().classes("w-full gap-3"):
-                self._model.build()
-            with ui.tab_panel(STUDY_PART), ui.column().classes("w-full gap-3"):
-                self._study.build()
+            for name, build in (
+                (DATA_PART, self._data.build),
+                (MODEL_PART, self._model.build),
+                (STUDY_PART, self._study.build),
+            ):
+                with ui.tab_panel(name), ui.column().classes("w-full gap-3"):
+                    build()
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
         self._asking = ui.timer(0.25, self._keep_up)  # s: no reader waits
@@ -132,8 +133,7 @@ class Shell:
 
         Its parts stay and are changed, so that the button keeps the focus.
         """
-        row = ui.row().classes("w-full items-center gap-3 page no-wrap")
-        with row:
+        with ui.row().classes("w-full items-center gap-3 page no-wrap"):
             self._spinner = ui.spinner(size="22px").props('aria-hidden="true"')
             self._line = ui.label().style("flex: 1; min-width: 0")
             self._line.props('role="status" aria-live="polite"')

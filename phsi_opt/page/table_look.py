@@ -12,8 +12,8 @@ from pathlib import Path, PurePosixPath
 from phsi_opt.data.file_opening import NamedFile
 from phsi_opt.data.tables import numbers_in
 from phsi_opt.page.drafts import NOT_USED, ColumnDraft, DataDraft
-from phsi_opt.presentation.short_repr import shortened
-from phsi_opt.study_file.columns import UNUSED, Column
+from phsi_opt.presentation.numbers import shortened
+from phsi_opt.study_file.columns import UNUSED
 from phsi_opt.study_file.survey import check_alike, survey
 
 
@@ -38,16 +38,14 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
         if one.step is not None:
             draft.time = {"step": one.step}
     draft.runs = list(dict.fromkeys(draft.runs))
-    draft.columns = list(map(_draft_of, seen[0].columns))
+    for column in seen[0].columns:  # parts have the same words here but for one
+        role = NOT_USED if column.part == UNUSED else column.part
+        told = {"name": column.name, "unit": column.unit}
+        examples = tuple(column.cells[:3])
+        is_numeric = column.is_numeric
+        found = ColumnDraft(column.column, role, told, examples, is_numeric)
+        draft.columns.append(found)
     return draft
-
-
-def _draft_of(seen: Column) -> ColumnDraft:
-    """The draft of a column; parts have the same words here and there but for one."""
-    role = NOT_USED if seen.part == UNUSED else seen.part
-    examples = tuple(seen.cells[:3])
-    told = {"name": seen.name, "unit": seen.unit}
-    return ColumnDraft(seen.column, role, told, examples, seen.is_numeric)
 
 
 # ---- which tables are taken ----------------------------------------------------------

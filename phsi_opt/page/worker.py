@@ -20,8 +20,6 @@ from types import MappingProxyType
 from typing import Any
 
 from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
-from phsi_opt.model.catalogue import effect_named
-from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study import Study
 from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
@@ -33,7 +31,6 @@ ADD = "add"
 UNDO = "undo"
 AUTO = "auto"
 REPORT = "report"
-CANCEL_GRACE = 1.0  # s that a cancelled worker has before it is killed
 Receiver = Callable[["WorkerHandle", Any], None]
 
 
@@ -118,12 +115,10 @@ class WorkerHandle:
         self._orders.put(order)
 
     def end(self) -> None:
-        """End the process: politely, and after ``CANCEL_GRACE`` seconds in any case."""
-        self._process.terminate()
-        self._process.join(CANCEL_GRACE)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join(CANCEL_GRACE)
+        """End the process: politely, and after a second in any case."""
+        for end in (self._process.terminate, self._process.kill):
+            end()
+            self._process.join(1.0)
 
     def _listen(self) -> None:
         message: Any = ""
@@ -172,7 +167,8 @@ def work(connection: Connection) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
     _Pipe.connection = connection
-    ForkingPickler.register(MappingProxyType, _reduced)
+    # How a read-only mapping goes through the pipe.
+    ForkingPickler.register(MappingProxyType, lambda one: (read_only, (dict(one),)))
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
@@ -210,7 +206,7 @@ def _carried_out(study: Study, order: Order, send: Callable[[Shown], None]) -> A
     if order.verb == REPORT:
         return study.report(order.what)
     if order.verb == ADD:
-        study.add(_effect_named(study, order.what))
+        study.add(order.what)
     elif order.verb == UNDO:
         study.undo()
     elif order.verb == AUTO:
@@ -229,24 +225,6 @@ def _shown(study: Study) -> Shown:
     """What is shown of a study, with the study itself."""
     content = study.content(forces=True)
     return Shown(content, bytes(ForkingPickler.dumps(study)))
-
-
-def _effect_named(study: Study, name: str) -> Effect:
-    """One of the candidates by its name, else of the catalogue.
-
-    Raises:
-        ModelError: there is none of that name.
-    """
-    for candidate in study.diagnose().ranking:
-        if candidate.name == name:
-            return candidate.effect
-    before, _, equation = name.rpartition(" on ")
-    return effect_named(study.model, before, equation, study.train.units)
-
-
-def _reduced(proxy: Mapping[Any, Any]) -> tuple[Any, ...]:
-    """How a read-only mapping goes through the pipe."""
-    return read_only, (dict(proxy),)
 
 
 def read_only(mapping: dict[Any, Any]) -> Mapping[Any, Any]:

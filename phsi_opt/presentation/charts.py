@@ -42,8 +42,7 @@ from phsi_opt.presentation.content import (
     StudyContent,
 )
 from phsi_opt.presentation.durations import date_words
-from phsi_opt.presentation.numbers import number, proper_names
-from phsi_opt.presentation.short_repr import shortened
+from phsi_opt.presentation.numbers import number, proper_names, shortened
 from phsi_opt.presentation.thinning import rounded
 
 FORCE_COLORS = (FORCE, ATTENTION, FLOOR, MODEL)
@@ -64,7 +63,6 @@ MATPLOTLIB_LOOKS: dict[str, Any] = {
 }
 TWO_DEVIATIONS = "two standard deviations"
 DEVIATION = "std. deviation"
-LETTERS_OF_TICKS = 60  # of all labels of steps, side by side
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "report",  # the same names of parts in every run
@@ -166,7 +164,7 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     is_log = n > 1 and known.size > 0 and known.max() >= 10 * known.min()
     panel = Panel(label("error", unit), curves, scale=LOG if is_log else FROM_ZERO)
     changes = [proper_names(step.change(k)) for k, step in enumerate(steps)]
-    n_letters = max(LETTERS_OF_TICKS // n, 8)
+    n_letters = max(60 // n, 8)  # of each label: side by side they have 60
     return Chart("", (panel,), ticks=tuple(wrap(one, n_letters) for one in changes))
 
 
@@ -254,11 +252,6 @@ def follows_chart(found: Follows) -> Chart:
     binned = (found.centre, found.mean, MODEL, STEPS, found.std, DEVIATION)
     curves = (dots, Curve("mean in bins", *binned))
     return Chart(found.x_label, (Panel(found.y_label, curves),))
-
-
-def map_chart(found: ForceMap) -> Chart:
-    """The mean missing force over two variables."""
-    return Chart(found.x_label, map=found)
 
 
 def time_label(unit: str, origin: dt.datetime | None = None) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.presentation.durations import TimeScale
+from phsi_opt.presentation.durations import Scale
 
 Number = float | None
 
@@ -358,7 +358,7 @@ class StudyContent:
     errors: str
     glance: Glance | None
     models: tuple[Equations, ...]
-    time: TimeScale
+    time: Scale
     names: tuple[str, ...]
     runs: tuple[Run, ...]
     shown: int

@@ -10,22 +10,22 @@ RANGE_OF_TIMES = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?) to (-?[\d.]+(?:e[+-]?\d+)
 
 
 @dataclass(frozen=True)
-class TimeScale:
-    """A unit of time and how many of the user's unit it has."""
+class Scale:
+    """A unit in which something is told, and how many of the user's unit it has."""
 
     unit: str
-    size: float
+    size: float = 1.0
 
 
 # Seconds from which on times are told in a unit, the largest first.
 LEAST_SECONDS = (
-    (2 * 86400.0, TimeScale("days", 86400.0)),
-    (3 * 3600.0, TimeScale("h", 3600.0)),
-    (1800.0, TimeScale("min", 60.0)),
+    (2 * 86400.0, Scale("days", 86400.0)),
+    (3 * 3600.0, Scale("h", 3600.0)),
+    (1800.0, Scale("min", 60.0)),
 )
 
 
-def scale_of_time(longest: float, unit: str) -> TimeScale:
+def scale_of_time(longest: float, unit: str) -> Scale:
     """The unit in which times up to the longest are told: days for 200 h.
 
     None smaller than the user's; other units than s, min and h stay.
@@ -33,41 +33,37 @@ def scale_of_time(longest: float, unit: str) -> TimeScale:
     size = SECONDS.get(unit, 0.0)
     for least, scale in LEAST_SECONDS:
         if size and abs(longest) * size >= least and scale.size > size:
-            return TimeScale(scale.unit, scale.size / size)
-    return TimeScale(unit, 1.0)
+            return Scale(scale.unit, scale.size / size)
+    return Scale(unit)
 
 
-def time_words(t: float, unit: str, longest: float = 0.0, digits: int = 3) -> str:
+def time_words(t: float, unit: str, longest: float = 0.0) -> str:
     """A time or a period with its unit, such as "23.9 h" for 86 200 s.
 
     Args:
         t: in the user's unit, as is ``longest``, a time that is told in the same unit.
         unit: the user's.
         longest: such as the end of the record.
-        digits: of the time.
     """
     scale = scale_of_time(max(abs(t), longest), unit)
-    return f"{t / scale.size:.{digits}g} {scale.unit}".rstrip()
+    return f"{t / scale.size:.3g} {scale.unit}".rstrip()
 
 
-def times_words(times: str, unit: str, longest: float = 0.0, digits: int = 3) -> str:
+def times_words(times: str, unit: str, longest: float = 0.0) -> str:
     """A range of times in words, "4 to 5", with its unit.
 
     Args:
         times: in the user's unit.
         unit: the user's.
         longest: time that is told in the same unit, such as the end of the record.
-        digits: of each time.
     """
     found = RANGE_OF_TIMES.search(times)
-    if found is None:
-        return f"{times} {unit}".rstrip()
-    ends = [float(found[1]), float(found[2])]
-    scale = scale_of_time(max(*map(abs, ends), longest), unit)
-    if scale.size == 1.0:
-        return f"{times} {unit}".rstrip()
-    begin, end = (f"{end / scale.size:.{digits}g}" for end in ends)
-    return f"{begin} to {end} {scale.unit}"
+    if found is not None:
+        begin, end = map(float, found.groups())
+        scale = scale_of_time(max(abs(begin), abs(end), longest), unit)
+        if scale.size != 1.0:
+            return f"{begin / scale.size:.3g} to {end / scale.size:.3g} {scale.unit}"
+    return f"{times} {unit}".rstrip()
 
 
 def date_words(t: float, origin: dt.datetime | None, span: float = 0.0) -> str:
@@ -98,9 +94,8 @@ def dates_words(times: str, origin: dt.datetime | None) -> str:
     found = RANGE_OF_TIMES.search(times)
     if origin is None or found is None:
         return ""
-    ends = (float(found[1]), float(found[2]))
-    span = ends[1] - ends[0]
-    begin = date_words(ends[0], origin, span)
-    end = date_words(ends[1], origin, span)
+    first, last = map(float, found.groups())
+    begin = date_words(first, origin, last - first)
+    end = date_words(last, origin, last - first)
     day, _, clock = end.partition(" ")
     return f"{begin} to {clock if clock and begin.startswith(day) else end}"

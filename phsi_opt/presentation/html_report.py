@@ -22,7 +22,6 @@ from phsi_opt.presentation.charts import (
     follows_chart,
     force_chart,
     glance_chart,
-    map_chart,
     plotly,
     run_chart,
     svg,
@@ -44,7 +43,6 @@ from phsi_opt.presentation.sentences import environment
 
 PRESENTATION = "phsi_opt.presentation"
 TEMPLATES = "templates"
-MOST_LISTED = 12  # candidates of one diagnosis
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def _places(content: StudyContent) -> dict[str, _Place]:
             places[f"{name}-time"] = _Place(along, force.shown)
             charts[f"{name}-follows"] = follows_chart(force.follows)
             if force.map is not None:
-                charts[f"{name}-map"] = map_chart(force.map)
+                charts[f"{name}-map"] = Chart(force.map.x_label, map=force.map)
     return places | {name: _Place([[chart]]) for name, chart in charts.items()}
 
 
@@ -105,7 +103,6 @@ def html_report(content: StudyContent) -> str:
         script=_own_file("report.js"),
         data=packed(json.dumps(drawn, allow_nan=False)),
         library=_library(),
-        most_listed=MOST_LISTED,
     )
 
 
@@ -113,7 +110,7 @@ def markdown_report(content: StudyContent) -> str:
     """The same in words and tables, as Markdown."""
     templates = report_environment(PRESENTATION, TEMPLATES, finalize=_in_markdown)
     template = templates.get_template("report.md.jinja")
-    return template.render(report=content, most_listed=MOST_LISTED)
+    return template.render(report=content)
 
 
 def _in_markdown(value: Any) -> str:
@@ -127,6 +124,7 @@ def report_environment(package: str, folder: str = "", **settings: Any) -> Envir
     """The templates of a package, with the filters that reports use."""
     lines = {"trim_blocks": True, "lstrip_blocks": True}
     found = environment(package, folder, **lines, **settings)
+    found.globals["most_listed"] = 12  # candidates of one diagnosis
     found.filters |= {
         "typeset": typeset,
         "said": said,

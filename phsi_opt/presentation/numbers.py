@@ -2,7 +2,9 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
+from typing import Any
 
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
@@ -103,10 +105,10 @@ def proper_names(text: str) -> str:
     return PEOPLE.sub(lambda found: found[0].title(), text)
 
 
-def listed(names: Sequence[str], nothing: str = "", most: int = 4) -> str:
-    """Names with commas; of many the first few, and how many more there are."""
-    if len(names) > most:
-        return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
+def listed(names: Sequence[str], nothing: str = "") -> str:
+    """Names with commas; of more than four three, and how many more there are."""
+    if len(names) > 4:
+        return f"{', '.join(names[:3])} and {len(names) - 3} more"
     return ", ".join(names) or nothing
 
 
@@ -129,3 +131,39 @@ def lowered(text: str) -> str:
 def capitalised(text: str) -> str:
     """The text with a capital first letter; the others stay as they are."""
     return f"{text[:1].upper()}{text[1:]}"
+
+
+# ---- values as Python would write them, without what nobody chose -------------------
+
+
+def chosen_fields(record: Any) -> dict[str, Any]:
+    """The fields of a dataclass that are not at their defaults."""
+    chosen = {}
+    for one in fields(record):
+        value = getattr(record, one.name)
+        default = one.default
+        if one.default_factory is not MISSING:
+            default = one.default_factory()
+        if value != default:
+            chosen[one.name] = value
+    return chosen
+
+
+def short_repr(record: Any) -> str:
+    """``Class(field=value, ...)`` of a dataclass, without fields at their defaults."""
+    parts = []
+    for name, value in chosen_fields(record).items():
+        shown = dict(value) if isinstance(value, Mapping) else value
+        parts.append(f"{name}={shown!r}")
+    return f"{type(record).__name__}({', '.join(parts)})"
+
+
+def short_number(value: Any) -> str:
+    """A value as Python writes it, but for whole numbers of very many digits."""
+    is_long = isinstance(value, int) and abs(value) > 10**12
+    return "a number beyond 10**12" if is_long else repr(value)
+
+
+def shortened(text: str, most: int) -> str:
+    """The text, cut where it has more characters than ``most``."""
+    return text if len(text) <= most else f"{text[:most]}..."

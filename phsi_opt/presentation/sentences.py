@@ -10,7 +10,14 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.presentation.content import Answer, unestablished_words
-from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
+from phsi_opt.presentation.numbers import (
+    capitalised,
+    lowered,
+    number,
+    p_value_words,
+    with_error,
+)
+from phsi_opt.presentation.units import frequency_words, scale_of_errors, spaced
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
@@ -18,6 +25,7 @@ if TYPE_CHECKING:
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
 UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
+GLOBALS = (frequency_words, p_value_words, scale_of_errors, spaced)
 FILTERS = {
     "number": number,
     "estimate": with_error,
@@ -28,38 +36,38 @@ FILTERS = {
 
 
 def environment(package: str, folder: str = "", **settings: Any) -> "Environment":
-    """The templates of a package, with the filters that all of them use."""
+    """The templates of a package, with what all of them use."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to load
 
     loader = PackageLoader(package, folder)
     found = Environment(loader=loader, undefined=StrictUndefined, **settings)
     found.filters |= FILTERS
+    found.globals |= {one.__name__: one for one in GLOBALS}
     found.tests["startingwith"] = str.startswith
     return found
 
 
 @cache
-def _template(package: str, name: str, is_by_lines: bool) -> "Template":
-    by_lines: dict[str, Any] = {
-        "trim_blocks": is_by_lines,
-        "lstrip_blocks": is_by_lines,
-    }
-    return environment(package, **by_lines).get_template(name)
+def _template(package: str, file: str) -> "Template":
+    is_by_lines = file == "answers.jinja"
+    found = environment(package, trim_blocks=is_by_lines, lstrip_blocks=is_by_lines)
+    return found.get_template(file)
 
 
 def say(package: str, name: str, **facts: Any) -> Answer:
     """What the macro of a name in the package's ``words.jinja`` says of facts."""
-    words = _template(package, "words.jinja", is_by_lines=False)
-    macro = getattr(words.make_module(facts), f"tell_{name}")
-    lead, _, detail = macro().partition(BEHIND_LEAD)
+    lead, _, detail = _told(package, "words.jinja", name, facts).partition(BEHIND_LEAD)
     return Answer(_one_line(lead), _one_line(detail))
 
 
 def lines(package: str, name: str, **facts: Any) -> str:
     """What the macro of a name in ``answers.jinja`` says, whose lines are kept."""
-    answers = _template(package, "answers.jinja", is_by_lines=True)
-    macro = getattr(answers.make_module(facts), f"tell_{name}")
-    return str(macro()).rstrip("\n")
+    return _told(package, "answers.jinja", name, facts).rstrip("\n")
+
+
+def _told(package: str, file: str, name: str, facts: dict[str, Any]) -> str:
+    module = _template(package, file).make_module(facts)
+    return str(getattr(module, f"tell_{name}")())
 
 
 def _one_line(text: str) -> str:

@@ -7,7 +7,7 @@ and rich's markup has no meaning in it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from phsi_opt.presentation.tables import (
     html_of_table,
@@ -19,6 +19,8 @@ from phsi_opt.presentation.tables import (
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console, ConsoleOptions, RenderableType
+
+    from phsi_opt.presentation.printed_table import PrintedTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,3 +96,15 @@ def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
             lines.append(text_of_table(part.table, most_rows=len(part.table)))
         blocks.append("\n".join(lines))
     return between.join(block for block in blocks if block)
+
+
+def printed_table(*args: Any, **kwargs: Any) -> "PrintedTable":
+    """A data frame that prints itself whole; pandas is imported for the first one.
+
+    Args:
+        *args: As those of `pandas.DataFrame`.
+        **kwargs: Likewise.
+    """
+    from phsi_opt.presentation.printed_table import PrintedTable
+
+    return PrintedTable(*args, **kwargs)

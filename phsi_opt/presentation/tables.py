@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
-LEAST_TEXT = 12  # characters to which a column of texts is narrowed: a word or two
 COLUMN_GAP = 2  # characters between columns
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
 
@@ -45,7 +44,7 @@ class Column(NamedTuple):
         """Characters that it takes where all is broken that may be, with the gap."""
         longest = max(map(len, self.cells), default=1)
         if not self.is_number:
-            longest = min(longest, LEAST_TEXT)
+            longest = min(longest, 12)  # a word or two
         return COLUMN_GAP + max(longest, 1, *map(len, self.broken_header.split()))
 
 

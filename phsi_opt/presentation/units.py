@@ -1,12 +1,13 @@
-"""Units as people write them: N in place of kg m/s/s.
+"""Units as people write them: N in place of kg m/s/s; rates and frequencies.
 
 Only units without a prefix are put together, as "mm" or "kN" would need a factor. "C"
 stays as it is: it is coulomb to one and degree Celsius to another.
 """
 
 import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+from phsi_opt.presentation.durations import SECONDS, Scale, scale_of_time, time_words
 
 # Powers of units, by their names.
 Powers = Mapping[str, float]
@@ -53,7 +54,7 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
     written = powers_as_written(unit)
     below = powers_as_written(unit_of_time)
     if written is not None and below is not None:
-        powers = _quotient(written, below)
+        powers = _product([(written, 1), (below, -1)])
         if set(powers) <= set(KNOWN):
             basic = _in_base_units(powers)
             for name in NAMED_RATES:
@@ -65,16 +66,18 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
     return f"{unit}/{unit_of_time}"
 
 
-def _quotient(above: Powers, below: Powers) -> Powers:
-    powers = dict(above)
-    for name, power in below.items():
-        powers[name] = powers.get(name, 0) - power
-    return {name: power for name, power in powers.items() if power}
+def _product(factors: Iterable[tuple[Powers, float]]) -> Powers:
+    """The powers of units that are raised to powers; none that are zero."""
+    total: dict[str, float] = {}
+    for powers, exponent in factors:
+        for name, power in powers.items():
+            total[name] = total.get(name, 0) + exponent * power
+    return {name: power for name, power in total.items() if power}
 
 
 def powers_as_written(unit: str) -> Powers | None:
     """Powers of the units as they are written, of any name; None: not readable."""
-    powers: Counter[str] = Counter()
+    factors: list[tuple[Powers, float]] = []
     for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
         sign = 1 if place == 0 else -1
         for factor in FACTOR_SEPARATORS.split(part.strip()):
@@ -83,8 +86,8 @@ def powers_as_written(unit: str) -> Powers | None:
                 continue
             if found is None:
                 return None
-            powers[found[1]] += sign * int(found[2] or 1)
-    return {name: power for name, power in powers.items() if power}
+            factors.append(({found[1]: int(found[2] or 1)}, sign))
+    return _product(factors)
 
 
 KNOWN: Mapping[str, Powers] = {
@@ -100,11 +103,7 @@ def powers_in_base_units(unit: str) -> Powers | None:
 
 
 def _in_base_units(written: Powers) -> Powers:
-    powers: dict[str, float] = {}
-    for name, exponent in written.items():
-        for base, power in KNOWN.get(name, {name: 1}).items():
-            powers[base] = powers.get(base, 0.0) + exponent * power
-    return {base: power for base, power in powers.items() if power}
+    return _product((KNOWN.get(name, {name: 1}), n) for name, n in written.items())
 
 
 def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
@@ -164,3 +163,46 @@ def _sorted(powers: Powers) -> list[tuple[str, float]]:
 
 def _factor(name: str, power: float) -> str:
     return name if power == 1 else f"{name}^{power:.4g}"
+
+
+# ---- of a missing force and its frequency --------------------------------------------
+
+
+def frequency_unit(units: Mapping[str, str]) -> str:
+    """Hz where the time is in seconds, else cycles per unit of time."""
+    time = units.get("t", "")
+    if time == "s":
+        return "Hz"
+    return f"cycles per {time or 'unit of time'}"
+
+
+def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
+    """A frequency; its period where that is told in minutes, hours or days."""
+    unit = units.get("t", "")
+    is_long = unit != "s" and unit in SECONDS
+    if is_long or scale_of_time(1 / frequency, unit).size > 1.0:
+        return f"with a period of {time_words(1 / frequency, unit)}"
+    return f"at {frequency:.3g} {frequency_unit(units)}"
+
+
+def force_unit(equation: str, units: Mapping[str, str]) -> str:
+    """Unit of the missing force of an equation, "" where units are not known."""
+    return rate_unit(units.get(equation, ""), units.get("t", ""))
+
+
+def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Scale:
+    """A rate per hour where a record of seconds lasts for hours: degC/h.
+
+    Rates with a name of their own (N, m/s) and other units of time stay; ``longest`` is
+    the last time of the record.
+    """
+    unit = force_unit(equation, units)
+    in_seconds = scale_of_time(longest, units.get("t", "")).size >= SECONDS["h"]
+    if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED_RATES:
+        return Scale(unit)
+    return Scale(rate_unit(units[equation], "h"), 1 / SECONDS["h"])
+
+
+def spaced(unit: str) -> str:
+    """The unit with a space before it, or nothing."""
+    return f" {unit}" if unit else ""

@@ -20,7 +20,6 @@ from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
 from phsi_opt.force_analysis.next_step import likely_cause
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
 from phsi_opt.model.laws import is_second_storage
 from phsi_opt.presentation.content import Answer
@@ -32,17 +31,11 @@ from phsi_opt.presentation.durations import (
 )
 from phsi_opt.presentation.numbers import listed, number, with_error
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import scale_of_errors
+from phsi_opt.presentation.units import spaced
 from phsi_opt.statistics import TINY, rms
 
-# Times the noise floor from which an error alone says that something is missing.
-SURE_ERROR = 1.5
-AT_NOISE = 1.05  # times the noise floor up to which an error is that of the noise
 FAST_DISTURBANCE = "fast disturbance"
-# Errors over the noise floor: of training data that are fitted to the noise, and of
-# data held out that are not foretold.
-NEAR_FLOOR = 1.1
-FAR_ABOVE_FLOOR = 2.0
+NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the noise
 
 
 def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> Answer:
@@ -63,8 +56,10 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "which": "held-out" if is_held_out else "training",
         "judged": "data not used for fitting" if is_held_out else "the training data",
         "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
-        "at_noise": AT_NOISE,
-        "sure_error": SURE_ERROR,
+        # Times the noise floor up to which an error is that of the noise, and from
+        # which it alone says that something is missing.
+        "at_noise": 1.05,
+        "sure_error": 1.5,
         "strength": f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)",
         "classes": list(map(class_of, diagnosis.findings)),
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
@@ -79,8 +74,6 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "found": list(map(finding_words, diagnosis.findings)),
         "likely_cause": likely_cause,
         "is_second_storage": is_second_storage,
-        "scale_of_errors": scale_of_errors,
-        "spaced": spaced,
     }
     return say(__package__, name, **facts, **more)
 
@@ -204,25 +197,12 @@ def off_channels(judged: Comparison) -> pd.DataFrame:
 def only_follows(trained: Comparison, judged: Comparison) -> bool:
     """Whether a model fits its training data to the noise, and no other data."""
     floor = judged.noise_floor
-    is_fitted = trained.rmse < NEAR_FLOOR * floor
-    return is_fitted and judged.rmse > FAR_ABOVE_FLOOR * floor
+    return trained.rmse < NEAR_FLOOR * floor and judged.rmse > 2 * floor
 
 
 # ---- since when ----------------------------------------------------------------------
 
-# Share of the strongest run's force from which on another has it as well.
-STRONG_RUN = 0.5
-# Times that a force is stronger behind its beginning than before; where it follows a
-# motion that decays or grows, parts of a run differ by less.
-BEGINNING = 3.0
-PARTS = 40  # of a run, among which its beginning is sought
-# A force comes and goes where in so many stretches it is stronger than this share of
-# its strongest one; a record is looked at in so many stretches.
-STRETCHES = 20
-# Share of a window's samples that lack a channel, from which on it is said.
-GAP_IN_WINDOW = 0.1
-STRONG_STRETCH = 1 / 3
-FEWEST_BURSTS = 3
+STRONG_STRETCH = 1 / 3  # share of the strongest stretch's force, of one that counts
 
 
 def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
@@ -242,7 +222,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     record = force.record
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
     sizes = [rms(force.w[inside]) for inside in runs]
-    n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
+    n_strong = np.sum(np.array(sizes) > max(sizes) / 2)
     strongest = runs[force.strongest_run]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
@@ -268,7 +248,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
 
 
 def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
-    """Which channels lack samples where the force is strongest."""
+    """Which channels lack a tenth of the samples where the force is strongest."""
     window = window_of(str(force.where["time_window"]))
     if window is None:
         return []
@@ -276,19 +256,22 @@ def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
     run = data.trajectories[data.trajectory_number(str(force.where["trajectory"]))]
     inside = (run.t >= window[0]) & (run.t <= window[1])
     shares = np.mean(np.isnan(run.x[inside]), axis=0)
-    lacking = np.flatnonzero(shares > GAP_IN_WINDOW)
+    lacking = np.flatnonzero(shares > 0.1)
     return [data.states[k] for k in lacking if data.states[k] in data.measured]
 
 
 def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
-    """Whether a run has several stretches of a clear force, and weak ones between."""
-    stretches = np.array_split(inside, min(STRETCHES, len(inside)))
+    """Whether a run has several stretches of a clear force, and weak ones between.
+
+    It is looked at in twenty stretches.
+    """
+    stretches = np.array_split(inside, min(20, len(inside)))
     sizes = np.array([rms(force.w[stretch]) for stretch in stretches])
     least = STRONG_STRETCH * np.max(sizes)
     if least < float(np.median(force.deviation[inside])):
         return False
     is_strong = (sizes > least).astype(int)
-    return int(np.sum(np.diff(is_strong, prepend=0) > 0)) >= FEWEST_BURSTS
+    return int(np.sum(np.diff(is_strong, prepend=0) > 0)) >= 3
 
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
@@ -298,16 +281,20 @@ def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
 
 
 def _beginning(force: EquationForce, inside: np.ndarray) -> str:
-    """The time before which the force is far weaker, in words; "": none is such."""
+    """The time before which the force is far weaker, in words; "": none is such.
+
+    A third: parts of a run in which a force follows a motion that decays or grows
+    differ by less.
+    """
     record = force.record
-    parts = np.array_split(inside, min(PARTS, len(inside)))
+    parts = np.array_split(inside, min(40, len(inside)))
     sizes = [rms(force.w[part]) for part in parts]
     for part, size in zip(parts[1:], sizes[1:], strict=True):
         first = part[0]
         before = rms(force.w[inside[0] : first])
         after = rms(force.w[first : inside[-1] + 1])
         is_strong = size > STRONG_STRETCH * max(sizes)
-        if is_strong and after > BEGINNING * max(before, TINY):
+        if is_strong and after > 3 * max(before, TINY):
             t = float(record.t[first] - record.h[first] / 2)
             date = date_words(t, record.origin_of(str(force.where["trajectory"])))
             longest = float(record.t.max())

@@ -1,22 +1,16 @@
 """Checks of what a study's present model leaves, each with a severity and a word."""
 
 from collections.abc import Sequence
-from itertools import repeat
 
 import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import FAILING_ERROR, SURE_LEVEL, WHITE_ERROR
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Check
 from phsi_opt.presentation.durations import scale_of_time
-from phsi_opt.presentation.numbers import p_value_words
 from phsi_opt.presentation.sentences import say
 from phsi_opt.study.record import StudyRecord
-
-# Share of the longest record below which a free run never was good.
-FROM_START = 0.01
 
 
 def checks_of(study: StudyRecord) -> tuple[Check, ...]:
@@ -43,9 +37,7 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
         "ratio": ratio,
         "shortest": shortest,
         "scale": scale_of_time(shortest, unit_of_time),
-        "is_from_start": horizon < FROM_START * shortest,
-        "spaced": spaced,
-        "p_value_words": p_value_words,
+        "is_from_start": horizon < 0.01 * shortest,  # it never was good
     }
     is_small = ratio <= FAILING_ERROR
     is_far = ratio > WHITE_ERROR
@@ -72,14 +64,17 @@ def _of_fit(study: StudyRecord) -> list[Check]:
     severity = GOOD if fit.outcome.success else BAD
     said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
     checks = [Check("solver", severity, said)]
-    looks = []
-    if fit.outcome.at_bounds:
-        looks.append(("bounds", f"at a bound: {', '.join(fit.outcome.at_bounds)}"))
-    looks += zip(repeat("fit"), fit.warnings, strict=False)
-    notes: Sequence[str] = ()
+    bounds = ", ".join(fit.outcome.at_bounds)
+    notes: Sequence[str] = [
+        "nothing was held out; errors are those of the training data"
+    ]
     if study.last.held_out is not None:
         notes = study.last.held_out.record.aligned.notes
-    if study.held_out is None:
-        notes = ("nothing was held out; errors are those of the training data",)
-    looks += zip(repeat("data held out"), notes, strict=False)
-    return checks + [Check(subject, LOOK, said) for subject, said in looks]
+    looks = {
+        "bounds": [f"at a bound: {bounds}"] if bounds else [],
+        "fit": fit.warnings,
+        "data held out": notes,
+    }
+    for subject, remarks in looks.items():
+        checks += (Check(subject, LOOK, remark) for remark in remarks)
+    return checks

@@ -22,12 +22,11 @@ from phsi_opt.presentation.content import (
     Equations,
     ErrorStep,
     Follows,
-    ForceRun,
     ParameterRow,
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.durations import TimeScale, scale_of_time
+from phsi_opt.presentation.durations import Scale, scale_of_time
 from phsi_opt.presentation.numbers import (
     number,
     number_of,
@@ -115,7 +114,7 @@ def study_content(
         runs=runs,
         shown=runs.index(worst_run(judged, 0)),
         runs_told=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
-        forces=tuple(_forces(study, time)) if forces else (),
+        forces=all_forces(study, time) if forces else (),
         laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
         is_diagnosed=study.present is not None,
@@ -195,13 +194,11 @@ def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
 # ---- measurements beside free runs ---------------------------------------------------
 
 
-def _time(study: StudyRecord) -> TimeScale:
+def _time(study: StudyRecord) -> Scale:
     """The unit in which times are told: that of the longest run."""
-    parts = [study.train] if study.held_out is None else [study.train, study.held_out]
-    ends: list[float] = []
-    for part in parts:
-        ends += (float(run.t[-1]) for run in part.trajectories)
-    return scale_of_time(max(ends), study.train.units.get("t", ""))
+    runs = [*study.train.trajectories, *(study.held_out or ())]
+    longest = max(float(run.t[-1]) for run in runs)
+    return scale_of_time(longest, study.train.units.get("t", ""))
 
 
 def _name(step: Step, number_of_step: int) -> str:
@@ -212,9 +209,7 @@ def _name(step: Step, number_of_step: int) -> str:
     return f"step {number_of_step}: {'' if removes else 'with '}{told}"
 
 
-def _runs(
-    study: StudyRecord, steps: Sequence[Step], time: TimeScale
-) -> tuple[Run, ...]:
+def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, ...]:
     """The trajectories that are drawn, at most 200, those held out first."""
     parts = {TRAINING: [step.train for step in steps]}
     if study.held_out is not None:
@@ -229,7 +224,7 @@ def _runs(
 
 
 def _run(
-    part: str, comparisons: list[Comparison], place: int, most: int, time: TimeScale
+    part: str, comparisons: list[Comparison], place: int, most: int, time: Scale
 ) -> Run:
     """One trajectory with the free runs of all models."""
     data = comparisons[0].data
@@ -264,13 +259,7 @@ def _known_rms(values: np.ndarray) -> float | None:
 # ---- what is missing -----------------------------------------------------------------
 
 
-def _forces(study: StudyRecord, time: TimeScale) -> Iterator[ForceRun]:
-    yield from all_forces(study.last.train.record, TRAINING, time)
-    if study.last.held_out is not None:
-        yield from all_forces(study.last.held_out.record, HELD_OUT, time)
-
-
-def _diagnosed(study: StudyRecord, place: int, time: TimeScale) -> Diagnosed:
+def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     """The diagnosis of a step's model; ``place``: number of the step."""
     diagnosis = study.diagnoses[place]
     label = study.steps[place].label

@@ -4,12 +4,11 @@ import numpy as np
 
 from phsi_opt.criteria import SURE_DEVIATIONS
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.localization import window_of
 from phsi_opt.force_analysis.pictures import force_of, force_runs
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import (
+    HELD_OUT,
     TRAINING,
     Channel,
     Force,
@@ -18,31 +17,30 @@ from phsi_opt.presentation.content import (
     Ranked,
     Run,
 )
-from phsi_opt.presentation.durations import TimeScale
+from phsi_opt.presentation.durations import Scale
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import scale_of_errors
+from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.study.answers import evidence_words
-
-# Times the training data's error, beside its movement, from which on the data held out
-# show better what is wrong: the model follows what it was fitted to.
-FOLLOWED_TIMES = 2.0
-
+from phsi_opt.study.record import StudyRecord
 
 # ---- forces --------------------------------------------------------------------------
 
 
-def sure_forces(diagnosis: Diagnosis, time: TimeScale) -> tuple[Force, ...]:
+def sure_forces(diagnosis: Diagnosis, time: Scale) -> tuple[Force, ...]:
     """The missing forces that are surely there, the four strongest."""
     found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
     sure = [force for force in found if not force.is_uncertain]
     return tuple(force_of(force, time) for force in sure[:4])
 
 
-def all_forces(record: Record, part: str, time: TimeScale) -> tuple[ForceRun, ...]:
-    """The missing force of a model's record, by equation and run."""
+def all_forces(study: StudyRecord, time: Scale) -> tuple[ForceRun, ...]:
+    """The missing force of the present model, by part, equation and run."""
+    parts = {TRAINING: study.last.train, HELD_OUT: study.last.held_out}
     found: tuple[ForceRun, ...] = ()
-    for force in ForceAnalysis.of(record).forces:
-        found += force_runs(force, part, time)
+    for part, compared in parts.items():
+        if compared is not None:
+            for force in ForceAnalysis.of(compared.record).forces:
+                found += force_runs(force, part, time)
     return found
 
 
@@ -85,7 +83,7 @@ def _known(value: float) -> float | None:
 
 
 def glance_of(
-    diagnosis: Diagnosis, runs: tuple[Run, ...], time: TimeScale, model: int
+    diagnosis: Diagnosis, runs: tuple[Run, ...], time: Scale, model: int
 ) -> Glance | None:
     """What is missing, where it is seen best; None where no force is sure.
 
@@ -109,7 +107,7 @@ def glance_of(
     judged = worst_run([one for one in runs if one.part != TRAINING] or [run], model)
     shares = [worst_channel(one, model).share_off(model) for one in (run, judged)]
     along = window = None
-    if shares[1] > FOLLOWED_TIMES * shares[0]:
+    if shares[1] > 2 * shares[0]:  # the model follows what it was fitted to
         run = judged
         channel = worst_channel(run, model)
         off = np.abs(channel.measured - channel.models[model])

@@ -4,11 +4,10 @@ from typing import Any
 
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors, spaced
 from phsi_opt.study.answers import (
     alternatives,
     answer,
@@ -77,15 +76,12 @@ def telling_step(study: StudyRecord) -> int | None:
     That of the present model while something is missing; else the first one that found
     something: it says what was wrong.
     """
-    found = [
-        place
-        for place, diagnosis in sorted(study.diagnoses.items())
-        if diagnosis.verdict != Verdict.NOTHING_MISSING
-    ]
+    found = []
+    for place, diagnosis in sorted(study.diagnoses.items()):
+        if diagnosis.verdict != Verdict.NOTHING_MISSING:
+            found.append(place)
     last = len(study.steps) - 1
-    if last in found:
-        return last
-    return found[0] if found else None
+    return last if last in found else next(iter(found), None)
 
 
 def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:

@@ -11,21 +11,11 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import unestablished_words
-from phsi_opt.presentation.summary import Part, Summary
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import Part, Summary, printed_table
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
     import pandas as pd
-
-HISTORY_COLUMNS = (
-    "step",
-    "effect",
-    "train_rmse",
-    "held_out_rmse",
-    "noise_floor",
-    "bic",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,14 +89,20 @@ class StudyRecord:
 
     @property
     def history(self) -> "pd.DataFrame":
-        """A row per step in `HISTORY_COLUMNS`; NaN where nothing is held out."""
+        """A row per step; NaN where nothing is held out."""
         rows = []
         for number, step in enumerate(self.steps):
             held_out = float("nan") if step.held_out is None else step.held_out.rmse
-            floor = step.judged.noise_floor
-            errors = (step.train.rmse, held_out, floor)
-            rows.append((number, step.label, *errors, step.fit.bic))
-        return printed_table(rows, columns=list(HISTORY_COLUMNS))
+            row = {
+                "step": number,
+                "effect": step.label,
+                "train_rmse": step.train.rmse,
+                "held_out_rmse": held_out,
+                "noise_floor": step.judged.noise_floor,
+                "bic": step.fit.bic,
+            }
+            rows.append(row)
+        return printed_table(rows)
 
     @property
     def unit(self) -> str:

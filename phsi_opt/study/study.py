@@ -8,12 +8,14 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from phsi_opt.baselines.descent_settings import require_choice, require_count
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.problem import silent
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.choice import EffectChoice, Given
@@ -83,7 +85,7 @@ class Study(Summarised):
         loss = loss or MaximumLikelihood()
         self._fitting = StudyFitting.of(model, train, held_out, loss)
         self.stopped = ""
-        self._say = progress or _silent
+        self._say = progress or silent
         # By the number of the step, with the effects that were considered.
         self._diagnoses: dict[int, tuple[EffectChoice, Diagnosis]] = {}
         for note in self._fitting.notes:
@@ -148,17 +150,14 @@ class Study(Summarised):
             DataError: data held out are asked for, and there are none.
         """
         step = self.steps[-1]
-        if on is None:
-            return step.judged
-        if on == TRAINING:
-            return step.train
-        if on != HELD_OUT:
+        if on not in (None, TRAINING, HELD_OUT):
             raise DataError(f"on={on!r} is neither {HELD_OUT!r} nor {TRAINING!r}.")
-        if step.held_out is None:
+        found = {None: step.judged, TRAINING: step.train, HELD_OUT: step.held_out}[on]
+        if found is None:
             raise DataError(
                 f"on={on!r}, but no data were held out; give Study(..., held_out=...)."
             )
-        return step.held_out
+        return found
 
     @interruptible
     def diagnose(self, *, executor: Executor | None = None) -> Diagnosis:
@@ -199,7 +198,7 @@ class Study(Summarised):
         """Add an effect, re-fit, and return the fit.
 
         Args:
-            effect: an `Effect`, or its name in the catalogue.
+            effect: an `Effect`, or its name in the ranking or the catalogue.
             equation: the equation that a named effect acts in; not needed where only
                 one can have it.
 
@@ -207,12 +206,16 @@ class Study(Summarised):
             ModelError: there is no such effect, or it is in the model already.
             SolveError: the larger model could not be fitted.
         """
-        if isinstance(effect, str):
-            effect = effect_named(self.model, effect, equation, self.train.units)
         present = self.record.present
+        ranking = () if present is None else present.ranking
+        if isinstance(effect, str):
+            ranked = {one.name: one.effect for one in ranking}
+            units = self.train.units
+            effect = ranked.get(effect) or effect_named(
+                self.model, effect, equation, units
+            )
         if present and present.proposed_fit and present.proposed == (effect,):
             return self._add_all(present.proposed, present.proposed_fit)
-        ranking = () if present is None else present.ranking
         found = next((one for one in ranking if one.effect == effect), None)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
@@ -294,12 +297,8 @@ class Study(Summarised):
             ModelError: one of the ``effects``, or of those to leave out, is unknown, or
                 an argument is none of its values.
         """
-        if not isinstance(max_steps, int) or max_steps < 1:
-            raise ModelError(
-                f"max_steps={max_steps!r} must be a whole number of at least 1."
-            )
-        if reach not in (DECISIVE, STRONG):
-            raise ModelError(f"reach={reach!r} is neither {DECISIVE!r} nor {STRONG!r}.")
+        require_count("max_steps", max_steps)
+        require_choice("reach", reach, (DECISIVE, STRONG))
         check_executor(executor)
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
         choice = self._choice.narrowed(further.effects, further.without)
@@ -418,11 +417,10 @@ class Study(Summarised):
         """The one effect that was added and is meant."""
         name = effect if isinstance(effect, str) else effect.name
         place = equation if isinstance(effect, str) else effect.equation
-        found = [
-            known
-            for known in self.added
-            if known.name == name and place in (None, known.equation)
-        ]
+        found = []
+        for known in self.added:
+            if known.name == name and place in (None, known.equation):
+                found.append(known)
         if len(found) != 1:
             listed = ", ".join(map(str, self.added)) or "none"
             raise ModelError(
@@ -460,7 +458,3 @@ class Study(Summarised):
             if fit.log_evidence > self.fit.log_evidence:
                 self._say(f"{effect} has become superfluous")
                 self._take(f"without {effect}", kept, fit)
-
-
-def _silent(line: str) -> None:
-    pass

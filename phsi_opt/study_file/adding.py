@@ -5,7 +5,7 @@ file said before, and the effect. The file as it was is kept beside it.
 """
 
 from collections.abc import Iterable
-from itertools import count
+from itertools import chain, count, filterfalse
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +46,9 @@ def add_effects(path: Path, names: Iterable[str]) -> Path:
 
 def _backup_path(path: Path) -> Path:
     """A name that no file has: study.toml.bak, study.toml.bak2, ..."""
-    for number in count(1):
-        backup = path.with_name(f"{path.name}.bak{number if number > 1 else ''}")
-        if not backup.exists():
-            return backup
-    raise AssertionError
+    numbers = chain([""], count(2))
+    names = (path.with_name(f"{path.name}.bak{number}") for number in numbers)
+    return next(filterfalse(Path.exists, names))
 
 
 def _with_added(text: str, names: list[str], path: Path) -> str:

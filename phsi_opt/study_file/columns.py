@@ -13,8 +13,7 @@ import pandas as pd
 from phsi_opt.data.tables import Table, rows_of_runs
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.data.times import format_of_dates
-from phsi_opt.presentation.numbers import number_of
-from phsi_opt.presentation.short_repr import shortened
+from phsi_opt.presentation.numbers import number_of, shortened
 from phsi_opt.study_file.headers import TIMES, Header
 
 TIME = "time"
@@ -157,7 +156,10 @@ def columns_of(table: Table) -> list[Column]:
     lines = [table.row(i) for i in range(len(table.frame))]
     seen = []
     for number, header in enumerate(headers):
-        cells = table.frame.iloc[:, number].map(_as_text).str.strip()
+        cells = table.frame.iloc[:, number].map(
+            lambda cell: "" if cell is None else str(cell)
+        )
+        cells = cells.str.strip()
         if table.decimal == ",":
             cells = cells.str.replace(",", ".", regex=False)
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
@@ -165,10 +167,6 @@ def columns_of(table: Table) -> list[Column]:
         _look_at(one, headers.count(header))
         seen.append(one)
     return seen
-
-
-def _as_text(cell: Any) -> str:
-    return "" if cell is None else str(cell)
 
 
 def _look_at(one: Column, n_of_this_name: int) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, ModelError
-from phsi_opt.presentation.short_repr import shortened
+from phsi_opt.presentation.numbers import shortened
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 Place = tuple[str | int, ...]
@@ -27,10 +27,10 @@ def shown(value: Any) -> str:
 
 def key_of(place: Place) -> str:
     """The key of a place, such as ``"effects[0].name"``."""
-    parts = [
-        f"[{one}]" if isinstance(one, int) else f".{key_text(one)}" for one in place
-    ]
-    return "".join(parts).removeprefix(".")
+    key = ""
+    for one in place:
+        key += f"[{one}]" if isinstance(one, int) else f".{key_text(one)}"
+    return key.removeprefix(".")
 
 
 @dataclass

@@ -5,7 +5,7 @@ data files, and at last what is held out of them. What depends on a part that is
 already is not looked at, so that one mistake is told once.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +14,13 @@ from typing import Any
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, StudyFileError
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.choice import EffectChoice
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
 from phsi_opt.reading import file_text, why_not_read
 from phsi_opt.study_file.complaints import Complaints, TooManyComplaintsError
 from phsi_opt.study_file.data_files import check_held_out, check_measurements
-from phsi_opt.study_file.effects import check_effects
 from phsi_opt.study_file.keys import usable
 from phsi_opt.study_file.model_reading import ModelReader, check_channels
 from phsi_opt.study_file.sections import (
@@ -25,6 +28,7 @@ from phsi_opt.study_file.sections import (
     HeldOut,
     Sections,
     StudySection,
+    own_effect,
 )
 from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -72,7 +76,7 @@ def _sections(
     if model is not None:
         check_channels(model, data, found)
         if not found.about("effects"):
-            check_effects(steps, model, own, data.units, found)
+            _check_effects(steps, model, own, data.units, found)
     measured = check_measurements(data, folder, found)
     if measured is not None and held_out is not None and not found.about("held_out"):
         check_held_out(held_out, measured, found)
@@ -174,3 +178,23 @@ def _loss(settings: Mapping[str, Any], found: Complaints) -> MaximumLikelihood:
         with found.noting("loss"):  # settings that do not go together
             return MaximumLikelihood(**settings)
     return MaximumLikelihood()
+
+
+def _check_effects(
+    steps: StudySection,
+    model: Model,
+    own: Sequence[Effect],
+    units: Mapping[str, str],
+    found: Complaints,
+) -> None:
+    """Note every name of the section [study] that stands for no effect."""
+    larger = model
+    for name in steps.added:
+        with found.noting("study", "added", value=name):
+            effect = own_effect(name, own) or effect_named(larger, name, units=units)
+            larger = larger.add(effect)
+    for key in ("effects", "without"):
+        for name in getattr(steps, key) or ():
+            if own_effect(name, own) is None:
+                with found.noting("study", key, value=name):
+                    EffectChoice(**{key: (name,)}).checked(model, units)

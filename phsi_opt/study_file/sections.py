@@ -4,7 +4,7 @@ Paths stay as they were written, relative to the folder of the study file.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.presentation.short_repr import chosen_fields
+from phsi_opt.presentation.numbers import chosen_fields
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
@@ -302,3 +302,8 @@ def told(record: Any) -> dict[str, Any]:
     """The fields of a record that say something: neither None nor the default."""
     chosen = chosen_fields(record)
     return {name: value for name, value in chosen.items() if value is not None}
+
+
+def own_effect(name: str, own: Sequence[Effect]) -> Effect | None:
+    """The effect of the user's own that is called so, with its place or without."""
+    return next((one for one in own if name in (one.name, str(one))), None)

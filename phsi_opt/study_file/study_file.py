@@ -13,13 +13,18 @@ from typing import Self
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
 from phsi_opt.initialization.finite_rates import check_rates
-from phsi_opt.model.catalogue import catalogue
+from phsi_opt.model.catalogue import catalogue, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.study import Study
-from phsi_opt.study_file.effects import meant_effect, own_effect
 from phsi_opt.study_file.reading import read_sections
-from phsi_opt.study_file.sections import DataSection, HeldOut, Sections, StudySection
+from phsi_opt.study_file.sections import (
+    DataSection,
+    HeldOut,
+    Sections,
+    StudySection,
+    own_effect,
+)
 from phsi_opt.study_file.study_script import study_script
 from phsi_opt.study_file.study_text import study_text
 from phsi_opt.study_file.written_data import joined, section_of, write_table
@@ -227,7 +232,8 @@ class StudyFile(Sections):
         Raises:
             ModelError: there is no such effect.
         """
-        return meant_effect(model, name, self.own_effects, self.data.units)
+        own = own_effect(name, self.own_effects)
+        return own or effect_named(model, name, units=self.data.units)
 
     def effects(self) -> list[Effect | str] | None:
         """The effects to consider, as `Study` takes them; None: the catalogue."""

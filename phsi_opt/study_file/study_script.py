@@ -16,8 +16,7 @@ from phsi_opt import __all__ as public
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.tables import LINE_WIDTH
-from phsi_opt.study_file.effects import own_effect
-from phsi_opt.study_file.sections import Sections, told
+from phsi_opt.study_file.sections import Sections, own_effect, told
 from phsi_opt.study_file.study_text import model_parts, shared_parameters
 from phsi_opt.study_file.toml_text import text_template
 
@@ -68,9 +67,10 @@ class Source:
 
     def _record(self, record: Any) -> str:
         if isinstance(record, Dictionary):
-            parts = [
-                self._formula(t) if t.is_formula else self._term(t) for t in record
-            ]
+            parts = []
+            for term in record:
+                write = self._formula if term.is_formula else self._term
+                parts.append(write(term))
             return " + ".join(parts) or 'ph.formula("0")'
         kind = type(record).__name__
         if kind in public:

@@ -23,7 +23,7 @@ import numpy as np
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import SLACK_ABOVE, Program
-from phsi_opt.presentation.short_repr import short_number
+from phsi_opt.presentation.numbers import short_number
 from phsi_opt.transcription.defect_constraint import (
     constraint_curvature,
     constraint_jacobian,

@@ -13,7 +13,7 @@ import pandas as pd
 from phsi_opt.data.checks import Hold
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS
 from phsi_opt.model.model import FirstOrder
-from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.summary import printed_table
 from phsi_opt.simulation.simulate import simulate_forced
 from problems.peers.joint_force import (
     JointForce,
