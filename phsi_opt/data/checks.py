@@ -27,6 +27,8 @@ LARGEST_EXACT = 2**53  # up to which every whole number is a float
 RESERVED_NAMES = ("t", "trajectory")
 # Formulas write dH_dp for the effort dH/dp, and dF_du for the slope dF/du.
 RESERVED_PREFIXES = ("dH_d", "dF_d")
+# sums of squares of larger values come near the end of the range of float64, 1.8e308
+LARGEST_VALUE = 1e100
 
 
 def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
@@ -103,8 +105,7 @@ def check_values(
     Raises:
         DataError: A value cannot be used; the first one is named.
     """
-    # Sums of squares of larger values come near the end of float64, 1.8e308.
-    bad = np.abs(values) > 1e100
+    bad = np.abs(values) > LARGEST_VALUE
     if not may_be_missing:
         bad |= np.isnan(values)
     if not bad.any():
@@ -123,7 +124,8 @@ def check_values(
             "Correct it; a state that was not measured is NaN."
         )
     raise DataError(
-        f"{said} expected at most 1e+100 in size. Correct it or choose a larger unit."
+        f"{said} expected at most {LARGEST_VALUE:g} in size. "
+        "Correct it or choose a larger unit."
     )
 
 

@@ -23,6 +23,7 @@ NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the mi
 # least noise that is assumed, as a share of the spread of a channel: weights stay
 # within double precision
 LEAST_NOISE_SHARE = 1e-5
+LEAST_SIZE = 1e-12  # taken for the size of a channel that is zero throughout, its unit
 
 
 @worked_out_once
@@ -172,7 +173,7 @@ def _spread(y: np.ndarray) -> np.ndarray:
 
 def _size(y: np.ndarray) -> np.ndarray:
     """Largest absolute value per channel, (n_states,), not zero in its unit."""
-    return np.fmax(np.fmax.reduce(np.abs(y), axis=0), 1e-12)
+    return np.fmax(np.fmax.reduce(np.abs(y), axis=0), LEAST_SIZE)
 
 
 def scatter_by_run(data: Measurements) -> np.ndarray:

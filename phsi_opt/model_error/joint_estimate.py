@@ -30,7 +30,6 @@ from phsi_opt.model_error.marginal_likelihood import (
 )
 from phsi_opt.optimization.bounded_step import SILENT, Room
 from phsi_opt.optimization.outcome import is_level
-from phsi_opt.transcription.elimination import RIDGE
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 # Steps of a problem that others follow, with other noise or another size of the force.
@@ -38,7 +37,7 @@ STEPS_OF_A_PROBLEM = 30
 # Share of the parameters' information that is added to it where no part of a step leads
 # down (Levenberg 1944, Marquardt 1963).
 LEAST_STEP_DAMPING = 1e-2
-# Step, in standard deviations of a parameter, by which slopes are told.
+# Step, in standard deviations of a parameter or its own scale, that tells a slope.
 SMALL_STEP = 1e-3
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
 # Violation up to which a search that did not settle is of use: beside a kink of the
@@ -197,11 +196,11 @@ class JointProblem:
         z = found.point.z
         likelihood = found.likelihood.with_moving(self.moving[:0])
         volume = likelihood.log_volume(self.disturbances)
-        border = found.likelihood.border(self.disturbances)
-        told = np.diag(border.information)
+        moving = found.likelihood.with_moving(self.moving)
+        told = np.diag(moving.border(self.disturbances).information)
         tilt = np.zeros(len(self.values.unknown))
-        for place, information in zip(found.likelihood.moving, told, strict=False):
-            step = SMALL_STEP / np.sqrt(information + RIDGE)
+        for place, information in zip(self.moving, told, strict=False):
+            step = SMALL_STEP / np.sqrt(information + 1)
             if z[place] + step > self.values.upper[place]:
                 step = -step
             moved = z.copy()
@@ -210,7 +209,9 @@ class JointProblem:
             along = likelihood.problem.states_of_functions
             linear = replace(linear, along=along, linear_share=0.0)
             there = likelihood.relinearized(linear).log_volume(self.disturbances)
-            tilt[place] = (there - volume) / step
+            # What the record says little of goes no further than by its own scale.
+            slope = (there - volume) / step
+            tilt[place] = np.clip(slope, -information, information)
         return replace(self, tilt=tilt)
 
     @np.errstate(all="ignore")

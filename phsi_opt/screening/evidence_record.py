@@ -19,7 +19,6 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
-from phsi_opt.model_error.linearization import linearized
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.screening.weighing import Start, Weighed, Weighing
 from phsi_opt.statistics import TINY
@@ -172,7 +171,6 @@ class EvidenceRecord:
             larger.states[:, :n_states],
             larger.processes,
             replace(larger.disturbances, sigma=sigma),
-            tilt=larger.tilt,
         )
         try:
             found = self._weighing.weighed(start)
@@ -208,7 +206,6 @@ class EvidenceRecord:
                 beside.states,
                 beside.processes,
                 beside.disturbances,
-                tilt=beside.tilt,
             )
         unknown = Theta.of(self.first, self.runs)
         theta = np.zeros(len(unknown))
@@ -342,7 +339,6 @@ class EvidenceRecord:
                 base.states,
                 base.processes,
                 base.disturbances.with_functions((function,)),
-                tilt=base.tilt,
             )
             try:
                 found = self._weighing.weighed(start)
@@ -360,14 +356,9 @@ class EvidenceRecord:
             weighed.states,
             weighed.processes,
             weighed.disturbances,
-            tilt=weighed.tilt,
         )
         problem = self._weighing.problem(start)
-        z = problem.values.point.scaled
-        linear = linearized(problem.values, z, problem.values.at(z))
-        return MarginalLikelihood(
-            linear, weighed.disturbances.structure, problem.moving
-        ).tilted(problem.slope)
+        return problem.optimum(problem.values.point.scaled, 0).likelihood
 
 
 def _states_of(record: Record) -> np.ndarray:

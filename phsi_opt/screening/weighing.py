@@ -28,7 +28,11 @@ from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
 from phsi_opt.model_error.linearization import Linearizer
-from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
+from phsi_opt.model_error.marginal_likelihood import (
+    Border,
+    MarginalLikelihood,
+    solve_border,
+)
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import Grid
@@ -58,6 +62,7 @@ LARGEST_FORCE = 3.0
 # is linear enough for an evidence.
 OBEYED = 1e-3
 SHORT = 1.0
+NONE = np.zeros(0, dtype=int)  # of the parameters moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +82,6 @@ class Weighed:
         disturbances: noise, forces and errors of sensors, with their sizes.
         force_shares: root mean square of each force over that of the rates in its
             equation, by the number of the equation.
-        tilt: slope of the log likelihood beside the squares, by parameter.
     """
 
     model: Model
@@ -92,7 +96,6 @@ class Weighed:
     processes: np.ndarray = field(repr=False)
     disturbances: Disturbances = field(repr=False)
     force_shares: Mapping[int, float]
-    tilt: Mapping[str, float]
 
     @property
     def log_held_out(self) -> float:
@@ -116,7 +119,6 @@ class Start:
         processes: values of forces and errors of sensors; None: there are none.
         disturbances: noise, forces and errors of sensors, with their sizes.
         held: names of parameters that stay.
-        tilt: as that of what is weighed.
     """
 
     model: Model
@@ -125,7 +127,6 @@ class Start:
     processes: np.ndarray | None
     disturbances: Disturbances
     held: frozenset[str] = frozenset()
-    tilt: Mapping[str, float] = field(default_factory=dict)
 
     def padded(self, n_old: int) -> "Start":
         """With a size for the memory that a trajectory begins with."""
@@ -205,11 +206,9 @@ class Weighing:
             own = replace(problem, moving=problem.moving[:0]) if are_held else problem
             joint = own.optimum(z, STEPS_OF_A_ROUND, _beside(own, z, processes))
             z, processes = joint.point.z, joint.point.processes
-            if not are_held:
-                problem = own = self._without_bounds_met(problem, z)
-            likelihood = joint.likelihood.with_moving(own.moving)
+            likelihood = joint.likelihood.with_moving(_within_bounds(own, z))
             # Of the sizes that led there: others have their optimum elsewhere.
-            found = _Found(joint, likelihood, own.disturbances, own.slope)
+            found = _Found(joint, likelihood, own.disturbances)
             sizes = self._better_sizes(likelihood, problem.disturbances)
             change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes).tilted(joint)
@@ -244,7 +243,7 @@ class Weighing:
         return names
 
     def problem(self, start: Start) -> JointProblem:
-        """Parameters, states and forces together, of the sizes that a start has."""
+        """Parameters, states and forces together, as a start has them."""
         model = start.model
         grid = self.aligned.for_model(model).grid
         unknown = Theta.of(model, self.runs)
@@ -254,9 +253,8 @@ class Weighing:
         grid = self._with_memory_at_rest(grid, start.states)
         values = LikelihoodValues(model, grid, SCHEME, point, unknown)
         every = np.arange(len(unknown))
-        slopes = np.array([start.tilt.get(name, 0.0) for name in unknown.names])
-        tilt = slopes * point.theta_scale
-        return JointProblem(Linearizer(values), start.disturbances, every, tilt=tilt)
+        problem = JointProblem(Linearizer(values), start.disturbances, every)
+        return problem.tilted(problem.optimum(point.scaled, 0))
 
     def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
         """The memory of an effect is known to begin near rest, as if measured."""
@@ -266,14 +264,6 @@ class Weighing:
         y = grid.y.copy()
         y[grid.first, n_old:] = states[grid.first, n_old:]
         return replace(grid, y=y)
-
-    def _without_bounds_met(self, problem: JointProblem, z: np.ndarray) -> JointProblem:
-        """Parameters that a step has left at a bound stay there."""
-        values = problem.values
-        n = len(values.unknown)
-        is_met = (z[:n] <= values.lower[:n]) | (z[:n] >= values.upper[:n])
-        moving = problem.moving[~is_met[problem.moving]]
-        return replace(problem, moving=moving)
 
     def _better_sizes(
         self, likelihood: MarginalLikelihood, sizes: Disturbances
@@ -320,8 +310,7 @@ class Weighing:
         evidence = found.evidence
         evidence -= k * np.log(self._n_values(len(borders))) / 2 + price
         covariance = np.full((k, k), np.nan)
-        scales = point.theta_scale
-        scale = scales[likelihood.moving]
+        scale = point.theta_scale[likelihood.moving]
         within = likelihood.at(sizes).covariance * np.outer(scale, scale)
         covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
         n_intervals = likelihood.problem.grid.n_intervals
@@ -345,7 +334,6 @@ class Weighing:
             processes=processes,
             disturbances=sizes,
             force_shares=dict(zip(places, shares.tolist(), strict=True)),
-            tilt=dict(zip(unknown.names, (found.tilt / scales).tolist(), strict=True)),
         )
 
     def _price(self, problem: JointProblem, states: np.ndarray) -> float:
@@ -372,12 +360,11 @@ class _Found:
     joint: JointEstimate
     likelihood: MarginalLikelihood
     sizes: Disturbances
-    tilt: np.ndarray
 
     @cached_property
     def evidence(self) -> float:
-        """Log likelihood, states and forces integrated out."""
-        return self.likelihood.log_likelihood(self.sizes)
+        """Log likelihood of the parameters, states and forces integrated out."""
+        return self.likelihood.with_moving(NONE).log_likelihood(self.sizes)
 
     @property
     def is_valid(self) -> bool:
@@ -392,19 +379,32 @@ class _Found:
         return self.evidence > other.evidence
 
 
+def _within_bounds(problem: JointProblem, z: np.ndarray) -> np.ndarray:
+    """The parameters that move and are at no bound."""
+    values = problem.values
+    n = len(values.unknown)
+    is_met = (z[:n] <= values.lower[:n]) | (z[:n] >= values.upper[:n])
+    return problem.moving[~is_met[problem.moving]]
+
+
 def _names_at_bounds(unknown: Theta, theta: np.ndarray) -> tuple[str, ...]:
     is_met = (theta <= unknown.lower) | (theta >= unknown.upper)
     return tuple(np.array(unknown.names)[is_met].tolist())
 
 
 def _profiled(border: Border, sizes: Disturbances) -> float:
-    """Log likelihood of a part of the record at its own best parameters."""
-    of_functions = np.array([function.size for function in sizes.functions])
+    """Log likelihood of a part of the record at its own best parameters.
+
+    What that part says little of goes no further than by its own scale.
+    """
+    n = border.n_theta
+    of_functions = sizes.function_sizes
     information = border.with_priors(of_functions)
-    marginal = border.marginal(of_functions)
-    inner = information[border.n_theta :, border.n_theta :]
-    log_det = np.linalg.slogdet(information)[1] - np.linalg.slogdet(inner)[1]
-    return float(marginal.log_evidence + log_det / 2)
+    log_det = np.linalg.slogdet(information[n:, n:])[1]
+    information[:n, :n] += np.eye(n)
+    gain = border.gradient @ solve_border(information, border.gradient)
+    log_prior = -float(np.sum(np.log(of_functions[border.owner])))
+    return border.log_evidence - (border.constant - gain + log_det) / 2 + log_prior
 
 
 def _beside(
