@@ -1,7 +1,8 @@
-"""Every limit that decides what a diagnosis says, with its unit and its source.
+"""The limits that decide what a diagnosis says, with their units and sources.
 
-What stands here changes verdicts, names or rankings. Numbers that only say how finely
-something is computed (knots, bins, probes) stand beside the code that computes it.
+What stands here changes verdicts, names or rankings, or is shared by several rooms.
+Numbers that only say how finely something is computed (knots, bins, probes), or from
+where on a word is used, stand beside the code that uses them.
 
 The limits of the verdict were set once, before the runs that the pages report; where a
 measurement or a publication set a value, it is said; the others are judgement, and the
@@ -30,23 +31,6 @@ SURE_DEVIATIONS = 2.0
 DECISIVE_EVIDENCE = 4.6
 STRONG_EVIDENCE = 3.0
 
-# --- The free run against measurements (`comparison`)
-
-# Standard deviations of the measurements: stands for a free run that broke off.
-DIVERGED_RUN = 1e3
-# Standard deviations of the noise beyond which one residual ends the horizon of a free
-# run: among 1e4 values normal noise gets there once or not at all.
-HORIZON_RESIDUAL = 4.0
-
-# Percent of the measured motion up to which a flat free run explains it, and share of
-# the measured standard deviation up to which it moves. A motion that dies out within a
-# twentieth of the record is flat.
-FLAT_FIT_PERCENT = 5.0
-FLAT_SPREAD = 0.25
-# Share of the measured standard deviation from which noise makes it up: where a state
-# shows little but noise, a flat free run is right.
-FLAT_NOISE = 0.5
-
 # --- Does a model fail, and does a larger one explain what was missing?
 
 # Free-run error over the noise floor from which a model counts as failing.
@@ -63,20 +47,6 @@ RESOLVED_STEPS = 1.0
 # 97 % of it. Beyond, chance is no explanation: under a random force of 5 %, springs
 # that are not there explained 81 and 88 % of what a pendulum did on a run held out.
 EXPLAINED_IF_NAMED = 0.97
-# Estimated noise over the scatter of neighbouring samples from which a sensor is
-# doubted: it contradicts another one, which no force explains.
-DOUBTFUL_NOISE = 1.5
-
-# --- Standard errors where residuals are more than noise (`model_error`)
-
-# Correlation time of a sensor's noise, in sampling intervals, up to which it is noise:
-# neighbours with a correlation of 0.7 have 2.8. What lasts longer may be an effect.
-BRIEF_NOISE = 5.0
-# Trajectories of equal weight from which their scatter gives the standard errors: with
-# ten a standard error is itself known to a quarter.
-FEWEST_TRAJECTORIES = 10.0
-# Ratio of two standard errors beyond which both are told.
-DIFFERENT_STD_ERRORS = 4 / 3
 
 # --- Evidence (`screening.weighing`, `diagnosis`)
 
@@ -91,11 +61,6 @@ MOST_REFITTED = 3
 # Share of the squared error above the noise floor that does as well: of the force on a
 # measured machine most may be weather, people and gearing.
 LEAST_ERROR_EXPLAINED = 0.3
-
-# --- Which of them is named
-
-# Families of effects, at most, that a class may join.
-MOST_FAMILIES = 2
 
 # --- Dry friction, whose corner is sharpened step by step
 
@@ -138,27 +103,6 @@ OTHER_OPTIMUM_DEVIANCE = 10.0
 
 # Size of a force over its standard deviation below which nothing is said about it.
 CERTAIN_FORCE = 1.0
-# Factor on the size of a force in the whole record from which a part stands out.
-OUTSTANDING_FORCE = 1.3
 # Shares of the force's mean square that a cause predicts on stretches of time left out:
 CLEAR_PATTERN = 0.3  # for "it follows"
-SECOND_CAUSE = 0.2  # beside a stronger cause
 NAMED_CAUSE = 0.1  # for a row, or a word
-TIED_CAUSES = 0.05  # difference up to which two causes are alike
-# Mean power over rms force times rms effort (-1: linear damping) below which a force
-# takes energy out; nearer to zero its direction is not clear.
-OPPOSING_POWER = -CLEAR_PATTERN
-# Rank correlation above which an effort is a monotone function of a state, and is not
-# named beside it.
-MONOTONE_RANK_CORRELATION = 0.9999
-# Share of the record in a bin of a state above which the bin was visited.
-VISITED_BIN = 0.02
-# Ranges of one state in which a force is strong, at most: one, or both ends; strong in
-# more of them it follows no region of that state.
-MOST_STRONG_RANGES = 2
-# --- The experiment that separates two effects
-
-# Standard deviations of the whole experiment from which two models count as told apart.
-SEPARATED_MODELS = 5.0
-# Standard deviations per value below which two predictions are the same.
-SAME_PREDICTION = 1e-3

@@ -14,13 +14,6 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.comparison.prediction_bands import prediction_bands
-from phsi_opt.criteria import (
-    DIVERGED_RUN,
-    FLAT_FIT_PERCENT,
-    FLAT_NOISE,
-    FLAT_SPREAD,
-    HORIZON_RESIDUAL,
-)
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
@@ -42,6 +35,20 @@ from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
 from phsi_opt.transcription.sensors import outputs_at_samples
+
+# Standard deviations of the measurements: stands for a free run that broke off.
+DIVERGED_RUN = 1e3
+# Standard deviations of the noise beyond which one residual ends the horizon of a free
+# run: among 1e4 values normal noise gets there once or not at all.
+HORIZON_RESIDUAL = 4.0
+# Percent of the measured motion up to which a flat free run explains it, and share of
+# the measured standard deviation up to which it moves. A motion that dies out within a
+# twentieth of the record is flat.
+FLAT_FIT_PERCENT = 5.0
+FLAT_SPREAD = 0.25
+# Share of the measured standard deviation from which noise makes it up: where a state
+# shows little but noise, a flat free run is right.
+FLAT_NOISE = 0.5
 
 if TYPE_CHECKING:
     import pandas as pd

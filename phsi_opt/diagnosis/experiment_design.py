@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phsi_opt.criteria import SAME_PREDICTION, SEPARATED_MODELS
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.diagnosis.experiments import Experiment, SimulatedRecord, experiments
@@ -27,6 +26,11 @@ from phsi_opt.model.model import Model
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.tables import text_of_table
 from phsi_opt.statistics import TINY
+
+# Standard deviations of the whole experiment from which two models count as told apart.
+SEPARATED_MODELS = 5.0
+# Standard deviations per value below which two predictions are the same.
+SAME_PREDICTION = 1e-3
 
 if TYPE_CHECKING:
     import pandas as pd

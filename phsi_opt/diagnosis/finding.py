@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from phsi_opt.criteria import MOST_FAMILIES
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import HYSTERESIS
+
+# Families of effects, at most, that a class may join.
+MOST_FAMILIES = 2
 
 LOSS = "a loss of energy whose law the data do not tell"
 LOSS_SOMEWHERE = "a loss of energy whose place and law the data do not tell"

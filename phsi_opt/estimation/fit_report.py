@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.criteria import DIFFERENT_STD_ERRORS
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.identified import DIGITS
 from phsi_opt.model.equation_text import dictionary_rows, structure_rows
@@ -16,6 +15,9 @@ from phsi_opt.model.terms import Term
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.presentation.numbers import estimate_text
 from phsi_opt.presentation.summary import Part, Summary
+
+# Ratio of two standard errors beyond which both are told.
+DIFFERENT_STD_ERRORS = 4 / 3
 
 SHOWN_PARAMETERS = ("name", "value", "std_error", "unit")
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")

@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.criteria import BRIEF_NOISE, DOUBTFUL_NOISE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.data.resolution import quantisation_noise
@@ -23,6 +22,13 @@ from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
 from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
 from phsi_opt.estimation.model_error_table import lasting_noise
 from phsi_opt.transcription.grid import Grid
+
+# Estimated noise over the scatter of neighbouring samples from which a sensor is
+# doubted: it contradicts another one, which no force explains.
+DOUBTFUL_NOISE = 1.5
+# Correlation time of a sensor's noise, in sampling intervals, up to which it is noise:
+# neighbours with a correlation of 0.7 have 2.8. What lasts longer may be an effect.
+BRIEF_NOISE = 5.0
 
 # Factor on the size of the rates along the estimated states: from a force so large the
 # second search comes down.

@@ -11,13 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.criteria import (
-    CLEAR_PATTERN,
-    MOST_OF_IT,
-    NAMED_CAUSE,
-    SECOND_CAUSE,
-    TIED_CAUSES,
-)
+from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
     odd_basis,
@@ -29,6 +23,9 @@ from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import exchange_partners
+
+SECOND_CAUSE = 0.2  # beside a stronger cause
+TIED_CAUSES = 0.05  # difference up to which two causes are alike
 
 # Of two causes that are alike, the first is named.
 CAUSES = ("constant", "dissipated", "conserved", "inputs", "time")

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phsi_opt.criteria import MONOTONE_RANK_CORRELATION, NAMED_CAUSE
+from phsi_opt.criteria import NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
     piecewise_linear_basis,
@@ -30,6 +30,10 @@ from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.statistics import TINY, mean_ranks
+
+# Rank correlation above which an effort is a monotone function of a state, and is not
+# named beside it.
+MONOTONE_RANK_CORRELATION = 0.9999
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,11 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import find_objects, label
 
-from phsi_opt.criteria import MOST_STRONG_RANGES, OUTSTANDING_FORCE, VISITED_BIN
 from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.statistics import rms
+
+# Factor on the size of a force in the whole record from which a part stands out.
+OUTSTANDING_FORCE = 1.3
+# Share of the record in a bin of a state above which the bin was visited.
+VISITED_BIN = 0.02
+# Ranges of one state in which a force is strong, at most: one, or both ends; strong in
+# more of them it follows no region of that state.
+MOST_STRONG_RANGES = 2
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
 # Behind the times of a force that no window has for itself.

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE, OPPOSING_POWER
+from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE
 from phsi_opt.force_analysis.causes import CAUSES
 from phsi_opt.force_analysis.cross_validation import odd_basis
 from phsi_opt.force_analysis.dependence import leading
@@ -29,6 +29,10 @@ from phsi_opt.presentation.durations import dates_words, time_words, times_words
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import spaced
 from phsi_opt.statistics import TINY
+
+# Mean power over rms force times rms effort (-1: linear damping) below which a force
+# takes energy out; nearer to zero its direction is not clear.
+OPPOSING_POWER = -CLEAR_PATTERN
 
 VIBRATION_WORDS = "a vibration or an error of a sensor, rather than a law of the motion"
 # What the rate of a momentum or a velocity is called, by its unit.

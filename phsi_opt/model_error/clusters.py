@@ -14,12 +14,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from phsi_opt.criteria import FEWEST_TRAJECTORIES
 from phsi_opt.model_error.freedom import Spread
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, noise_weights
 from phsi_opt.statistics import chi_square_tail
 from phsi_opt.transcription.elimination import RIDGE
+
+# Trajectories of equal weight from which their scatter gives the standard errors: with
+# ten a standard error is itself known to a quarter.
+FEWEST_TRAJECTORIES = 10.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,10 +3,13 @@
 ::
 
     minimise   1/2 |(y - h(x, theta) - v) / sigma|^2 + 1/2 |w, v, c|^2_prior
+               - tilt' theta
     over       theta, x, forces w, errors v of sensors, coefficients c of functions
     subject to d(x, theta) = B w + Phi c
 
-The sizes of noise and disturbances are given (`Disturbances`). Each step linearises the
+The sizes of noise and disturbances are given (`Disturbances`). Without a tilt all are
+most likely together; with the slope of -1/2 log|det K| in theta, the volume of what is
+integrated out, the parameters are most likely by themselves. Each step linearises the
 record and goes to the optimum of what is then linear, by one banded factorisation
 (Gauss and Newton). It has to lower the objective, in which what the dynamics are
 violated by has a price above their multipliers (an exact penalty; Han, J. Optimization

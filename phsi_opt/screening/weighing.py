@@ -5,8 +5,8 @@ acts in its equations too::
 
     log Z = log p(y | theta, sizes) - k/2 log n + log p(starting states)
 
-with parameters, states and forces where they are most likely together, the sizes of
-noise and forces where the evidence is largest, and Schwarz' price for each of the k
+with the parameters and the sizes of noise and forces where the evidence is largest,
+states and forces where they are most likely then, and Schwarz' price for each of the k
 parameters (Annals of Statistics 6, 1978). Starting states have a flat prior over the
 range of the motion, so that the scale of a state that nobody measured does not count;
 the memory of an effect begins near rest. The difference of two models is the logarithm
