@@ -282,6 +282,6 @@ def test_a_grade_is_that_of_all_data_and_of_what_was_weighed_alone() -> None:
 
 def test_a_study_refuses_a_reach_that_is_no_grade_of_its_own() -> None:
     study = ph.Study(spring(), measured("0.1"))
-    with pytest.raises(ph.ModelError, match="reach='weak' is neither"):
+    with pytest.raises(ph.ModelError, match="reach='weak' is not possible"):
         study.auto(reach="weak")
     assert study.added == ()

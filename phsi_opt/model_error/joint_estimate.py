@@ -79,7 +79,8 @@ class JointEstimate:
         place: there.
         n_steps: how many there were.
         has_converged: whether the next step would be short.
-        length: of the last step, in standard deviations of what is unknown.
+        length: of the last step that was not damped, in standard deviations of what is
+            unknown.
         contraction: length of the last whole step over that of the one before.
     """
 
@@ -256,9 +257,10 @@ class JointProblem:
             aim = place.aim(damping)
             if damping > 0:
                 contraction = 1.0
-            elif n_steps > 1:
-                contraction = min(aim.length / length, 1.0)
-            length = aim.length
+            else:
+                if n_steps > 1:
+                    contraction = min(aim.length / length, 1.0)
+                length = aim.length
             there = self._lower(place, aim)
             if there is None:
                 damping = max(10 * damping, LEAST_STEP_DAMPING)

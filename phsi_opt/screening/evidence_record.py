@@ -223,15 +223,21 @@ class EvidenceRecord:
         inner = self._weighing.inner_names(model)
         if begin.processes is None:
             values = {n: x for n, x in values.items() if n not in self.first.entries}
+        free = None
         try:
-            return self._begun_beside(begin, model, values)
+            free = self._begun_beside(begin, model, values)
         except SolveError:
             if not inner:
                 raise
+        if free is not None and (free.is_settled or not inner):
+            return free
         held = frozenset(inner)
         if len(inner) > 1:
-            return self._begun_beside(begin, model, values, held)
-        return self._scanned(begin, model, values, held)
+            return free or self._begun_beside(begin, model, values, held)
+        scanned = self._scanned(begin, model, values, held)
+        if free is not None and free.log_evidence > scanned.log_evidence:
+            return free
+        return scanned
 
     def _begun_beside(
         self,
@@ -349,7 +355,11 @@ class EvidenceRecord:
         return best
 
     def likelihood(self, weighed: Weighed) -> MarginalLikelihood:
-        """The record linearised where a model is most likely."""
+        """The record linearised where a model is most likely.
+
+        Without a tilt: what an effect does to the volume is not known before it is
+        weighed, and that of the parameters alone would be no fair start.
+        """
         start = Start(
             weighed.model,
             weighed.theta,
@@ -357,7 +367,7 @@ class EvidenceRecord:
             weighed.processes,
             weighed.disturbances,
         )
-        problem = self._weighing.problem(start)
+        problem = replace(self._weighing.problem(start), tilt=None)
         return problem.optimum(problem.values.point.scaled, 0).likelihood
 
 

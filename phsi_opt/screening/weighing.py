@@ -62,7 +62,6 @@ LARGEST_FORCE = 3.0
 # is linear enough for an evidence.
 OBEYED = 1e-3
 SHORT = 1.0
-NONE = np.zeros(0, dtype=int)  # of the parameters moves
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +81,7 @@ class Weighed:
         disturbances: noise, forces and errors of sensors, with their sizes.
         force_shares: root mean square of each force over that of the rates in its
             equation, by the number of the equation.
+        is_settled: whether the last steps came to rest.
     """
 
     model: Model
@@ -96,6 +96,7 @@ class Weighed:
     processes: np.ndarray = field(repr=False)
     disturbances: Disturbances = field(repr=False)
     force_shares: Mapping[int, float]
+    is_settled: bool
 
     @property
     def log_held_out(self) -> float:
@@ -232,7 +233,7 @@ class Weighing:
                 f"(largest violation {best.joint.violation:.2g}, last step of "
                 f"{best.joint.length:.2g} standard deviations)."
             )
-        return self._result(problem, best)
+        return self._result(problem, best, found.is_valid)
 
     def inner_names(self, model: Model) -> list[str]:
         """New free parameters in which a model is not linear."""
@@ -290,7 +291,9 @@ class Weighing:
             forces.append(replace(force, size=size))
         return replace(sizes, forces=tuple(forces))
 
-    def _result(self, problem: JointProblem, found: "_Found") -> Weighed:
+    def _result(
+        self, problem: JointProblem, found: "_Found", is_settled: bool
+    ) -> Weighed:
         point = problem.values.point
         unknown = problem.values.unknown
         values = point.unscaled(found.joint.point.z)
@@ -334,6 +337,7 @@ class Weighing:
             processes=processes,
             disturbances=sizes,
             force_shares=dict(zip(places, shares.tolist(), strict=True)),
+            is_settled=is_settled,
         )
 
     def _price(self, problem: JointProblem, states: np.ndarray) -> float:
@@ -363,8 +367,11 @@ class _Found:
 
     @cached_property
     def evidence(self) -> float:
-        """Log likelihood of the parameters, states and forces integrated out."""
-        return self.likelihood.with_moving(NONE).log_likelihood(self.sizes)
+        """Log likelihood, states and forces integrated out."""
+        problem = self.likelihood.problem
+        n_free = problem.n_values - problem.n_trajectories * problem.n_states
+        border = self.likelihood.border(self.sizes)
+        return _profiled(border, self.sizes) - n_free * np.log(2 * np.pi) / 2
 
     @property
     def is_valid(self) -> bool:
@@ -393,9 +400,9 @@ def _names_at_bounds(unknown: Theta, theta: np.ndarray) -> tuple[str, ...]:
 
 
 def _profiled(border: Border, sizes: Disturbances) -> float:
-    """Log likelihood of a part of the record at its own best parameters.
+    """Log likelihood of a record, or a part of it, at its own best parameters.
 
-    What that part says little of goes no further than by its own scale.
+    What it says little of goes no further than by its own scale.
     """
     n = border.n_theta
     of_functions = sizes.function_sizes
