@@ -4,7 +4,7 @@ Its table, equations, exports and simulation are the same whichever method found
 values; what only one method knows (covariance, history) is added by its own result.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from phsi_opt.data.checks import Hold
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
+from phsi_opt.model.symbolic import Expressions
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.simulation.free_run import rates
 from phsi_opt.simulation.simulate import simulate
@@ -142,14 +143,10 @@ class Identified:
         u = sp.symbols(model.inputs, real=True)
         t = sp.Symbol("t", real=True)
         values = {name: sp.Float(value) for name, value in self.values.items()}
-        parts = model.expressions(x, u, t, values, SYMPY)
-        efforts = parts.efforts
+        parts = Expressions(model, x, u, t, values, SYMPY)
         expressions = {"H": sp.sympify(parts.energy)}
-        for i, state in enumerate(model.states):
-            loss = parts.loss[i]
-            force = parts.force[i]
-            exchange = _exchange(model.S[i], efforts)
-            rate = exchange - loss * efforts[i] + force
+        by_state = (model.states, parts.loss, parts.force, parts.rates)
+        for state, loss, force, rate in zip(*by_state, strict=True):
             expressions[f"R_{state}"] = sp.sympify(loss)
             expressions[f"F_{state}"] = sp.sympify(force)
             is_short = n_expanded(rate) <= MOST_TERMS
@@ -188,14 +185,3 @@ class Identified:
         """The right-hand side of every state, numbers with `DIGITS` digits."""
         exact = self.sympy()
         return {s: exact[f"d{s}/dt"].n(DIGITS) for s in self.model.states}
-
-
-def _exchange(row: Sequence[float], efforts: "Sequence[sp.Expr]") -> "sp.Expr":
-    """What a row of the structure matrix S makes of the efforts dH/dx."""
-    import sympy as sp
-
-    total = sp.Integer(0)
-    for entry, effort in zip(row, efforts, strict=True):
-        if entry:
-            total = total + sp.Float(entry) * effort
-    return total

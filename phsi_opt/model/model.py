@@ -15,13 +15,11 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.backends import CASADI, Backend
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.equation_text import model_summary
 from phsi_opt.model.symbolic import (
-    Expressions,
     formulas_function,
     output_function,
     rhs_function,
@@ -92,25 +90,6 @@ class Model(BaseModel, Summarised):
                 f"not on {equation!r}; leave the equation out."
             )
         return super().add(effect)
-
-    def expressions(
-        self,
-        x: Sequence[Any],
-        u: Sequence[Any],
-        t: Any,
-        values: Mapping[str, Any],
-        backend: Backend = CASADI,
-    ) -> Expressions:
-        """H, dH/dx, the diagonal of R, F and the sensor terms as expressions.
-
-        Args:
-            x: the states.
-            u: the inputs.
-            t: the time.
-            values: the parameters, by name.
-            backend: the library whose symbols these are.
-        """
-        return Expressions(self, x, u, t, values, backend)
 
     def rhs(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, theta in the order of `free`."""

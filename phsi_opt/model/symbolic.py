@@ -84,17 +84,17 @@ class Expressions:
             forces.append(force)
         return forces
 
-    @property
-    def rates(self) -> ca.SX:
-        """dx/dt = (S - R) grad H + F as a column, (n_states, 1)."""
+    @cached_property
+    def rates(self) -> list[Any]:
+        """dx/dt = (S - R) grad H + F."""
         rows = []
         for i, couplings in enumerate(self.model.S):
             exchange = 0
             for coupling, effort in zip(couplings, self.efforts, strict=True):
                 if coupling != 0.0:
-                    exchange = exchange + coupling * effort
+                    exchange = exchange + self.backend.number(coupling) * effort
             rows.append(exchange - self.loss[i] * self.efforts[i] + self.force[i])
-        return ca.vertcat(*map(ca.SX, rows))
+        return rows
 
     @property
     def shown(self) -> ca.SX:
@@ -174,17 +174,22 @@ def argument_symbols(function: ca.Function) -> list[ca.SX]:
     return [ca.SX.sym(name, function.size1_in(name)) for name in function.name_in()]
 
 
-def with_slopes(function: ca.Function, argument: str) -> ca.Function:
-    """The function, and its slopes in an argument, (n_out * n_argument,) row by row."""
+def with_slopes(function: ca.Function, *names: str) -> ca.Function:
+    """The function, and its slopes in each argument named, row by row.
+
+    That is (n_out * n_argument,) each.
+    """
     arguments = argument_symbols(function)
-    values = function(*arguments)
-    slopes = ca.jacobian(values, arguments[function.index_in(argument)])
-    return ca.Function("slopes", arguments, [values, ca.vec(ca.densify(slopes.T))])
+    results = [function(*arguments)]
+    for name in names:
+        slopes = ca.jacobian(results[0], arguments[function.index_in(name)])
+        results.append(ca.vec(ca.densify(slopes.T)))
+    return ca.Function("slopes", arguments, results)
 
 
 def rhs_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> dx/dt."""
-    return function_of(model, "rhs", lambda parts: parts.rates)
+    return function_of(model, "rhs", lambda parts: ca.vertcat(*map(ca.SX, parts.rates)))
 
 
 def output_function(model: BaseModel) -> ca.Function:

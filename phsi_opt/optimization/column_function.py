@@ -33,56 +33,25 @@ def _if_else_zero(condition: np.ndarray, value: np.ndarray, out: np.ndarray) -> 
     np.copyto(out, np.where(condition != 0, value, 0.0))
 
 
+# CasADi's name of an operation, and NumPy's.
+NUMPY_NAMES = """
+ASSIGN positive, OUTPUT positive, ADD add, SUB subtract, MUL multiply, DIV divide,
+NEG negative, EXP exp, LOG log, POW power, CONSTPOW power, SQRT sqrt, SQ square,
+SIN sin, COS cos, TAN tan, ASIN arcsin, ACOS arccos, ATAN arctan, LT less,
+LE less_equal, EQ equal, NE not_equal, NOT logical_not, AND logical_and,
+OR logical_or, FLOOR floor, CEIL ceil, FMOD fmod, FABS fabs, SIGN sign,
+COPYSIGN copysign, FMIN fmin, FMAX fmax, INV reciprocal, SINH sinh, COSH cosh,
+TANH tanh, ASINH arcsinh, ACOSH arccosh, ATANH arctanh, ATAN2 arctan2, LOG1P log1p,
+EXPM1 expm1, HYPOT hypot
+"""
 OPERATIONS: dict[int, Callable[..., Any]] = {
-    ca.OP_ASSIGN: np.positive,
-    ca.OP_OUTPUT: np.positive,
-    ca.OP_ADD: np.add,
-    ca.OP_SUB: np.subtract,
-    ca.OP_MUL: np.multiply,
-    ca.OP_DIV: np.divide,
-    ca.OP_NEG: np.negative,
-    ca.OP_EXP: np.exp,
-    ca.OP_LOG: np.log,
-    ca.OP_POW: np.power,
-    ca.OP_CONSTPOW: np.power,
-    ca.OP_SQRT: np.sqrt,
-    ca.OP_SQ: np.square,
     ca.OP_TWICE: partial(np.multiply, 2.0),
-    ca.OP_SIN: np.sin,
-    ca.OP_COS: np.cos,
-    ca.OP_TAN: np.tan,
-    ca.OP_ASIN: np.arcsin,
-    ca.OP_ACOS: np.arccos,
-    ca.OP_ATAN: np.arctan,
-    ca.OP_LT: np.less,
-    ca.OP_LE: np.less_equal,
-    ca.OP_EQ: np.equal,
-    ca.OP_NE: np.not_equal,
-    ca.OP_NOT: np.logical_not,
-    ca.OP_AND: np.logical_and,
-    ca.OP_OR: np.logical_or,
-    ca.OP_FLOOR: np.floor,
-    ca.OP_CEIL: np.ceil,
-    ca.OP_FMOD: np.fmod,
-    ca.OP_FABS: np.fabs,
-    ca.OP_SIGN: np.sign,
-    ca.OP_COPYSIGN: np.copysign,
     ca.OP_IF_ELSE_ZERO: _if_else_zero,
     ca.OP_ERF: erf,
-    ca.OP_FMIN: np.fmin,
-    ca.OP_FMAX: np.fmax,
-    ca.OP_INV: np.reciprocal,
-    ca.OP_SINH: np.sinh,
-    ca.OP_COSH: np.cosh,
-    ca.OP_TANH: np.tanh,
-    ca.OP_ASINH: np.arcsinh,
-    ca.OP_ACOSH: np.arccosh,
-    ca.OP_ATANH: np.arctanh,
-    ca.OP_ATAN2: np.arctan2,
-    ca.OP_LOG1P: np.log1p,
-    ca.OP_EXPM1: np.expm1,
-    ca.OP_HYPOT: np.hypot,
 }
+for _pair in NUMPY_NAMES.split(","):
+    _operation, _called = _pair.split()
+    OPERATIONS[getattr(ca, f"OP_{_operation}")] = getattr(np, _called)
 
 
 class _Listing:

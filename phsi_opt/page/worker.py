@@ -16,7 +16,6 @@ from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from queue import SimpleQueue
-from types import MappingProxyType
 from typing import Any
 
 from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
@@ -167,8 +166,6 @@ def work(connection: Connection) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
     _Pipe.connection = connection
-    # How a read-only mapping goes through the pipe.
-    ForkingPickler.register(MappingProxyType, lambda one: (read_only, (dict(one),)))
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
@@ -225,8 +222,3 @@ def _shown(study: Study) -> Shown:
     """What is shown of a study, with the study itself."""
     content = study.content(forces=True)
     return Shown(content, bytes(ForkingPickler.dumps(study)))
-
-
-def read_only(mapping: dict[Any, Any]) -> Mapping[Any, Any]:
-    """The mapping, which nobody can change any more."""
-    return MappingProxyType(mapping)

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.model.symbolic import argument_symbols
+from phsi_opt.model.symbolic import with_slopes
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import map_nodes
 from phsi_opt.transcription.parameter_vector import Theta
@@ -63,23 +63,14 @@ def outputs_at_samples(
 
 def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> OutputSlopes:
     """Slopes of `outputs` at every node, for states (n_nodes, n_states)."""
-    slopes = model.built("output slopes", lambda: _slopes_of(model.output()))
-    by_state, by_parameter = map_nodes(slopes, grid, ca.DM(x.T), theta)
+    slopes = model.built(
+        "output slopes", lambda: with_slopes(model.output(), "x", "theta")
+    )
+    _, by_state, by_parameter = map_nodes(slopes, grid, ca.DM(x.T), theta)
     shape = (grid.n_nodes, model.n_states, -1)
     return OutputSlopes(
         np.array(by_state).T.reshape(shape), np.array(by_parameter).T.reshape(shape)
     )
-
-
-def _slopes_of(sensors: ca.Function) -> ca.Function:
-    """The slopes of a function in the states and in the parameters, transposed."""
-    arguments = argument_symbols(sensors)
-    state, _, _, parameters = arguments
-    shown = sensors(*arguments)
-    in_state = ca.densify(ca.jacobian(shown, state).T)
-    in_parameters = ca.densify(ca.jacobian(shown, parameters).T)
-    both = [ca.vec(in_state), ca.vec(in_parameters)]
-    return ca.Function("slopes", arguments, both)
 
 
 def output_slopes_in_theta(
