@@ -1,0 +1,49 @@
+"""The public names by the module that defines them; `__init__.py` imports by it."""
+
+from phsi_opt.comparison.bootstrap import Bootstrap as Bootstrap
+from phsi_opt.comparison.bootstrap import bootstrap as bootstrap
+from phsi_opt.comparison.compare import Comparison as Comparison
+from phsi_opt.comparison.compare import compare as compare
+from phsi_opt.comparison.profile_likelihood import Profile as Profile
+from phsi_opt.comparison.profile_likelihood import profile as profile
+from phsi_opt.data.measurements import Measurements as Measurements
+from phsi_opt.data.trajectory import Trajectory as Trajectory
+from phsi_opt.diagnosis.candidate import Candidate as Candidate
+from phsi_opt.diagnosis.diagnose import diagnose as diagnose
+from phsi_opt.diagnosis.finding import Finding as Finding
+from phsi_opt.diagnosis.record import Diagnosis as Diagnosis
+from phsi_opt.diagnosis.verdict import Verdict as Verdict
+from phsi_opt.errors import Complaint as Complaint
+from phsi_opt.errors import DataError as DataError
+from phsi_opt.errors import ModelError as ModelError
+from phsi_opt.errors import PhsiOptError as PhsiOptError
+from phsi_opt.errors import SolveError as SolveError
+from phsi_opt.errors import StudyFileError as StudyFileError
+from phsi_opt.estimation.fit import Fit as Fit
+from phsi_opt.estimation.identify import identify as identify
+from phsi_opt.estimation.pruning import Pruning as Pruning
+from phsi_opt.model.catalogue import catalogue as catalogue
+from phsi_opt.model.effect import Effect as Effect
+from phsi_opt.model.model import FirstOrder as FirstOrder
+from phsi_opt.model.model import Model as Model
+from phsi_opt.model.model import PseudoHamiltonian as PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter as Parameter
+from phsi_opt.model.structure import canonical as canonical
+from phsi_opt.model.terms import damping as damping
+from phsi_opt.model.terms import formula as formula
+from phsi_opt.model.terms import polynomials as polynomials
+from phsi_opt.model.terms import trigonometric as trigonometric
+from phsi_opt.optimization.settings import SolverSettings as SolverSettings
+from phsi_opt.simulation.simulate import simulate as simulate
+from phsi_opt.study.study import Study as Study
+from phsi_opt.study_file.sections import Channel as Channel
+from phsi_opt.study_file.sections import DataSection as DataSection
+from phsi_opt.study_file.sections import HeldOut as HeldOut
+from phsi_opt.study_file.sections import Times as Times
+from phsi_opt.study_file.study_file import StudyFile as StudyFile
+from phsi_opt.sweeps.sweep import sweep as sweep
+from phsi_opt.transcription.losses import MaximumLikelihood as MaximumLikelihood
+from phsi_opt.transcription.losses import PHSILoss as PHSILoss
+
+MODULES: dict[str, str]
+__all__: list[str]
