@@ -6,14 +6,12 @@ Exact equations, without errors and in one line each, are `Identified.equations`
 import re
 from functools import partial
 
-import numpy as np
-
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.identified import DIGITS
 from phsi_opt.model.equation_text import dictionary_rows, structure_rows
 from phsi_opt.model.terms import Term
-from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.presentation.numbers import estimate_text
+from phsi_opt.presentation.sentences import lines
 from phsi_opt.presentation.summary import Part, Summary
 
 # Ratio of two standard errors beyond which both are told.
@@ -69,60 +67,14 @@ def _few_digits(found: re.Match[str]) -> str:
 
 
 def _remarks(fit: FitRecord) -> list[str]:
-    lines = []
-    if fit.noise:
-        lines.append(f"noise: {_noise(fit)}")
-    if fit.covariances:
-        lines.append(_standard_errors(fit))
-    if fit.removed:
-        lines.append(f"removed: {', '.join(fit.removed)}")
-    loss = f"loss {fit.loss_value:.6g} over {fit.n_values} values"
-    lines.append(f"{loss}; solver: {fit.outcome}")
-    lines += [f"note: {warning}" for warning in fit.warnings]
-    return lines
-
-
-def _standard_errors(fit: FitRecord) -> str:
-    """Where the standard errors come from, and others where they differ."""
-    if fit.std_error_source == Source.NOISE:
-        return "standard errors: from white noise, as what is left looks like it"
-    sentence = f"standard errors: from {fit.std_error_source}"
-    if fit.std_error_source == Source.DISTURBANCES:
-        sentence += f" ({_model_error(fit)})"
-    others = [s for s in fit.covariances if s != fit.std_error_source]
-    for source in others:
-        sentence += _difference(fit, source)
-    return sentence
-
-
-def _model_error(fit: FitRecord) -> str:
-    """Everything that acts beside the model: force in dp/dt of 12 % lasting 1 s."""
-    unit_of_time = fit.units.get("t", "")
-    parts = []
-    rows = [row for row in fit.model_error_rows if row.time != 0]
-    if len(rows) < len(fit.model_error_rows):
-        parts.append("noise differs between trajectories")
-    for row in rows:
-        lasting = ""
-        if np.isfinite(row.time):
-            lasting = f" over {row.time:.2g} {unit_of_time}".rstrip()
-        place = "of" if row.kind == "sensor error" else "in"
-        where = row.where.removeprefix("sensor of ")
-        parts.append(f"{row.kind} {place} {where}, {100 * row.share:.2g} %{lasting}")
-    return "; ".join(parts)
-
-
-def _difference(fit: FitRecord, source: Source) -> str:
-    """How much larger or smaller they would be from another source, if they differ."""
-    errors = fit.standard_errors
-    ratios = (errors[str(source)] / errors["std_error"]).dropna()
-    if not len(ratios):
-        return ""
-    least = float(ratios.min())
-    most = float(ratios.max())
-    if most < DIFFERENT_STD_ERRORS and least > 1 / DIFFERENT_STD_ERRORS:
-        return ""
-    return f"; {source} alone would give {least:.2g} to {most:.2g} times as much"
+    """What ``answers.jinja`` says: noise, standard errors, solver, warnings."""
+    # By how much others sources differ, where they do.
+    errors = fit.standard_errors.drop(columns="freedom")
+    ratios = errors.div(errors.pop("std_error"), axis=0).agg(["min", "max"]).T
+    limit = DIFFERENT_STD_ERRORS
+    different = ratios[(ratios["max"] >= limit) | (ratios["min"] <= 1 / limit)]
+    rows = different.drop(index=str(fit.std_error_source), errors="ignore").itertuples()
+    return lines(__package__, "remarks", fit=fit, different=list(rows)).splitlines()
 
 
 def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
@@ -162,11 +114,3 @@ def _fixed(fit: FitRecord) -> list[str]:
             value = f"{fit.values[name]:.6g} {fit.parameter_units[name]}".rstrip()
             rows.append(f"{name} = {value} (fixed)")
     return rows
-
-
-def _noise(fit: FitRecord) -> str:
-    parts = []
-    for state, sigma in fit.noise.items():
-        unit = fit.units.get(state, "")
-        parts.append(f"{state} {sigma:.3g} {unit}".rstrip())
-    return ", ".join(parts)
