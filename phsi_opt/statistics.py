@@ -132,13 +132,6 @@ def f_limit(level: float, first: float, second: float) -> float:
     return float(special.fdtri(first, second, 1 - level))
 
 
-def mean_ranks(values: np.ndarray) -> np.ndarray:
-    """Ranks (n,) from 1; equal values share the mean of theirs."""
-    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return np.asarray(last - (counts - 1) / 2)[place]
-
-
 def ljung_box(series: Sequence[np.ndarray]) -> float:
     """p-value of the hypothesis that residuals are white, by Ljung and Box's test.
 

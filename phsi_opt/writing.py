@@ -10,6 +10,14 @@ from pathlib import Path
 
 from phsi_opt.errors import DataError
 
+NO_FOLDER = "its folder does not exist; make it, or give another path"
+WHY_NOT_WRITTEN: dict[type[OSError], str] = {
+    IsADirectoryError: "it is a folder; give the path of a file",
+    FileNotFoundError: NO_FOLDER,
+    NotADirectoryError: NO_FOLDER,
+    PermissionError: "writing is not permitted there; check the permissions",
+}
+
 
 def write_whole(path: str | Path, content: str | bytes) -> Path:
     """Write a file; whoever reads it sees all of it, or none.
@@ -70,12 +78,9 @@ def _replace(place: Path, content: bytes) -> None:
 
 def _why(error: Exception) -> str:
     """Why a file cannot be written, with what to do."""
-    if isinstance(error, IsADirectoryError):
-        return "it is a folder; give the path of a file"
-    if isinstance(error, FileNotFoundError | NotADirectoryError):
-        return "its folder does not exist; make it, or give another path"
-    if isinstance(error, PermissionError):
-        return "writing is not permitted there; check the permissions"
+    for kind, said in WHY_NOT_WRITTEN.items():
+        if isinstance(error, kind):
+            return said
     if isinstance(error, OSError):
         return f"{error.strerror}; give another path" if error.strerror else str(error)
     return f"expected a path ({error})"

@@ -261,7 +261,7 @@ def test_the_phsi_loss_refuses_a_state_that_nobody_measured() -> None:
     ("options", "message"),
     [
         ({"l1": {"G": 1.0}}, "l1 names slot 'G'"),
-        ({"l1": -1.0}, "must be a finite number of at least 0"),
+        ({"l1": -1.0}, "expected a finite number of at least 0"),
         ({"loss": "phsi"}, "is not a loss"),
         (
             {"loss": MaximumLikelihood(noise={"p": 0.1})},

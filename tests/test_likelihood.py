@@ -477,7 +477,7 @@ def test_the_band_of_a_run_is_what_it_scatters_by_when_the_noise_is_drawn_again(
 )
 def test_options_that_mean_nothing_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(
-        ModelError, match=f"{next(iter(options))}=.* of MaximumLikelihood must be"
+        ModelError, match=f"{next(iter(options))}.*=.* is not possible; expected"
     ):
         MaximumLikelihood(**options)
 

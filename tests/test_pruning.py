@@ -107,7 +107,7 @@ def test_terms_that_go_together_are_tested_with_as_many_degrees_of_freedom(
         ({"significance": 0.01, "debias": False}, "debias"),
         ({"threshold": -1}, "threshold=-1 .* at least 0"),
         ({"threshold": float("nan")}, "at least 0"),
-        ({"slots": ("H", "S")}, "slot 'S' of Pruning is unknown"),
+        ({"slots": ("H", "S")}, "slot='S' is not possible; expected one of H, R, F"),
         ({"significance": 1.0}, "between 0 and 1"),
         ({"significance": "a"}, "between 0 and 1"),
     ],

@@ -94,12 +94,6 @@ def test_tails_and_limits_are_those_of_scipy() -> None:
         )
 
 
-def test_ranks_are_those_of_scipy() -> None:
-    rng = np.random.default_rng(5)
-    values = np.round(rng.normal(size=200), 1)  # with ties
-    np.testing.assert_array_equal(statistics.mean_ranks(values), stats.rankdata(values))
-
-
 def test_productsself_convolved_are_the_convolution_of_scipy() -> None:
     values = np.random.default_rng(6).normal(size=157)
     np.testing.assert_array_equal(

@@ -52,7 +52,7 @@ def test_canonical_is_the_structure_matrix_of_hamilton() -> None:
 
 @pytest.mark.parametrize("n", [0, -1, 1.0, "2"])
 def test_canonical_needs_a_whole_number_of_positions(n: Any) -> None:
-    with pytest.raises(ModelError, match="n is the number of positions"):
+    with pytest.raises(ModelError, match=r"canonical: n=.* expected the number of"):
         canonical(n)
 
 

@@ -1,16 +1,21 @@
 """Settings of `gradient_descent`, and the checks that other descents share.
 
-A check names the setting, its value and what is expected. Nothing here needs torch.
+Nothing here needs torch.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import cos, pi
 from typing import Any
 
-import numpy as np
-
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.arguments import (
+    is_size,
+    require,
+    require_choice,
+    require_count,
+    require_positive,
+    require_size,
+)
 from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.losses import l1_weights
 
@@ -97,41 +102,6 @@ class Descent:
         return self.learning_rate * ((1 + cos(pi * share)) / 2)
 
 
-def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
-    """Let a setting pass, or say what is wrong with it.
-
-    Raises:
-        ModelError: unless ``fine``; it names the setting, its value and the expected.
-    """
-    if not fine:
-        raise ModelError(
-            f"{name}={value!r} is not possible; expected {expected}.{hint}"
-        )
-
-
-def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
-    """Check that the value is one of the choices, or name the closest of them."""
-    expected = f"one of {', '.join(choices)}"
-    require(value in choices, name, value, expected, did_you_mean(value, choices))
-
-
-def require_count(name: str, value: Any, or_none: bool = False) -> None:
-    """Check that the value is a whole number of at least 1 (or None)."""
-    fine = (or_none and value is None) or is_count(value)
-    expected = "a whole number of at least 1" + (", or None" if or_none else "")
-    require(fine, name, value, expected)
-
-
-def require_size(name: str, value: Any) -> None:
-    """Check that the value is a finite number of at least 0."""
-    require(is_size(value), name, value, "a finite number of at least 0")
-
-
-def require_positive(name: str, value: Any) -> None:
-    """Check that the value is a number above 0."""
-    require(is_size(value) and value > 0, name, value, "a number above 0")
-
-
 def check_descent(settings: Any) -> None:
     """Check learning_rate, epochs, batch, weight_decay and dtype of any descent.
 
@@ -143,16 +113,3 @@ def check_descent(settings: Any) -> None:
     require_count("batch", settings.batch)
     require_size("weight_decay", settings.weight_decay)
     require_choice("dtype", settings.dtype, DTYPES)
-
-
-def is_count(value: Any) -> bool:
-    """Whether the value is a whole number of at least 1."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return whole and bool(value >= 1)
-
-
-def is_size(value: Any) -> bool:
-    """Whether the value is a finite number of at least zero."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        return False
-    return bool(0 <= value < np.inf)

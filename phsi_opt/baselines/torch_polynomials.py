@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent_settings import is_count
+from phsi_opt.arguments import is_count
 from phsi_opt.model.expressions import parse
 
 Monomial = tuple[int, ...]  # numbers of its factors in order: q*q*p is (0, 0, 1)

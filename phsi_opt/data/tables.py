@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phsi_opt.arguments import short_number
 from phsi_opt.data.checks import check_values
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.text_cells import (
@@ -27,7 +28,7 @@ from phsi_opt.data.text_cells import (
     separator_of,
 )
 from phsi_opt.errors import DataError
-from phsi_opt.presentation.numbers import number_of, short_number
+from phsi_opt.presentation.numbers import number_of
 
 if TYPE_CHECKING:
     import pandas as pd

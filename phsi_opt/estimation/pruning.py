@@ -5,10 +5,10 @@ and solves again.
 """
 
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 
+from phsi_opt.arguments import is_size, require, require_choice, require_size
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import chi_square_limit, normal_limit
@@ -47,28 +47,15 @@ class Pruning:
     significance: float | None = None
 
     def __post_init__(self) -> None:
-        is_number = isinstance(self.threshold, Real)
-        if not is_number or not self.threshold >= 0:
-            raise ModelError(
-                f"threshold={self.threshold!r} of Pruning must be a number of at "
-                "least 0."
-            )
+        require_size("Pruning: threshold", self.threshold)
         for slot in self.slots:
-            if slot not in TERM_SLOTS:
-                raise ModelError(
-                    f"slot {slot!r} of Pruning is unknown; expected 'H', 'R' or 'F'."
-                )
-        self._check_significance()
-
-    def _check_significance(self) -> None:
-        if self.significance is None:
+            require_choice("Pruning: slot", slot, TERM_SLOTS)
+        chance = self.significance
+        if chance is None:
             return
-        is_number = isinstance(self.significance, Real)
-        if not is_number or not 0 < self.significance < 1:
-            raise ModelError(
-                f"significance={self.significance!r} of Pruning must lie between "
-                "0 and 1, such as 0.01."
-            )
+        expected = "a number between 0 and 1, such as 0.01"
+        fine = is_size(chance) and 0 < chance < 1
+        require(fine, "Pruning: significance", chance, expected)
         if not self.debias:
             raise ModelError(
                 "significance needs debias=True: a coefficient that L1 shrinks has no "

@@ -29,7 +29,7 @@ from phsi_opt.force_analysis.cross_validation import (
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
 from phsi_opt.presentation.summary import printed_table
-from phsi_opt.statistics import TINY, mean_ranks
+from phsi_opt.statistics import TINY
 
 # Rank correlation above which an effort is a monotone function of a state, and is not
 # named beside it.
@@ -130,7 +130,9 @@ def _varies(record: ForceRecord, name: str) -> bool:
 
 def _ranks(z: np.ndarray) -> np.ndarray:
     """Centred ranks of length one; their products are rank correlations."""
-    ranked = mean_ranks(z)
+    import pandas as pd
+
+    ranked = pd.Series(z).rank().to_numpy()
     centred = ranked - ranked.mean()
     return centred / max(float(np.linalg.norm(centred)), TINY)
 

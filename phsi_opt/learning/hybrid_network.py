@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.baselines.descent_settings import is_count, require, require_positive
+from phsi_opt.arguments import is_count, require, require_positive
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.learning.network import Network
 from phsi_opt.model.model import Model

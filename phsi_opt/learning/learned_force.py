@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phsi_opt.baselines.descent_settings import require_count
+from phsi_opt.arguments import require_count
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.estimation.fit import Fit

@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.model.backends import CONSTANTS, FUNCTIONS, Backend
 from phsi_opt.model.expressions import evaluate
-from phsi_opt.presentation.units import RADIAN, Powers
+from phsi_opt.presentation.units import RADIAN, Powers, product
 
 # Power of each quantity in a dimension, by the quantity's name.
 Form = Mapping[str, float]
@@ -129,14 +129,6 @@ class Quantity:
             return Quantity(self.said, product({}, self.form, other.value))
         self.said.alike(other.form, {})
         return Quantity(self.said, self.said.unknown() if self.form else {})
-
-
-def product(first: Form, second: Form, power: float = 1.0) -> Form:
-    """The form of first * second**power."""
-    form = dict(first)
-    for name, exponent in second.items():
-        form[name] = form.get(name, 0.0) + power * exponent
-    return form
 
 
 def solved_dimensions(

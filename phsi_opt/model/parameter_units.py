@@ -11,7 +11,7 @@ into base units, and then each equation is asked by itself.
 from collections.abc import Callable, Mapping
 
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.dimensions import Form, Likenesses, product, solved_dimensions
+from phsi_opt.model.dimensions import Form, Likenesses, solved_dimensions
 from phsi_opt.model.parameters import Parameter, Scan, Tried
 from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.presentation.units import (
@@ -20,6 +20,7 @@ from phsi_opt.presentation.units import (
     coefficient_unit,
     powers_as_written,
     powers_in_base_units,
+    product,
     rate_unit,
 )
 

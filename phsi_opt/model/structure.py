@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from phsi_opt.errors import ModelError
+from phsi_opt.arguments import is_count, require
 from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import evaluate, names_of
@@ -31,7 +31,6 @@ from phsi_opt.model.kinds import (
     kind_of_unit,
     plain_unit,
 )
-from phsi_opt.presentation.numbers import short_number
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 MOST_POSITIONS = 1000  # a structure matrix of 4 million numbers
@@ -52,11 +51,8 @@ def canonical(n: int) -> np.ndarray:
     Raises:
         ModelError: n is not a whole number from 1 to 1000.
     """
-    if not isinstance(n, int) or not 1 <= n <= MOST_POSITIONS:
-        raise ModelError(
-            f"canonical({short_number(n)}): n is the number of positions, "
-            f"a whole number from 1 to {MOST_POSITIONS}."
-        )
+    expected = f"the number of positions, a whole number from 1 to {MOST_POSITIONS}"
+    require(is_count(n) and n <= MOST_POSITIONS, "canonical: n", n, expected)
     zero = np.zeros((n, n))
     one = np.eye(n)
     return np.block([[zero, one], [-one, zero]])

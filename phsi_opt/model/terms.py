@@ -14,11 +14,12 @@ from math import comb
 from types import MappingProxyType
 from typing import Any
 
+from phsi_opt.arguments import require_count, short_number
 from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import FUNCTIONS
 from phsi_opt.model.expressions import MAX_EXPONENT, names_of
 from phsi_opt.model.parameters import Parameter, Scan
-from phsi_opt.presentation.numbers import short_number, short_repr
+from phsi_opt.presentation.numbers import short_repr
 
 LARGEST_DICTIONARY = 5_000  # terms; a program with more does not end in hours
 
@@ -178,7 +179,7 @@ def polynomials(
             than 5000 terms.
     """
     names = _variables(variables)
-    _check_count("degree", degree, "polynomials")
+    require_count("polynomials: degree", degree)
     if degree > MAX_EXPONENT:
         raise ModelError(
             f"degree={short_number(degree)} of polynomials is beyond {MAX_EXPONENT}; "
@@ -221,7 +222,7 @@ def trigonometric(
         ModelError: names that cannot be used, n below 1, or more than 5000 terms.
     """
     names = _variables(variables)
-    _check_count("n", n, "trigonometric")
+    require_count("trigonometric: n", n)
     n_terms = 2 * n * len(names)
     _check_number_of_terms(
         n_terms, f"trigonometric of n={short_number(n)} for {len(names)} variables"
@@ -234,14 +235,6 @@ def trigonometric(
             for wave in ("sin", "cos"):
                 terms.append(Term(f"{wave}({omega}*{name})", Parameter(), inner))
     return Dictionary(tuple(terms))
-
-
-def _check_count(name: str, value: Any, what: str) -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise ModelError(
-            f"{name}={short_number(value)} of {what} is not a whole number "
-            "of at least 1."
-        )
 
 
 def _check_number_of_terms(n_terms: int, what: str = "a dictionary") -> None:

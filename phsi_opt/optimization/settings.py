@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.errors import ModelError
+from phsi_opt.arguments import require, require_choice, require_count
 
 # Who solves a likelihood: full Gauss-Newton steps where they lead to an optimum and
 # IPOPT where not, or IPOPT alone.
@@ -45,21 +45,12 @@ class SolverSettings:
     solver: str = AUTO
 
     def __post_init__(self) -> None:
-        for name in ("tolerance", "max_iterations", "max_seconds"):
+        for name in ("tolerance", "max_seconds"):
             value = getattr(self, name)
-            if not isinstance(value, int | float) or not value > 0:
-                raise ModelError(
-                    f"SolverSettings: {name}={value!r} must be a number above zero."
-                )
-        if not isinstance(self.max_iterations, int):
-            raise ModelError(
-                f"SolverSettings: max_iterations={self.max_iterations!r} must be a "
-                "whole number."
-            )
-        if self.solver not in SOLVERS:
-            raise ModelError(
-                f"SolverSettings: solver={self.solver!r} must be one of {SOLVERS!r}."
-            )
+            fine = isinstance(value, int | float) and value > 0
+            require(fine, f"SolverSettings: {name}", value, "a number above 0")
+        require_count("SolverSettings: max_iterations", self.max_iterations)
+        require_choice("SolverSettings: solver", self.solver, SOLVERS)
 
     @property
     def has_own_steps(self) -> bool:

@@ -158,12 +158,6 @@ def short_repr(record: Any) -> str:
     return f"{type(record).__name__}({', '.join(parts)})"
 
 
-def short_number(value: Any) -> str:
-    """A value as Python writes it, but for whole numbers of very many digits."""
-    is_long = isinstance(value, int) and abs(value) > 10**12
-    return "a number beyond 10**12" if is_long else repr(value)
-
-
 def shortened(text: str, most: int) -> str:
     """The text, cut where it has more characters than ``most``."""
     return text if len(text) <= most else f"{text[:most]}..."

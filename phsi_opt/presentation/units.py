@@ -5,7 +5,7 @@ stays as it is: it is coulomb to one and degree Celsius to another.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from phsi_opt.presentation.durations import SECONDS, Scale, scale_of_time, time_words
 
@@ -54,7 +54,7 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
     written = powers_as_written(unit)
     below = powers_as_written(unit_of_time)
     if written is not None and below is not None:
-        powers = _product([(written, 1), (below, -1)])
+        powers = product(written, below, -1)
         if set(powers) <= set(KNOWN):
             basic = _in_base_units(powers)
             for name in NAMED_RATES:
@@ -66,18 +66,17 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
     return f"{unit}/{unit_of_time}"
 
 
-def _product(factors: Iterable[tuple[Powers, float]]) -> Powers:
-    """The powers of units that are raised to powers; none that are zero."""
-    total: dict[str, float] = {}
-    for powers, exponent in factors:
-        for name, power in powers.items():
-            total[name] = total.get(name, 0) + exponent * power
-    return {name: power for name, power in total.items() if power}
+def product(first: Powers, second: Powers, power: float = 1.0) -> Powers:
+    """The powers in first * second**power; none that are zero."""
+    total = dict(first)
+    for name, exponent in second.items():
+        total[name] = total.get(name, 0.0) + power * exponent
+    return {name: exponent for name, exponent in total.items() if exponent}
 
 
 def powers_as_written(unit: str) -> Powers | None:
     """Powers of the units as they are written, of any name; None: not readable."""
-    factors: list[tuple[Powers, float]] = []
+    powers: Powers = {}
     for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
         sign = 1 if place == 0 else -1
         for factor in FACTOR_SEPARATORS.split(part.strip()):
@@ -86,8 +85,8 @@ def powers_as_written(unit: str) -> Powers | None:
                 continue
             if found is None:
                 return None
-            factors.append(({found[1]: int(found[2] or 1)}, sign))
-    return _product(factors)
+            powers = product(powers, {found[1]: int(found[2] or 1)}, sign)
+    return powers
 
 
 KNOWN: Mapping[str, Powers] = {
@@ -103,7 +102,10 @@ def powers_in_base_units(unit: str) -> Powers | None:
 
 
 def _in_base_units(written: Powers) -> Powers:
-    return _product((KNOWN.get(name, {name: 1}), n) for name, n in written.items())
+    powers: Powers = {}
+    for name, n in written.items():
+        powers = product(powers, KNOWN.get(name, {name: 1}), n)
+    return powers
 
 
 def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:

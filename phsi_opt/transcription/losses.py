@@ -15,15 +15,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from numbers import Real
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from phsi_opt.arguments import is_count, require, require_positive, require_size
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import SLACK_ABOVE, Program
-from phsi_opt.presentation.numbers import short_number
 from phsi_opt.transcription.defect_constraint import (
     constraint_curvature,
     constraint_jacobian,
@@ -122,31 +121,19 @@ class MaximumLikelihood:
                 f"huber={huber!r} and model_error=True of MaximumLikelihood do "
                 "not go together: outliers are no model error; take one of them."
             )
-        if huber is not None and not _is_size(huber):
-            raise ModelError(
-                f"huber={huber!r} of MaximumLikelihood must be a number above zero, or "
-                "None."
-            )
+        if huber is not None:
+            require_positive("MaximumLikelihood: huber", huber)
         for name in ("steps", "starts"):
             n = getattr(self, name)
-            is_count = isinstance(n, int) and 1 <= n <= MOST_COUNTED
-            if not is_count and (n is not None or name == "starts"):
-                raise ModelError(
-                    f"{name}={short_number(n)} of MaximumLikelihood must be a whole "
-                    f"number of at least 1, and at most {MOST_COUNTED}."
-                )
+            may_lack = name == "steps" and n is None
+            fine = may_lack or (is_count(n) and n <= MOST_COUNTED)
+            expected = f"a whole number from 1 to {MOST_COUNTED}"
+            require(fine, f"MaximumLikelihood: {name}", n, expected)
         noise = {} if self.noise is None else self.noise
-        if not isinstance(noise, Mapping):
-            raise ModelError(
-                f"noise={noise!r} of MaximumLikelihood must be standard deviations by "
-                "state, such as {'q': 0.01}, or None."
-            )
+        expected = "standard deviations by state, such as {'q': 0.01}, or None"
+        require(isinstance(noise, Mapping), "MaximumLikelihood: noise", noise, expected)
         for name, size in noise.items():
-            if not _is_size(size):
-                raise ModelError(
-                    f"noise[{name!r}]={size!r} of MaximumLikelihood must be a standard "
-                    "deviation: a number above zero."
-                )
+            require_positive(f"MaximumLikelihood: noise[{name!r}]", size)
 
     def has_slacks(self, unknown: Theta, l1: Mapping[str, float]) -> bool:
         """Whether the program has variables beside parameters and states."""
@@ -254,10 +241,8 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
     """
     if l1 is None:
         return {}
-    if not isinstance(l1, Mapping | Real):
-        raise ModelError(
-            f"l1={l1!r} must be a number, or weights by slot such as {{'H': 0.1}}."
-        )
+    expected = "a number, or weights by slot such as {'H': 0.1}"
+    require(isinstance(l1, Mapping | Real), "l1", l1, expected)
     weights = dict(l1) if isinstance(l1, Mapping) else {"H": l1, "F": l1}
     for slot, weight in weights.items():
         if slot not in ("H", "R", "F"):
@@ -265,10 +250,7 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
                 f"l1 names slot {slot!r}; expected 'H', 'R' or 'F'."
                 f"{did_you_mean(str(slot), 'HRF')}"
             )
-        if not isinstance(weight, Real) or not 0 <= weight < np.inf:
-            raise ModelError(
-                f"l1[{slot!r}]={weight!r} must be a finite number of at least 0."
-            )
+        require_size(f"l1[{slot!r}]", weight)
     return weights
 
 
@@ -311,7 +293,3 @@ def mean_square_rate(grid: Grid) -> float:
     """
     size = float(np.mean(np.sum(grid.rates(grid.y) ** 2, axis=1)))
     return size if size > 0 else 1.0
-
-
-def _is_size(value: Any) -> bool:
-    return isinstance(value, Real) and 0 < float(value) < np.inf

@@ -9,12 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.baselines.descent_settings import (
-    is_count,
-    require,
-    require_positive,
-    require_size,
-)
+from phsi_opt.arguments import is_count, require, require_positive, require_size
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.errors import DataError
 from phsi_opt.simulation.simulate import simulate_forced

@@ -14,13 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from phsi_opt.arguments import is_count, require, require_size
 from phsi_opt.baselines.descent import Adam, Progress, descend
-from phsi_opt.baselines.descent_settings import (
-    check_descent,
-    is_count,
-    require,
-    require_size,
-)
+from phsi_opt.baselines.descent_settings import check_descent
 from phsi_opt.baselines.torch_steps import Steps
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements

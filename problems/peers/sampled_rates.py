@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pysindy as ps
 
-from phsi_opt.baselines.descent_settings import require_choice
+from phsi_opt.arguments import require_choice
 from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.smooth_inputs import SmoothInputs

@@ -21,11 +21,7 @@ import numpy as np
 import pysindy as ps
 from sklearn.exceptions import ConvergenceWarning
 
-from phsi_opt.baselines.descent_settings import (
-    require_choice,
-    require_positive,
-    require_size,
-)
+from phsi_opt.arguments import require_choice, require_positive, require_size
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements

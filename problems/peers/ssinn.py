@@ -16,15 +16,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Progress, descend
-from phsi_opt.baselines.descent_settings import (
-    check_descent,
+from phsi_opt.arguments import (
     is_size,
     require,
     require_choice,
     require_count,
     require_size,
 )
+from phsi_opt.baselines.descent import Adam, Progress, descend
+from phsi_opt.baselines.descent_settings import check_descent
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_polynomials import (
     Cell,

@@ -1,0 +1,62 @@
+"""Checks of settings, each of which names the setting, its value and the expected."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from phsi_opt.errors import ModelError, did_you_mean
+
+
+def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
+    """Let a setting pass, or say what is wrong with it.
+
+    Raises:
+        ModelError: unless ``fine``; it names the setting, its value and the expected.
+    """
+    if not fine:
+        raise ModelError(
+            f"{name}={short_number(value)} is not possible; expected {expected}.{hint}"
+        )
+
+
+def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
+    """Check that the value is one of the choices, or name the closest of them."""
+    expected = f"one of {', '.join(choices)}"
+    require(value in choices, name, value, expected, did_you_mean(value, choices))
+
+
+def require_count(name: str, value: Any, or_none: bool = False) -> None:
+    """Check that the value is a whole number of at least 1 (or None)."""
+    fine = (or_none and value is None) or is_count(value)
+    expected = "a whole number of at least 1" + (", or None" if or_none else "")
+    require(fine, name, value, expected)
+
+
+def require_size(name: str, value: Any) -> None:
+    """Check that the value is a finite number of at least 0."""
+    require(is_size(value), name, value, "a finite number of at least 0")
+
+
+def require_positive(name: str, value: Any) -> None:
+    """Check that the value is a number above 0."""
+    require(is_size(value) and value > 0, name, value, "a number above 0")
+
+
+def is_count(value: Any) -> bool:
+    """Whether the value is a whole number of at least 1."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and bool(value >= 1)
+
+
+def is_size(value: Any) -> bool:
+    """Whether the value is a finite number of at least zero."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return False
+    return bool(0 <= value < np.inf)
+
+
+def short_number(value: Any) -> str:
+    """A value as Python writes it, but for whole numbers of very many digits."""
+    is_long = isinstance(value, int) and abs(value) > 10**12
+    return "a number beyond 10**12" if is_long else repr(value)
