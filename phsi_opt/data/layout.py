@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from phsi_opt.arguments import is_size
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import DataError
 
@@ -70,8 +69,7 @@ class Layout:
             )
         if step is None:
             return
-        is_number = isinstance(step, int | float | np.number)
-        if isinstance(step, bool) or not is_number or not 0 < step < np.inf:
+        if not is_size(step) or step == 0:
             raise DataError(
                 f"step={step!r} is no time between rows; expected a positive number."
             )

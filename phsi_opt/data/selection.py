@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from phsi_opt.arguments import is_count
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError, did_you_mean
@@ -160,12 +161,11 @@ class Selections:
             raise DataError(
                 f"by={by!r} is unknown; expected 'mean' or 'picking'.{hint}"
             )
-        is_integer = hasattr(n, "__index__") and not isinstance(n, bool)
-        if not is_integer or operator.index(n) < 1:
+        if not is_count(n):
             raise DataError(
                 f"thinned({n!r}): expected how many samples make one, such as 10."
             )
-        size = operator.index(n)
+        size = int(n)
         hold = hold_of_each(self.hold, self.inputs)
         runs = [_thinned_run(run, size, by, hold) for run in self.trajectories]
         noise = self.noise

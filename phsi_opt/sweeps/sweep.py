@@ -19,6 +19,7 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
+from phsi_opt.arguments import is_count
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.sweeps.kept_results import KeptResults
 from phsi_opt.sweeps.local_workers import local_workers
@@ -195,7 +196,7 @@ def _check(
                 f"the key {key!r} is not a text; name every case by a text that is not "
                 "empty."
             )
-    if not isinstance(in_flight, int) or in_flight < 1:
+    if not is_count(in_flight):
         raise DataError(
             f"in_flight={in_flight!r} must be a number of cases, 1 or more."
         )
