@@ -22,7 +22,6 @@ from phsi_opt.errors import DataError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
 from phsi_opt.estimation.identify import identify
-from phsi_opt.estimation.json_file import plain
 from phsi_opt.estimation.model_content import model_content
 from phsi_opt.estimation.smoothing import likelihood_of
 from phsi_opt.interrupts import interruptible
@@ -154,8 +153,15 @@ def bootstrap(
     cut = [np.array(one[:, : data.n_states]) for one in shown]
     draw = partial(_drawn_estimates, fit.model, data, cut, dict(fit.noise))
     # What the draws follow from.
-    content = (fit.by_trajectory, fit.noise, fit.huber, data.digest, seed)
-    text = json.dumps([model_content(fit.model), *plain(content)], sort_keys=True)
+    content = {
+        "model": model_content(fit.model),
+        "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
+        "noise": dict(fit.noise),
+        "huber": fit.huber,
+        "data": data.digest,
+        "seed": seed,
+    }
+    text = json.dumps(content, sort_keys=True)
     seeds = np.random.SeedSequence(seed).spawn(n_draws)
     cases = {f"draw {number}": one for number, one in enumerate(seeds)}
     found: dict[int, Mapping[str, float]] = {}
