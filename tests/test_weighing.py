@@ -91,6 +91,39 @@ def test_the_base_is_as_likely_as_the_best_point_that_a_larger_model_finds() -> 
     assert better.base.names == base.names
 
 
+def pushed_at_random() -> ph.Measurements:
+    """Positions of an oscillator under a strong random force."""
+    rng = np.random.default_rng(1)
+    dt = 0.1
+    x = np.zeros((400, 2))
+    step = ph.simulate(oscillator(1.0), [0.0, dt], [1.0, 0.0])[1]
+    other = ph.simulate(oscillator(1.0), [0.0, dt], [0.0, 1.0])[1]
+    transition = np.column_stack([step, other])
+    for i in range(1, len(x)):
+        push = np.array([dt / 2, 1.0]) * rng.normal(0.0, 1.0) * np.sqrt(dt)
+        x[i] = transition @ x[i - 1] + push
+    x[:, 0] += 0.02 * rng.normal(size=len(x))
+    x[:, 1] = np.nan
+    return ph.Measurements.from_arrays(dt * np.arange(len(x)), x, states=["x", "v"])
+
+
+def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> None:
+    # The most likely parameters together with forces let the forces do the most.
+    data = pushed_at_random()
+    fit = ph.identify(oscillator(1.0), data)
+    record = EvidenceRecord.of(ph.compare(fit, data).record, None)
+    base = record.base
+    assert base.is_settled
+    start = record._beginning(base)
+    for place, spread in enumerate(np.sqrt(np.diag(base.covariance))):
+        for sign in (-1.0, 1.0):
+            moved = base.theta.copy()
+            moved[place] += sign * spread
+            held = replace(start, theta=moved, held=frozenset(base.names))
+            beside = record._weighing.weighed(held)
+            assert beside.log_evidence < base.log_evidence
+
+
 # --- the evidence
 
 
