@@ -229,10 +229,8 @@ class EvidenceRecord:
         except SolveError:
             if not inner:
                 raise
-        if free is not None:
-            is_hopeless = free.log_evidence < self.base.log_evidence
-            if free.is_settled or is_hopeless or not inner:
-                return free
+        if free is not None and (free.is_settled or not inner):
+            return free
         held = frozenset(inner)
         if len(inner) > 1:
             return free or self._begun_beside(begin, model, values, held)
