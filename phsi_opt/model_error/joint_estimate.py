@@ -110,7 +110,7 @@ class JointEstimate:
         """The largest of the scaled dynamics that hold."""
         return self.place.violation
 
-    def answer_to(self, slope: np.ndarray) -> float:
+    def move_for(self, slope: np.ndarray) -> float:
         """How far parameters go for a tilt (n_theta,), in standard deviations."""
         problem = self.place.problem
         change = (slope - problem.slope)[self.likelihood.moving]
@@ -199,7 +199,7 @@ class JointProblem:
         """
         z = found.point.z
         likelihood = found.likelihood.with_moving(self.moving[:0])
-        volume = likelihood.log_volume(self.disturbances)
+        volume = likelihood.log_volume_of_unknowns(self.disturbances)
         moving = found.likelihood.with_moving(self.moving)
         told = np.diag(moving.border(self.disturbances).information)
         tilt = np.zeros(len(self.values.unknown))
@@ -212,7 +212,9 @@ class JointProblem:
             linear = self.linearizer.at(moved, self._at(moved))
             along = likelihood.problem.states_of_functions
             linear = replace(linear, along=along, linear_share=0.0)
-            there = likelihood.relinearized(linear).log_volume(self.disturbances)
+            there = likelihood.relinearized(linear).log_volume_of_unknowns(
+                self.disturbances
+            )
             # What the record says little of goes no further than by its own scale.
             slope = (there - volume) / step
             tilt[place] = np.clip(slope, -information, information)

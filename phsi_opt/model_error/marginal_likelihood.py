@@ -111,7 +111,7 @@ class Border:
         )
 
     def tilted(self, slope: np.ndarray) -> "Border":
-        """Beside a logarithm that falls with this slope in parameters, (n_theta,)."""
+        """Beside a logarithm that rises by this slope in parameters, (n_theta,)."""
         gradient = self.gradient.copy()
         gradient[: self.n_theta] += slope
         return replace(self, gradient=gradient)
@@ -659,7 +659,7 @@ class MarginalLikelihood:
         constant = n_free * np.log(2 * np.pi) / 2
         return float(marginal.log_evidence + log_det / 2 - constant)
 
-    def log_volume(self, disturbances: Disturbances) -> float:
+    def log_volume_of_unknowns(self, disturbances: Disturbances) -> float:
         """What the log likelihood of given parameters has beside the squares.
 
         It is the logarithm of the volume that states and disturbances have under these

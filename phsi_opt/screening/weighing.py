@@ -213,7 +213,7 @@ class Weighing:
             sizes = self._better_sizes(likelihood, problem.disturbances)
             change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes).tilted(joint)
-            change = max(change, joint.answer_to(problem.slope))
+            change = max(change, joint.move_for(problem.slope))
             gain = np.inf
             if best is not None and best.is_valid:
                 gain = found.evidence - best.evidence
