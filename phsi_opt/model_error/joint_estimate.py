@@ -18,7 +18,7 @@ Theory and Applications 22, 1977). Else it is corrected for the curvature that w
 last damped.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,6 +42,10 @@ STEPS_OF_A_PROBLEM = 30
 LEAST_STEP_DAMPING = 1e-2
 # Step, in standard deviations of a parameter or its own scale, that tells a slope.
 SMALL_STEP = 1e-3
+import os
+CORR=os.environ.get('CORR','1')=='1'
+# Share of a step's length that the next one has, from which curvature takes part.
+SLOW = 0.3
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
 # Violation up to which a search that did not settle is of use: beside a kink of the
 # model, or for a start.
@@ -250,32 +254,37 @@ class JointProblem:
             place = replace(before.place, problem=self, likelihood=likelihood)
             contraction = before.contraction
         n_steps = 0
-        has_converged = False
+        has_converged = is_curved = False
         damping = 0.0
         length = np.inf
         objectives: list[float] = []
         while not has_converged and n_steps < most_steps:
             n_steps += 1
-            aim = place.aim(damping)
-            if damping > 0:
-                contraction = 1.0
-            else:
-                if n_steps > 1:
-                    contraction = min(aim.length / length, 1.0)
-                length = aim.length
-            there = self._lower(place, aim)
+            there = None
+            if is_curved:
+                aim = place.curved().aim(0.0)
+                there = self._lower(place, aim)
+            is_whole = there is not None or damping == 0
+            if there is None:
+                aim = place.aim(damping)
+                there = self._lower(place, aim)
+            if is_whole:
+                shorter = aim.length / length if n_steps > 1 else contraction
+                contraction, length = min(shorter, 1.0), aim.length
+            is_curved = is_curved or not is_whole or contraction > SLOW
             if there is None:
                 damping = max(10 * damping, LEAST_STEP_DAMPING)
                 if damping > 1e6 or not len(self.moving):
                     break
+                place = replace(place, multipliers=aim.multipliers)
+                is_curved, contraction = True, 1.0
                 continue
-            is_whole = damping == 0
             damping = damping / 10 if damping > LEAST_STEP_DAMPING else 0.0
-            objectives.append(there.cost(0.0))
+            objectives.append(there.objective)
             fall = target.fall * objectives[-1]
             is_short = is_whole and length * contraction < target.length
             has_converged = is_short and there.violation < SETTLED_VIOLATION
-            if place.cost(0.0) - objectives[-1] < fall and length**2 / 2 < fall:
+            if place.objective - objectives[-1] < fall and length**2 / 2 < fall:
                 has_converged = True
             # No step is short beside a kink.
             if is_level(2 * np.array(objectives)) and there.violation < NEARLY_HELD:
@@ -288,22 +297,21 @@ class JointProblem:
 
         None where there is none.
         """
-        price = 2 * aim.largest_multiplier  # of a unit of violation
-        cost = place.cost(price)
+        cost = place.cost(aim.multipliers)
         # A tenth of what the step promises to lower (Armijo).
-        promise = 0.1 * (cost - place.cost(0.0) + aim.length**2 / 2)
+        promise = 0.1 * (place.price(aim.multipliers) + aim.length**2 / 2)
         if aim.length < 1e-2:  # what it gains is beyond the accuracy of numbers
             promise = -np.inf
         for n_halvings in range(8):
             share = 0.5**n_halvings
             there = self._moved(place, place.point.towards(aim.point, share))
-            if there.cost(price) < cost - share * promise:
-                return there.renewed()
-            again = there.corrected() if share == 1 else None
+            if there.cost(aim.multipliers) < cost - share * promise:
+                return replace(there.renewed(), multipliers=aim.multipliers)
+            again = there.corrected() if share == 1 and CORR else None
             if again is not None:
                 there = self._moved(there, again)
-                if there.cost(price) < cost - promise:
-                    return there.renewed()
+                if there.cost(aim.multipliers) < cost - promise:
+                    return replace(there.renewed(), multipliers=aim.multipliers)
         return None
 
     def _moved(self, place: "_Place", point: JointPoint) -> "_Place":
@@ -328,12 +336,12 @@ class _Aim:
     Attributes:
         point: there.
         length: of the way there, in standard deviations.
-        largest_multiplier: of the dynamics that hold.
+        multipliers: of the dynamics, (n_constraints,).
     """
 
     point: JointPoint
     length: float
-    largest_multiplier: float
+    multipliers: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,6 +359,13 @@ class _Place:
     point: JointPoint
     known: PointValues
     likelihood: MarginalLikelihood
+    multipliers: np.ndarray | None = None
+
+    def curved(self):
+        linear = replace(self.linear, curvature=self.problem.linearizer.curvature(self.point.z, self.multipliers))
+        p = self.problem
+        lik = MarginalLikelihood(linear, p.disturbances.structure, p.moving, p.softness).tilted(p.slope)
+        return replace(self, likelihood=lik)
 
     @classmethod
     def of(
@@ -415,21 +430,29 @@ class _Place:
         """The largest violation of the dynamics that hold."""
         return float(np.max(np.abs(self._excess[self._holds]), initial=0.0))
 
-    def cost(self, price: float) -> float:
-        """The objective, and the violation of the dynamics at its price.
+    def cost(self, multipliers: np.ndarray) -> float:
+        """The augmented Lagrangian, an estimate of the objective where dynamics hold.
 
         Infinite where values or slopes are no numbers.
         """
-        cost = self._objective + price * self._violations
-        return cost if np.isfinite(cost) else np.inf
+        if not np.isfinite(self.objective):
+            return np.inf
+        cost = self.objective + float(multipliers @ self._missed)
+        return cost + self.price(multipliers)
+
+    def price(self, multipliers: np.ndarray) -> float:
+        """Of violations squared, as large as their multipliers or these on average."""
+        sizes = np.abs(multipliers)
+        prices = np.maximum(sizes, np.mean(sizes[self._holds]))
+        return float(prices @ self._missed**2) / 2
 
     @cached_property
-    def _violations(self) -> float:
-        """Sum of the violations of the dynamics that hold."""
-        return float(np.sum(np.abs(self._excess[self._holds])))
+    def _missed(self) -> np.ndarray:
+        """Violations of the dynamics that hold, zero for the others."""
+        return np.where(self._holds, self._excess, 0.0)
 
     @cached_property
-    def _objective(self) -> float:
+    def objective(self) -> float:
         known = self.known
         if not np.isfinite(np.sum(known.jacobian) + np.sum(known.slopes)):
             return np.inf
@@ -472,11 +495,10 @@ class _Place:
         """
         found = self._within_bounds(self.likelihood, damping)
         point = self._moved_by(found)
-        multipliers = found.multipliers[self._holds]
         return _Aim(
             point=point,
             length=self._length(found, point),
-            largest_multiplier=float(np.max(np.abs(multipliers), initial=0.0)),
+            multipliers=found.multipliers,
         )
 
     def _within_bounds(

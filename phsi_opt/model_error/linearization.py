@@ -50,6 +50,25 @@ class ForceEffects:
 
 
 @dataclass(frozen=True, eq=False)
+class Curvature:
+    """Second derivatives of the dynamics times their multipliers, upper triangle.
+
+    Attributes:
+        row: (n_entries,) place of each entry among the states.
+        column: (n_entries,).
+        of_states: (n_entries,) the entries; those at one place are added.
+        mixed: (n_nodes * n_states, n_theta), of states and parameters.
+        of_theta: (n_theta, n_theta).
+    """
+
+    row: np.ndarray
+    column: np.ndarray
+    of_states: np.ndarray
+    mixed: np.ndarray
+    of_theta: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Linearization:
     """A likelihood linearised at a solution.
 
@@ -73,6 +92,7 @@ class Linearization:
         along: (n_nodes, n_states) states along which functions of them are taken; None:
             those of the solution.
         linear_share: of their linear part that functions of states keep.
+        curvature: of the dynamics; None: it is left out, as by Gauss and Newton.
     """
 
     grid: Grid
@@ -92,6 +112,7 @@ class Linearization:
     observed: tuple[int, ...]
     along: np.ndarray | None = None
     linear_share: float = LINEAR_SHARE
+    curvature: Curvature | None = None
 
     @property
     def n_states(self) -> int:
@@ -300,6 +321,36 @@ class Linearizer:
             theta_scale=point.theta_scale,
             forced=self._forced,
             observed=self._observed,
+        )
+
+    def curvature(self, z: np.ndarray, multipliers: np.ndarray) -> Curvature:
+        """Second derivatives of multipliers'g at a point.
+
+        Args:
+            z: (n_variables,) scaled parameters and states.
+            multipliers: (n_constraints,) of the dynamics.
+        """
+        values = self.values
+        entries = values.curvature_at(z, multipliers)
+        pattern = values.curvature
+        n_theta = len(values.unknown)
+        n_x = len(z) - n_theta
+        # Parameters are the first columns of z.
+        is_mixed = (pattern.rows < n_theta) & (pattern.columns >= n_theta)
+        of_states = pattern.rows >= n_theta
+        of_theta = pattern.columns < n_theta
+        mixed = np.zeros((n_x, n_theta))
+        place = (pattern.columns[is_mixed] - n_theta, pattern.rows[is_mixed])
+        np.add.at(mixed, place, entries[is_mixed])
+        inner = np.zeros((n_theta, n_theta))
+        place = (pattern.rows[of_theta], pattern.columns[of_theta])
+        np.add.at(inner, place, entries[of_theta])
+        return Curvature(
+            row=pattern.rows[of_states] - n_theta,
+            column=pattern.columns[of_states] - n_theta,
+            of_states=entries[of_states],
+            mixed=mixed,
+            of_theta=inner + np.triu(inner, 1).T,
         )
 
 

@@ -289,6 +289,15 @@ class MarginalLikelihood:
         self._dynamics_entries = np.concatenate([dynamics, dynamics])
         self._set_border()
 
+    @property
+    def _curved_entries(self) -> list[np.ndarray]:
+        """Of the curvature of the dynamics, both triangles."""
+        curvature = self.problem.curvature
+        if curvature is None:
+            return []
+        above = np.where(curvature.row < curvature.column, curvature.of_states, 0.0)
+        return [curvature.of_states, above]
+
     def _shown_in_unknowns(self) -> csr_matrix:
         """Slope of what is shown in states and processes."""
         problem = self.problem
@@ -334,12 +343,17 @@ class MarginalLikelihood:
         every_multiplier = self.n_unknowns + np.arange(len(self._softness))
         rows.append(every_multiplier)
         columns.append(every_multiplier)
+        curvature = problem.curvature
+        if curvature is not None:
+            rows += [curvature.row, curvature.column]
+            columns += [curvature.column, curvature.row]
         grid = problem.grid
         of_nodes = np.arange(grid.n_nodes, dtype=float)
         order = np.argsort(self._of_unknowns(of_nodes, grid.begin + 0.5), kind="stable")
         is_soft = bool(len(self._softness))
         whole = Chain(grid.begin, grid.n_nodes, problem.n_states)
-        chain = None if is_soft else whole
+        is_bare = not is_soft and problem.curvature is None
+        chain = whole if is_bare else None
         self._layout = TimeLayout(
             np.concatenate(rows), np.concatenate(columns), order, chain
         )
@@ -474,6 +488,7 @@ class MarginalLikelihood:
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
         entries.append(-self._softness)
+        entries += self._curved_entries
         factors = self._layout.factors(np.concatenate(entries))
         n, n_border = self.n_unknowns, self.border_in_dynamics.shape[1]
         n_theta = len(self.moving)
@@ -482,6 +497,9 @@ class MarginalLikelihood:
         in_theta = squared[:, None] * self.border_in_shown[:, :n_theta]
         right[:n, :n_theta] += self.shown_transposed @ in_theta
         right[n:, :n_border] = self.border_in_dynamics
+        if problem.curvature is not None:
+            mixed = problem.curvature.mixed[:, self.moving]
+            right[: len(mixed), :n_theta] += mixed
         right[:n, n_border] = self.shown_transposed @ (squared * problem.residual)
         right[n:, n_border] = -problem.offset
         log_noise = float(np.sum(np.log(weight)))
@@ -628,6 +646,10 @@ class MarginalLikelihood:
         n = in_shown.shape[1]
         weighted = weights[:, None] * in_shown
         information = in_shown.T @ weighted - products[:n, :n]
+        if self.problem.curvature is not None:
+            k = len(self.moving)
+            own = self.problem.curvature.of_theta[np.ix_(self.moving, self.moving)]
+            information[:k, :k] += own
         squares = float(np.sum(weights * residual**2))
         return Border(
             information=(information + information.T) / 2,

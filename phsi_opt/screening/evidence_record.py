@@ -251,6 +251,11 @@ class EvidenceRecord:
         names = Theta.of(self.first, self.runs).names
         known = {**dict(zip(names, begin.theta.tolist(), strict=True)), **values}
         default = unknown.spread(np.array([model.values[n] for n in model.free]))
+        import os
+        if os.environ.get('ZERO','1')=='1':
+            for name in known:
+                if name not in self.first.entries and name in model.entries and model.entries[name].prunable:
+                    known[name] = 0.0
         theta = unknown.from_values(known, default)
         theta = np.clip(theta, unknown.lower, unknown.upper)
         by_run = theta[unknown.table]

@@ -7,13 +7,18 @@ the places of the entries, and other noise asks for no evaluation.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_matrix
 
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.defect_derivatives import linear_defect, linear_function
+from phsi_opt.transcription.defect_derivatives import (
+    defect_curvature,
+    linear_defect,
+    linear_function,
+)
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
     at_nodes,
@@ -198,6 +203,33 @@ class LikelihoodValues:
             misfit=misfit,
             slopes=slopes * self.scale[self.shown.columns],
         )
+
+    @cached_property
+    def curvature(self) -> Pattern:
+        """Places of the second derivatives of the defects, upper triangle of z's."""
+        one = defect_curvature(self.model, self.scheme)
+        places = self.places(self.grid.begin, 2)[:, one.places].reshape(-1, 2)
+        row, column = np.sort(places, axis=1).T
+        return Pattern.of(row, column, (len(self.scale), len(self.scale)))
+
+    def curvature_at(self, z: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+        """Second derivatives of multipliers'g in z, entries of `curvature`.
+
+        Args:
+            z: (n_variables,).
+            multipliers: (n_constraints,) of the scaled defects.
+        """
+        grid = self.grid
+        values = z * self.scale
+        theta = self.unknown.by_trajectory(values[self.point.of_theta])
+        x = values[self.point.of_x].reshape(-1, self.n_states)
+        weighted = multipliers.reshape(-1, self.n_states) * self.per_size
+        known = [x[grid.begin].T, x[grid.begin + 1].T, *self._known, weighted.T]
+        one = defect_curvature(self.model, self.scheme)
+        (entries,) = in_intervals(one.function, grid, known, theta)
+        pattern = self.curvature
+        factor = self.scale[pattern.rows] * self.scale[pattern.columns]
+        return entries.T.ravel() * factor
 
     def _misfit(
         self, x: np.ndarray, theta: np.ndarray
