@@ -42,10 +42,9 @@ STEPS_OF_A_PROBLEM = 30
 LEAST_STEP_DAMPING = 1e-2
 # Step, in standard deviations of a parameter or its own scale, that tells a slope.
 SMALL_STEP = 1e-3
-import os
-CORR=os.environ.get('CORR','1')=='1'
 # Share of a step's length that the next one has, from which curvature takes part.
 SLOW = 0.3
+HALVINGS_OF_CURVED = 3
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
 # Violation up to which a search that did not settle is of use: beside a kink of the
 # model, or for a start.
@@ -263,7 +262,7 @@ class JointProblem:
             there = None
             if is_curved:
                 aim = place.curved().aim(0.0)
-                there = self._lower(place, aim)
+                there = self._lower(place, aim, HALVINGS_OF_CURVED)
             is_whole = there is not None or damping == 0
             if there is None:
                 aim = place.aim(damping)
@@ -292,7 +291,7 @@ class JointProblem:
             place = there
         return JointEstimate(place, n_steps, has_converged, length, contraction)
 
-    def _lower(self, place: "_Place", aim: "_Aim") -> "_Place | None":
+    def _lower(self, place: "_Place", aim: "_Aim", most_halvings: int = 8) -> "_Place | None":
         """The first place on the way to the aim, halved again and again, that is lower.
 
         None where there is none.
@@ -302,12 +301,12 @@ class JointProblem:
         promise = 0.1 * (place.price(aim.multipliers) + aim.length**2 / 2)
         if aim.length < 1e-2:  # what it gains is beyond the accuracy of numbers
             promise = -np.inf
-        for n_halvings in range(8):
+        for n_halvings in range(most_halvings):
             share = 0.5**n_halvings
             there = self._moved(place, place.point.towards(aim.point, share))
             if there.cost(aim.multipliers) < cost - share * promise:
                 return replace(there.renewed(), multipliers=aim.multipliers)
-            again = there.corrected() if share == 1 and CORR else None
+            again = there.corrected() if share == 1 else None
             if again is not None:
                 there = self._moved(there, again)
                 if there.cost(aim.multipliers) < cost - promise:

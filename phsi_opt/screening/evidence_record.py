@@ -1,7 +1,6 @@
 """Measurements of a fit, with those held out, beside which models are weighed."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -26,10 +25,6 @@ from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.parameter_vector import Theta
 
-# Factor between values at which an inner number is held, and how many are tried to
-# either side of the first.
-SCAN_FACTOR = 1.15
-MOST_SCANNED = 4
 SMALLER = 0.01  # factor on the force of a second attempt
 LIKELIER = 0.5  # gain of the log evidence from which another base is the better one
 
@@ -146,7 +141,10 @@ class EvidenceRecord:
         """
         if self.known is not None:
             return self.known
-        start = self._beginning(None)
+        unknown = Theta.of(self.first, self.runs)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = self.parameters
+        start = Start(self.first, theta, self.states, None, self.disturbances)
         try:
             return self._weighing.weighed(start)
         except SolveError:
@@ -181,134 +179,31 @@ class EvidenceRecord:
         return replace(self, known=found)
 
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
-        """A model that is larger than the base, begun beside it.
+        """A model that is larger than the base, begun where the base is likeliest.
+
+        The sizes of what is new begin at zero, where both models are the same.
 
         Args:
             model: the base with something more.
-            values: of its parameters, from which to start.
+            values: of what is new; numbers that are no sizes begin there.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
-        beside = self.base
-        try:
-            return self._weighed_from(self._beginning(beside), model, values)
-        except SolveError:
-            # Beside a force that does nearly everything the base has lost its way.
-            return self._weighed_from(self._beginning(None), model, values)
-
-    def _beginning(self, beside: Weighed | None) -> Start:
-        """The base where it is most likely; None: where it was fitted."""
-        if beside is not None:
-            return Start(
-                self.first,
-                beside.theta,
-                beside.states,
-                beside.processes,
-                beside.disturbances,
-            )
-        unknown = Theta.of(self.first, self.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = self.parameters
-        return Start(self.first, theta, self.states, None, self.disturbances)
-
-    def _weighed_from(
-        self, begin: Start, model: Model, values: Mapping[str, float]
-    ) -> Weighed:
-        """A larger model, with its one inner number scanned where steps do not settle.
-
-        Raises:
-            SolveError: it cannot be weighed.
-        """
-        inner = self._weighing.inner_names(model)
-        if begin.processes is None:
-            values = {n: x for n, x in values.items() if n not in self.first.entries}
-        free = None
-        try:
-            free = self._begun_beside(begin, model, values)
-        except SolveError:
-            if not inner:
-                raise
-        if free is not None and (free.is_settled or not inner):
-            return free
-        held = frozenset(inner)
-        if len(inner) > 1:
-            return free or self._begun_beside(begin, model, values, held)
-        scanned = self._scanned(begin, model, values, held)
-        if free is not None and free.log_evidence > scanned.log_evidence:
-            return free
-        return scanned
-
-    def _begun_beside(
-        self,
-        begin: Start,
-        model: Model,
-        values: Mapping[str, float],
-        held: frozenset[str] = frozenset(),
-    ) -> Weighed:
-        """A larger model, begun beside the base; ``held``: parameters that stay."""
+        base = self.base
         unknown = Theta.of(model, self.runs)
         names = Theta.of(self.first, self.runs).names
-        known = {**dict(zip(names, begin.theta.tolist(), strict=True)), **values}
+        known = dict(zip(names, base.theta.tolist(), strict=True))
+        for name, value in values.items():
+            if name not in self.first.entries:
+                known[name] = 0.0 if model.entries[name].prunable else value
         default = unknown.spread(np.array([model.values[n] for n in model.free]))
-        import os
-        if os.environ.get('ZERO','1')=='1':
-            for name in known:
-                if name not in self.first.entries and name in model.entries and model.entries[name].prunable:
-                    known[name] = 0.0
         theta = unknown.from_values(known, default)
         theta = np.clip(theta, unknown.lower, unknown.upper)
-        by_run = theta[unknown.table]
         grid = self.aligned.for_model(model).grid
-        states = with_memory(model, grid, begin.states, by_run)
-        start = replace(begin, model=model, theta=theta, states=states, held=held)
-        return self._weighing.weighed(start, self.base.log_likelihood)
-
-    def _scanned(
-        self,
-        begin: Start,
-        model: Model,
-        values: Mapping[str, float],
-        held: frozenset[str],
-    ) -> Weighed:
-        """A model whose one inner number is held at values, uphill from the first.
-
-        For one along which no steps settle, such as a delay below a sample.
-
-        Raises:
-            SolveError: it cannot be weighed with the first value.
-        """
-        (name,) = held
-        first = values.get(name, model.values[name])
-        found: dict[int, Weighed] = {}
-
-        def at(place: float) -> Weighed:
-            moved = {**values, name: first * SCAN_FACTOR**place}
-            return self._begun_beside(begin, model, moved, held)
-
-        found[0] = at(0)
-        for step in (-1, 1):
-            place = 0
-            while abs(place) < MOST_SCANNED:
-                try:
-                    found[place + step] = at(place + step)
-                except SolveError:
-                    break
-                place += step
-                if found[place].log_evidence < found[place - step].log_evidence:
-                    break
-        best = max(found, key=lambda place: found[place].log_evidence)
-        if {best - 1, best + 1} <= found.keys():
-            below, here, above = (
-                found[k].log_evidence for k in (best - 1, best, best + 1)
-            )
-            curvature = min(below - 2 * here + above, -TINY)
-            vertex = best + (below - above) / (2 * curvature)
-            with suppress(SolveError):
-                top = at(vertex)
-                if top.log_evidence > here:
-                    return top
-        return found[best]
+        states = with_memory(model, grid, base.states, theta[unknown.table])
+        start = Start(model, theta, states, base.processes, base.disturbances)
+        return self._weighing.weighed(start, base.log_likelihood)
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
         """A fitted model without any force, begun at its free runs.

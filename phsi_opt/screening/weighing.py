@@ -119,7 +119,6 @@ class Start:
         states: (n_nodes, n_states).
         processes: values of forces and errors of sensors; None: there are none.
         disturbances: noise, forces and errors of sensors, with their sizes.
-        held: names of parameters that stay.
     """
 
     model: Model
@@ -127,7 +126,6 @@ class Start:
     states: np.ndarray
     processes: np.ndarray | None
     disturbances: Disturbances
-    held: frozenset[str] = frozenset()
 
     def padded(self, n_old: int) -> "Start":
         """With a size for the memory that a trajectory begins with."""
@@ -173,8 +171,6 @@ class Weighing:
     def weighed(self, start: Start, worth: float = -np.inf) -> Weighed:
         """Steps with given sizes and better sizes by turns, until both stay.
 
-        Inner numbers of what is new are held in the first of them.
-
         Args:
             start: where to begin.
             worth: log likelihood that the base has.
@@ -191,15 +187,6 @@ class Weighing:
         z = problem.values.point.scaled
         processes = start.processes
         best = None
-        names = problem.values.unknown.names
-        held = [names.index(name) for name in start.held]
-        inner = [names.index(one) for one in self.inner_names(start.model)]
-        if held:
-            problem = replace(problem, moving=np.delete(problem.moving, held))
-        elif inner:
-            first = replace(problem, moving=np.delete(problem.moving, inner))
-            joint = first.optimum(z, STEPS_OF_A_ROUND, _beside(first, z, processes))
-            z, processes = joint.point.z, joint.point.processes
         # Beside a force that was never met with these parameters they stay at first:
         # free ones may run from a large force to where nothing is alike.
         for number in range(MOST_ROUNDS):
@@ -210,7 +197,9 @@ class Weighing:
             likelihood = joint.likelihood.with_moving(_within_bounds(own, z))
             # Of the sizes that led there: others have their optimum elsewhere.
             found = _Found(joint, likelihood, own.disturbances)
-            sizes = self._better_sizes(likelihood, problem.disturbances)
+            sizes = problem.disturbances
+            if found.is_valid:
+                sizes = self._better_sizes(likelihood, sizes)
             change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes).tilted(joint)
             change = max(change, joint.move_for(problem.slope))
@@ -234,14 +223,6 @@ class Weighing:
                 f"{best.joint.length:.2g} standard deviations)."
             )
         return self._result(problem, best, found.is_valid)
-
-    def inner_names(self, model: Model) -> list[str]:
-        """New free parameters in which a model is not linear."""
-        names = []
-        for name in model.free:
-            if name not in self.known and not model.entries[name].prunable:
-                names.append(name)
-        return names
 
     def problem(self, start: Start) -> JointProblem:
         """Parameters, states and forces together, as a start has them."""
@@ -308,7 +289,12 @@ class Weighing:
         n_fitted_values = self._n_values(self.n_fitted)
         share = n_fitted_values / self._n_values(len(borders))
         k = len(theta)
-        training = _profiled(fitted, sizes)
+        # Where steps ended short of the optimum of all, that is no gain of a part.
+        whole = Border.sum(borders)
+        n = whole.n_theta
+        missed = solve_border(whole.information[:n, :n] + np.eye(n), whole.gradient[:n])
+        pull = fitted.gradient[:n] - fitted.information[:n, :n] @ missed
+        training = _log_likelihood(fitted, sizes, pull)
         training -= k * np.log(n_fitted_values) / 2 + price * share
         evidence = found.evidence
         evidence -= k * np.log(self._n_values(len(borders))) / 2 + price
@@ -371,7 +357,9 @@ class _Found:
         problem = self.likelihood.problem
         n_free = problem.n_values - problem.n_trajectories * problem.n_states
         border = self.likelihood.border(self.sizes)
-        return _profiled(border, self.sizes) - n_free * np.log(2 * np.pi) / 2
+        still = np.zeros(border.n_theta)
+        found = _log_likelihood(border, self.sizes, still)
+        return found - n_free * np.log(2 * np.pi) / 2
 
     @property
     def is_valid(self) -> bool:
@@ -399,17 +387,22 @@ def _names_at_bounds(unknown: Theta, theta: np.ndarray) -> tuple[str, ...]:
     return tuple(np.array(unknown.names)[is_met].tolist())
 
 
-def _profiled(border: Border, sizes: Disturbances) -> float:
+def _log_likelihood(border: Border, sizes: Disturbances, pull: np.ndarray) -> float:
     """Log likelihood of a record, or a part of it, at its own best parameters.
 
-    What it says little of goes no further than by its own scale.
+    Args:
+        border: what the record says of parameters and coefficients.
+        sizes: of the disturbances.
+        pull: (n_theta,) slope in the parameters; zero: they stay.
     """
     n = border.n_theta
     of_functions = sizes.function_sizes
     information = border.with_priors(of_functions)
     log_det = np.linalg.slogdet(information[n:, n:])[1]
+    # What it says little of goes no further than by its own scale.
     information[:n, :n] += np.eye(n)
-    gain = border.gradient @ solve_border(information, border.gradient)
+    gradient = np.concatenate([pull, border.gradient[n:]])
+    gain = gradient @ solve_border(information, gradient)
     log_prior = -float(np.sum(np.log(of_functions[border.owner])))
     return border.log_evidence - (border.constant - gain + log_det) / 2 + log_prior
 
