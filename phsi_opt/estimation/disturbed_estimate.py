@@ -37,6 +37,7 @@ from phsi_opt.model_error.state_functions import LINEAR_SHARE
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 
+MOST_SOLVES = int(__import__("os").environ.get("MS","5"))  # each followed by better sizes
 # Change of the logarithm of the evidence by better sizes up to which they stay.
 SETTLED_EVIDENCE = 0.1
 
@@ -188,7 +189,8 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     z = plain.z
     evidence = -np.inf
     move = np.inf
-    for _ in range(3):  # solves, each followed by better sizes, at most
+    joint = None
+    for _ in range(MOST_SOLVES):
         found = search.best_of([disturbances])
         disturbances = found.disturbances
         is_settled = found.log_evidence < evidence + SETTLED_EVIDENCE
@@ -199,7 +201,8 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             break
         task.say("parameters, states and forces together")
         problem = JointProblem(linearizer, disturbances, search.moving)
-        joint = problem.optimum(z, most_steps=100)
+        before = problem.optimum(z, 0) if joint is None else joint
+        joint = problem.tilted(before).optimum(z, most_steps=100)
         z = joint.point.z
         weights = noise_weights(joint.place.linear, disturbances.sigma)
         solution = solution_of_steps(

@@ -11,11 +11,11 @@ The sizes of noise and disturbances are given (`Disturbances`). Without a tilt a
 most likely together; with the slope of -1/2 log|det K| in theta, the volume of what is
 integrated out, the parameters are most likely by themselves. Each step linearises the
 record and goes to the optimum of what is then linear, by one banded factorisation
-(Gauss and Newton). It has to lower the objective, in which what the dynamics are
-violated by has a price above their multipliers (an exact penalty; Han, J. Optimization
-Theory and Applications 22, 1977). Else it is corrected for the curvature that was met
-(Maratos; Nocedal and Wright, Numerical Optimization, 2006, chapter 18), halved, and at
-last damped.
+(Gauss and Newton). It has to lower an augmented Lagrangian, which tells what the
+objective would be if the dynamics held (Nocedal and Wright, Numerical Optimization,
+2006, chapter 17). Else it is corrected for the curvature that was met (Maratos; chapter
+18), halved, and at last damped. Once steps shrink slowly, as where forces are large,
+the curvature of the dynamics takes part: then they are Newton's.
 """
 
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ import numpy as np
 
 from phsi_opt.interrupts import solving
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.linearization import Linearization, Linearizer
+from phsi_opt.model_error.linearization import Curvature, Linearization, Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     Smoothed,
@@ -44,7 +44,10 @@ LEAST_STEP_DAMPING = 1e-2
 SMALL_STEP = 1e-3
 # Share of a step's length that the next one has, from which curvature takes part.
 SLOW = 0.3
-HALVINGS_OF_CURVED = 3
+# Parts of a step that are tried, each half of the one before; fewer of one with
+# curvature, which may lead uphill.
+MOST_TRIED = 8
+MOST_TRIED_CURVED = 3
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
 # Violation up to which a search that did not settle is of use: beside a kink of the
 # model, or for a start.
@@ -188,6 +191,29 @@ class JointProblem:
         """`tilt`, (n_theta,)."""
         return np.zeros(len(self.values.unknown)) if self.tilt is None else self.tilt
 
+    def linearized(
+        self,
+        z: np.ndarray,
+        known: PointValues,
+        along: np.ndarray | None = None,
+        curvature: Curvature | None = None,
+    ) -> Linearization:
+        """The record linearised at a point, beside the tilt.
+
+        Args:
+            z: (n_variables,) scaled parameters and states.
+            known: what the values are there.
+            along: (n_nodes, n_states) for functions of states; None: those of z.
+            curvature: of the dynamics that takes part.
+        """
+        return replace(
+            self.linearizer.at(z, known),
+            along=along,
+            linear_share=0.0,
+            curvature=curvature,
+            tilt=self.tilt,
+        )
+
     def tilted(self, found: JointEstimate) -> "JointProblem":
         """With the tilt that is right where steps ended.
 
@@ -212,9 +238,9 @@ class JointProblem:
                 step = -step
             moved = z.copy()
             moved[place] += step
-            linear = self.linearizer.at(moved, self._at(moved))
-            along = likelihood.problem.states_of_functions
-            linear = replace(linear, along=along, linear_share=0.0)
+            linear = self.linearized(
+                moved, self._at(moved), likelihood.problem.states_of_functions
+            )
             there = likelihood.relinearized(linear).log_volume_of_unknowns(
                 self.disturbances
             )
@@ -249,7 +275,7 @@ class JointProblem:
             place, contraction = _Place.of(self, z, beside), 1.0
         else:
             likelihood = before.likelihood.with_softness(self.softness)
-            likelihood = likelihood.tilted(self.slope)
+            likelihood = likelihood.tilted(self.tilt)
             place = replace(before.place, problem=self, likelihood=likelihood)
             contraction = before.contraction
         n_steps = 0
@@ -262,7 +288,7 @@ class JointProblem:
             there = None
             if is_curved:
                 aim = place.curved().aim(0.0)
-                there = self._lower(place, aim, HALVINGS_OF_CURVED)
+                there = self._lower(place, aim, MOST_TRIED_CURVED)
             is_whole = there is not None or damping == 0
             if there is None:
                 aim = place.aim(damping)
@@ -291,7 +317,9 @@ class JointProblem:
             place = there
         return JointEstimate(place, n_steps, has_converged, length, contraction)
 
-    def _lower(self, place: "_Place", aim: "_Aim", most_halvings: int = 8) -> "_Place | None":
+    def _lower(
+        self, place: "_Place", aim: "_Aim", most_tried: int = MOST_TRIED
+    ) -> "_Place | None":
         """The first place on the way to the aim, halved again and again, that is lower.
 
         None where there is none.
@@ -301,7 +329,7 @@ class JointProblem:
         promise = 0.1 * (place.price(aim.multipliers) + aim.length**2 / 2)
         if aim.length < 1e-2:  # what it gains is beyond the accuracy of numbers
             promise = -np.inf
-        for n_halvings in range(most_halvings):
+        for n_halvings in range(most_tried):
             share = 0.5**n_halvings
             there = self._moved(place, place.point.towards(aim.point, share))
             if there.cost(aim.multipliers) < cost - share * promise:
@@ -352,6 +380,8 @@ class _Place:
         point: parameters, states and disturbances.
         known: defects and what is shown at the point.
         likelihood: of the record linearised there.
+        multipliers: (n_constraints,) of the dynamics by the last step; None: there was
+            none.
     """
 
     problem: JointProblem
@@ -359,12 +389,6 @@ class _Place:
     known: PointValues
     likelihood: MarginalLikelihood
     multipliers: np.ndarray | None = None
-
-    def curved(self):
-        linear = replace(self.linear, curvature=self.problem.linearizer.curvature(self.point.z, self.multipliers))
-        p = self.problem
-        lik = MarginalLikelihood(linear, p.disturbances.structure, p.moving, p.softness).tilted(p.slope)
-        return replace(self, likelihood=lik)
 
     @classmethod
     def of(
@@ -375,11 +399,11 @@ class _Place:
     ) -> "_Place":
         """Of a start; arguments as those of `JointProblem.optimum`."""
         known = problem._at(z)
-        linear = replace(problem.linearizer.at(z, known), linear_share=0.0)
+        linear = problem.linearized(z, known)
         structure = problem.disturbances.structure
         likelihood = MarginalLikelihood(
             linear, structure, problem.moving, problem.softness
-        ).tilted(problem.slope)
+        )
         if beside is None:
             n_x = linear.nodes.size
             processes = np.zeros(likelihood.n_unknowns - n_x)
@@ -389,9 +413,25 @@ class _Place:
     def renewed(self) -> "_Place":
         """The same place, the record linearised here, functions of states as before."""
         along = self.linear.states_of_functions
-        linear = self.problem.linearizer.at(self.point.z, self.known)
-        linear = replace(linear, along=along, linear_share=0.0)
+        linear = self.problem.linearized(self.point.z, self.known, along)
         return replace(self, likelihood=self.likelihood.relinearized(linear))
+
+    def curved(self) -> "_Place":
+        """The same place, where the curvature of the dynamics takes part.
+
+        The optimum of what is then quadratic is Newton's step. Where forces are large
+        the steps of Gauss and Newton, who leave it out, shrink slowly or grow.
+        """
+        assert self.multipliers is not None
+        problem, z = self.problem, self.point.z
+        curvature = problem.linearizer.curvature(z, self.multipliers)
+        along = self.linear.states_of_functions
+        linear = problem.linearized(z, self.known, along, curvature)
+        structure = problem.disturbances.structure
+        likelihood = MarginalLikelihood(
+            linear, structure, problem.moving, problem.softness
+        )
+        return replace(self, likelihood=likelihood)
 
     @property
     def linear(self) -> Linearization:

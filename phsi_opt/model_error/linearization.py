@@ -93,6 +93,7 @@ class Linearization:
             those of the solution.
         linear_share: of their linear part that functions of states keep.
         curvature: of the dynamics; None: it is left out, as by Gauss and Newton.
+        tilt: (n_theta,) slope of a log likelihood that acts beside; None: none does.
     """
 
     grid: Grid
@@ -113,6 +114,7 @@ class Linearization:
     along: np.ndarray | None = None
     linear_share: float = LINEAR_SHARE
     curvature: Curvature | None = None
+    tilt: np.ndarray | None = None
 
     @property
     def n_states(self) -> int:
@@ -123,6 +125,11 @@ class Linearization:
     def n_theta(self) -> int:
         """Number of parameters."""
         return len(self.theta_scale)
+
+    @property
+    def slope(self) -> np.ndarray:
+        """`tilt`, (n_theta,)."""
+        return np.zeros(self.n_theta) if self.tilt is None else self.tilt
 
     @property
     def n_values(self) -> int:

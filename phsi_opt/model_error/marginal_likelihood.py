@@ -247,7 +247,6 @@ class MarginalLikelihood:
         self.structure = structure
         self.moving = moving
         self._softness = np.zeros(0) if softness is None else softness
-        self._tilt = np.zeros(problem.n_theta)
         self._set_layout()
         self._set_slopes()
 
@@ -264,10 +263,10 @@ class MarginalLikelihood:
         other._softness = np.zeros(0) if softness is None else softness
         return other
 
-    def tilted(self, tilt: np.ndarray) -> "MarginalLikelihood":
-        """The same beside a logarithm with this slope in the parameters, (n_theta,)."""
+    def tilted(self, tilt: np.ndarray | None) -> "MarginalLikelihood":
+        """The same beside a log likelihood with this slope in the parameters."""
         other = copy(self)
-        other._tilt = tilt
+        other.problem = replace(self.problem, tilt=tilt)
         return other
 
     def with_moving(self, moving: np.ndarray) -> "MarginalLikelihood":
@@ -524,7 +523,7 @@ class MarginalLikelihood:
         """What is left of states and processes that were solved for."""
         log_evidence = eliminated.log_evidence + self.problem.log_volume
         border = self._border_of(eliminated, log_evidence)
-        return border.tilted(self._tilt[self.moving])
+        return border.tilted(self.problem.slope[self.moving])
 
     def borders_by_run(self, disturbances: Disturbances) -> list[Border]:
         """The same, what every trajectory says by itself.
@@ -551,7 +550,7 @@ class MarginalLikelihood:
         for border in borders:
             told.append(np.diag(border.information)[: border.n_theta])
         slopes = (
-            self._tilt[self.moving] * np.array(told) / (np.sum(told, axis=0) + TINY)
+            self.problem.slope[self.moving] * np.array(told) / (np.sum(told, axis=0) + TINY)
         )
         return [one.tilted(slope) for one, slope in zip(borders, slopes, strict=True)]
 
@@ -591,7 +590,7 @@ class MarginalLikelihood:
         eliminated = self.eliminated(disturbances, REGULAR, held)
         sizes = disturbances.function_sizes
         border = self._border_of(eliminated, 0.0)
-        border = border.tilted(self._tilt[self.moving])
+        border = border.tilted(self.problem.slope[self.moving])
         theta, of_functions = border.step(sizes, damping, room, silent_share)
         solved = eliminated.solved
         moved = np.concatenate([theta, of_functions])
