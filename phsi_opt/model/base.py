@@ -30,7 +30,7 @@ from phsi_opt.model.terms import Dictionary
 from phsi_opt.model.variables import Variables
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class BaseModel:
     """States, inputs, and the terms of the slots H, R, F and sensor; see ``Model``.
 
@@ -260,7 +260,7 @@ class BaseModel:
         def valued(name: str, parameter: Parameter) -> Parameter:
             return with_value(parameter, values[name]) if name in values else parameter
 
-        return self._with_parameters(valued)
+        return self.with_parameters(valued)
 
     def with_fixed(self, values: Mapping[str, float]) -> Self:
         """A new model with the named parameters known: fixed at these values.
@@ -289,7 +289,7 @@ class BaseModel:
             within = None if value is None else min(value, upper)
             return replace(parameter, upper=upper, value=within)
 
-        return self._with_parameters(bounded)
+        return self.with_parameters(bounded)
 
     def frozen(self) -> Self:
         """A new model with every parameter fixed at its present value."""
@@ -312,9 +312,9 @@ class BaseModel:
         def changed(name: str, parameter: Parameter) -> Parameter:
             return replace(parameter, **settings) if name in names else parameter
 
-        return self._with_parameters(changed)
+        return self.with_parameters(changed)
 
-    def _with_parameters(self, change: Callable[[str, Parameter], Parameter]) -> Self:
+    def with_parameters(self, change: Callable[[str, Parameter], Parameter]) -> Self:
         """A new model with each parameter (by its name) changed."""
 
         def changed(place: str, terms: Dictionary) -> Dictionary:

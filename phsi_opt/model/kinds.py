@@ -44,8 +44,7 @@ WITHOUT_PREFIX = {
 # Their zero on the absolute scale of the same degrees.
 ZEROS = {"degC": 273.15, "°C": 273.15, "degF": 459.67, "°F": 459.67}
 TEMPERATURES = frozenset({*ZEROS, "K"})
-SPELLINGS = (("**", ""), ("^", ""), ("*", ""), ("·", ""), (" ", ""))
-SMALL_DIGITS = (("²", "2"), ("³", "3"))
+PLAIN_SIGNS = str.maketrans("²³", "23", "^*· ")
 
 
 def checked_kinds(
@@ -110,6 +109,4 @@ def kind_of_unit(unit: str) -> str:
 
 def plain_unit(unit: str) -> str:
     """The unit without spaces, signs of products and raised digits: m³ is m3."""
-    for written, plain in (*SPELLINGS, *SMALL_DIGITS):
-        unit = unit.replace(written, plain)
-    return unit
+    return unit.translate(PLAIN_SIGNS)
