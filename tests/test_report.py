@@ -41,7 +41,6 @@ from phsi_opt.presentation.content import (
 from phsi_opt.presentation.durations import Scale, date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import (
     html_report,
-    interval_words,
     markdown_report,
     packed,
 )
@@ -624,8 +623,8 @@ def test_bounds_cut_an_interval() -> None:
     assert ends_within(damping, 0.01, 0.2) == (0.01, 0.2)
     assert ends_within(damping, np.nan, 0.2) == (None, None)
     row = ParameterRow("c", 0.1, 0.05, 0.0, 0.2, "cut at its bound", "")
-    assert interval_words(row) == "0 to 0.2, cut at its bound"
-    assert interval_words(replace(row, lower=None, remark="fixed")) == "fixed"
+    assert row.interval == "0 to 0.2, cut at its bound"
+    assert replace(row, lower=None, remark="fixed").interval == "fixed"
 
 
 @pytest.mark.parametrize(

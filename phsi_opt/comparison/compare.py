@@ -101,7 +101,7 @@ class Comparison(Summarised):
     @cached_property
     def _y(self) -> np.ndarray:
         """What was measured, (n_samples of all trajectories, n_states)."""
-        return np.concatenate([run.x for run in self.data.trajectories])
+        return self.data.stacked("x")
 
     @cached_property
     def _n_values(self) -> np.ndarray:

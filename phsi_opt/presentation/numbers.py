@@ -33,20 +33,6 @@ def decimal(value: float, digits: int) -> str:
     return text
 
 
-def with_error(value: float, std_error: float) -> str:
-    """The value with its standard error, as many decimals as the error has digits."""
-    if not math.isfinite(value):
-        return "not known"
-    if not math.isfinite(std_error) or std_error <= 0:
-        return number(value)
-    n_decimals = 1 - math.floor(math.log10(std_error))
-    if abs(n_decimals) > 5:
-        return f"{number(value)} \N{PLUS-MINUS SIGN} {number(std_error, 2)}"
-    n_decimals = max(n_decimals, 0)
-    text = f"{value:.{n_decimals}f}".replace("-", "\N{MINUS SIGN}", 1)
-    return f"{text} \N{PLUS-MINUS SIGN} {std_error:.{n_decimals}f}"
-
-
 def estimate_text(value: float, std_error: float) -> str:
     """Value and standard error of an equation, in signs that can be typed.
 
@@ -59,6 +45,13 @@ def estimate_text(value: float, std_error: float) -> str:
     size = max(abs(value), std_error)
     n_digits = math.floor(math.log10(size)) - math.floor(math.log10(std_error)) + 2
     return f"{decimal(value, n_digits)} +- {decimal(std_error, 2)}"
+
+
+def with_error(value: float, std_error: float) -> str:
+    """The same as a report has it; the value alone where there is no error."""
+    if not math.isfinite(value) or not 0 < std_error < math.inf:
+        return number(value)
+    return said(estimate_text(value, std_error))
 
 
 def short_constants(line: str) -> str:
