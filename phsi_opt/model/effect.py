@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from types import UnionType
 
+from phsi_opt.arguments import require_known
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Scan, Tried
@@ -45,11 +46,8 @@ class Effect:
     family: str = ""
 
     def __post_init__(self) -> None:
-        if self.slot not in SLOTS:
-            raise ModelError(
-                f"effect {self.name!r}: slot {self.slot!r} is unknown; "
-                f"expected {', '.join(SLOTS)}."
-            )
+        said = f"effect {self.name!r}: slot {self.slot!r} is unknown"
+        require_known(self.slot, SLOTS, said)
         if not isinstance(self.term, Dictionary) or not self.term.terms:
             raise ModelError(
                 f"effect {self.name!r} has no term; "

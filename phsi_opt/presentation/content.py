@@ -402,11 +402,6 @@ class StudyContent:
     warning: str
 
     @property
-    def judged_part(self) -> str:
-        """The part of the data that judges."""
-        return TRAINING if self.steps[-1].held_out is None else HELD_OUT
-
-    @property
     def present(self) -> Diagnosed | None:
         """The diagnosis of the present model; None before there is one."""
         return self.diagnoses[-1] if self.is_diagnosed else None

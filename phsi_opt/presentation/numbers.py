@@ -8,14 +8,13 @@ from typing import Any
 
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
-SUPERSCRIPTS = dict(zip("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹", strict=True))
+RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 POWER_OF_TEN = re.compile(
     r"(?<![\w.])(\d+(?:\.\d+)?)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
 )
 # Names of people; names of effects are small letters in code.
 PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
 LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
-RAISED = str.maketrans(SUPERSCRIPTS)
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -75,7 +74,7 @@ def p_value_words(p_value: float) -> str:
 def typeset(text: str) -> str:
     """A sentence of a terminal as it is printed: ± for +-, rad/s² for rad/s^2."""
     signed = text.replace("+-", "\N{PLUS-MINUS SIGN}")
-    return UNIT_POWER.sub(lambda found: SUPERSCRIPTS[found[1]], signed)
+    return UNIT_POWER.sub(lambda found: found[1].translate(RAISED), signed)
 
 
 def said(text: str) -> str:
