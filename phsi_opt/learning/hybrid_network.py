@@ -97,8 +97,8 @@ class TrainedForce:
         names = (*model.states, *model.inputs, TIME_NAME)
         on = tuple(variables or model.states)
         for name in on:
-            said = f"variable of NeuralForce {name!r} is not one of the model"
-            require_known(name, names, said)
+            said = f"variable of NeuralForce {name!r} is not a state, an input or the"
+            require_known(name, names, f"{said} time 't' of the model")
         return cls(tuple(equations), on, names, model.n_states, network)
 
     @property
