@@ -1,11 +1,11 @@
 """Checks of settings, each of which names the setting, its value and the expected."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.errors import ModelError, PhsiOptError, did_you_mean
 
 
 def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
@@ -22,8 +22,33 @@ def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") ->
 
 def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
     """Check that the value is one of the choices, or name the closest of them."""
-    expected = f"one of {', '.join(choices)}"
-    require(value in choices, name, value, expected, did_you_mean(value, choices))
+    require_known(value, choices, f"{name}={short_number(value)} is not possible")
+
+
+def require_known(
+    name: Any,
+    known: Iterable[Any],
+    said: str,
+    error: type[PhsiOptError] = ModelError,
+) -> None:
+    """Let a name pass that there is, or say which there are, and the closest of them.
+
+    Args:
+        name: what was asked for.
+        known: what there is.
+        said: how the message begins, such as "state 'v' is unknown".
+        error: what is raised.
+
+    Raises:
+        PhsiOptError: there is no such name.
+    """
+    listed = list(known)
+    if name not in listed:
+        are_words = all(str(one).isidentifier() for one in listed)
+        shown = map(str if are_words else repr, listed)  # blanks, commas, numbers
+        expected = ", ".join(shown) or "none, for there are none"
+        hint = did_you_mean(name, listed)
+        raise error(f"{said}; expected one of {expected}.{hint}")
 
 
 def require_count(name: str, value: Any, or_none: bool = False) -> None:

@@ -667,7 +667,7 @@ def test_add_refuses_what_is_unknown_and_says_what_was_meant(demo: Path) -> None
 def test_add_names_the_states_where_the_equation_is_none_of_them(demo: Path) -> None:
     result = said("add", "coulomb friction", demo, "-e", "v")
     assert result.code == ExitCode.BAD_INPUT
-    assert "'v' is not a state of the model; its states are q, p" in " ".join(
+    assert "'v' is not a state of the model; expected one of q, p" in " ".join(
         result.err.split()
     )
 

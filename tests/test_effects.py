@@ -340,6 +340,6 @@ def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> 
     for effect in ph.catalogue(spring()):
         assert pickle.loads(pickle.dumps(effect)) == effect
     with pytest.raises(
-        ph.ModelError, match="slot 'G' is unknown; expected H, R, F, sensor"
+        ph.ModelError, match="slot 'G' is unknown; expected one of H, R, F, sensor"
     ):
         Effect("odd", "G", "p", ph.formula("1"))

@@ -52,7 +52,7 @@ def test_inputs_that_are_left_out_are_linear_and_one_word_stays_a_word() -> None
     [
         (
             {"valv": "zero"},
-            r"hold names the unknown 'valv'; expected names of \['push', 'valve'\]. "
+            r"hold names the unknown 'valv'; expected one of push, valve\. "
             r"Did you mean 'valve'\?",
         ),
         ({"q": "zero"}, "hold names the unknown 'q'"),

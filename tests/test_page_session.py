@@ -19,7 +19,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.errors import Complaint
-from phsi_opt.force_analysis.localization import THROUGHOUT, window_of
+from phsi_opt.force_analysis.localization import Window
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
 from phsi_opt.page.gallery import GALLERY, BaseModel, match_states
 from phsi_opt.page.guards import UploadLimit
@@ -532,10 +532,10 @@ def test_after_a_step_the_charts_stay_where_the_user_looked(studied: Session) ->
     studied.look = before
 
 
-def test_the_window_of_the_sentence_is_the_one_that_is_marked() -> None:
-    assert window_of("1 to 1.5") == (1.0, 1.5)
-    assert window_of("-2e-05 to 3") == (-2e-05, 3.0)
-    assert window_of(f"0 to 10{THROUGHOUT}") is None
+def test_a_window_is_told_in_a_table_with_three_digits() -> None:
+    assert str(Window("run 1", 1.0, 1.5, is_whole=False)) == "1 to 1.5"
+    assert str(Window("run 1", -2e-5, 3.0, is_whole=False)) == "-2e-05 to 3"
+    assert str(Window("run 1", 0.0, 10.0, is_whole=True)) == "0 to 10 (throughout)"
 
 
 def test_work_says_what_it_does_now_and_how_much_longer() -> None:

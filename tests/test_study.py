@@ -21,7 +21,8 @@ from rich.console import Console
 import phsi_opt as ph
 from phsi_opt.estimation import record
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.presentation.pictures import plot_history
+from phsi_opt.presentation.charts import LOG, draw, errors_chart
+from phsi_opt.presentation.content import ErrorStep
 from phsi_opt.transcription import alignment
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import CSV, TIMES, table
@@ -268,9 +269,8 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(
         "coulomb friction on p and sensor delay on q",
         "without drag",
     ]
-    errors = {"train_rmse": 1.0, "held_out_rmse": 1.0, "noise_floor": 0.5, "bic": 0.0}
-    long = pd.DataFrame({"step": [0, 1, 2], "effect": effects, **errors})
-    axes = plot_history(long)
+    _, axes = plt.subplots(figsize=(7.0, 3.8), layout="constrained")
+    draw(axes, errors_chart([ErrorStep(one, 1.0, 1.0, 0.5) for one in effects], "m"))
     axes.figure.canvas.draw()
     boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
     assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
@@ -337,8 +337,8 @@ def test_the_history_is_drawn_with_its_values_and_a_log_axis_over_decades(
     assert {text.get_verticalalignment() for text in axes.texts[:2]} == {"top"}
     assert {text.get_verticalalignment() for text in axes.texts[2:]} == {"bottom"}
     assert axes.get_yscale() == "linear"
-    table = hidden.history.assign(train_rmse=[5.0, 0.04], held_out_rmse=[6.0, 0.05])
-    assert plot_history(table).get_yscale() == "log"
+    steps = (ErrorStep("base", 5.0, 6.0, 0.03), ErrorStep("drag", 0.04, 0.05, 0.03))
+    assert errors_chart(steps, "m").panels[0].scale == LOG
     plt.close("all")
 
 

@@ -310,7 +310,7 @@ def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
     assert "Did you mean 'trajectory'?" in found["data.trajectry"]
     assert 'kk*q**2/2 + p**2/(2*m)"' in found["model.H"]
     assert "Did you mean 'k'?" in found["model.H"]
-    assert "its states are q, p" in found["model.R.z"]
+    assert "expected one of q, p" in found["model.R.z"]
     assert "outside its bounds" in found["parameters.k"]
 
 
@@ -368,7 +368,7 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ("pairs =", "S = [[0, 1], [1, 0]]  #", "model", "not skew-symmetric"),
         ("pairs =", "#", "model", "exactly one of pairs or S"),
         ('["q", "p"]\npairs', '["q", "q", "p"]\npairs', "model.states", "twice"),
-        ('["q", "p"]\npairs', '["q", "p-1"]\npairs', "model.states", "cannot be a name"),
+        ('["q", "p"]\npairs', '["q", "p-1"]\npairs', "model.states", "cannot be used"),
         ("c = {", "d = {", "model.R.p", "c = { start = 1.0 }"),
         ("c = {", "x = 1\nc = {", "parameters.x", "no formula has this name"),
         ("start = 10.0", "start = 1.0, value = 2", "parameters.k.value", "start too"),

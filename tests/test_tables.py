@@ -145,7 +145,7 @@ def test_names_of_runs_in_a_file_stay_text() -> None:
             {"states": {"q": "positon"}},
             r"no column 'positon'.*Did you mean 'position'\?",
         ),
-        ("T,q\n0,1\n1,2\n", {}, r"no column 't'.*\['T', 'q'\].*Did you mean 'T'\?"),
+        ("T,q\n0,1\n1,2\n", {}, r"no column 't'.*one of T, q\..*Did you mean 'T'\?"),
         ("t,q\n0,1\n1,2\n", {"trajectory": "run"}, "no column 'run'"),
         ("t,q,q\n0,1,2\n1,2,3\n", {}, "2 columns called 'q'; expected one"),
         (

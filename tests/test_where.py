@@ -565,5 +565,7 @@ def test_an_equation_that_is_not_there_is_refused_by_name(
     cases: dict[str, Case],
 ) -> None:
     analysis = ForceAnalysis.of(cases["wave"])
-    with pytest.raises(ModelError, match=r"equation='q' has no missing force.*are p\."):
+    with pytest.raises(
+        ModelError, match=r"equation='q' has no missing force.*one of p\."
+    ):
         plot_where(analysis, "q")

@@ -27,7 +27,6 @@ from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import place_of
-from phsi_opt.model.terms import Dictionary
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.transcription.grid import grid_of
@@ -245,16 +244,12 @@ def _released(model: Model, values: Mapping[str, float]) -> Model:
     """
 
     def released(name: str, parameter: Parameter) -> Parameter:
-        if parameter.fixed or parameter.lower <= values[name] <= parameter.upper:
+        is_within = parameter.lower <= values[name] <= parameter.upper
+        if parameter.fixed or is_within or model.entries[name].slot != "R":
             return parameter
         return replace(parameter, lower=-np.inf, upper=np.inf)
 
-    R = {}
-    for equation, terms in model.R.items():
-        place = place_of("R", equation)
-        opened = tuple(term.with_parameters(place, released) for term in terms)
-        R[equation] = Dictionary(opened)
-    return replace(model, R=R)
+    return model.with_parameters(released)
 
 
 # ---- where it starts (thesis appendix B, Section 5.1) -------------------------------

@@ -19,9 +19,10 @@ from phsi_opt.baselines.torch_polynomials import (
     monomial,
 )
 from phsi_opt.model.backends import Backend, functions_of
-from phsi_opt.model.expressions import evaluate, names_of
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import PlacedTerm, place_of
+from phsi_opt.model.symbolic import Expressions
 
 
 def _tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
@@ -147,10 +148,12 @@ class DictionaryRates:
         if dynamics.model.has_energy:
             self.slope, force = self.C.split(dynamics.model.n_states, 1)
             self.C = torch.addmm(force, self.slope, self.structure)
-        self.values: dict[str, Tensor] = {}
+        values: dict[str, Tensor] = {}
         if dynamics.read:
             read = theta.index_select(0, dynamics.read_at).unbind(0)
-            self.values = dict(zip(dynamics.read, read, strict=True))
+            values = dict(zip(dynamics.read, read, strict=True))
+        # The columns of a batch are told term by term.
+        self.term = Expressions(dynamics.model, (), (), None, values, TORCH).term
 
     def __call__(self, x: Tensor, z: Tensor) -> Tensor:
         """dx/dt, (n_rows, n_states); see `torch_steps.RightHandSide`."""
@@ -176,7 +179,7 @@ class DictionaryRates:
         rates: dict[int, Any] = {}
         for placed in self.dynamics.text_rates:
             i = model.index(placed.equation)
-            rate = self._value(placed, known)
+            rate = self.term(placed, known)
             if placed.slot == "R":
                 rate = -rate * known[model.efforts[i]]
             rates[i] = rates.get(i, 0.0) + rate
@@ -192,18 +195,6 @@ class DictionaryRates:
             known = dict(zip(self.dynamics.model.states, x.unbind(1), strict=True))
             energy = 0.0 * x[:, 0]
             for placed in self.dynamics.text_energy:
-                energy = energy + self._value(placed, known)
+                energy = energy + self.term(placed, known)
             (gradient,) = torch.autograd.grad(energy.sum(), x, create_graph=True)
         return gradient
-
-    def _value(self, placed: PlacedTerm, known: Mapping[str, Tensor]) -> Any:
-        """A term with its coefficient, from its text."""
-        term = placed.term
-        place = place_of(placed.slot, placed.equation)
-        names: dict[str, Any] = dict(known)
-        for name in term.inner:
-            names[name] = self.values[term.inner_name(name, place)]
-        body = evaluate(term.body, names, TORCH)
-        if term.is_formula:
-            return body
-        return self.values[term.coefficient_name(place)] * body

@@ -24,13 +24,7 @@ from phsi_opt.estimation.smoothing import smoothed_states
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import Expressions, function_of
-from phsi_opt.presentation.summary import (
-    Part,
-    Summarised,
-    Summary,
-    printed_table,
-    text_of_summary,
-)
+from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
@@ -57,7 +51,7 @@ if TYPE_CHECKING:
     from phsi_opt.presentation.pictures import Channel
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Summarised):
     """A free run beside the measurements.
 
@@ -71,6 +65,7 @@ class Comparison(Summarised):
             measured.
     """
 
+    _between = "\n"
     record: Record
     values: Mapping[str, Mapping[str, float]]
     simulated: tuple[np.ndarray, ...]
@@ -106,7 +101,7 @@ class Comparison(Summarised):
     @cached_property
     def _y(self) -> np.ndarray:
         """What was measured, (n_samples of all trajectories, n_states)."""
-        return np.concatenate([run.x for run in self.data.trajectories])
+        return self.data.stacked("x")
 
     @cached_property
     def _n_values(self) -> np.ndarray:
@@ -310,11 +305,6 @@ class Comparison(Summarised):
         if self.warning:
             parts.append(Part(text=self.warning))
         return Summary(title, tuple(parts))
-
-    def __str__(self) -> str:
-        return text_of_summary(self._summary(), between="\n")
-
-    __repr__ = __str__
 
 
 @interruptible

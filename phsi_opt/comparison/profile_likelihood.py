@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import brentq
 
+from phsi_opt.arguments import require_known
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError, SolveError, did_you_mean
+from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import likelihood_of, maximum_along, steps_on
@@ -119,11 +120,9 @@ def profile(
         SolveError: the fit could not be repeated, or a re-fit failed.
     """
     check_likelihood(fit, "profile")
-    if name not in fit.model.free or name not in fit.names:
-        raise ModelError(
-            f"parameter {name!r} is not a free, shared one of the fit."
-            f"{did_you_mean(name, fit.names)}"
-        )
+    shared = [one for one in fit.names if one in fit.model.free]
+    said = f"parameter {name!r} is not a free, shared one of the fit"
+    require_known(name, shared, said)
     if not np.isfinite(fit.std_errors[name]):
         raise ModelError(
             f"parameter {name!r} has no standard error (see the fit's warnings), "

@@ -9,18 +9,18 @@ words for that place.
 
 import keyword
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from phsi_opt.errors import DataError, did_you_mean
+from phsi_opt.arguments import require_known
+from phsi_opt.errors import DataError, PhsiOptError, did_you_mean
 
 # what inputs do between samples: a straight line to the next, the sample's value until
 # the next, or a cubic spline through all of them
 HOLDS = ("linear", "zero", "cubic")
-EXPECTED_HOLD = "'linear', 'zero' or 'cubic'"
 Hold = str | Mapping[str, str]  # one of them for all inputs, or by the input's name
 LARGEST_EXACT = 2**53  # up to which every whole number is a float
 # the time in formulas; the first column of `Measurements.to_dataframe`
@@ -149,55 +149,66 @@ def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
         )
 
 
-def check_unique(names: Sequence[str], what: str) -> None:
+def check_unique(
+    names: Sequence[str], what: str, error: type[PhsiOptError] = DataError
+) -> None:
     """Refuse a name that is used more than once.
 
     Args:
         names: The names.
         what: What messages call one of them, such as "trajectory name".
+        error: What is raised.
 
     Raises:
-        DataError: A name is used twice or more.
+        PhsiOptError: A name is used twice or more.
     """
     for name, n_uses in Counter(names).items():
         if n_uses > 1:
-            raise DataError(
+            raise error(
                 f"the {what} {name!r} is used {n_uses} times; "
                 "each must be used once. Rename one."
             )
 
 
-def checked_names(names: Any, what: str) -> tuple[str, ...]:
+def checked_names(
+    names: Any,
+    what: str,
+    reserved: Collection[str] = RESERVED_NAMES,
+    error: type[PhsiOptError] = DataError,
+) -> tuple[str, ...]:
     """Names of channels that formulas can use.
 
     Args:
-        names: A list or tuple of names.
-        what: "states" or "inputs"; there must be at least one state.
+        names: Several names in their order.
+        what: "states", "inputs" or "memory"; there must be at least one state.
+        reserved: Names that stand for something else, beside those of derivatives.
+        error: What is raised.
 
     Raises:
-        DataError: This is no list of names, or a name is no identifier or is reserved.
+        PhsiOptError: This is no list of names, or a name is no identifier or is
+            reserved.
     """
-    if isinstance(names, str) or not isinstance(names, Sequence):
-        raise DataError(
+    if isinstance(names, str | set) or not isinstance(names, Iterable):
+        raise error(
             f"{what}={names!r} is not a list of names; expected e.g. {what}=['a', 'b']."
         )
-    if what == "states" and not names:
-        raise DataError("states=[] names no state; expected at least one.")
-    for name in names:
+    listed = tuple(names)
+    if what == "states" and not listed:
+        raise error("states=[] names no state; expected at least one.")
+    for name in listed:
         is_identifier = isinstance(name, str) and name.isidentifier()
         if not is_identifier or keyword.iskeyword(name):
-            raise DataError(
+            raise error(
                 f"{what}: {name!r} cannot be used in a formula; "
                 "expected letters, digits, _ as in 'q_1'."
             )
-        if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
-            raise DataError(
-                f"{what}: the name {name!r} is reserved (the time 't', "
-                "the column 'trajectory', the derivatives "
-                f"'{RESERVED_PREFIXES[0]}...' and '{RESERVED_PREFIXES[1]}...'); "
-                "choose another name and map it to the column."
+        if name in reserved or name.startswith(RESERVED_PREFIXES):
+            raise error(
+                f"{what}: the name {name!r} is reserved, as are {', '.join(reserved)} "
+                f"and the derivatives {'... and '.join(RESERVED_PREFIXES)}...; choose "
+                "another name, to which a column can be mapped."
             )
-    return tuple(names)
+    return listed
 
 
 class _Entry(NamedTuple):
@@ -222,7 +233,9 @@ BY_NAME = {
         lambda sigma: isinstance(sigma, Real) and 0 < float(sigma) < np.inf,
         "a positive number in the state's unit; leave it out when it is unknown",
     ),
-    "hold": _Entry("hold", str, lambda word: word in HOLDS, EXPECTED_HOLD),
+    "hold": _Entry(
+        "hold", str, lambda word: word in HOLDS, "'linear', 'zero' or 'cubic'"
+    ),
 }
 
 
@@ -244,12 +257,8 @@ def checked_by_name(told: Any, names: Sequence[str], what: str) -> dict[str, Any
         )
     entry = BY_NAME[what]
     for name, value in told.items():
-        if name not in names:
-            hint = did_you_mean(name, names)
-            raise DataError(
-                f"{what} names the unknown {name!r}; "
-                f"expected names of {list(names)}.{hint}"
-            )
+        said = f"{what} names the unknown {name!r}"
+        require_known(name, names, said, DataError)
         if not entry.fits(value):
             hint = did_you_mean(value, HOLDS) if what == "hold" else ""
             raise DataError(
@@ -274,9 +283,7 @@ def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
     if isinstance(hold, Mapping):
         told = dict.fromkeys(inputs, "linear") | checked_by_name(hold, inputs, "hold")
         return np.array(list(told.values()), dtype=str)
-    if hold not in HOLDS:
-        hint = did_you_mean(hold, HOLDS)
-        raise DataError(f"hold={hold!r} is unknown; expected {EXPECTED_HOLD}.{hint}")
+    require_known(hold, HOLDS, f"hold={hold!r} is unknown", DataError)
     return np.array([hold] * len(inputs), dtype=str)
 
 

@@ -13,10 +13,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from phsi_opt import reading
+from phsi_opt.arguments import require_known
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.tables import Rows, Table, table_of_rows
 from phsi_opt.data.text_cells import TextFormat, n_filled
-from phsi_opt.errors import DataError, did_you_mean
+from phsi_opt.errors import DataError
 
 MOST_CELLS = 50_000_000  # of a sheet, with the empty ones between; 20 GB of memory
 USUAL_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -115,12 +116,8 @@ def _cell(value: Any) -> Any:
 
 
 def _chosen(sheets: dict[str, Rows], sheet: str | None, title: str) -> str:
-    if sheet is not None and sheet not in sheets:
-        hint = did_you_mean(sheet, list(sheets))
-        raise DataError(
-            f"{title} has no sheet {sheet!r}; "
-            f"expected one of its sheets {list(sheets)}.{hint}"
-        )
+    if sheet is not None:
+        require_known(sheet, sheets, f"{title} has no sheet {sheet!r}", DataError)
     filled = [name for name, rows in sheets.items() if rows and sheet in (None, name)]
     if not filled:
         what = "is empty" if sheet is None else f"has nothing on its sheet {sheet!r}"

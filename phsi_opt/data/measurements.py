@@ -34,13 +34,7 @@ from phsi_opt.data.trajectory import (
     checked_trajectories,
 )
 from phsi_opt.presentation.numbers import number_of
-from phsi_opt.presentation.summary import (
-    Part,
-    Summarised,
-    Summary,
-    printed_table,
-    text_of_summary,
-)
+from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,6 +81,7 @@ class Measurements(TableReaders, Selections, Summarised):
         DataError: A name, a value, a unit or a noise level cannot be used.
     """
 
+    _between = "\n"
     trajectories: tuple[Trajectory, ...]
     states: tuple[str, ...]
     inputs: tuple[str, ...] = ()
@@ -318,6 +313,7 @@ class Measurements(TableReaders, Selections, Summarised):
             }
 
     def _summary(self) -> Summary:
+        """Number of trajectories and samples, span of time, and a line per channel."""
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
         t = self.stacked("t")
         unit = f" [{self.units['t']}]" if self.units["t"] else ""
@@ -325,10 +321,6 @@ class Measurements(TableReaders, Selections, Summarised):
         title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
         table = printed_table(self._channels())
         return Summary(title, (Part(table=table),))
-
-    def __repr__(self) -> str:
-        """Number of trajectories and samples, span of time, and a line per channel."""
-        return text_of_summary(self._summary(), between="\n")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""

@@ -8,12 +8,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from phsi_opt.arguments import is_count
+from phsi_opt.arguments import is_count, require_known
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.trajectory import Trajectory, part_of
-from phsi_opt.errors import DataError, did_you_mean
-
-WAYS_OF_THINNING = ("mean", "picking")
+from phsi_opt.errors import DataError
 
 
 class Selections:
@@ -51,12 +49,9 @@ class Selections:
         """
         names = [run.name for run in self.trajectories]
         if isinstance(trajectory, str):
-            if trajectory in names:
-                return names.index(trajectory)
-            hint = did_you_mean(trajectory, names)
-            raise DataError(
-                f"there is no trajectory {trajectory!r}; expected one of {names}.{hint}"
-            )
+            said = f"there is no trajectory {trajectory!r}"
+            require_known(trajectory, names, said, DataError)
+            return names.index(trajectory)
         if not hasattr(trajectory, "__index__"):
             raise DataError(
                 f"trajectory {trajectory!r} is unknown; expected a name of {names} "
@@ -156,11 +151,7 @@ class Selections:
             DataError: n is no positive number, or a trajectory would have fewer than 2
                 samples.
         """
-        if by not in WAYS_OF_THINNING:
-            hint = did_you_mean(by, WAYS_OF_THINNING)
-            raise DataError(
-                f"by={by!r} is unknown; expected 'mean' or 'picking'.{hint}"
-            )
+        require_known(by, ("mean", "picking"), f"by={by!r} is unknown", DataError)
         if not is_count(n):
             raise DataError(
                 f"thinned({n!r}): expected how many samples make one, such as 10."

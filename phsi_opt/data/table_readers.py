@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 
 import numpy as np
 
+from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, binary_files, text_files
@@ -26,7 +27,7 @@ from phsi_opt.data.tables import (
 from phsi_opt.data.text_cells import TextFormat
 from phsi_opt.data.times import Clock, clock_of
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.errors import DataError, did_you_mean
+from phsi_opt.errors import DataError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -291,12 +292,9 @@ def _check_column(table: Table, column: Any, layout: Layout) -> None:
     if column is None:
         return
     found = table.frame.columns.tolist()
+    said = f"{table.title} has no column {column!r}"
+    require_known(column, found, said, DataError)
     n_found = found.count(column)
-    if n_found == 0:
-        raise DataError(
-            f"{table.title} has no column {column!r}; expected one of its columns "
-            f"{found}.{did_you_mean(column, found)}"
-        )
     if n_found > 1:
         raise DataError(
             f"{table.title} has {n_found} columns called {column!r}; expected one. "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.arguments import require_known
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
@@ -48,15 +48,10 @@ class ForceAnalysis:
         """
         if equation is None:
             return max(self._strongest_first, key=lambda f: f.where["times_noise"])
-        for force in self.forces:
-            if force.equation == equation:
-                return force
-        forced = self.record.equations
-        raise ModelError(
-            f"equation={equation!r} has no missing force; "
-            f"those that may lack one are {', '.join(forced)}."
-            f"{did_you_mean(equation, forced)}"
-        )
+        by_equation = {force.equation: force for force in self.forces}
+        said = f"equation={equation!r} has no missing force"
+        require_known(equation, by_equation, said)
+        return by_equation[equation]
 
     @property
     def _strongest_first(self) -> list[EquationForce]:

@@ -21,7 +21,6 @@ from phsi_opt.force_analysis.cross_validation import (
 from phsi_opt.force_analysis.dependence import PARAMETERS
 from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
-from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import exchange_partners
 
 SECOND_CAUSE = 0.2  # beside a stronger cause
@@ -178,7 +177,7 @@ def _is_closed_loop(force: Force) -> bool:
     inputs = map(force.record.variable, model.inputs)
     bases = [piecewise_linear_basis(u) for u in inputs if np.ptp(u) > 0]
     variance = np.var(force.effort)
-    if isinstance(model, FirstOrder) or not bases or not variance > 0:
+    if not model.has_energy or not bases or not variance > 0:
         return False
     functions = np.hstack(bases)
     fitted = functions @ np.linalg.lstsq(functions, force.effort, rcond=None)[0]

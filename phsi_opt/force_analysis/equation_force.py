@@ -15,6 +15,7 @@ from phsi_opt.force_analysis.dependence import (
 from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.localization import (
     Region,
+    Window,
     region_words,
     strong_region,
     strongest_window,
@@ -23,7 +24,7 @@ from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
-from phsi_opt.presentation.durations import Scale
+from phsi_opt.presentation.durations import Scale, dates_words, times_words
 from phsi_opt.presentation.units import force_unit, scale_of_rate
 from phsi_opt.statistics import rms
 
@@ -40,16 +41,34 @@ class EquationForce(Force):
     @cached_property
     def where(self) -> dict[str, Any]:
         """The equation's row of `ForceAnalysis.where`."""
-        trajectory, times = strongest_window(self)
         return {
             "equation": self.equation,
-            "trajectory": trajectory,
-            "time_window": times,
+            "trajectory": self.window.trajectory,
+            "time_window": str(self.window),
             "state_region": region_words(self.region) or EVERYWHERE,
             "frequency": self.pace.frequency,
             "strength": rms(self.w),
             "times_noise": self.record.estimate.posterior.times_noise[self.number],
         }
+
+    @cached_property
+    def window(self) -> Window:
+        """Where along the trajectories."""
+        return strongest_window(self)
+
+    def window_words(self, longest: float = 0.0) -> str:
+        """Its times with their dates; "" where none stand out.
+
+        A ``longest`` time is told in the same unit, such as the end of the record.
+        """
+        window = self.window
+        if window.is_whole:
+            return ""
+        unit = self.record.units.get("t", "")
+        told = times_words(window.begin, window.end, unit, longest)
+        origin = self.record.origin_of(window.trajectory)
+        dates = dates_words(window.begin, window.end, origin)
+        return f"{told} ({dates})" if dates else told
 
     @cached_property
     def region(self) -> Region:
@@ -149,7 +168,7 @@ class EquationForce(Force):
     @property
     def strongest_run(self) -> int:
         """Number of the trajectory in which the force is strongest."""
-        return self.record.trajectories.index(str(self.where["trajectory"]))
+        return self.record.trajectories.index(self.window.trajectory)
 
     @property
     def position(self) -> str:

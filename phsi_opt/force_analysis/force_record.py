@@ -121,8 +121,7 @@ class ForceRecord:
     @cached_property
     def run(self) -> np.ndarray:
         """Number of the trajectory, (n_intervals,)."""
-        grid = self.estimate.grid
-        return grid.runs
+        return self.estimate.grid.runs
 
     @cached_property
     def efforts(self) -> np.ndarray:

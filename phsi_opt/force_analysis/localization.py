@@ -11,8 +11,7 @@ import numpy as np
 from scipy.ndimage import find_objects, label
 
 from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
-from phsi_opt.force_analysis.force_record import Force, ForceRecord
-from phsi_opt.presentation.durations import RANGE_OF_TIMES
+from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.statistics import rms
 
 # Factor on the size of a force in the whole record from which a part stands out.
@@ -24,39 +23,40 @@ VISITED_BIN = 0.02
 MOST_STRONG_RANGES = 2
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
-# Behind the times of a force that no window has for itself.
-THROUGHOUT = " (throughout)"
 
 
-def window_of(times: str) -> tuple[float, float] | None:
-    """Begin and end of a window in words; None where it is the whole record."""
-    found = RANGE_OF_TIMES.search(times)
-    if found is None or THROUGHOUT in times:
-        return None
-    return float(found[1]), float(found[2])
+@dataclass(frozen=True)
+class Window:
+    """Where along a trajectory a force is strongest.
 
-
-def strongest_window(force: Force) -> tuple[str, str]:
-    """The tenth of a trajectory where a force is strongest, or else all of that.
-
-    Its name, and times along it in words: '4 to 5'.
+    Attributes:
+        trajectory: its name.
+        begin: of the times; ``end``: of them.
+        is_whole: whether these are all of it, because none stand out.
     """
+
+    trajectory: str
+    begin: float
+    end: float
+    is_whole: bool
+
+    def __str__(self) -> str:
+        throughout = " (throughout)" if self.is_whole else ""
+        return f"{self.begin:.3g} to {self.end:.3g}{throughout}"
+
+
+def strongest_window(force: Force) -> Window:
+    """The tenth of a trajectory where a force is strongest, or else all of that."""
     record = force.record
     part = record.run * N_WINDOWS + part_of_run(record.run, N_WINDOWS)
     size = _rms_in_parts(force.w, part, int(part.max()) + 1)
     strongest = int(np.argmax(size))
     run = strongest // N_WINDOWS
-    name = record.trajectories[run]
-    if size[strongest] > OUTSTANDING_FORCE * rms(force.w):
-        return name, _times(record, part == strongest)
-    return name, _times(record, record.run == run) + THROUGHOUT
-
-
-def _times(record: ForceRecord, is_inside: np.ndarray) -> str:
-    """From the begin of the first interval (n_intervals,) to the end of the last."""
-    begins = (record.t - record.h / 2)[is_inside]
-    ends = (record.t + record.h / 2)[is_inside]
-    return f"{begins[0]:.3g} to {ends[-1]:.3g}"
+    is_whole = bool(size[strongest] <= OUTSTANDING_FORCE * rms(force.w))
+    inside = np.flatnonzero(record.run == run if is_whole else part == strongest)
+    begin = record.t[inside[0]] - record.h[inside[0]] / 2
+    end = record.t[inside[-1]] + record.h[inside[-1]] / 2
+    return Window(record.trajectories[run], float(begin), float(end), is_whole)
 
 
 def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:

@@ -176,7 +176,7 @@ def _sure_title(force: EquationForce) -> str:
     is_inside = force.record.run == force.strongest_run
     is_sure = np.abs(force.w) > SURE_DEVIATIONS * force.deviation
     percent = f"{100 * np.mean(is_sure[is_inside]):.0f} %"
-    begin = f"{force.where['trajectory']}: d{force.equation}/dt"
+    begin = f"{force.window.trajectory}: d{force.equation}/dt"
     return f"{begin} surely lacks a force during {percent} of the time"
 
 

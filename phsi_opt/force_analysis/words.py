@@ -16,16 +16,12 @@ from phsi_opt.force_analysis.causes import CAUSES
 from phsi_opt.force_analysis.cross_validation import odd_basis
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import (
-    THROUGHOUT,
-    StrongRange,
-    strong_region,
-)
+from phsi_opt.force_analysis.localization import StrongRange, strong_region
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.kinds import TURN, plain_unit
 from phsi_opt.model.structure import exchange_partners, position_rows
 from phsi_opt.presentation.content import Answer
-from phsi_opt.presentation.durations import dates_words, time_words, times_words
+from phsi_opt.presentation.durations import time_words
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import spaced
 from phsi_opt.statistics import TINY
@@ -69,15 +65,8 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
 
 def sentence(force: EquationForce) -> str:
     """Size and place of a missing force, what it does with energy, what predicts it."""
-    record = force.record
-    times = force.where["time_window"]
-    window = ""
-    if THROUGHOUT not in times:
-        window = times_words(times, record.units.get("t", ""))
-        dates = dates_words(times, record.origin_of(force.where["trajectory"]))
-        window += f" ({dates})" if dates else ""
     best = leading(force.follows, force.equation)
-    return _said(force, "sentence", window=window, best=best).lead
+    return _said(force, "sentence", window=force.window_words(), best=best).lead
 
 
 def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:

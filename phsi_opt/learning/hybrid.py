@@ -44,6 +44,7 @@ __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 
 # By then the network has taken its part, and what is small is small beside it.
 FIRST_PRUNED_TURN = 2
+SETTLED = 1e-3  # relative change of a coefficient below which it does not move
 
 
 @interruptible
@@ -57,12 +58,11 @@ def hybrid(
     integrator: str = "srk4",
     seed: int = 0,
     max_turns: int = 20,
-    tolerance: float = 1e-3,
 ) -> Hybrid:
     """Identify a dictionary and train a neural force beside it, in turns.
 
-    The turns end when the coefficients move by less than ``tolerance`` (relative) and
-    the force by less than ten times that, or after ``max_turns``.
+    The turns end when the coefficients move by less than a thousandth and the force by
+    less than a hundredth, or after ``max_turns``.
 
     Args:
         model: what is known or to be found by name; the force of the network is added
@@ -74,7 +74,6 @@ def hybrid(
         integrator: the scheme of the defects, as that of `PHSILoss`.
         seed: of the network's first weights and of the order of the batches.
         max_turns: limit of the turns.
-        tolerance: relative change of a coefficient below which it does not move.
 
     Raises:
         DataError: if data and model do not match.
@@ -108,8 +107,7 @@ def hybrid(
         row = problem.changes(*at_begin, model, at_stages)
         turns.append({"turn": turn + 1, **row})
         converged = (
-            row["coefficient_change"] < tolerance
-            and row["force_change"] < 10 * tolerance
+            row["coefficient_change"] < SETTLED and row["force_change"] < 10 * SETTLED
         )
         if converged and turn > (FIRST_PRUNED_TURN if pruning else 0):
             break

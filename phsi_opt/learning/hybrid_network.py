@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.arguments import is_count, require, require_positive
-from phsi_opt.errors import DataError, ModelError, did_you_mean
+from phsi_opt.arguments import is_count, require, require_known, require_positive
+from phsi_opt.errors import DataError
 from phsi_opt.learning.network import Network
 from phsi_opt.model.model import Model
 
@@ -97,12 +97,8 @@ class TrainedForce:
         names = (*model.states, *model.inputs, TIME_NAME)
         on = tuple(variables or model.states)
         for name in on:
-            if name not in names:
-                raise ModelError(
-                    f"variable of NeuralForce {name!r} is not a state, an input or "
-                    f"the time 't' of the model; expected one of {', '.join(names)}."
-                    f"{did_you_mean(str(name), names)}"
-                )
+            said = f"variable of NeuralForce {name!r} is not a state, an input or the"
+            require_known(name, names, f"{said} time 't' of the model")
         return cls(tuple(equations), on, names, model.n_states, network)
 
     @property

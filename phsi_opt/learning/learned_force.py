@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phsi_opt.arguments import require_count
+from phsi_opt.arguments import require_count, require_known
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, ModelError, did_you_mean
+from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.json_file import read_json
@@ -270,11 +270,8 @@ def _checked_names(model: Model, on: Sequence[str]) -> tuple[str, ...]:
         )
     known = (*model.states, *model.efforts, *model.inputs, "t")
     for name in on:
-        if name not in known:
-            raise ModelError(
-                f"variable {name!r} of a learned force is unknown; "
-                f"known are {', '.join(known)}.{did_you_mean(str(name), known)}"
-            )
+        said = f"variable {name!r} of a learned force is unknown"
+        require_known(name, known, said)
     return tuple(on)
 
 

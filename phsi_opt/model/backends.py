@@ -37,6 +37,9 @@ FUNCTIONS = (
     *("sqrt", "tanh", "abs", "sign", "min", "max"),
 )
 
+# Names that no state, input or parameter can have.
+RESERVED_IN_FORMULAS = ("t", *FUNCTIONS, *CONSTANTS)
+
 
 def functions_of(library: Any, **other_names: str) -> dict[str, Callable[..., Any]]:
     """The functions of a library, some of which have another name there."""

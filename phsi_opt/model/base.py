@@ -14,8 +14,11 @@ from typing import Any, Self
 
 import numpy as np
 
+from phsi_opt.arguments import require_known
+from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.model.checks import checked_dictionary, checked_names, checked_structure
+from phsi_opt.model.backends import RESERVED_IN_FORMULAS
+from phsi_opt.model.checks import checked_dictionary, checked_structure
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.kinds import checked_kinds
 from phsi_opt.model.parameters import Parameter, with_value
@@ -30,7 +33,7 @@ from phsi_opt.model.terms import Dictionary
 from phsi_opt.model.variables import Variables
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class BaseModel:
     """States, inputs, and the terms of the slots H, R, F and sensor; see ``Model``.
 
@@ -54,18 +57,16 @@ class BaseModel:
     # ---- what is allowed -------------------------------------------------------------
 
     def __post_init__(self) -> None:
-        self._set("states", checked_names(self.states, "states"))
-        self._set("inputs", checked_names(self.inputs, "inputs", may_be_empty=True))
-        both = set(self.states) & set(self.inputs)
-        if both:
-            raise ModelError(
-                f"{sorted(both)} are both states and inputs; rename one of them."
-            )
+        for what in ("states", "inputs", "memory"):
+            names = getattr(self, what)
+            listed = checked_names(names, what, RESERVED_IN_FORMULAS, ModelError)
+            self._set(what, listed)
+        check_unique((*self.states, *self.inputs), "name", ModelError)
+        check_unique(self.memory, "memory", ModelError)
         self._set("S", checked_structure(self.S, len(self.states)))
         self._set("H", checked_dictionary(self.H, "H"))
         for slot in BY_EQUATION:
             self._set(slot, self._checked_equations(getattr(self, slot), slot))
-        self._set("memory", checked_names(self.memory, "memory", may_be_empty=True))
         for name in self.memory:
             self.index(name, "memory")
         self._set("kind", checked_kinds(self.kind, self.states, self.memory))
@@ -141,12 +142,8 @@ class BaseModel:
         Raises:
             ModelError: there is no such state; ``what`` says what was looked for.
         """
-        if state not in self.states:
-            raise ModelError(
-                f"{what} {state!r} is not a state of the model; "
-                f"its states are {', '.join(self.states)}."
-                f"{did_you_mean(str(state), self.states)}"
-            )
+        said = f"{what} {state!r} is not a state of the model"
+        require_known(state, self.states, said)
         return self.states.index(state)
 
     def terms_at(self, slot: str, equation: str) -> Dictionary:
@@ -260,7 +257,7 @@ class BaseModel:
         def valued(name: str, parameter: Parameter) -> Parameter:
             return with_value(parameter, values[name]) if name in values else parameter
 
-        return self._with_parameters(valued)
+        return self.with_parameters(valued)
 
     def with_fixed(self, values: Mapping[str, float]) -> Self:
         """A new model with the named parameters known: fixed at these values.
@@ -289,7 +286,7 @@ class BaseModel:
             within = None if value is None else min(value, upper)
             return replace(parameter, upper=upper, value=within)
 
-        return self._with_parameters(bounded)
+        return self.with_parameters(bounded)
 
     def frozen(self) -> Self:
         """A new model with every parameter fixed at its present value."""
@@ -312,9 +309,9 @@ class BaseModel:
         def changed(name: str, parameter: Parameter) -> Parameter:
             return replace(parameter, **settings) if name in names else parameter
 
-        return self._with_parameters(changed)
+        return self.with_parameters(changed)
 
-    def _with_parameters(self, change: Callable[[str, Parameter], Parameter]) -> Self:
+    def with_parameters(self, change: Callable[[str, Parameter], Parameter]) -> Self:
         """A new model with each parameter (by its name) changed."""
 
         def changed(place: str, terms: Dictionary) -> Dictionary:

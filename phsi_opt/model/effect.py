@@ -8,18 +8,14 @@ from dataclasses import dataclass, field
 from itertools import chain
 from types import UnionType
 
+from phsi_opt.arguments import require_known
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import SLOTS
 from phsi_opt.model.terms import Dictionary, Term, read_only
-from phsi_opt.presentation.summary import (
-    Part,
-    Summarised,
-    Summary,
-    printed_table,
-    text_of_summary,
-)
+from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 
 COLUMNS_OF_EFFECTS = ("effect", "equation", "slot", "family")
 
@@ -50,11 +46,8 @@ class Effect:
     family: str = ""
 
     def __post_init__(self) -> None:
-        if self.slot not in SLOTS:
-            raise ModelError(
-                f"effect {self.name!r}: slot {self.slot!r} is unknown; "
-                f"expected {', '.join(SLOTS)}."
-            )
+        said = f"effect {self.name!r}: slot {self.slot!r} is unknown"
+        require_known(self.slot, SLOTS, said)
         if not isinstance(self.term, Dictionary) or not self.term.terms:
             raise ModelError(
                 f"effect {self.name!r} has no term; "
@@ -104,19 +97,10 @@ def _has_guess(terms: Iterable[Term], kind: type | UnionType) -> bool:
     return any(isinstance(one.guess, kind) for one in parameters)
 
 
-class EffectList(list[Effect], Summarised):
+class EffectList(Summarised, list[Effect]):
     """Effects; in all but how it prints a list."""
 
     def _summary(self) -> Summary:
-        rows = [
-            (effect.name, effect.equation, effect.slot, effect.family)
-            for effect in self
-        ]
+        rows = [(one.name, one.equation, one.slot, one.family) for one in self]
         table = printed_table(rows, columns=list(COLUMNS_OF_EFFECTS))
-        noun = "effect" if len(self) == 1 else "effects"
-        return Summary(f"{len(self)} {noun}", (Part(table=table),))
-
-    def __repr__(self) -> str:
-        return text_of_summary(self._summary())
-
-    __str__ = __repr__
+        return Summary(number_of(len(self), "effect"), (Part(table=table),))

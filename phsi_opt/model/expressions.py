@@ -10,13 +10,14 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.backends import CASADI, CONSTANTS, FUNCTIONS, NUMPY, Backend
+from phsi_opt.presentation.numbers import shortened
 
 TWO_ARGUMENTS = ("min", "max")  # the other functions take one
 OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
@@ -36,7 +37,7 @@ MAX_DEPTH = 200
 # Of the whole numbers in a formula after it is multiplied out: SymPy keeps all digits,
 # and Python prints no more than 4300 of them.
 MAX_BITS = 14_000
-SHOWN_CHARACTERS = 60  # of a formula, in a message
+_shortened = partial(shortened, most=60)  # a formula, in a message
 
 
 # ---- reading -------------------------------------------------------------------------
@@ -184,11 +185,6 @@ def _place(node: ast.AST, text: str) -> str:
 
 def _source(node: ast.AST, text: str) -> str:
     return _shortened(ast.get_source_segment(text.strip(), node) or type(node).__name__)
-
-
-def _shortened(text: str) -> str:
-    is_long = len(text) > SHOWN_CHARACTERS
-    return f"{text[:SHOWN_CHARACTERS]}..." if is_long else text
 
 
 # ---- names ---------------------------------------------------------------------------

@@ -10,7 +10,8 @@ from math import pi
 from types import MappingProxyType
 from typing import Any
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.arguments import require_known
+from phsi_opt.errors import ModelError
 
 MECHANICAL = "mechanical"
 HYDRAULIC = "hydraulic"
@@ -44,8 +45,7 @@ WITHOUT_PREFIX = {
 # Their zero on the absolute scale of the same degrees.
 ZEROS = {"degC": 273.15, "°C": 273.15, "degF": 459.67, "°F": 459.67}
 TEMPERATURES = frozenset({*ZEROS, "K"})
-SPELLINGS = (("**", ""), ("^", ""), ("*", ""), ("·", ""), (" ", ""))
-SMALL_DIGITS = (("²", "2"), ("³", "3"))
+PLAIN_SIGNS = str.maketrans("²³", "23", "^*· ")
 
 
 def checked_kinds(
@@ -64,29 +64,18 @@ def checked_kinds(
     told = kind
     if isinstance(kind, str):
         told = {name: kind for name in states if name not in memory}
-        _check_kind(kind, "kind")
+        require_known(kind, KINDS, f"kind {kind!r} is unknown")
     if not isinstance(told, Mapping):
         raise ModelError(
             f"kind={kind!r} must be one of {', '.join(KINDS)}, "
             "or map states to these, such as {'T1': 'thermal'}."
         )
     for name, one in told.items():
-        if name not in states:
-            raise ModelError(
-                f"kind of {name!r}, which is not a state of the model; its states are "
-                f"{', '.join(states)}.{did_you_mean(name, states)}"
-            )
-        _check_kind(one, f"kind of {name!r}:")
+        said = f"kind of {name!r}, which is not a state of the model"
+        require_known(name, states, said)
+        require_known(one, KINDS, f"kind of {name!r}: {one!r} is unknown")
     ordered = {name: told[name] for name in states if name in told}
     return MappingProxyType(ordered)
-
-
-def _check_kind(kind: Any, what: str) -> None:
-    if kind not in KINDS:
-        raise ModelError(
-            f"{what} {kind!r} is unknown; expected one of {', '.join(KINDS)}."
-            f"{did_you_mean(kind, KINDS)}"
-        )
 
 
 def kind_of_unit(unit: str) -> str:
@@ -110,6 +99,4 @@ def kind_of_unit(unit: str) -> str:
 
 def plain_unit(unit: str) -> str:
     """The unit without spaces, signs of products and raised digits: m³ is m3."""
-    for written, plain in (*SPELLINGS, *SMALL_DIGITS):
-        unit = unit.replace(written, plain)
-    return unit
+    return unit.translate(PLAIN_SIGNS)

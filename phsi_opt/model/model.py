@@ -26,7 +26,7 @@ from phsi_opt.model.symbolic import (
     with_slopes,
 )
 from phsi_opt.model.terms import Dictionary
-from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
+from phsi_opt.presentation.summary import Summarised, Summary
 
 T = TypeVar("T")
 
@@ -43,7 +43,7 @@ def built_of(formulas: Hashable) -> dict[Hashable, object]:
     return {}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Model(BaseModel, Summarised):
     """What every model can do. See `PseudoHamiltonian` and `FirstOrder`.
 
@@ -55,13 +55,8 @@ class Model(BaseModel, Summarised):
     """
 
     def _summary(self) -> Summary:
-        return model_summary(self)
-
-    def __str__(self) -> str:
         """The equations, and the parameters in a table."""
-        return text_of_summary(self._summary())
-
-    __repr__ = __str__
+        return model_summary(self)
 
     def add(self, effect: Effect | str, equation: str | None = None) -> Self:
         """A new model with the effect's terms in its slot.

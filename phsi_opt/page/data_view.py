@@ -1,6 +1,7 @@
 """The first part of the page: the table, its columns, what is held out."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,6 +25,7 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.parts import (
     Field,
+    Then,
     alert,
     button,
     card,
@@ -71,24 +73,19 @@ HELD_OUT_FIELDS = {
 }
 
 
+@dataclass(eq=False)
 class DataView:
     """Draws the draft of the data.
 
-    Args:
+    Attributes:
         session: whose draft it is.
         checked: called after every change of the draft.
         go_on: shows the next part.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        checked: Callable[[], Awaitable[None]],
-        go_on: Callable[[], Any],
-    ) -> None:
-        self._session = session
-        self._checked = checked
-        self._go_on = go_on
+    session: Session
+    checked: Then
+    go_on: Callable[[], Any]
 
     def build(self) -> None:
         """Draw it all."""
@@ -116,7 +113,7 @@ class DataView:
 
     async def _upload(self, e: events.UploadEventArguments) -> None:
         content = await e.file.read()
-        await run.io_bound(self._session.upload, e.file.name, content)
+        await run.io_bound(self.session.upload, e.file.name, content)
         e.sender.run_method("reset")
 
     def _rejected(self, e: events.GenericEventArguments) -> None:
@@ -125,33 +122,33 @@ class DataView:
         named = []
         for file in e.args:
             named.append(f"{file['name']} ({in_megabytes(file['size'])})")
-        self._session.upload_error = (
+        self.session.upload_error = (
             f"{', '.join(named)} was not taken: only tables ({kinds}) of at most "
             f"{size}, and at most {MOST_FILES} of them, are."
         )
-        self._session.shape += 1
+        self.session.shape += 1
 
     @ui.refreshable_method
     def error(self) -> None:
         """Why the last file was refused."""
-        if self._session.upload_error:
-            alert(f"This file cannot be used. {self._session.upload_error}")
+        if self.session.upload_error:
+            alert(f"This file cannot be used. {self.session.upload_error}")
 
     @ui.refreshable_method
     def wrong(self) -> None:
         """What is wrong with the data as they are described."""
-        if self._session.draft.data is None:
+        if self.session.draft.data is None:
             return
         with card():
-            found = self._session.complaints
+            found = self.session.complaints
             of_data = [one for one in found if one.key.split(".")[0] in DATA_SECTIONS]
             complaints(of_data, "The data can be used.")
-            button("Next: the model", self._go_on)
+            button("Next: the model", self.go_on)
 
     @ui.refreshable_method
     def table(self) -> None:
         """The columns and what is held out."""
-        data = self._session.draft.data
+        data = self.session.draft.data
         if data is None:
             return
         with card():
@@ -163,8 +160,8 @@ class DataView:
             for column in data.columns:
                 self._column(column)
             if not data.with_role(TIME):
-                text_fields(data.time, [STEP_FIELD], self._checked)
-            text_fields(data.settings, [THINNED_FIELD], self._checked)
+                text_fields(data.time, [STEP_FIELD], self.checked)
+            text_fields(data.settings, [THINNED_FIELD], self.checked)
         with card():
             heading("Held out")
             ui.label("Kept from fitting, to judge by.").classes("faint")
@@ -178,7 +175,7 @@ class DataView:
                 remove.props("flat dense")
 
     async def _drop(self, file: str) -> None:
-        await run.io_bound(self._session.remove_file, file)
+        await run.io_bound(self.session.remove_file, file)
 
     def _column(self, column: ColumnDraft) -> None:
         with ui.element("div").classes("fields candidate"):
@@ -189,40 +186,40 @@ class DataView:
             set_role = partial(self._set_role, column)
             choice(f"{column.column} is", roles, column.role, set_role, width="10em")
             fields = FIELDS_OF_ROLE.get(column.role, ())
-            text_fields(column.table, fields, self._checked, str(column.column))
+            text_fields(column.table, fields, self.checked, str(column.column))
 
     async def _set_role(self, column: ColumnDraft, role: str) -> None:
-        data = self._session.draft.data
+        data = self.session.draft.data
         if role in (TIME, RUN) and data is not None:
             for known in data.with_role(role):
                 known.role = NOT_USED  # there is one time, and one column of runs
         column.becomes(role)
         self.table.refresh()
-        await self._checked()
+        await self.checked()
 
     @ui.refreshable_method
     def held_out(self) -> None:
         """In which way, and which part."""
-        data = self._session.draft.data
+        data = self.session.draft.data
         if data is None:
             return
 
         async def set_way(way: str) -> None:
             data.way = way
             self.held_out.refresh()
-            await self._checked()
+            await self.checked()
 
         with ui.element("div").classes("fields"):
             choice("what is held out", HELD_OUT_WAYS, data.way, set_way)
             if data.way == RUNS:
                 self._runs(data)
             fields = HELD_OUT_FIELDS.get(data.way, ())
-            text_fields(data.held_out, fields, self._checked)
+            text_fields(data.held_out, fields, self.checked)
 
     def _runs(self, data: DataDraft) -> None:
         async def changed(e: events.ValueChangeEventArguments) -> None:
             data.held_out["runs"] = list(e.value)
-            await self._checked()
+            await self.checked()
 
         held_out = set(listed(data.held_out.get("runs", ())))
         field = ui.select(

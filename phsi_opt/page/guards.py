@@ -11,14 +11,16 @@ in the browser, so "unsafe-eval" cannot go; its style sheets are written there t
 
 import re
 import secrets
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
 from http import HTTPStatus
+from typing import Any
 from urllib.parse import urlsplit
 
 from starlette import status
-from starlette.datastructures import MutableHeaders
-from starlette.requests import HTTPConnection
-from starlette.responses import HTMLResponse, PlainTextResponse
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from phsi_opt.page.table_look import MOST_UPLOADED, in_megabytes
@@ -51,31 +53,29 @@ HEADERS = {
 }
 
 
+@dataclass(frozen=True)
 class OwnRequests:
     """An application (ASGI) that passes on the page's own requests.
 
-    Args:
+    Attributes:
         app: the one behind it.
         owner_of: the key of the browser that loaded a page, by the page's number; None
             where there is no such page.
         cookie: the name of the session's cookie.
     """
 
-    def __init__(
-        self, app: ASGIApp, owner_of: Callable[[str], str | None], cookie: str
-    ) -> None:
-        self._app = app
-        self._owner_of = owner_of
-        self._cookie = cookie
+    app: ASGIApp
+    owner_of: Callable[[str], str | None]
+    cookie: str
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass it on, or refuse it."""
         if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         request = HTTPConnection(scope)
         refusal = self._refusal(request)
-        has_cookie = self._cookie in request.cookies
+        has_cookie = self.cookie in request.cookies
         is_link = request.headers.get("sec-fetch-site") == "cross-site"
         if refusal and scope["type"] == "websocket":
             await send(
@@ -83,7 +83,7 @@ class OwnRequests:
             )
             return
         if not refusal and (has_cookie or not is_link):
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         if not has_cookie:  # no new one may take the place of the one not sent
             request.session.clear()
@@ -108,7 +108,7 @@ class OwnRequests:
         query = request.query_params
         found = OF_CLIENT.match(path)
         client = found[1] if found else query.get("client_id", "")
-        owner = self._owner_of(client)
+        owner = self.owner_of(client)
         if owner is None and path.startswith(SOCKET):
             # A page of a server that ended: NiceGUI tells it to load itself anew.
             return query.get("implicit_handshake") == "true" and bool(client)
@@ -125,27 +125,27 @@ def is_own_origin(origin: str, host: str) -> bool:
     return is_of_web and parts.netloc == host.lower()
 
 
+@dataclass(frozen=True)
 class UploadLimit:
     """An application (ASGI) that passes on what is small enough.
 
     The browser's own check is a courtesy; this one holds for every client.
 
-    Args:
+    Attributes:
         app: the one behind it.
         most: bytes of a request's body: a file, with names and boundaries.
     """
 
-    def __init__(self, app: ASGIApp, most: int = MOST_UPLOADED + 100_000):
-        self._app = app
-        self._most = most
+    app: ASGIApp
+    most: int = MOST_UPLOADED + 100_000
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Refuse by the length that is told, or cut off what is longer than told."""
         if scope["type"] != "http":
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         told = HTTPConnection(scope).headers.get("content-length", "")
-        if told.isascii() and told.isdigit() and int(told) > self._most:
+        if told.isascii() and told.isdigit() and int(told) > self.most:
             refusal = f"A file may have at most {in_megabytes(MOST_UPLOADED)}."
             await PlainTextResponse(refusal, 413)(scope, receive, send)
             return
@@ -155,53 +155,35 @@ class UploadLimit:
             nonlocal n_received
             message = await receive()
             n_received += len(message.get("body", b""))
-            if n_received > self._most:
+            if n_received > self.most:
                 return {"type": "http.disconnect"}
             return message
 
-        await self._app(scope, counted, send)
+        await self.app(scope, counted, send)
 
 
-class SafeAnswers:
-    """An application (ASGI) whose answers have these headers.
+class SafeAnswers(BaseHTTPMiddleware):
+    """An application (ASGI) whose answers have the headers above."""
 
-    Args:
-        app: the one behind it.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def dispatch(
+        self, request: Request, call_next: RequestResponseEndpoint
+    ) -> Response:
         """Pass on the request; complete the answer.
 
         HTML waits until all of it is there: each of its scripts gets the number.
         """
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
         nonce = secrets.token_urlsafe(16)
-        start: Message = {}
-        page = b""
+        answer: Any = await call_next(request)
+        answer.headers.update(HEADERS)
+        answer.headers["content-security-policy"] = POLICY.format(nonce=nonce)
+        if answer.headers.get("content-type", "").startswith("text/html"):
+            page = b"".join([part async for part in answer.body_iterator])
+            page = page.replace(b"<script", f'<script nonce="{nonce}"'.encode())
+            answer.headers["content-length"] = str(len(page))
+            answer.body_iterator = _at_once(page)
+        made: Response = answer
+        return made
 
-        async def completed(message: Message) -> None:
-            nonlocal start, page
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                headers.update(HEADERS)
-                headers["content-security-policy"] = POLICY.format(nonce=nonce)
-                if headers.get("content-type", "").startswith("text/html"):
-                    start = message
-                    return
-            elif start:
-                page += message.get("body", b"")
-                if message.get("more_body", False):
-                    return
-                marked = f'<script nonce="{nonce}"'.encode()
-                page = page.replace(b"<script", marked)
-                MutableHeaders(scope=start)["content-length"] = str(len(page))
-                await send(start)
-                message = {"type": "http.response.body", "body": page}
-            await send(message)
 
-        await self._app(scope, receive, completed)
+async def _at_once(page: bytes) -> AsyncIterator[bytes]:
+    yield page

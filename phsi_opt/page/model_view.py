@@ -1,7 +1,7 @@
 """The second part of the page: the base model, picked or written, with a live check."""
 
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 
 from nicegui import ui
@@ -25,6 +25,7 @@ from phsi_opt.page.drafts import (
 from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.parts import (
     Field,
+    Then,
     alert,
     button,
     card,
@@ -65,23 +66,21 @@ MODEL_TYPES = {
 }
 
 
+@dataclass(eq=False)
 class ModelView:
     """Draws the draft of the model.
 
-    Args:
+    Attributes:
         session: whose draft it is.
         checked: called after every change of the draft.
     """
 
-    def __init__(
-        self, session: Session, checked: Callable[[], Awaitable[None]]
-    ) -> None:
-        self._session = session
-        self._checked = checked
+    session: Session
+    checked: Then
 
     @property
     def _draft(self) -> ModelDraft:
-        return self._session.draft.model
+        return self.session.draft.model
 
     def build(self) -> None:
         """Draw it all."""
@@ -99,8 +98,8 @@ class ModelView:
             with ui.element("div").classes("tiles"):
                 for base in GALLERY.values():
                     self._tile(base)
-            if self._session.left_over:
-                ui.label(self._session.left_over).classes("bad").props('role="status"')
+            if self.session.left_over:
+                ui.label(self.session.left_over).classes("bad").props('role="status"')
 
     def _tile(self, base: BaseModel) -> None:
         is_chosen = base.title == self._draft.title
@@ -118,17 +117,17 @@ class ModelView:
 
     async def _choose(self, base: BaseModel) -> None:
         page = ui.context.client  # the tile itself is drawn anew by then
-        self._session.choose(base)
-        await self._checked()
+        self.session.choose(base)
+        await self.checked()
         page.run_javascript(FOCUS_SOON.replace("ID", _tile_id(base)))
 
     @ui.refreshable_method
     def wrong(self) -> None:
         """What is wrong with the model; parameters that formulas ask for."""
-        if self._session.failure:
-            alert(self._session.failure)
-        if self._session.complaints or not self._session.failure:
-            complaints(self._session.complaints, "Model and data can be used.")
+        if self.session.failure:
+            alert(self.session.failure)
+        if self.session.complaints or not self.session.failure:
+            complaints(self.session.complaints, "Model and data can be used.")
         for name in unknown_names(self._draft):
             add = partial(self._add_parameter, name)
             button(f"Make {name} a parameter", add, quiet=True)
@@ -148,7 +147,7 @@ class ModelView:
                 choice("kind of model", *kinds, width="20em")
                 text_fields(draft.table, NAME_FIELDS, self._named)
                 if draft.type == ENERGY:
-                    text_fields(draft.table, ENERGY_FIELDS, self._checked)
+                    text_fields(draft.table, ENERGY_FIELDS, self.checked)
             self.by_state()
         with card():
             heading("Parameters")
@@ -157,12 +156,12 @@ class ModelView:
     async def _set_type(self, value: str) -> None:
         self._draft.table["type"] = value
         self.fields.refresh()
-        await self._checked()
+        await self.checked()
 
     async def _named(self) -> None:
         """States or inputs have other names now; the fields below follow."""
         self.by_state.refresh()
-        await self._checked()
+        await self.checked()
 
     @ui.refreshable_method
     def by_state(self) -> None:
@@ -172,8 +171,8 @@ class ModelView:
             with ui.element("div").classes("fields candidate"):
                 ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
                 if draft.type == ENERGY:
-                    text_fields(draft.table["R"], [LOSS_FIELD], self._checked, name)
-                text_fields(draft.table["F"], [FORCE_FIELD], self._checked, name)
+                    text_fields(draft.table["R"], [LOSS_FIELD], self.checked, name)
+                text_fields(draft.table["F"], [FORCE_FIELD], self.checked, name)
                 self._column(STATE, name)
         for name in draft.names("inputs"):
             with ui.element("div").classes("fields candidate"):
@@ -182,7 +181,7 @@ class ModelView:
 
     def _column(self, role: str, name: str) -> None:
         """Which column of the table shows a state or an input."""
-        data = self._session.draft.data
+        data = self.session.draft.data
         if data is None:
             return
         options = [NOT_MEASURED] if role == STATE else []
@@ -192,8 +191,8 @@ class ModelView:
         async def changed(column: str) -> None:
             chosen = None if column == NOT_MEASURED else column
             data.measure(role, name, chosen)
-            self._session.shape += 1
-            await self._checked()
+            self.session.shape += 1
+            await self.checked()
 
         value = NOT_MEASURED if known is None else str(known.column)
         if value not in options:
@@ -211,9 +210,9 @@ class ModelView:
         name = one.name or "new parameter"
         with ui.element("div").classes("fields candidate"):
             value = KNOWN_FIELD if one.is_known else START_FIELD
-            text_fields(one.table, [PARAMETER_NAME_FIELD], self._checked)
+            text_fields(one.table, [PARAMETER_NAME_FIELD], self.checked)
             text_fields(one.table, [value], partial(self._given, one), name)
-            text_fields(one.table, LIMIT_FIELDS, self._checked, name)
+            text_fields(one.table, LIMIT_FIELDS, self.checked, name)
             known = ui.checkbox("known", value=one.is_known)
             known.on_value_change(lambda e: self._set_known(one, bool(e.value)))
             remove = ui.button("Remove", on_click=lambda: self._remove(one))
@@ -225,22 +224,22 @@ class ModelView:
 
     async def _given(self, one: ParameterDraft) -> None:
         one.is_assumed = False
-        await self._checked()
+        await self.checked()
 
     async def _set_known(self, one: ParameterDraft, is_known: bool) -> None:
         one.let_be_known(is_known)
         self.parameters.refresh()
-        await self._checked()
+        await self.checked()
 
     async def _add_parameter(self, name: str) -> None:
         self._draft.parameters.append(ParameterDraft.of(name, {}))
         self.parameters.refresh()
-        await self._checked()
+        await self.checked()
 
     async def _remove(self, one: ParameterDraft) -> None:
         self._draft.parameters.remove(one)
         self.parameters.refresh()
-        await self._checked()
+        await self.checked()
 
 
 def _tile_id(base: BaseModel) -> str:

@@ -29,9 +29,8 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.durations import date_words
-from phsi_opt.presentation.html_report import report_environment
 from phsi_opt.presentation.numbers import number, proper_names
+from phsi_opt.presentation.sentences import environment
 
 N_SHOWN = 5  # candidates that are shown at once
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
@@ -333,9 +332,8 @@ class StudyView:
 
 @cache
 def _texts() -> Any:
-    environment = report_environment("phsi_opt.page", autoescape=True)
-    environment.filters["date"] = date_words
-    return environment.get_template("study.html.jinja").module
+    templates = environment("phsi_opt.page", autoescape=True)
+    return templates.get_template("study.html.jinja").module
 
 
 def words(name: str, *facts: Any) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.presentation.durations import Scale
+from phsi_opt.presentation.numbers import number, with_error
 
 Number = float | None
 
@@ -95,6 +96,13 @@ class ParameterRow:
     upper: Number
     remark: str
     unit: str
+
+    @property
+    def interval(self) -> str:
+        """The interval in words, and what is odd about it."""
+        known = self.lower is not None and self.upper is not None
+        ends = f"{number(self.lower)} to {number(self.upper)}" if known else ""
+        return ", ".join(filter(None, (ends, self.remark)))
 
 
 @dataclass(frozen=True)
@@ -261,6 +269,19 @@ class Ranked:
     confused_with: tuple[str, ...]
     lost: str
 
+    @property
+    def size(self) -> str:
+        """The coefficient with its standard error and unit."""
+        return f"{with_error(self.coefficient, self.std_error)} {self.unit}".rstrip()
+
+    def error_with(self, unit: str) -> str:
+        """The error with it, on the data that judge where that is known."""
+        if self.held_out is not None:
+            return f"{number(self.held_out)} {unit}".rstrip()
+        if self.train is not None:
+            return f"{number(self.train)} {unit}".rstrip() + " on training data"
+        return ""
+
 
 @dataclass(frozen=True)
 class Diagnosed:
@@ -288,6 +309,11 @@ class Diagnosed:
     proposed: tuple[str, ...] = ()
     nearest: str = ""
     averaged: int = 0
+
+    @property
+    def listed(self) -> tuple[Ranked, ...]:
+        """The candidates that a report lists."""
+        return self.ranking[:12]
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,11 +400,6 @@ class StudyContent:
     stopped: str
     unestablished: tuple[str, ...]
     warning: str
-
-    @property
-    def judged_part(self) -> str:
-        """The part of the data that judges."""
-        return TRAINING if self.steps[-1].held_out is None else HELD_OUT
 
     @property
     def present(self) -> Diagnosed | None:

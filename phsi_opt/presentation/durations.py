@@ -1,12 +1,9 @@
 """Times as people say them: hours and days where seconds would run into thousands."""
 
 import datetime as dt
-import re
 from dataclasses import dataclass
 
 SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told anew
-# A range of times in words, such as "7.93e+05 to 1.06e+06".
-RANGE_OF_TIMES = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?) to (-?[\d.]+(?:e[+-]?\d+)?)")
 
 
 @dataclass(frozen=True)
@@ -49,21 +46,10 @@ def time_words(t: float, unit: str, longest: float = 0.0) -> str:
     return f"{t / scale.size:.3g} {scale.unit}".rstrip()
 
 
-def times_words(times: str, unit: str, longest: float = 0.0) -> str:
-    """A range of times in words, "4 to 5", with its unit.
-
-    Args:
-        times: in the user's unit.
-        unit: the user's.
-        longest: time that is told in the same unit, such as the end of the record.
-    """
-    found = RANGE_OF_TIMES.search(times)
-    if found is not None:
-        begin, end = map(float, found.groups())
-        scale = scale_of_time(max(abs(begin), abs(end), longest), unit)
-        if scale.size != 1.0:
-            return f"{begin / scale.size:.3g} to {end / scale.size:.3g} {scale.unit}"
-    return f"{times} {unit}".rstrip()
+def times_words(begin: float, end: float, unit: str, longest: float = 0.0) -> str:
+    """A range of times with its unit, such as "4 to 5 s"; as `time_words`."""
+    scale = scale_of_time(max(abs(begin), abs(end), longest), unit)
+    return f"{begin / scale.size:.3g} to {end / scale.size:.3g} {scale.unit}".rstrip()
 
 
 def date_words(t: float, origin: dt.datetime | None, span: float = 0.0) -> str:
@@ -84,17 +70,10 @@ def date_words(t: float, origin: dt.datetime | None, span: float = 0.0) -> str:
     return f"{moment:%Y-%m-%d %H:%M:%S}".removesuffix(":00")
 
 
-def dates_words(times: str, origin: dt.datetime | None) -> str:
-    """The moments of a range of times in words; "" without an origin.
-
-    Args:
-        times: in seconds, such as "7.93e+05 to 1.06e+06".
-        origin: the moment at which the time is 0.
-    """
-    found = RANGE_OF_TIMES.search(times)
-    if origin is None or found is None:
+def dates_words(first: float, last: float, origin: dt.datetime | None) -> str:
+    """The moments of a range of times in seconds; "" without an origin."""
+    if origin is None:
         return ""
-    first, last = map(float, found.groups())
     begin = date_words(first, origin, last - first)
     end = date_words(last, origin, last - first)
     day, _, clock = end.partition(" ")

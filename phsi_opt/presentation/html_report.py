@@ -13,7 +13,6 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment
 from markupsafe import Markup
 
 from phsi_opt.presentation.charts import (
@@ -26,19 +25,7 @@ from phsi_opt.presentation.charts import (
     run_chart,
     svg,
 )
-from phsi_opt.presentation.content import (
-    ParameterRow,
-    Ranked,
-    StudyContent,
-)
-from phsi_opt.presentation.numbers import (
-    listed,
-    number,
-    proper_names,
-    said,
-    typeset,
-    with_error,
-)
+from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.sentences import environment
 
 PRESENTATION = "phsi_opt.presentation"
@@ -94,7 +81,7 @@ def html_report(content: StudyContent) -> str:
     """The whole report as the text of an HTML file."""
     places = _places(content)
     drawn = {name: place.drawn for name, place in places.items()}
-    templates = report_environment(PRESENTATION, TEMPLATES, autoescape=True)
+    templates = environment(PRESENTATION, TEMPLATES, autoescape=True)
     template = templates.get_template("report.html.jinja")
     return template.render(
         report=content,
@@ -108,7 +95,8 @@ def html_report(content: StudyContent) -> str:
 
 def markdown_report(content: StudyContent) -> str:
     """The same in words and tables, as Markdown."""
-    templates = report_environment(PRESENTATION, TEMPLATES, finalize=_in_markdown)
+    templates = environment(PRESENTATION, TEMPLATES, finalize=_in_markdown)
+    templates.filters["code"] = lambda line: Markup(" ".join(line.splitlines()))
     template = templates.get_template("report.md.jinja")
     return template.render(report=content)
 
@@ -120,48 +108,9 @@ def _in_markdown(value: Any) -> str:
     return " ".join(str(value).split()).replace("<", "&lt;").replace("|", "\\|")
 
 
-def report_environment(package: str, folder: str = "", **settings: Any) -> Environment:
-    """The templates of a package, with the filters that reports use."""
-    lines = {"trim_blocks": True, "lstrip_blocks": True}
-    found = environment(package, folder, **lines, **settings)
-    found.globals["most_listed"] = 12  # candidates of one diagnosis
-    found.filters |= {
-        "typeset": typeset,
-        "said": said,
-        "proper": proper_names,
-        "listed": listed,
-        "interval": interval_words,
-        "size": size_words,
-        "error_with": _error_with,
-        "code": lambda line: Markup(" ".join(line.splitlines())),
-    }
-    return found
-
-
-def interval_words(row: ParameterRow) -> str:
-    """The interval of a parameter, and what is odd about it."""
-    known = row.lower is not None and row.upper is not None
-    ends = f"{number(row.lower)} to {number(row.upper)}" if known else ""
-    return ", ".join(filter(None, (ends, row.remark)))
-
-
-def size_words(one: Ranked) -> str:
-    """The coefficient of a candidate with its standard error and unit."""
-    return f"{with_error(one.coefficient, one.std_error)} {one.unit}".rstrip()
-
-
-def _error_with(one: Ranked, unit: str) -> str:
-    """The error with a candidate, on the data that judge where that is known."""
-    if one.held_out is not None:
-        return f"{number(one.held_out)} {unit}".rstrip()
-    if one.train is not None:
-        return f"{number(one.train)} {unit}".rstrip() + " on training data"
-    return ""
-
-
 def _own_file(name: str) -> Markup:
     """A file of the package, which needs no escape."""
-    path = files("phsi_opt.presentation") / TEMPLATES / name
+    path = files(PRESENTATION) / TEMPLATES / name
     return Markup(path.read_text(encoding="utf-8"))
 
 

@@ -8,14 +8,13 @@ from typing import Any
 
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
-SUPERSCRIPTS = dict(zip("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹", strict=True))
+RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 POWER_OF_TEN = re.compile(
     r"(?<![\w.])(\d+(?:\.\d+)?)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
 )
 # Names of people; names of effects are small letters in code.
 PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
 LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
-RAISED = str.maketrans(SUPERSCRIPTS)
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -33,20 +32,6 @@ def decimal(value: float, digits: int) -> str:
     return text
 
 
-def with_error(value: float, std_error: float) -> str:
-    """The value with its standard error, as many decimals as the error has digits."""
-    if not math.isfinite(value):
-        return "not known"
-    if not math.isfinite(std_error) or std_error <= 0:
-        return number(value)
-    n_decimals = 1 - math.floor(math.log10(std_error))
-    if abs(n_decimals) > 5:
-        return f"{number(value)} \N{PLUS-MINUS SIGN} {number(std_error, 2)}"
-    n_decimals = max(n_decimals, 0)
-    text = f"{value:.{n_decimals}f}".replace("-", "\N{MINUS SIGN}", 1)
-    return f"{text} \N{PLUS-MINUS SIGN} {std_error:.{n_decimals}f}"
-
-
 def estimate_text(value: float, std_error: float) -> str:
     """Value and standard error of an equation, in signs that can be typed.
 
@@ -59,6 +44,13 @@ def estimate_text(value: float, std_error: float) -> str:
     size = max(abs(value), std_error)
     n_digits = math.floor(math.log10(size)) - math.floor(math.log10(std_error)) + 2
     return f"{decimal(value, n_digits)} +- {decimal(std_error, 2)}"
+
+
+def with_error(value: float, std_error: float) -> str:
+    """The same as a report has it; the value alone where there is no error."""
+    if not math.isfinite(value) or not 0 < std_error < math.inf:
+        return number(value)
+    return said(estimate_text(value, std_error))
 
 
 def short_constants(line: str) -> str:
@@ -82,7 +74,7 @@ def p_value_words(p_value: float) -> str:
 def typeset(text: str) -> str:
     """A sentence of a terminal as it is printed: ± for +-, rad/s² for rad/s^2."""
     signed = text.replace("+-", "\N{PLUS-MINUS SIGN}")
-    return UNIT_POWER.sub(lambda found: SUPERSCRIPTS[found[1]], signed)
+    return UNIT_POWER.sub(lambda found: found[1].translate(RAISED), signed)
 
 
 def said(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of free runs, missing forces, profiles, histories and estimates.
+"""Pictures of free runs, missing forces, profiles and estimates.
 
 Each function takes arrays or tables, never a result of the package: so every result may
 call it. Each draws on ``ax`` (None: on a new figure), returns the axes, and its title
@@ -33,10 +33,9 @@ from phsi_opt.presentation.charts import (
     Curve,
     Panel,
     draw,
-    errors_chart,
     force_chart,
 )
-from phsi_opt.presentation.content import TRAINING, ErrorStep, ForceRun
+from phsi_opt.presentation.content import TRAINING, ForceRun
 from phsi_opt.presentation.units import rate_unit
 
 BAND = "run, two standard deviations"
@@ -189,25 +188,6 @@ def plot_profile(
     told = "rise of -2 log likelihood"
     draw(ax, Chart("", (Panel(told, curves),)))
     ax.set_ylim(0, 2 * threshold)
-    return ax
-
-
-def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") -> Axes:
-    """Free-run error after each step: training, held out, and the noise floor.
-
-    The values stand at the points; the axis is logarithmic where errors span a decade.
-
-    Args:
-        history: A row per step with the columns ``step``, ``effect``, ``train_rmse``,
-            ``held_out_rmse`` (NaN: nothing was held out) and ``noise_floor``.
-        ax: Axes to draw on; None: a new figure.
-        unit: Unit of the errors.
-    """
-    ax = axes_of(ax, (7.0, 3.8))
-    errors = history[["effect", "train_rmse", "held_out_rmse", "noise_floor"]]
-    steps = [ErrorStep(str(row[0]), *row[1:]) for row in errors.to_numpy()]
-    draw(ax, errors_chart(steps, unit))
-    ax.set_title("Free-run error after each added effect")
     return ax
 
 

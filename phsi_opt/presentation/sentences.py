@@ -10,11 +10,16 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.presentation.content import Answer, unestablished_words
+from phsi_opt.presentation.durations import date_words
 from phsi_opt.presentation.numbers import (
     capitalised,
+    listed,
     lowered,
     number,
     p_value_words,
+    proper_names,
+    said,
+    typeset,
     with_error,
 )
 from phsi_opt.presentation.units import frequency_words, scale_of_errors, spaced
@@ -32,15 +37,24 @@ FILTERS = {
     "capital": capitalised,
     "lowered": lowered,
     "unestablished": unestablished_words,
+    "typeset": typeset,
+    "said": said,
+    "proper": proper_names,
+    "listed": listed,
+    "date": date_words,
 }
 
 
 def environment(package: str, folder: str = "", **settings: Any) -> "Environment":
-    """The templates of a package, with what all of them use."""
+    """The templates of a package, with what all of them use.
+
+    Lines that hold nothing but a statement leave no trace unless ``settings`` say so.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to load
 
+    lines = {"trim_blocks": True, "lstrip_blocks": True}
     loader = PackageLoader(package, folder)
-    found = Environment(loader=loader, undefined=StrictUndefined, **settings)
+    found = Environment(loader=loader, undefined=StrictUndefined, **lines | settings)
     found.filters |= FILTERS
     found.globals |= {one.__name__: one for one in GLOBALS}
     found.tests["startingwith"] = str.startswith

@@ -56,12 +56,14 @@ class Summary:
 class Summarised:
     """A result with a summary, which rich and notebooks show."""
 
+    _between = "\n\n"  # what stands between the parts of its text
+
     def _summary(self) -> Summary:
         raise NotImplementedError
 
     def __repr__(self) -> str:
         """The summary as text; tables within 80 characters."""
-        return text_of_summary(self._summary())
+        return text_of_summary(self._summary(), self._between)
 
     def _repr_html_(self) -> str:
         return html_shown("summary", self._summary(), html_of_table)

@@ -185,7 +185,5 @@ def html_shown(name: str, *facts: Any) -> str:
 
 @cache
 def _shown() -> Any:
-    found = environment(
-        "phsi_opt.presentation", "templates", autoescape=True, trim_blocks=True
-    )
+    found = environment("phsi_opt.presentation", "templates", autoescape=True)
     return found.get_template("shown.html.jinja").module

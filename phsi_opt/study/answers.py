@@ -18,17 +18,12 @@ from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
+from phsi_opt.force_analysis.localization import N_WINDOWS
 from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
 from phsi_opt.model.laws import is_second_storage
 from phsi_opt.presentation.content import Answer
-from phsi_opt.presentation.durations import (
-    date_words,
-    dates_words,
-    time_words,
-    times_words,
-)
+from phsi_opt.presentation.durations import date_words, time_words
 from phsi_opt.presentation.numbers import listed, number, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import spaced
@@ -226,21 +221,15 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     strongest = runs[force.strongest_run]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
-    name = record.trajectories[force.strongest_run]
-    window = ""  # where no times stand out
-    times = str(force.where["time_window"])
-    if THROUGHOUT not in times:
-        told = times_words(times, record.units.get("t", ""), float(record.t.max()))
-        date = dates_words(times, record.origin_of(name))
-        window = f"t = {told}" + (f" ({date})" if date else "")
+    window = force.window_words(longest=float(record.t.max()))
     facts: dict[str, Any] = {
         "begin": _beginning(force, strongest) if n_strong == 1 else "",
         "again": "again and again" if _comes_and_goes(force, strongest) else "",
         "n_runs": len(runs),
         "n_clear": len(clear),
         "is_from_start": all(_is_clear(force, one) for one in starts if len(one)),
-        "window": window,
-        "run": name if len(runs) > 1 else "the training record",
+        "window": f"t = {window}" if window else "",
+        "run": force.window.trajectory if len(runs) > 1 else "the training record",
         "gaps": gaps_of(diagnosis, force),
         "only_follows": only_follows(trained, diagnosis.base),
     }
@@ -249,12 +238,12 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
 
 def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
     """Which channels lack a tenth of the samples where the force is strongest."""
-    window = window_of(str(force.where["time_window"]))
-    if window is None:
+    window = force.window
+    if window.is_whole:
         return []
     data = diagnosis.data
-    run = data.trajectories[data.trajectory_number(str(force.where["trajectory"]))]
-    inside = (run.t >= window[0]) & (run.t <= window[1])
+    run = data.trajectories[data.trajectory_number(window.trajectory)]
+    inside = (run.t >= window.begin) & (run.t <= window.end)
     shares = np.mean(np.isnan(run.x[inside]), axis=0)
     lacking = np.flatnonzero(shares > 0.1)
     return [data.states[k] for k in lacking if data.states[k] in data.measured]
@@ -296,7 +285,7 @@ def _beginning(force: EquationForce, inside: np.ndarray) -> str:
         is_strong = size > STRONG_STRETCH * max(sizes)
         if is_strong and after > 3 * max(before, TINY):
             t = float(record.t[first] - record.h[first] / 2)
-            date = date_words(t, record.origin_of(str(force.where["trajectory"])))
+            date = date_words(t, record.origin_of(force.window.trajectory))
             longest = float(record.t.max())
             told = time_words(t, record.units.get("t", ""), longest=longest)
             return told + (f" ({date})" if date else "")

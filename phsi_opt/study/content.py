@@ -20,7 +20,6 @@ from phsi_opt.presentation.content import (
     Channel,
     Diagnosed,
     Equations,
-    ErrorStep,
     Follows,
     ParameterRow,
     Run,
@@ -85,11 +84,6 @@ def study_content(
     steps = {k: study.steps[k] for k in sorted({0, min(1, last), last})}
     runs = _runs(study, list(steps.values()), time)
     size, unit = scale_of_errors(study.unit)
-    steps_of_errors = []
-    for step in study.steps:
-        held_out = None if step.held_out is None else size * step.held_out.rmse
-        errors = (size * step.train.rmse, held_out, size * step.judged.noise_floor)
-        steps_of_errors.append(ErrorStep(step.label, *errors, step.fit.bic))
     models = [_model("Base model", study.steps[0].fit)]
     if last:
         added = " and ".join(map(str, study.last.added))
@@ -104,7 +98,7 @@ def study_content(
     return StudyContent(
         title=f"Study of {', '.join(study.train.measured)}",
         headline=headline_of(study),
-        steps=tuple(steps_of_errors),
+        steps=study.errors(size),
         unit=unit,
         errors=_errors(study),
         glance=glance,

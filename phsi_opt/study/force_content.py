@@ -5,7 +5,6 @@ import numpy as np
 from phsi_opt.criteria import SURE_DEVIATIONS
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.localization import window_of
 from phsi_opt.force_analysis.pictures import force_of, force_runs
 from phsi_opt.presentation.content import (
     HELD_OUT,
@@ -99,7 +98,7 @@ def glance_of(
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return None
-    name = str(force.where["trajectory"])
+    name = force.window.trajectory
     training = [run for run in runs if run.part == TRAINING and run.name == name]
     if not training:
         return None
@@ -114,9 +113,8 @@ def glance_of(
         t = float(channel.t[np.nanargmax(off)])
     else:
         channel = worst_channel(run, model)
-        found = window_of(str(force.where["time_window"]))
-        if found is not None:
-            window = (found[0] / time.size, found[1] / time.size)
+        if not force.window.is_whole:
+            window = (force.window.begin / time.size, force.window.end / time.size)
         along = force_runs(force, TRAINING, time)[force.strongest_run]
         t = worst_moment(along, channel, model, window)
     said = say(

@@ -10,12 +10,15 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.content import unestablished_words
+from phsi_opt.presentation.content import ErrorStep, unestablished_words
 from phsi_opt.presentation.summary import Part, Summary, printed_table
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
     import pandas as pd
+
+# What the history calls the fields of an `ErrorStep`.
+COLUMNS_OF_ERRORS = ("effect", "train_rmse", "held_out_rmse", "noise_floor", "bic")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,22 +90,22 @@ class StudyRecord:
         open_ = [name for name in names if name not in established]
         return tuple(considered[name] for name in open_ if name in considered)
 
+    def errors(self, size: float = 1.0) -> tuple[ErrorStep, ...]:
+        """The free-run errors step by step, times a size."""
+        found = []
+        for step in self.steps:
+            held_out = None if step.held_out is None else size * step.held_out.rmse
+            errors = (size * step.train.rmse, held_out, size * step.judged.noise_floor)
+            found.append(ErrorStep(step.label, *errors, step.fit.bic))
+        return tuple(found)
+
     @property
     def history(self) -> "pd.DataFrame":
         """A row per step; NaN where nothing is held out."""
-        rows = []
-        for number, step in enumerate(self.steps):
-            held_out = float("nan") if step.held_out is None else step.held_out.rmse
-            row = {
-                "step": number,
-                "effect": step.label,
-                "train_rmse": step.train.rmse,
-                "held_out_rmse": held_out,
-                "noise_floor": step.judged.noise_floor,
-                "bic": step.fit.bic,
-            }
-            rows.append(row)
-        return printed_table(rows)
+        rows = [tuple(vars(one).values()) for one in self.errors()]
+        table = printed_table(rows, columns=list(COLUMNS_OF_ERRORS))
+        table.insert(0, "step", range(len(rows)))
+        return table.astype({"held_out_rmse": float})
 
     @property
     def unit(self) -> str:

@@ -335,9 +335,13 @@ class Study(Summarised):
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""
-        from phsi_opt.presentation.pictures import plot_history
+        from phsi_opt.presentation.axes import axes_of
+        from phsi_opt.presentation.charts import draw, errors_chart
 
-        return plot_history(self.history, ax, self.unit)
+        ax = axes_of(ax, (7.0, 3.8))
+        draw(ax, errors_chart(self.record.errors(), self.unit))
+        ax.set_title("Free-run error after each added effect")
+        return ax
 
     def plot_effect(
         self,

@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import did_you_mean
+from phsi_opt.arguments import require_known
+from phsi_opt.data.checks import checked_names
+from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.estimation.model_content import GUESSES, KINDS
-from phsi_opt.model.checks import checked_names
+from phsi_opt.model.backends import RESERVED_IN_FORMULAS
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
@@ -76,7 +78,7 @@ class ModelReader:
                 self.found.add(f"{name!r} stands there twice.", "model", what)
                 continue
             with self.found.noting("model", what):
-                checked_names([name], what)
+                checked_names([name], what, RESERVED_IN_FORMULAS, ModelError)
                 names.append(name)
         return tuple(names)
 
@@ -146,10 +148,9 @@ class ModelReader:
 
     def _is_state(self, name: str, *place: str | int) -> bool:
         """Whether the model has a state of this name; else it is noted."""
-        if name not in self.states:
-            listed = ", ".join(self.states) or "none"
-            said = f"{name!r} is not a state of the model; its states are {listed}."
-            self.found.add(said + did_you_mean(name, self.states), *place)
+        with self.found.noting(*place):
+            said = f"{name!r} is not a state of the model"
+            require_known(name, self.states, said)
         return name in self.states
 
     def _slot(self, slot: str) -> dict[str, Dictionary]:

@@ -12,12 +12,12 @@ from itertools import chain, count
 
 import numpy as np
 
-from phsi_opt.data.checks import checked_names
+from phsi_opt.data.checks import RESERVED_NAMES, checked_names
 from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.tables import Table
 from phsi_opt.data.text_cells import NUMBER
-from phsi_opt.errors import DataError, ModelError
-from phsi_opt.model.checks import checked_names as usable_in_formulas
+from phsi_opt.errors import DataError
+from phsi_opt.model.backends import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
     INPUT,
     PERHAPS_INPUT,
@@ -263,9 +263,8 @@ def _is_kept(values: np.ndarray | None, n: int) -> bool:
 def _free_name(wanted: str, used: set[str]) -> str:
     """A name that formulas can use, and none of those that are used; it is then."""
     try:
-        checked_names([wanted], "states")
-        usable_in_formulas([wanted], "states")
-    except (DataError, ModelError):
+        checked_names([wanted], "states", (*RESERVED_NAMES, *RESERVED_IN_FORMULAS))
+    except DataError:
         wanted = f"x_{wanted}" if wanted else "x"
     names = chain([wanted], (f"{wanted}_{number}" for number in count(2)))
     name = next(one for one in names if one not in used)

@@ -108,7 +108,6 @@ def text_template(name: str) -> "Template":
     """A template of this room, for a text that is no page."""
     from phsi_opt.presentation.sentences import environment  # loads NumPy
 
-    lines = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
-    found = environment("phsi_opt.study_file", "templates", **lines)
+    found = environment("phsi_opt.study_file", "templates", keep_trailing_newline=True)
     found.filters |= {"toml": toml_value, "key": key_text}
     return found.get_template(name)
