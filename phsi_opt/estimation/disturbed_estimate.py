@@ -37,7 +37,9 @@ from phsi_opt.model_error.state_functions import LINEAR_SHARE
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-MOST_SOLVES = int(__import__("os").environ.get("MS","5"))  # each followed by better sizes
+MOST_SOLVES = int(
+    __import__("os").environ.get("MS", "5")
+)  # each followed by better sizes
 # Change of the logarithm of the evidence by better sizes up to which they stay.
 SETTLED_EVIDENCE = 0.1
 
@@ -82,7 +84,8 @@ class DisturbedEstimate(Estimate):
         enough.
         """
         response = self._likelihood.response(self.disturbances)
-        problem = replace(self.search.problem, linear_share=LINEAR_SHARE)
+        problem = self.search.problem
+        problem = replace(problem, linear_share=LINEAR_SHARE, tilt=None)
         counted = replace(self.search, problem=problem)
         found = under_disturbances(counted, response, counted.found())
         spreads = {Source.DISTURBANCES: found}

@@ -18,7 +18,7 @@ objective would be if the dynamics held (Nocedal and Wright, Numerical Optimizat
 the curvature of the dynamics takes part: then they are Newton's.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -481,9 +481,9 @@ class _Place:
 
     def price(self, multipliers: np.ndarray) -> float:
         """Of violations squared, as large as their multipliers or these on average."""
-        sizes = np.abs(multipliers)
-        prices = np.maximum(sizes, np.mean(sizes[self._holds]))
-        return float(prices @ self._missed**2) / 2
+        sizes = np.abs(multipliers) * self._holds
+        typical = np.sum(sizes) / max(np.sum(self._holds), 1)
+        return float(np.maximum(sizes, typical) @ self._missed**2) / 2
 
     @cached_property
     def _missed(self) -> np.ndarray:

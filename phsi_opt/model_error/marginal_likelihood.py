@@ -111,9 +111,13 @@ class Border:
         )
 
     def tilted(self, slope: np.ndarray) -> "Border":
-        """Beside a logarithm that rises by this slope in parameters, (n_theta,)."""
+        """Beside a logarithm that rises by this slope in parameters, (n_theta,).
+
+        What the record says little of goes no further than by its own scale.
+        """
+        told = np.diag(self.information)[: self.n_theta]
         gradient = self.gradient.copy()
-        gradient[: self.n_theta] += slope
+        gradient[: self.n_theta] += np.clip(slope, -told, told)
         return replace(self, gradient=gradient)
 
     def with_priors(self, sizes: np.ndarray) -> np.ndarray:
@@ -550,7 +554,9 @@ class MarginalLikelihood:
         for border in borders:
             told.append(np.diag(border.information)[: border.n_theta])
         slopes = (
-            self.problem.slope[self.moving] * np.array(told) / (np.sum(told, axis=0) + TINY)
+            self.problem.slope[self.moving]
+            * np.array(told)
+            / (np.sum(told, axis=0) + TINY)
         )
         return [one.tilted(slope) for one, slope in zip(borders, slopes, strict=True)]
 
