@@ -704,6 +704,7 @@ def test_a_fit_is_saved_and_taken_up_again(short: Path) -> None:
     assert left_over(short.parent) == []
 
 
+@pytest.mark.slow
 def test_a_study_finds_what_is_missing_and_writes_it_down(short: Path) -> None:
     before = short.read_text()
     result = run(

@@ -391,6 +391,7 @@ def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() ->
     assert one.gain > DECISIVE_EVIDENCE
 
 
+@pytest.mark.slow
 def test_what_a_sensor_remembers_at_the_start_keeps_the_free_run_beside_the_fit() -> (
     None
 ):

@@ -373,7 +373,7 @@ def test_a_loss_is_named_where_it_stands() -> None:
 
 
 def test_a_law_of_one_number_is_named_for_a_small_force_that_it_explains() -> None:
-    laws = ("viscous damping", "hysteresis", "stribeck friction", "gap")
+    laws = ("viscous damping", "stribeck friction", "drifting force")
     diagnosis = diagnosed_with("starts_off", 301, *laws)
     (found,) = diagnosis.findings
     assert "viscous damping on p" in {str(effect) for effect in found.effects}

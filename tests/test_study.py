@@ -80,6 +80,7 @@ def test_the_csv_file_of_the_demonstration_is_what_its_script_writes() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_hidden_friction_is_named_added_and_brings_the_held_out_error_to_the_noise_floor(
     hidden: ph.Study,
 ) -> None:
