@@ -11,6 +11,8 @@ PIP_INSTALL := -m pip install -qq --no-compile
 ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# The tests begin many processes: each takes the bytecode that the first one has written.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

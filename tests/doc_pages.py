@@ -13,6 +13,7 @@ import io
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -21,8 +22,14 @@ from pathlib import Path
 
 from markdown_it import MarkdownIt
 
+from problems.examples.docs_data import FOLDER
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+HOW_TO = "how_to"
+# A page whose files come with the package: what `phsi-opt demo` writes.
+DEMO_DATA = ROOT / "phsi_opt" / "command_line" / "demo_data"
+WITH_DEMO_DATA = ("command_line",)
 RUN = ("python", "console", "toml")
 FILE_NAME = re.compile(r"# (\w+\.toml)\n")
 PROGRAM = "$ phsi-opt "
@@ -58,6 +65,26 @@ def pages() -> list[Path]:
         if not is_built and any(block.language in RUN for block in blocks_of(page)):
             found.append(page)
     return found
+
+
+def name_of(page: Path) -> str:
+    """A page by its place in the documentation."""
+    return page.relative_to(DOCS).with_suffix("").as_posix()
+
+
+def run_as_shown(page: Path) -> int:
+    """Run a page beside its data in the present folder, and compare what it prints.
+
+    Returns:
+        How many blocks were run.
+    """
+    shipped = DEMO_DATA if name_of(page) in WITH_DEMO_DATA else FOLDER
+    for data in shipped.iterdir():
+        shutil.copy(data, Path.cwd())
+    for block, printed in run_page(page):
+        where = f"{name_of(page)}.md, line {block.line}"
+        assert not first_difference(block.text, printed), f"{where}\n{printed}"
+    return sum(block.language in RUN for block in blocks_of(page))
 
 
 def run_page(page: Path) -> list[tuple[Block, str]]:

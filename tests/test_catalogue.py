@@ -431,7 +431,7 @@ def test_an_effect_of_the_field_is_named_and_measured(
 def simulated(truth: ph.Model) -> ph.Measurements:
     """Three runs of both states with 2 % of noise, at inputs of three frequencies."""
     rng = np.random.default_rng(11)
-    t = np.linspace(0.0, 30.0, 601)
+    t = np.linspace(0.0, 30.0, 301)
     runs = []
     for _ in range(3):
         phases = np.outer(t, rng.uniform(0.5, 1.6, 3)) + rng.uniform(0, 6, 3)

@@ -96,6 +96,14 @@ def demo(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def short(demo: Path) -> Path:
+    """The same with few effects to consider, sooner solved."""
+    few = 'effects = ["coulomb friction", "quadratic drag", "cubic stiffness"]'
+    demo.write_text(demo.read_text().rstrip() + f"\n{few}\n")
+    return demo
+
+
 def left_over(at: Path) -> list[str]:
     return sorted(path.name for path in at.glob(".*"))
 
@@ -675,43 +683,44 @@ def test_add_names_the_states_where_the_equation_is_none_of_them(demo: Path) -> 
 # ---- fit, compare, diagnose, study ---------------------------------------------------
 
 
-def test_a_fit_is_saved_and_taken_up_again(demo: Path) -> None:
-    fitted = run("fit", "--save", "fit.json", "--json", at=demo.parent)
+def test_a_fit_is_saved_and_taken_up_again(short: Path) -> None:
+    fitted = run("fit", "--save", "fit.json", "--json", at=short.parent)
     assert fitted.returncode == ExitCode.DONE, fitted.stderr
     content = json.loads(fitted.stdout)
     assert content["written"] == ["fit.json"]
-    fit = ph.Fit.load(demo.with_name("fit.json"))
+    fit = ph.Fit.load(short.with_name("fit.json"))
     estimates = {row["name"]: row["value"] for row in content["parameters"]}
     assert fit.values == estimates
-    _, held_out = ph.StudyFile.read(demo).split()
+    _, held_out = ph.StudyFile.read(short).split()
     assert held_out is not None
-    compared = run("compare", "--fit", "fit.json", "--json", at=demo.parent)
+    compared = run("compare", "--fit", "fit.json", "--json", at=short.parent)
     assert json.loads(compared.stdout)["rmse"] == ph.compare(fit, held_out).rmse
     diagnosed = run(
-        *("diagnose", "--fit", "fit.json", "--exit-code", "--json"), at=demo.parent
+        *("diagnose", "--fit", "fit.json", "--exit-code", "--json"), at=short.parent
     )
     assert diagnosed.returncode == ExitCode.MISSING, diagnosed.stderr
     assert json.loads(diagnosed.stdout)["proposed"] == ["coulomb friction on p"]
     assert "[0:" in diagnosed.stderr and "left] re-fitting with" in diagnosed.stderr
-    assert left_over(demo.parent) == []
+    assert left_over(short.parent) == []
 
 
-def test_a_study_finds_what_is_missing_and_writes_it_down(demo: Path) -> None:
-    before = demo.read_text()
+@pytest.mark.slow
+def test_a_study_finds_what_is_missing_and_writes_it_down(short: Path) -> None:
+    before = short.read_text()
     result = run(
         *("study", "--auto", "--max-steps", 1, "--write"),
         *("--report", "report.html", "--save", "fit.json"),
-        at=demo.parent,
+        at=short.parent,
     )
     assert result.returncode == ExitCode.DONE, result.stderr
     assert "coulomb friction on p" in result.stdout
     assert "written: report.html" in result.stderr
-    assert "Coulomb friction on p" in demo.with_name("report.html").read_text()
-    names = ph.Fit.load(demo.with_name("fit.json")).names
+    assert "Coulomb friction on p" in short.with_name("report.html").read_text()
+    names = ph.Fit.load(short.with_name("fit.json")).names
     assert "coulomb_friction_p" in names
-    assert ph.StudyFile.read(demo).steps.added == ("coulomb friction on p",)
-    assert demo.with_name("study.toml.bak").read_text() == before
-    assert left_over(demo.parent) == []
+    assert ph.StudyFile.read(short).steps.added == ("coulomb friction on p",)
+    assert short.with_name("study.toml.bak").read_text() == before
+    assert left_over(short.parent) == []
 
 
 def test_a_place_where_nothing_can_be_written_is_told_before_the_work(
@@ -787,9 +796,9 @@ def _living(group: int) -> Iterator[int]:
             yield int(entry.parent.name)
 
 
-def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(demo: Path) -> None:
+def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(short: Path) -> None:
     arguments = ["study", "--auto", "--save", "fit.json", "--report", "report.html"]
-    ended = stopped(demo.parent, "screening", [*arguments, "--json"], signal.SIGINT)
+    ended = stopped(short.parent, "screening", [*arguments, "--json"], signal.SIGINT)
     assert ended.code == ExitCode.INTERRUPTED
     content = json.loads(ended.out)
     assert content["interrupted"]
@@ -797,9 +806,9 @@ def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(demo: Path) -> None:
     assert content["written"] == ["fit.json", "report.html"]
     assert "Traceback" not in ended.err
     assert "written: fit.json" in ended.err
-    assert set(ph.Fit.load(demo.with_name("fit.json")).names) == {"k", "c"}
-    assert "base model" in demo.with_name("report.html").read_text()
-    assert left_over(demo.parent) == []
+    assert set(ph.Fit.load(short.with_name("fit.json")).names) == {"k", "c"}
+    assert "base model" in short.with_name("report.html").read_text()
+    assert left_over(short.parent) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -833,10 +842,10 @@ c = { start = 0.1, lower = 0 }
     assert left_over(tmp_path) == []
 
 
-def test_a_working_process_that_dies_is_told(demo: Path) -> None:
+def test_a_working_process_that_dies_is_told(short: Path) -> None:
     process = subprocess.Popen(
         [*COMMAND, "study", "--auto", "--save", "fit.json"],
-        cwd=demo.parent,
+        cwd=short.parent,
         env=ENVIRONMENT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -851,13 +860,13 @@ def test_a_working_process_that_dies_is_told(demo: Path) -> None:
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == ExitCode.FAILED
     assert "ended without an answer" in err
-    assert ph.Fit.load(demo.with_name("fit.json")).names == ("k", "c")
+    assert ph.Fit.load(short.with_name("fit.json")).names == ("k", "c")
 
 
-def test_the_working_process_ends_with_the_one_that_waits_for_it(demo: Path) -> None:
+def test_the_working_process_ends_with_the_one_that_waits_for_it(short: Path) -> None:
     process = subprocess.Popen(
         [*COMMAND, "study", "--auto"],
-        cwd=demo.parent,
+        cwd=short.parent,
         env=ENVIRONMENT,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -914,7 +923,7 @@ def test_the_page_says_how_to_install_what_it_needs(
 
 
 def test_the_reach_of_the_command_is_that_of_the_study(
-    demo: Path, monkeypatch: pytest.MonkeyPatch
+    short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[object] = []
 
@@ -930,35 +939,35 @@ def test_the_reach_of_the_command_is_that_of_the_study(
         return ""
 
     monkeypatch.setattr(ph.Study, "auto", adds)
-    answer = run_job(Job(GO_THROUGH, demo, is_auto=True, reach=Reach.STRONG), print)
+    answer = run_job(Job(GO_THROUGH, short, is_auto=True, reach=Reach.STRONG), print)
     assert asked == ["strong"]
     assert answer.content["unestablished"] == ["coulomb friction on p"]
     assert "added, but not established: coulomb friction on p" in answer.text
 
 
 def test_a_study_that_breaks_off_says_so_in_its_report(
-    demo: Path, monkeypatch: pytest.MonkeyPatch
+    short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks(*_: object, **__: object) -> str:
         raise RuntimeError("a mistake on the way")
 
     monkeypatch.setattr(ph.Study, "auto", breaks)
     told: list[Message] = []
-    job = Job(GO_THROUGH, demo, is_auto=True, report=demo.with_name("report.html"))
+    job = Job(GO_THROUGH, short, is_auto=True, report=short.with_name("report.html"))
     with pytest.raises(RuntimeError):
         run_job(job, told.append)
     kept = [one for one in told if isinstance(one, Finished)][-1]
-    assert kept.files == (demo.with_name("report.html"),)
+    assert kept.files == (short.with_name("report.html"),)
     report = kept.files[0].read_text(encoding="utf-8")
     assert "the study broke off: a mistake on the way. So far: held-out error" in report
     assert "base model" in kept.text
 
 
-def test_effects_of_the_study_file_are_not_found_again(demo: Path) -> None:
-    text = demo.read_text().replace("[]", '["coulomb friction on p"]')
-    demo.write_text(text)
+def test_effects_of_the_study_file_are_not_found_again(short: Path) -> None:
+    text = short.read_text().replace("added = []", 'added = ["coulomb friction on p"]')
+    short.write_text(text)
     told: list[Message] = []
-    run_job(Job(FIT, demo), told.append)
+    run_job(Job(FIT, short), told.append)
     finished = [one for one in told if isinstance(one, Finished)]
     assert len(finished) == 3
     assert [one.found for one in finished] == [(), (), ()]

@@ -1,7 +1,6 @@
-"""Every example of docs/ and of the README runs, and prints what its page shows."""
+"""Every example of docs/ runs, and prints what its page shows (how-tos: `test_how_to`)."""
 
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,46 +8,31 @@ import pandas as pd
 import pytest
 
 from problems.examples.docs_data import FILES, FOLDER
-from tests.doc_pages import DOCS, ROOT, agree, first_difference, pages, run_page
+from tests.doc_pages import (
+    DOCS,
+    HOW_TO,
+    ROOT,
+    agree,
+    first_difference,
+    name_of,
+    pages,
+    run_as_shown,
+)
 
-# A page whose files come with the package: what `phsi-opt demo` writes.
-DEMO_DATA = ROOT / "phsi_opt" / "command_line" / "demo_data"
-WITH_DEMO_DATA = ("command_line",)
 RESULT = re.compile(r"`results/(\w+)\.md`")
 LINKED = re.compile(r"\]\(measured/(\w+)\.md")
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 
 
-def name_of(page: Path) -> str:
-    return page.relative_to(DOCS).with_suffix("").as_posix()
-
-
-@pytest.mark.parametrize("page", pages(), ids=name_of)
+@pytest.mark.parametrize(
+    "page", [one for one in pages() if one.parent.name != HOW_TO], ids=name_of
+)
 def test_the_examples_of_a_page_run_and_print_what_it_shows(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shipped = DEMO_DATA if name_of(page) in WITH_DEMO_DATA else FOLDER
-    for data in shipped.iterdir():
-        shutil.copy(data, tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    shown = run_page(page)
-    for block, printed in shown:
-        where = f"{name_of(page)}.md, line {block.line}"
-        assert not first_difference(block.text, printed), f"{where}\n{printed}"
-
-
-def test_the_examples_of_the_readme_run_one_after_the_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data = "problems/examples/data/friction_spring.csv"
-    (tmp_path / data).parent.mkdir(parents=True)
-    shutil.copy(ROOT / data, tmp_path / data)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MPLBACKEND", "Agg")
-    run_page(ROOT / "README.md")
-    assert (tmp_path / "report.html").exists()
-    assert (tmp_path / "model.json").exists()
+    assert run_as_shown(page) > 0
 
 
 def test_every_page_for_users_has_examples() -> None:

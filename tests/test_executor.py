@@ -63,15 +63,15 @@ def fitted(data: ph.Measurements) -> ph.Fit:
 
 @pytest.fixture(scope="module")
 def fit() -> ph.Fit:
-    return fitted(record(200, 0))
+    return fitted(record(120, 0))
 
 
 def diagnosed(fit: ph.Fit, executor: Any) -> tuple[Diagnosis, list[str]]:
     said: list[str] = []
     found = ph.diagnose(
         fit,
-        record(200, 0),
-        record(100, 1),
+        record(120, 0),
+        record(60, 1),
         effects=EFFECTS,
         executor=executor,
         progress=said.append,
@@ -141,7 +141,7 @@ def test_what_cannot_compute_is_refused(fit: ph.Fit) -> None:
     nothing: Any = 2
     with pytest.raises(ph.DataError, match="executor=2 has no submit"):
         diagnosed(fit, nothing)
-    study = ph.Study(fit.model, record(200, 0))
+    study = ph.Study(fit.model, record(120, 0))
     with pytest.raises(ph.DataError, match="executor=2 has no submit"):
         study.auto(executor=nothing)
     with pytest.raises(ph.DataError, match="executor=2 has no submit"):
@@ -149,7 +149,7 @@ def test_what_cannot_compute_is_refused(fit: ph.Fit) -> None:
 
 
 def test_a_study_gives_the_bits_of_one_process(workers: Executor) -> None:
-    train, held_out = record(200, 0, STICKS), record(100, 1, STICKS)
+    train, held_out = record(120, 0, STICKS), record(60, 1, STICKS)
     model = fitted(train).model
     found = []
     for executor in (None, workers):

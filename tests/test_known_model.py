@@ -13,7 +13,7 @@ import pytest
 
 import phsi_opt as ph
 
-T = np.linspace(0.0, 14.0, 281)
+T = np.linspace(0.0, 14.0, 141)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
 NOISE = 0.01
 STIFFNESS = "2.3*q**2/2 + p**2/2"
@@ -61,7 +61,7 @@ def test_a_model_without_free_parameters_gets_noise_and_states_alone(
     fit, data = complete
     assert fit.names == ()
     assert fit.covariance.shape == (0, 0)
-    # 843 values: a standard error of 2.4 %.
+    # 423 values: a standard error of 3.4 %.
     assert fit.noise["q"] == pytest.approx(NOISE, rel=0.08)
     for states, run, x0 in zip(fit.states, data.trajectories, STARTS, strict=True):
         assert states.shape == run.x.shape
@@ -154,8 +154,16 @@ HIDDEN = {
 }
 
 
-@pytest.mark.parametrize("name", HIDDEN)
-@pytest.mark.parametrize("hidden", [True, False], ids=["position", "both"])
+@pytest.mark.parametrize(
+    ("name", "hidden"),
+    [
+        ("cubic stiffness on p", True),
+        ("coulomb friction on p", True),
+        ("coulomb friction on p", False),
+        ("linear stiffness on p", True),
+        ("linear stiffness on p", False),
+    ],
+)
 def test_the_missing_effect_of_a_known_model_is_named_with_its_size(
     name: str, hidden: bool
 ) -> None:

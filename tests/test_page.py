@@ -221,45 +221,37 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(page: Page) -> None:
     nothing_is_solved(page)
 
 
-def test_a_reload_in_the_middle_of_a_study_loses_nothing(
-    page: Page, address: str
+def test_neither_a_reload_nor_another_browser_nor_a_strange_file_disturbs_a_study(
+    page: Page, browser: Browser, address: str, tmp_path: Path
 ) -> None:
-    prepare(page, spring_table())
-    with workers_at_rest(address):  # however long the reload takes, the study goes on
-        press_fit(page)
-        page.reload()
-        expect(page.get_by_role("button", name="Cancel")).to_be_visible()
-    assert NAMED in facts(page)
-    nothing_is_solved(page)
-    page.reload()
-    assert NAMED in facts(page)
-    page.get_by_role("tab", name="2 Model").click()
-    expect(page.get_by_label("known value of m")).to_have_value("2.5")
-    page.get_by_role("tab", name="1 Data").click()
-    expect(page.get_by_text("spring.csv: 302 samples, 3 runs")).to_be_visible()
-
-
-def test_two_browsers_do_not_disturb_each_other(
-    page: Page, browser: Browser, address: str
-) -> None:
+    marker = tmp_path / "ran"
+    upload_tables_that_run(page, address, marker)
     context = browser.new_context()
     other = context.new_page()
     other.set_default_timeout(SHOWN_WITHIN)
     other.goto(address)
     prepare(page, spring_table())
     prepare(other, plain_spring_table())
-    press_fit(page)
+    with workers_at_rest(address):  # however long the reload takes, the study goes on
+        press_fit(page)
+        page.reload()
+        expect(page.get_by_role("button", name="Cancel")).to_be_visible()
     press_fit(other)
     assert NAMED in facts(page)
     assert "Nothing is missing: " in facts(other)
-    assert NAMED in facts(page)
     context.close()
+    nothing_is_solved(page)
+    page.reload()
+    assert NAMED in facts(page)
+    assert not marker.exists()
+    page.get_by_role("tab", name="2 Model").click()
+    expect(page.get_by_label("known value of m")).to_have_value("2.5")
+    page.get_by_role("tab", name="1 Data").click()
+    expect(page.get_by_text("spring.csv: 302 samples, 3 runs")).to_be_visible()
 
 
-def test_what_a_program_uploads_beside_the_browser_is_not_run(
-    page: Page, address: str, tmp_path: Path
-) -> None:
-    marker = tmp_path / "ran"
+def upload_tables_that_run(page: Page, address: str, marker: Path) -> None:
+    """What a program uploads beside the browser."""
     found = UPLOADS.search(page.request.get(address).text())
     assert found is not None
     for name in ("study.checkpoint", "innocent.csv"):
@@ -268,10 +260,6 @@ def test_what_a_program_uploads_beside_the_browser_is_not_run(
         answer = page.request.post(address + found[0], multipart={"f": file})  # type: ignore[dict-item]
         assert answer.ok
     expect(page.get_by_role("button", name="Remove innocent.csv")).to_be_visible()
-    prepare(page, spring_table())
-    press_fit(page)
-    assert NAMED in facts(page)
-    assert not marker.exists()
 
 
 def test_a_link_of_another_site_leads_to_the_session_that_is_there(

@@ -46,6 +46,7 @@ from tests.page_tools import bad_table, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
 ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
+CONSIDERED = ("coulomb friction", "quadratic drag", "cubic stiffness")
 
 
 def is_running(pid: int) -> bool:
@@ -68,6 +69,11 @@ def filled(folder: Path) -> Session:
     return session
 
 
+def consider_few(session: Session) -> None:
+    """Few effects, so that a diagnosis ends sooner."""
+    session.draft.kept["study"] = {"effects": list(CONSIDERED)}
+
+
 @pytest.fixture
 def session(tmp_path: Path) -> Iterator[Session]:
     made = filled(tmp_path)
@@ -79,6 +85,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
 def studied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     """The spring, fitted, with the friction that was found added."""
     made = filled(tmp_path_factory.mktemp("studied"))
+    consider_few(made)
     made.fit()
     wait_for(lambda: made.job is None)
     assert made.content is not None, made.message
@@ -629,7 +636,8 @@ def test_the_exported_script_reproduces_every_step(
 def test_samples_are_averaged_and_fitted_again(session: Session) -> None:
     session.average(2)
     assert session.job is not None
-    wait_for(lambda: session.job is None)
+    wait_for(lambda: session.content is not None)  # fitted; the diagnosis goes on
+    session.cancel()
     assert session.draft.content()["data"]["thinned"] == 2
     assert session.content is not None, session.message
     n_whole = session.draft.data.n_samples if session.draft.data is not None else 0
@@ -686,9 +694,22 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
     assert len(told) == 2
 
 
-def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> None:
+def test_a_solve_is_cancelled_and_what_was_found_is_kept(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted_as_made = []
+    show = Session._show
+
+    def noted(self: Session, content: StudyContent) -> None:
+        assert self.job is not None
+        counted_as_made.append(self.job.is_shown)
+        show(self, content)
+
+    monkeypatch.setattr(Session, "_show", noted)
+    consider_few(session)
     session.fit()
     wait_for(lambda: session.content is not None)  # fitted; the diagnosis goes on
+    assert counted_as_made[0], "a model counts as made before it is seen"
     assert session.job is not None
     assert session._worker is not None
     pid = session._worker.pid
@@ -703,24 +724,6 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> No
     wait_for(lambda: session.job is None)
     assert session.message == ""
     assert session.content.present is not None, "it went on from what was kept"
-
-
-def test_a_model_counts_as_made_before_it_is_seen(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen = []
-    show = Session._show
-
-    def noted(self: Session, content: StudyContent) -> None:
-        assert self.job is not None
-        seen.append(self.job.is_shown)
-        show(self, content)
-
-    monkeypatch.setattr(Session, "_show", noted)
-    session.fit()
-    wait_for(lambda: session.content is not None)
-    session.cancel()
-    assert seen[0]
 
 
 def test_a_worker_that_is_lost_is_told(session: Session) -> None:

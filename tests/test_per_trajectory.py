@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 
-T = np.arange(0, 8, 0.05)
+T = np.arange(0, 8, 0.1)
 STARTS = ([1.2, 0.0], [-0.9, 0.4], [0.7, -1.0], [-1.0, 0.2])
 NOISE = 0.01  # m
 EFFECTS = {"coulomb friction", "quadratic stiffness"}

@@ -79,6 +79,7 @@ def test_clean_tanks_give_every_coefficient_to_1e_3_and_the_leak() -> None:
     assert np.sqrt(np.mean((fit.force(x)[:, 0] - leak(level)) ** 2)) < 0.05 * 6
 
 
+@pytest.mark.slow
 def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
     from problems.thesis.compare import main
     from problems.thesis.compare_page import BOTH, SIZE, page, ratios, reading

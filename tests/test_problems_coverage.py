@@ -75,9 +75,15 @@ def test_the_cubic_spring_has_its_share_of_the_force() -> None:
     assert share == pytest.approx(0.05, rel=0.1)
 
 
-def test_a_drawn_nonlinearity_has_its_share_and_no_linear_part() -> None:
+@pytest.fixture(scope="module")
+def drawn() -> Nonlinearities:
+    return Nonlinearities.of(range(8), SHARES, Layout(1, 100))
+
+
+def test_a_drawn_nonlinearity_has_its_share_and_no_linear_part(
+    drawn: Nonlinearities,
+) -> None:
     layout = Layout(1, 100)
-    drawn = Nonlinearities.of(range(8), SHARES, layout)
     assert len(set(drawn.kind)) == len(KINDS)
     assert drawn.share.min() >= SHARES[0]
     assert drawn.share.max() <= SHARES[1]
@@ -107,8 +113,7 @@ def test_a_seed_draws_the_same_nonlinearity_alone_and_among_others() -> None:
     assert alone.digest != undisturbed.digest
 
 
-def test_losses_that_are_drawn_stay_losses() -> None:
-    drawn = Nonlinearities.of(range(8), SHARES, Layout(1, 100))
+def test_losses_that_are_drawn_stay_losses(drawn: Nonlinearities) -> None:
     is_loss = drawn.kind >= KINDS.index("quadratic drag")
     assert is_loss.any()
     velocity = np.full(len(drawn.kind), 2.0)  # twice its root mean square

@@ -231,7 +231,8 @@ def test_a_motion_of_less_than_a_step_is_called_one() -> None:
 
 def test_steps_coarser_than_the_motion_are_not_taken_for_an_effect() -> None:
     train, test = measured(truth(), 1.0).split(0.6)
-    found = ph.diagnose(ph.identify(base(), train), train, test)
+    effects = ["coulomb friction", "quadratic drag", "cubic stiffness"]
+    found = ph.diagnose(ph.identify(base(), train), train, test, effects=effects)
     # The best candidate, dry friction, explains what three values leave.
     assert found.ranking[0].grade == Grade.DECISIVE
     assert found.verdict is ph.Verdict.UNEXPLAINED
