@@ -10,12 +10,13 @@ import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model_error.joint_estimate import JointPoint
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.sensitivities import Sensitivities
-from phsi_opt.screening.weighing import Weighed
+from phsi_opt.screening.weighing import Start, Weighed
 
 T = np.linspace(0.0, 8.0, 81)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.8, -0.7])
@@ -114,14 +115,18 @@ def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> Non
     record = EvidenceRecord.of(ph.compare(fit, data).record, None)
     base = record.base
     assert base.is_settled
-    start = record._beginning(base)
+    problem = record._weighing.problem(
+        Start(base.model, base.theta, base.states, base.processes, base.disturbances)
+    )
     for place, spread in enumerate(np.sqrt(np.diag(base.covariance))):
         for sign in (-1.0, 1.0):
-            moved = base.theta.copy()
-            moved[place] += sign * spread
-            held = replace(start, theta=moved, held=frozenset(base.names))
-            beside = record._weighing.weighed(held)
-            assert beside.log_evidence < base.log_evidence
+            z = problem.values.point.scaled.copy()
+            z[place] += sign * spread / problem.values.scale[place]
+            held = replace(problem, moving=problem.moving[:0])
+            beside = JointPoint(z, base.processes, np.zeros(0))
+            there = held.optimum(z, beside=beside).likelihood
+            likelihood = there.log_likelihood(base.disturbances)
+            assert likelihood < base.log_likelihood
 
 
 # --- the evidence

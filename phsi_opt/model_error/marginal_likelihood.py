@@ -689,13 +689,17 @@ class MarginalLikelihood:
     def log_volume_of_unknowns(self, disturbances: Disturbances) -> float:
         """What the log likelihood of given parameters has beside the squares.
 
-        It is the logarithm of the volume that states and disturbances have under these
-        parameters.
+        It is the logarithm of the volume that disturbances have under these parameters.
+        Starting states are unknown numbers like the parameters, and not integrated out:
+        a flat prior of theirs would prefer parameters that tell less of them (Cox and
+        Reid, Journal of the Royal Statistical Society B 49, 1987).
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        border = self.border(disturbances)
+        n = self.problem.n_states
+        starts = self.problem.grid.first[:, None] * n + np.arange(n)
+        border = self.border_of(self.eliminated(disturbances, held=starts.ravel()))
         information = border.with_priors(disturbances.function_sizes)
         return float(border.log_evidence - np.linalg.slogdet(information)[1] / 2)
 
