@@ -181,11 +181,9 @@ class EvidenceRecord:
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
         """A model that is larger than the base, begun where the base is likeliest.
 
-        The sizes of what is new begin at zero, where both models are the same.
-
         Args:
             model: the base with something more.
-            values: of what is new; numbers that are no sizes begin there.
+            values: of what is new, from which to start.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
@@ -195,8 +193,7 @@ class EvidenceRecord:
         names = Theta.of(self.first, self.runs).names
         known = dict(zip(names, base.theta.tolist(), strict=True))
         for name, value in values.items():
-            if name not in self.first.entries:
-                known[name] = 0.0 if model.entries[name].prunable else value
+            known.setdefault(name, value)
         default = unknown.spread(np.array([model.values[n] for n in model.free]))
         theta = unknown.from_values(known, default)
         theta = np.clip(theta, unknown.lower, unknown.upper)

@@ -6,7 +6,7 @@ them gives its coefficients, and the gain of the log evidence. Inner parameters 
 frequency, a width) are scanned, each value a trace more.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -20,7 +20,7 @@ from phsi_opt.initialization.relative_guesses import (
 )
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.model.parameters import Scan, Tried
+from phsi_opt.model.parameters import Parameter, Scan, Tried
 from phsi_opt.model.slots import Entry
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.regression import Regression, regression
@@ -121,7 +121,7 @@ class ScoreTest:
                 frequency = name
                 scanned = guess.variable if entry.parameter.value is None else None
         linear = _linear_names(new)
-        model = resolve_guesses(model, grid, states)
+        model = _within_what_is_tried(resolve_guesses(model, grid, states), tried)
         if not linear and not tried:
             # A user's formula is linearised in its parameters, at their start.
             linear = [name for name in model.free if name in new]
@@ -219,6 +219,23 @@ def _std_error(trial: Trial, found: Regression) -> float:
     if trial.frequency:
         return float(np.max(spread))
     return float(spread[len(trial.linear) - 1])
+
+
+def _within_what_is_tried(model: Model, tried: dict[str, np.ndarray]) -> Model:
+    """Inner parameters up to one step beyond what is tried.
+
+    What a record cannot show, such as a corner below its resolution, has no prior mass.
+    """
+
+    def bounded(name: str, parameter: Parameter) -> Parameter:
+        if name not in tried or len(tried[name]) < 2:
+            return parameter
+        values = np.sort(tried[name])
+        lower = max(float(values[0] ** 2 / values[1]), parameter.lower)
+        upper = min(float(values[-1] ** 2 / values[-2]), parameter.upper)
+        return replace(parameter, lower=lower, upper=upper)
+
+    return model.with_parameters(bounded)
 
 
 def _combinations(tried: dict[str, np.ndarray]) -> list[dict[str, float]]:
