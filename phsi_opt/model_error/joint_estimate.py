@@ -296,13 +296,16 @@ class JointProblem:
             if is_whole:
                 shorter = aim.length / length if n_steps > 1 else contraction
                 contraction, length = min(shorter, 1.0), aim.length
-            is_curved = is_curved or not is_whole or contraction > SLOW
+            # Of noise alone the multipliers are small, and so is what they curve.
+            may_curve = len(self.moving) and self.disturbances.forces
+            if may_curve and (not is_whole or contraction > SLOW):
+                is_curved = True
             if there is None:
                 damping = max(10 * damping, LEAST_STEP_DAMPING)
                 if damping > 1e6 or not len(self.moving):
                     break
                 place = replace(place, multipliers=aim.multipliers)
-                is_curved, contraction = True, 1.0
+                contraction = 1.0
                 continue
             damping = damping / 10 if damping > LEAST_STEP_DAMPING else 0.0
             objectives.append(there.objective)

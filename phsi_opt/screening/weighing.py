@@ -119,6 +119,7 @@ class Start:
         states: (n_nodes, n_states).
         processes: values of forces and errors of sensors; None: there are none.
         disturbances: noise, forces and errors of sensors, with their sizes.
+        held: names of parameters that stay.
     """
 
     model: Model
@@ -126,6 +127,7 @@ class Start:
     states: np.ndarray
     processes: np.ndarray | None
     disturbances: Disturbances
+    held: frozenset[str] = frozenset()
 
     def padded(self, n_old: int) -> "Start":
         """With a size for the memory that a trajectory begins with."""
@@ -187,6 +189,9 @@ class Weighing:
         z = problem.values.point.scaled
         processes = start.processes
         best = None
+        names = problem.values.unknown.names
+        held = [names.index(name) for name in start.held]
+        problem = replace(problem, moving=np.delete(problem.moving, held))
         # Beside a force that was never met with these parameters they stay at first:
         # free ones may run from a large force to where nothing is alike.
         for number in range(MOST_ROUNDS):
