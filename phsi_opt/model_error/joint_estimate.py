@@ -297,7 +297,7 @@ class JointProblem:
                 shorter = aim.length / length if n_steps > 1 else contraction
                 contraction, length = min(shorter, 1.0), aim.length
             # Of noise alone the multipliers are small, and so is what they curve.
-            may_curve = len(self.moving) and self.disturbances.forces
+            may_curve = len(self.moving)
             if may_curve and (not is_whole or contraction > SLOW):
                 is_curved = True
             if there is None:
@@ -483,8 +483,16 @@ class _Place:
         return cost + self.price(multipliers)
 
     def price(self, multipliers: np.ndarray) -> float:
-        """Of violations squared, as large as their multipliers or these on average."""
+        """Of violations squared, as large as their multipliers or these on average.
+
+        Where parameters stay, of violations at twice the largest multiplier, an exact
+        penalty (Han 1977): beside sharp corners steps ended at forces that are not
+        there.
+        """
         sizes = np.abs(multipliers) * self._holds
+        if not len(self.problem.moving):
+            missed = float(np.sum(np.abs(self._missed)))
+            return 2 * float(np.max(sizes, initial=0.0)) * missed
         typical = np.sum(sizes) / max(np.sum(self._holds), 1)
         return float(np.maximum(sizes, typical) @ self._missed**2) / 2
 
