@@ -35,7 +35,7 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Program, ipopt.Solutio
 
 @pytest.mark.parametrize(
     ("name", "n_trajectories"),
-    [("henon_heiles", 300), ("mass_spring", 6), ("schrodinger", 2)],
+    [("henon_heiles", 300), ("mass_spring", 6), ("schrodinger", 6)],
 )
 def test_every_program_is_symbolic_and_its_answer_is_the_fit(
     name: str,
