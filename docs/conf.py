@@ -61,7 +61,7 @@ napoleon_use_rtype = False
 nitpick_ignore_regex = [
     (
         "py:.*",
-        r"(ca|casadi|markupsafe|matplotlib|np|numpy|pandas|pd|scipy|sp|sympy|torch)(\..*)?",
+        r"(ca|casadi|markupsafe|matplotlib|np|numpy|pandas|pd|scipy|sp|starlette|sympy|torch)(\..*)?",
     ),
     (
         "py:.*",
