@@ -37,9 +37,7 @@ from phsi_opt.model_error.state_functions import LINEAR_SHARE
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-MOST_SOLVES = int(
-    __import__("os").environ.get("MS", "5")
-)  # each followed by better sizes
+MOST_SOLVES = 5  # each followed by better sizes
 # Change of the logarithm of the evidence by better sizes up to which they stay.
 SETTLED_EVIDENCE = 0.1
 

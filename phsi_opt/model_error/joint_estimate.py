@@ -296,9 +296,7 @@ class JointProblem:
             if is_whole:
                 shorter = aim.length / length if n_steps > 1 else contraction
                 contraction, length = min(shorter, 1.0), aim.length
-            # Of noise alone the multipliers are small, and so is what they curve.
-            may_curve = len(self.moving)
-            if may_curve and (not is_whole or contraction > SLOW):
+            if len(self.moving) and (not is_whole or contraction > SLOW):
                 is_curved = True
             if there is None:
                 damping = max(10 * damping, LEAST_STEP_DAMPING)

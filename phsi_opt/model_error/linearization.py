@@ -51,19 +51,15 @@ class ForceEffects:
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Second derivatives of the dynamics times their multipliers, upper triangle.
+    """Second derivatives of the dynamics times their multipliers.
 
     Attributes:
-        row: (n_entries,) place of each entry among the states.
-        column: (n_entries,).
-        of_states: (n_entries,) the entries; those at one place are added.
-        mixed: (n_nodes * n_states, n_theta), of states and parameters.
-        of_theta: (n_theta, n_theta).
+        of_states: sparse, in the states alone, upper triangle.
+        mixed: (n_nodes * n_states, n_theta), in states and parameters.
+        of_theta: (n_theta, n_theta), in the parameters alone.
     """
 
-    row: np.ndarray
-    column: np.ndarray
-    of_states: np.ndarray
+    of_states: coo_matrix
     mixed: np.ndarray
     of_theta: np.ndarray
 
@@ -339,25 +335,13 @@ class Linearizer:
         """
         values = self.values
         entries = values.curvature_at(z, multipliers)
-        pattern = values.curvature
-        n_theta = len(values.unknown)
-        n_x = len(z) - n_theta
-        # Parameters are the first columns of z.
-        is_mixed = (pattern.rows < n_theta) & (pattern.columns >= n_theta)
-        of_states = pattern.rows >= n_theta
-        of_theta = pattern.columns < n_theta
-        mixed = np.zeros((n_x, n_theta))
-        place = (pattern.columns[is_mixed] - n_theta, pattern.rows[is_mixed])
-        np.add.at(mixed, place, entries[is_mixed])
-        inner = np.zeros((n_theta, n_theta))
-        place = (pattern.rows[of_theta], pattern.columns[of_theta])
-        np.add.at(inner, place, entries[of_theta])
+        upper = csr_matrix(values.curvature.sparse(entries))
+        n = len(values.unknown)  # the first columns of z
+        of_theta = upper[:n, :n].toarray()
         return Curvature(
-            row=pattern.rows[of_states] - n_theta,
-            column=pattern.columns[of_states] - n_theta,
-            of_states=entries[of_states],
-            mixed=mixed,
-            of_theta=inner + np.triu(inner, 1).T,
+            of_states=coo_matrix(upper[n:, n:]),
+            mixed=upper[:n, n:].toarray().T,
+            of_theta=of_theta + np.triu(of_theta, 1).T,
         )
 
 

@@ -295,11 +295,10 @@ class MarginalLikelihood:
     @property
     def _curved_entries(self) -> list[np.ndarray]:
         """Of the curvature of the dynamics, both triangles."""
-        curvature = self.problem.curvature
-        if curvature is None:
+        if self.problem.curvature is None:
             return []
-        above = np.where(curvature.row < curvature.column, curvature.of_states, 0.0)
-        return [curvature.of_states, above]
+        upper = self.problem.curvature.of_states
+        return [upper.data, np.where(upper.row < upper.col, upper.data, 0.0)]
 
     def _shown_in_unknowns(self) -> csr_matrix:
         """Slope of what is shown in states and processes."""
@@ -346,10 +345,10 @@ class MarginalLikelihood:
         every_multiplier = self.n_unknowns + np.arange(len(self._softness))
         rows.append(every_multiplier)
         columns.append(every_multiplier)
-        curvature = problem.curvature
-        if curvature is not None:
-            rows += [curvature.row, curvature.column]
-            columns += [curvature.column, curvature.row]
+        if problem.curvature is not None:
+            upper = problem.curvature.of_states
+            rows += [upper.row, upper.col]
+            columns += [upper.col, upper.row]
         grid = problem.grid
         of_nodes = np.arange(grid.n_nodes, dtype=float)
         order = np.argsort(self._of_unknowns(of_nodes, grid.begin + 0.5), kind="stable")

@@ -195,10 +195,10 @@ class EvidenceRecord:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
-        inner = [name for name in model.free if name not in self.first.entries]
-        if len(inner) != 1 or model.n_states == self.first.n_states:
+        new = [name for name in model.free if name not in self.first.entries]
+        if len(new) != 1 or model.n_states == self.first.n_states:
             return self._begun_beside(model, values)
-        return self._scanned(model, values, frozenset(inner))
+        return self._scanned(model, values, frozenset(new))
 
     def _begun_beside(
         self,

@@ -420,8 +420,7 @@ def _beside(
         return None
     n = 0
     if problem.disturbances.functions:
-        linear = problem.linearizer.at(z, problem.values.at(z))
-        linear = replace(linear, linear_share=0.0)
+        linear = problem.linearized(z, problem.values.at(z))
         for function in problem.disturbances.functions:
             n += linear.function_values[function.state].shape[1]
     return JointPoint(z, processes, np.zeros(n))

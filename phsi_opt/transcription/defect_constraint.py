@@ -52,9 +52,7 @@ def constraint_curvature(
     one = defect_curvature(values.model, values.scheme)
     columns = [*interval_arguments(grid, x), weighted]
     entries = map_intervals(one.function, grid, columns, theta)
-    places = values.places(grid.begin, 2)
-    both = np.sort([places[:, local].ravel() for local in one.places.T], axis=0)
-    row, column = both
+    row, column = values.curvature.rows, values.curvature.columns
     # Each entry of the Hessian once, in CasADi's order, and the entries per interval
     # that it sums up.
     n_z = len(values.scale)
