@@ -234,6 +234,8 @@ def smoothed(
     grid: Grid,
     sigma: np.ndarray,
     theta: np.ndarray | None = None,
+    *,
+    forces: Forces | None = None,
     **options: Any,
 ) -> ForceEstimate:
     """States, also unmeasured ones, and missing force at given parameters.
@@ -249,6 +251,7 @@ def smoothed(
         sigma: (n_states,) noise to begin with.
         theta: Other values, (n_free, n_trajectories) where trajectories have parameters
             of their own.
+        forces: to begin with; None: `generous_force`.
         **options: Those of `estimate_force`.
 
     Raises:
@@ -257,7 +260,7 @@ def smoothed(
     point = first_point(model, grid)
     if theta is not None:
         point = replace(point, theta=theta)
-    usual = generous_force(model, grid, point)
+    usual = generous_force(model, grid, point) if forces is None else forces
     values = model.values
     widths = {name: values[name] for name in corner_widths(model)}
 
