@@ -69,7 +69,7 @@ def conclusion(
         record: beside which models are weighed.
         effects: what may be missing.
     """
-    record, ranking = weighed_round(base, record, effects)
+    ranking = weighed_round(base, record, effects)
     return _Judge(base, record, effects, ranking).concluded()
 
 
@@ -103,8 +103,7 @@ class _Judge:
         beside = self.beside(done)
         if beside is None:
             return self.not_named(done, doubt)
-        alone = self.second_alone(beside)
-        return self.named(done, beside) if alone is None else self.named(alone)
+        return self.named(done, beside)
 
     def first(self) -> Refit | None:
         """An effect that is decisive, re-fitted; it is put first.
@@ -117,35 +116,9 @@ class _Judge:
             place = self.ranking.index(chosen)
             done = self.refit(place)
             if done is not None:
-                place, done = self.smaller(place, done)
                 self.ranking.insert(0, self.ranking.pop(place))
                 return done
         return None
-
-    def smaller(self, place: int, done: Refit) -> tuple[int, Refit]:
-        """A law that another one holds, where it does as well with sharp corners.
-
-        Effects are weighed with rounded corners, and a larger law bends to what a sharp
-        one would do. Re-fits are sharp, and have their log Z.
-        """
-        for other, one in enumerate(list(self.ranking)):
-            is_there = one.grade == Grade.DECISIVE and not one.lost
-            if not is_there or not self.is_part(one, self.ranking[place]):
-                continue
-            again = self.refit(other)
-            if again is None:
-                continue
-            if done.fit.log_evidence < again.fit.log_evidence + STRONG_EVIDENCE:
-                lost = f"{one.name} does as well, and is smaller"
-                self.ranking[place] = replace(self.ranking[place], lost=lost)
-                place, done = other, again
-        return place, done
-
-    def is_part(self, one: Candidate, larger: Candidate) -> bool:
-        """Whether a law has a part of another one's numbers."""
-        model = self.base.fit.model
-        own = set(model.add(one.effect).entries)
-        return own < set(model.add(larger.effect).entries)
 
     def tied(self) -> list[Candidate]:
         """Effects that the evidence does not tell from the likeliest.
@@ -180,33 +153,6 @@ class _Judge:
             self.refit(place)
         return [self.ranking[place] for place in places if not self.ranking[place].lost]
 
-    def second_alone(self, beside: "_Judge") -> Refit | None:
-        """The second effect without the first, where that may as well be zero."""
-        first, second = self.ranking[0], beside.ranking[0]
-        assert beside.done is not None
-        size = fitted_size(self.base.fit, beside.done.fit, first.effect)
-        if size.z >= SURE_DEVIATIONS:
-            return None
-        place = [one.effect for one in self.ranking].index(second.effect)
-        done = self.refit(place)
-        if done is None or not self._leaves_nothing(done):
-            return None
-        self.nothing_left = True
-        known = self.ranking.pop(place)
-        if not known.was_weighed:
-            known = replace(
-                known,
-                log_bayes=second.log_bayes,
-                log_predictive=second.log_predictive,
-                was_weighed=True,
-                force_left=second.force_left,
-                lost="",
-            )
-        lost = f"beside {second.name} its size may as well be zero"
-        self.ranking[0] = replace(first, lost=lost)
-        self.ranking.insert(0, known)
-        return done
-
     def beside(self, done: Refit) -> "_Judge | None":
         """What is missing beside the first, where both together leave nothing."""
         base = replace(self.base, trained=done.trained, judged=done.trained)
@@ -215,7 +161,7 @@ class _Judge:
         others = [one.effect for one in self.ranking[1:]]
         try:
             record = EvidenceRecord.of(base.record, base.judging_record)
-            record, ranking = weighed_round(base, record, others)
+            ranking = weighed_round(base, record, others)
             second = _Judge(base, record, others, ranking)
         except SolveError as error:
             base.say(str(error))
