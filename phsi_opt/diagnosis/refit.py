@@ -23,6 +23,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_scanned
 from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs_at_samples
 
@@ -151,17 +152,18 @@ class _Refitting:
         """The brief re-fit from where the effect was weighed."""
         base = self.base
         estimate = base.record.estimate
+        model = base.fit.model
         noise = {}
-        for name, sigma in zip(base.fit.model.states, estimate.sigma, strict=True):
+        for name, sigma in zip(model.states, base.record.sigma, strict=True):
             if name in self.aligned.data.measured:
                 noise[name] = float(sigma)
         states = self.candidate.states
         if states is None:
-            states = estimate.x
+            states = with_memory(model, estimate.grid, estimate.x, base.record.theta)
         start = replace(
             base.fit,
-            model=base.fit.model.with_values(self._base_values()),
-            states=estimate.grid.split(states[:, : estimate.x.shape[1]]),
+            model=model.with_values(self._base_values()),
+            states=estimate.grid.split(states[:, : model.n_states]),
             noise=noise,
             steps=tuple(self.refinement * steps for steps in base.fit.steps),
         )
