@@ -22,9 +22,6 @@ from phsi_opt.baselines.gradient_descent import (
     gradient_descent,
     starting_values,
 )
-from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
-from phsi_opt.baselines.torch_polynomials import Cell, Polynomials, monomial
-from phsi_opt.baselines.torch_steps import Steps
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
@@ -128,22 +125,9 @@ def solvers_loss(model: Model, data: ph.Measurements, scheme: str) -> float:
     )
 
 
-Loss = Callable[..., torch.Tensor]
-
-
-def loss_of(
-    model: Model, data: ph.Measurements, scheme: str
-) -> tuple[Loss, torch.Tensor, Steps]:
-    """The loss by the parameters (and the tables of a batch), the values, the steps."""
-    dynamics = DictionaryDynamics(model, torch.float64)
-    grid = complete_intervals(model, grid_of(data))
-    steps = Steps(grid, scheme, torch.float64)
-
-    def loss(theta: torch.Tensor) -> torch.Tensor:
-        return steps.loss(dynamics.at(theta), steps.tables)
-
-    values = [model.values[name] for name in dynamics.names]
-    return loss, torch.tensor(values, dtype=torch.float64), steps
+def run_at(model: Model, data: ph.Measurements, scheme: str) -> DescentRun:
+    """A descent that begins at the values of the model."""
+    return DescentRun(model, data, Descent(integrator=scheme, start="model"), seed=0)
 
 
 def henon_data(noise: float = 0.0, n: int = 400) -> ph.Measurements:
@@ -165,8 +149,8 @@ def test_the_loss_is_that_of_the_solver_at_the_same_point(
         at_random(MODELS[kind]()),
         record("zero" if scheme == "midpoint" else "linear"),
     )
-    loss, theta, _ = loss_of(model, data, scheme)
-    value = float(loss(theta).detach())
+    run = run_at(model, data, scheme)
+    value = float(run.loss(run.tables).detach())
     assert value == pytest.approx(
         solvers_loss(model, data, scheme), rel=1e-10
     )  # other order of sums: rounding
@@ -175,67 +159,56 @@ def test_the_loss_is_that_of_the_solver_at_the_same_point(
 @pytest.mark.parametrize("scheme", INTEGRATORS)
 @pytest.mark.parametrize("kind", MODELS)
 def test_the_gradient_is_that_of_finite_differences(kind: str, scheme: str) -> None:
-    loss, theta, _ = loss_of(at_random(MODELS[kind]()), record(), scheme)
-    flat = theta.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(loss(flat), flat)
-    for i in range(0, len(theta), 2):
-        shift = torch.zeros_like(theta)
-        shift[i] = 1e-6
-        slope = (loss(theta + shift) - loss(theta - shift)) / 2e-6
+    run = run_at(at_random(MODELS[kind]()), record(), scheme)
+    (gradient,) = torch.autograd.grad(run.loss(run.tables), run.theta)
+    values = run.theta.detach()  # writing here moves the parameters
+    for i in range(0, len(values), 2):
+        ends = []
+        for shift in (1e-6, -1e-6):
+            values[i] += shift
+            ends.append(float(run.loss(run.tables).detach()))
+            values[i] -= shift
         # Central differences: rounding of about 1e-16 / 1e-6 of the loss.
         assert float(gradient[i]) == pytest.approx(
-            float(slope.detach()), rel=1e-5, abs=1e-7 * float(gradient.abs().max() + 1)
+            (ends[0] - ends[1]) / 2e-6,
+            rel=1e-5,
+            abs=1e-7 * float(gradient.abs().max() + 1),
         )
 
 
 def test_a_batch_has_the_loss_of_its_intervals() -> None:
-    model = at_random(everything())
-    _, theta, steps = loss_of(model, record(), "srk4")
-    rates = DictionaryDynamics(model, torch.float64).at(theta)
-    whole = steps.defects(rates, steps.tables)
-    part = steps.defects(rates, [table[2:5] for table in steps.tables])
-    np.testing.assert_allclose(part.detach(), whole[2:5].detach(), rtol=1e-12)
+    run = run_at(at_random(everything()), record(), "srk4")
+    n = len(run.tables[0])
+    parts = [
+        float(run.loss([table[places] for table in run.tables]).detach()) * n_part
+        for places, n_part in ((slice(2, 5), 3), ([0, 1, *range(5, n)], n - 3))
+    ]
+    whole = float(run.loss(run.tables).detach())
+    assert sum(parts) == pytest.approx(n * whole, rel=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("body", "factors"),
+    ("body", "start"),
     [
-        ("1", ()),
-        ("q", (0,)),
-        ("q**2*p", (0, 0, 1)),
-        ("p*q*p", (0, 1, 1)),
-        ("q/p", None),
-        ("sin(q)", None),
-        ("q**-1", None),
-        ("q**p", None),
-        ("q*u", None),
-        ("2*q", None),
-        ("q + p", None),
+        ("q", 0.2),
+        ("q**2 * p", 0.2),
+        ("p*q*p", 0.2),
+        ("q*u*t**12", 0.2),
+        ("1", 0.2),
+        ("q/p", 1.0),
+        ("sin(q)", 1.0),
+        ("q**-1", 1.0),
+        ("q**p", 1.0),
+        ("q**2.5", 1.0),
+        ("2*q", 1.0),
+        ("q + p", 1.0),
+        ("q*pi", 1.0),
     ],
 )
-def test_only_products_of_powers_are_monomials(
-    body: str, factors: tuple[int, ...] | None
-) -> None:
-    assert monomial(body, ("q", "p")) == factors
-
-
-def test_polynomials_are_the_sums_of_their_monomials() -> None:
-    cells = [
-        Cell((0, 0, 2), 0, 0, 2.0),  # 2 a x^2 z
-        Cell((1,), 0, 1),  # b y
-        Cell((1,), 1, 0, -1.0),  # -a y
-        Cell((), 1, 1),  # b
-        Cell((), 1, 0),  # a, at the same place
-    ]
-    polynomials = Polynomials(cells, 3, 2, torch.float64)
-    v = np.random.default_rng(0).normal(size=(4, 3))
-    padded = torch.tensor(np.column_stack((v, np.ones(4))))
-    a, b = 0.7, -0.4
-    theta = torch.tensor([a, b], dtype=torch.float64)
-    found = polynomials.features(padded) @ polynomials.matrix(theta)
-    x, y, z = v.T
-    expected = np.column_stack((2 * a * x**2 * z + b * y, -a * y + a + b))
-    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-15)  # rounding
+def test_only_products_of_powers_start_as_polynomials(body: str, start: float) -> None:
+    terms = Dictionary((Term(body, Parameter()),))
+    model = ph.FirstOrder(["q", "p"], {"q": terms}, inputs=["u"])
+    assert starting_values(model, Descent(), 0).tolist() == [start]
 
 
 # the descent
@@ -410,7 +383,7 @@ def test_a_model_of_time_and_of_an_input_descends() -> None:
 
 def test_the_starts_are_those_of_the_thesis() -> None:
     model = SYSTEMS["mass_spring"].model()
-    start = dict(zip(model.entries, starting_values(model, Descent(), 0), strict=True))
+    start = dict(zip(model.free, starting_values(model, Descent(), 0), strict=True))
     assert start["H[q**2]"] == start["F_p[t]"] == 0.2
     assert start["F_p[sin(omega_t*t)]"] == start["F_p.omega_t"] == 1.0
     assert start["R_p"] == 0.0
@@ -423,9 +396,7 @@ def test_the_starts_are_those_of_the_thesis() -> None:
     )  # 1700 draws: a standard error of 2 %
     given = HENON.model().with_values({"H[q1**2]": 0.4})
     assert (
-        starting_values(given, Descent(start="model"), 0)[
-            list(given.entries).index("H[q1**2]")
-        ]
+        starting_values(given, Descent(start="model"), 0)[given.free.index("H[q1**2]")]
         == 0.4
     )
 

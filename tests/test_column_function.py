@@ -12,6 +12,7 @@ from phsi_opt.optimization.column_function import (
     LEAST_AT_ONCE,
     ColumnFunction,
     _listing,
+    in_rows,
 )
 
 FORMULAS = (
@@ -115,3 +116,14 @@ def test_a_function_of_many_registers_works_on_fewer_places_at_once() -> None:
     found, squares = ColumnFunction(function, (1,))(values, np.array([2.0]))
     np.testing.assert_allclose(found, 2 * np.sin(values), rtol=1e-14)
     np.testing.assert_allclose(squares[0], np.sum(values**2, axis=0), rtol=1e-12)
+
+
+def test_rows_of_a_table_have_the_results_of_each_column() -> None:
+    a, theta = ca.SX.sym("a", 2), ca.SX.sym("theta")
+    results = [ca.vertcat(a[0] * theta, ca.exp(a[1]), theta), ca.SX.zeros(2)]
+    function = ca.Function("values", [a, theta], results)
+    table = np.random.default_rng(0).normal(size=(5, 2))
+    found, zeros = (one.full() for one in in_rows(function, 5)(table, 3.0))
+    expected = np.column_stack((3 * table[:, 0], np.exp(table[:, 1]), np.full(5, 3.0)))
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    assert zeros.shape == (5, 2) and not np.any(zeros)

@@ -53,14 +53,14 @@ def record() -> ph.Measurements:
 def test_the_gradient_of_a_neural_force_is_that_of_finite_differences() -> None:
     force = JointForce(("q", "p"), ("q", "u", "t"), hidden=(5, 4), penalty=0.3)
     run = _JointRun(driven(), record(), Descent(), 3, None, force)
-    gradients = torch.autograd.grad(run.loss(run.steps.tables), run.parameters)
+    gradients = torch.autograd.grad(run.loss(run.tables), run.parameters)
     for parameter, gradient in zip(run.parameters, gradients, strict=True):
         values = parameter.detach().view(-1)  # writing here moves the parameter
         for i in range(0, len(values), 3):
             ends = []
             for shift in (1e-6, -1e-6):
                 values[i] += shift
-                ends.append(float(run.loss(run.steps.tables).detach()))
+                ends.append(float(run.loss(run.tables).detach()))
                 values[i] -= shift
             # Central differences: rounding of about 1e-16 / 1e-6 of the loss.
             slope = (ends[0] - ends[1]) / 2e-6

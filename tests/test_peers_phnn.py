@@ -13,12 +13,12 @@ from scipy.optimize import approx_fprime
 
 import phsi_opt as ph
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_steps import Steps
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
 from problems.peers.joint_force import JointForce
 from problems.peers.phnn import PHNN, NetworkDescent, _Networks, phnn
+from problems.peers.torch_steps import Steps
 from problems.thesis.systems import SYSTEMS
 
 SPRING = SYSTEMS["mass_spring"]

@@ -8,6 +8,7 @@ import torch
 
 import phsi_opt as ph
 from problems.peers.ssinn import SymplecticDescent, _Flow, separable, ssinn
+from problems.peers.torch_polynomials import Cell, Polynomials, monomial
 from problems.thesis.systems import SYSTEMS
 
 HENON = SYSTEMS["henon_heiles"]
@@ -138,3 +139,44 @@ def test_the_schedule_falls_at_its_shares() -> None:
         0.001,
         0.001,
     ]
+
+
+@pytest.mark.parametrize(
+    ("body", "factors"),
+    [
+        ("1", ()),
+        ("q", (0,)),
+        ("q**2*p", (0, 0, 1)),
+        ("p*q*p", (0, 1, 1)),
+        ("q/p", None),
+        ("sin(q)", None),
+        ("q**-1", None),
+        ("q**p", None),
+        ("q*u", None),
+        ("2*q", None),
+        ("q + p", None),
+    ],
+)
+def test_only_products_of_powers_are_monomials(
+    body: str, factors: tuple[int, ...] | None
+) -> None:
+    assert monomial(body, ("q", "p")) == factors
+
+
+def test_polynomials_are_the_sums_of_their_monomials() -> None:
+    cells = [
+        Cell((0, 0, 2), 0, 0, 2.0),  # 2 a x^2 z
+        Cell((1,), 0, 1),  # b y
+        Cell((1,), 1, 0, -1.0),  # -a y
+        Cell((), 1, 1),  # b
+        Cell((), 1, 0),  # a, at the same place
+    ]
+    polynomials = Polynomials(cells, 3, 2, torch.float64)
+    v = np.random.default_rng(0).normal(size=(4, 3))
+    padded = torch.tensor(np.column_stack((v, np.ones(4))))
+    a, b = 0.7, -0.4
+    theta = torch.tensor([a, b], dtype=torch.float64)
+    found = polynomials.features(padded) @ polynomials.matrix(theta)
+    x, y, z = v.T
+    expected = np.column_stack((2 * a * x**2 * z + b * y, -a * y + a + b))
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-15)  # rounding

@@ -1,14 +1,16 @@
 """The thesis' own method: the PHSI loss minimised by Adam in batches, with pruning.
 
 This is thesis Algorithm 6. The loss is that of
-`phsi_opt.transcription.losses.PHSILoss`; only the way down differs. `torch_dictionary`
-has the model in torch, `torch_steps` the loss, `descent` the steps.
+`phsi_opt.transcription.losses.PHSILoss`, with its slopes by CasADi, in double
+precision; only the way down differs, whose steps are in `descent`.
 """
 
+import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import torch
 from torch import Tensor
@@ -16,9 +18,6 @@ from torch import Tensor
 from phsi_opt.baselines.descent import Adam, Progress, descend
 from phsi_opt.baselines.descent_settings import Descent
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
-from phsi_opt.baselines.torch_polynomials import monomial
-from phsi_opt.baselines.torch_steps import RightHandSide, Steps
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
@@ -26,10 +25,15 @@ from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.slots import place_of
+from phsi_opt.model.slots import Entry, place_of
+from phsi_opt.model.symbolic import argument_symbols
+from phsi_opt.optimization.column_function import in_rows
 from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.simulation.simulate import BufferedFunction
 from phsi_opt.transcription.alignment import aligned_once
+from phsi_opt.transcription.defects import defect, defects
 from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.interval_map import interval_arguments
 from phsi_opt.transcription.losses import complete_intervals
 
 __all__ = ["Descent", "DescentRun", "gradient_descent"]
@@ -77,8 +81,8 @@ def gradient_descent(
 class DescentRun:
     """One descent: its parameters, their bounds, and what was pruned.
 
-    A subclass may train more than the dictionary (`further`, `optimizer`, `rates`,
-    `loss`), prune by another rule (`weak`), or look on after each epoch
+    A subclass may train more than the dictionary (`further`, `optimizer`, `loss`,
+    `defects`), prune by another rule (`weak`), or look on after each epoch
     (`after_epoch`).
 
     Args:
@@ -88,7 +92,8 @@ class DescentRun:
         seed: of the order of the batches and of a random start.
 
     Attributes:
-        theta: the parameters in the order of ``model.entries``.
+        theta: the parameters in the order of ``model.free``.
+        tables: what the loss of a batch needs of its intervals, along the first axis.
         removed: names of the terms that were pruned, in order.
     """
 
@@ -102,8 +107,8 @@ class DescentRun:
         self.hold = checked_hold(record.hold, record.inputs)
         self.grid = complete_intervals(model, grid_of(record))
         self.dtype: torch.dtype = getattr(torch, settings.dtype)
-        self.dynamics = DictionaryDynamics(model, self.dtype)
-        self.steps = Steps(self.grid, settings.integrator, self.dtype)
+        columns = interval_arguments(self.grid, self.grid.y.T)
+        self.tables = [torch.tensor(np.concatenate(columns).T)]
         self.generator = torch.Generator().manual_seed(seed)
         self.pruning = Pruning(settings.threshold, settings.prune_slots)
         self.removed: list[str] = []
@@ -122,13 +127,25 @@ class DescentRun:
         """Adam on all parameters."""
         return Adam(self.parameters, self.settings.weight_decay)
 
-    def rates(self, dynamics: DictionaryDynamics, theta: Tensor) -> RightHandSide:
-        """The right-hand side whose defects are the loss."""
-        return dynamics.at(theta)
-
     def loss(self, tables: Sequence[Tensor]) -> Tensor:
         """The loss of a batch, without L1."""
-        return self.steps.loss(self.rates(self.dynamics, self.theta), tables)
+        rows = tables[0].numpy()
+        scheme = self.settings.integrator
+        theta = self.theta.detach()
+        function = self.model.built(
+            ("batch", scheme, len(rows)),
+            lambda: in_rows(loss_and_slopes(self.model, scheme), len(rows)),
+        )
+        (found,) = BufferedFunction(function)(rows.T, theta.numpy())
+        both = torch.tensor(found.mean(1), dtype=self.dtype)
+        # The value, and for torch's derivative the slopes.
+        return both[0] + both[1:] @ (self.theta - theta)
+
+    def defects(self, kept: Model) -> np.ndarray:
+        """Those of all data by the model that is kept, (n_intervals, n_states)."""
+        states = self.grid.y.T
+        d = defects(kept, self.grid, self.settings.integrator, states, kept.theta)
+        return np.array(d).T
 
     def weak(self, epoch: int) -> set[str]:
         """Names of the terms that pruning removes after an epoch, by their size."""
@@ -137,21 +154,22 @@ class DescentRun:
     @property
     def values(self) -> dict[str, float]:
         """Every parameter by name."""
-        return dict(zip(self.dynamics.names, self.theta.tolist(), strict=True))
+        found = zip(self.model.free, self.theta.tolist(), strict=True)
+        return {**self.model.values, **dict(found)}
+
+    @property
+    def entries(self) -> list[Entry]:
+        """What theta is made of."""
+        return [self.model.entries[name] for name in self.model.free]
 
     def _set_bounds(self) -> None:
-        """The bounds of the parameters that keep theirs; a fixed one cannot move."""
+        """The bounds of the parameters that keep theirs."""
         bounds = []
-        starts = self.theta.tolist()
-        for entry, start in zip(self.model.entries.values(), starts, strict=True):
-            parameter = entry.parameter
-            if parameter.fixed:
-                bounds.append((start, start))
-            elif entry.slot == "R" and not self.settings.keep_damping_positive:
-                bounds.append((-np.inf, np.inf))
-            else:
-                bounds.append((parameter.lower, parameter.upper))
-        table = torch.tensor(bounds, dtype=self.dtype).view(-1, 2)
+        for entry in self.entries:
+            bounded = entry.slot != "R" or self.settings.keep_damping_positive
+            of_model = (entry.parameter.lower, entry.parameter.upper)
+            bounds.append(of_model if bounded else (-np.inf, np.inf))
+        table = torch.tensor(bounds, dtype=self.dtype)
         self.lower, self.upper = table.T.contiguous()
 
     def _l1(self, epoch: int) -> Tensor | None:
@@ -162,8 +180,7 @@ class DescentRun:
             weights.pop("H", None)
         if not any(weights.values()):
             return None
-        entries = self.model.entries.values()
-        of_theta = [weights.get(entry.slot, 0.0) * entry.prunable for entry in entries]
+        of_theta = [weights.get(one.slot, 0.0) * one.prunable for one in self.entries]
         return torch.tensor(of_theta, dtype=self.dtype)
 
     def step(self, gradients: Sequence[Tensor], rate: float) -> None:
@@ -186,8 +203,8 @@ class DescentRun:
 
     def remove(self, names: Iterable[str]) -> None:
         """Hold these terms at zero for good."""
-        places = sorted(map(self.dynamics.names.index, names))
-        self.removed += [self.dynamics.names[i] for i in places]
+        places = sorted(map(self.model.free.index, names))
+        self.removed += [self.model.free[i] for i in places]
         for values in (self.theta.detach(), self.lower, self.upper):
             values[places] = 0.0
 
@@ -207,7 +224,7 @@ class DescentRun:
             self.parameters,
             self.step,
             self.loss,
-            self.steps.tables,
+            self.tables,
             self.settings,
             self.generator,
             after_epoch=self.after_epoch,
@@ -221,20 +238,31 @@ class DescentRun:
                 "Take a smaller threshold, prune later (prune_every) or train longer."
             )
         kept = self.kept()
-        dynamics = DictionaryDynamics(kept, torch.float64)
-        theta = torch.tensor(list(kept.values.values()), dtype=torch.float64)
-        steps = Steps(self.grid, self.settings.integrator, torch.float64)
-        loss = steps.loss(self.rates(dynamics, theta), steps.tables)
         return Baseline(
             model=kept,
             hold=self.hold,
-            loss_value=float(loss.detach()),  # in double precision
+            loss_value=float(np.sum(self.defects(kept) ** 2)) / self.grid.n_intervals,
             seconds=time.perf_counter() - self.began,
             removed=tuple(self.removed),
             method="gradient descent",
             history=history,
             settings=str(self.settings),
         )
+
+
+def loss_and_slopes(model: Model, scheme: str) -> ca.Function:
+    """CasADi function (interval, theta) -> loss and its slopes, (1 + n_free,).
+
+    Args:
+        model: with free parameters theta.
+        scheme: name of the integrator.
+    """
+    function = defect(model, scheme)
+    *interval, theta = argument_symbols(function)
+    loss = ca.sumsqr(function(*interval, theta))
+    results = ca.cse([ca.vertcat(loss, ca.gradient(loss, theta))])
+    arguments = [ca.vertcat(*interval), theta]
+    return ca.Function("one", arguments, list(map(ca.densify, results)))
 
 
 def _released(model: Model, values: Mapping[str, float]) -> Model:
@@ -259,10 +287,10 @@ THESIS_STARTS = {"polynomial": 0.2, "function": 1.0, "damping": 0.0}
 
 
 def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
-    """Where the descent starts, in the order of ``model.entries``; see `Descent`.
+    """Where the descent starts, in the order of ``model.free``; see `Descent`.
 
     Returns:
-        A value per parameter, (n_parameters,).
+        A value per parameter, (n_free,).
     """
     rng = np.random.default_rng(seed)
     of_thesis = _thesis_starts(model)
@@ -273,7 +301,9 @@ def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
         parameter = entry.parameter
         # Of a formula or inside a term.
         is_known = parameter.value is not None and not entry.prunable
-        if settings.start == "model" or parameter.fixed or is_known:
+        if parameter.fixed:
+            continue
+        if settings.start == "model" or is_known:
             values.append(parameter.start)
             continue
         value = of_thesis.get(name, THESIS_STARTS["function"])
@@ -289,10 +319,11 @@ def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
 
 def _thesis_starts(model: Model) -> dict[str, float]:
     """Start of every coefficient by the kind of its term."""
-    variables = (*model.states, *model.inputs, "t")
+    factors = {*model.states, *model.inputs, "t", "1"}
     starts = {}
     for slot, equation, term in model.placed():
-        is_monomial = not term.inner and monomial(term.body, variables) is not None
+        without_powers = re.sub(r"\s|\*\*[1-9]\d*", "", term.body)
+        is_monomial = set(without_powers.split("*")) <= factors
         kind = "damping" if slot == "R" else "polynomial" if is_monomial else "function"
         if not term.is_formula:
             name = term.coefficient_name(place_of(slot, equation))

@@ -249,3 +249,21 @@ def in_columns(
             first, second = (held[register] for register in read)
             held[written[0]] = ca.MX.binary(kind, first, second)
     return results
+
+
+def in_rows(function: ca.Function, n: int) -> ca.Function:
+    """A function of a column and parameters, for n columns that are rows of a table.
+
+    By `in_columns`; every result is a table too, a row for each.
+
+    Args:
+        function: of scalars (SX), with dense arguments and results.
+        n: number of rows.
+    """
+    rows = ca.MX.sym("rows", n, function.size1_in(0))
+    theta = ca.MX.sym("theta", function.size1_in(1))
+    tables = []
+    for entries in in_columns(function, [ca.horzsplit(rows), ca.vertsplit(theta)]):
+        # A number where all rows have the same.
+        tables.append(ca.horzcat(*(ca.MX.zeros(n) + entry for entry in entries)))
+    return ca.Function("rows", [rows, theta], tables)

@@ -91,13 +91,6 @@ def _srk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> tuple[Any, ...]:
     return middle - reach * at_second, middle + reach * at_first
 
 
-def srk4_one_way(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
-    """Half of SRK4: its Psi is the mean of this from x0 to x1 and from x1 to x0."""
-    inner = FIRST_NODE * x0 + SECOND_NODE * x1
-    first = (x0 + x1) / 2 - sqrt(3) / 6 * h * g(inner, SECOND_NODE)
-    return g(first, FIRST_NODE)
-
-
 INTEGRATORS = {
     one.name: one
     for one in (

@@ -17,7 +17,6 @@ from torch import Tensor
 from phsi_opt.arguments import is_count, require, require_size
 from phsi_opt.baselines.descent import Adam, Progress, descend
 from phsi_opt.baselines.descent_settings import check_descent
-from phsi_opt.baselines.torch_steps import Steps
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible
@@ -35,6 +34,7 @@ from problems.peers.torch_networks import (
     parameters_of,
     random_layers,
 )
+from problems.peers.torch_steps import Steps
 
 __all__ = ["PHNN", "NetworkDescent", "phnn"]
 

@@ -26,12 +26,6 @@ from phsi_opt.arguments import (
 from phsi_opt.baselines.descent import Adam, Progress, descend
 from phsi_opt.baselines.descent_settings import check_descent
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_polynomials import (
-    Cell,
-    Polynomials,
-    gradient_cells,
-    monomial,
-)
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
@@ -41,6 +35,12 @@ from phsi_opt.model.terms import Dictionary, polynomials
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete_intervals
+from problems.peers.torch_polynomials import (
+    Cell,
+    Polynomials,
+    gradient_cells,
+    monomial,
+)
 
 LOSSES = ("absolute", "squared")
 

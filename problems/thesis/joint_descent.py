@@ -4,9 +4,11 @@ A force network may be trained with the dictionary (the thesis' hybrid, Section 
 and terms may also be pruned by significance, with the solver's own test.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,14 +16,15 @@ from torch import Tensor
 from phsi_opt.baselines.descent import Adam, Progress
 from phsi_opt.baselines.gradient_descent import Descent, DescentRun
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
-from phsi_opt.baselines.torch_steps import RightHandSide
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.uncertainty import of_defects
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
+from phsi_opt.optimization.column_function import in_rows
 from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.simulation.simulate import BufferedFunction
 from problems.peers.joint_force import HybridBaseline, JointForce
 from problems.peers.torch_networks import (
     PlacedForce,
@@ -31,6 +34,7 @@ from problems.peers.torch_networks import (
     parameters_of,
     random_layers,
 )
+from problems.peers.torch_steps import Steps
 
 # Share of the epochs before which nothing is tested: the values are still on their way,
 # and the L1 term on H is off only from there on (the thesis' code).
@@ -106,9 +110,7 @@ class _TestedRun(DescentRun):
         scheme = self.settings.integrator
         theta = kept.theta
         scale = first_point(kept, self.grid, theta).theta_scale
-        with torch.no_grad():
-            f = self.rates(self.dynamics, self.theta)
-            d = self.steps.defects(f, self.steps.tables).double().numpy()
+        d = self.defects(kept)
         found = of_defects(kept, self.grid, scheme, theta, scale, (), d)
         return self.pruning.insignificant(
             kept, kept.values, found.covariance, self.n_tests
@@ -130,6 +132,8 @@ class _JointRun(_TestedRun):
         self.force = force
         self.placed = PlacedForce.of(force, model)
         super().__init__(model, data, settings, seed, significance)
+        self.steps = Steps(self.grid, settings.integrator, self.dtype)
+        self.tables = self.steps.tables
 
     def further(self) -> list[Tensor]:
         """The weights."""
@@ -144,18 +148,25 @@ class _JointRun(_TestedRun):
         rates = [1.0] + [relative] * (len(self.parameters) - 1)
         return Adam(self.parameters, self.settings.weight_decay, rates)
 
-    def rates(self, dynamics: DictionaryDynamics, theta: Tensor) -> "_JointRates":
-        """The dictionary and the force."""
+    def rates(self, model: Model, theta: Tensor) -> "_JointRates":
+        """The model at its free parameters, and the force."""
         layers = as_type(self.layers, theta.dtype)
-        return _JointRates(dynamics.at(theta), self.placed, layers, [])
+        return _JointRates(model, theta, self.placed, layers, [])
 
     def loss(self, tables: Sequence[Tensor]) -> Tensor:
         """The loss of a batch, with the penalty of the force at the last stage."""
-        f = self.rates(self.dynamics, self.theta)
+        f = self.rates(self.model, self.theta)
         value = self.steps.loss(f, tables)
         if self.force.penalty:
             value = value + self.force.penalty * f.forces[-1].abs().mean()
         return value
+
+    def defects(self, kept: Model) -> np.ndarray:
+        """Those of all data by the model that is kept and the force."""
+        exact = Steps(self.grid, self.settings.integrator, torch.float64)
+        with torch.no_grad():
+            f = self.rates(kept, torch.tensor(kept.theta))
+            return exact.defects(f, exact.tables).numpy()
 
     def result(self, progress: Progress | None = None) -> HybridBaseline:
         """Descend; the record of both."""
@@ -170,7 +181,8 @@ class _JointRun(_TestedRun):
 class _JointRates:
     """A right-hand side with the force; ``forces`` holds what it gave so far."""
 
-    inside: RightHandSide
+    model: Model
+    theta: Tensor
     placed: PlacedForce
     layers: TorchLayers
     forces: list[Tensor]
@@ -178,4 +190,55 @@ class _JointRates:
     def __call__(self, x: Tensor, z: Tensor) -> Tensor:
         """dx/dt, (n_rows, n_states)."""
         self.forces.append(self.placed.value(self.layers, x, z))
-        return self.inside(x, z).index_add(1, self.placed.rows, self.forces[-1])
+        dx: Tensor = _ModelRates.apply(self.model, x, z, self.theta)
+        return dx.index_add(1, self.placed.rows, self.forces[-1])
+
+
+class _ModelRates(torch.autograd.Function):
+    """dx/dt of a model by CasADi, in double precision, and its slopes in x and theta.
+
+    Its arguments are those of `torch_steps.RightHandSide` between the model and theta.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, model: Model, x: Tensor, z: Tensor, theta: Tensor) -> Tensor:
+        ctx.model = model
+        ctx.save_for_backward(x, z, theta)
+        return _in_rows(model, _rates, [x, z], theta)[0]
+
+    @staticmethod
+    def backward(ctx: Any, weight: Tensor) -> tuple[Tensor | None, ...]:
+        x, z, theta = ctx.saved_tensors
+        of_x, of_theta = _in_rows(ctx.model, _products, [x, z, weight], theta)
+        return None, of_x, None, of_theta.sum(0)
+
+
+def _rates(model: Model) -> ca.Function:
+    """CasADi function (x and z, theta) -> dx/dt."""
+    x, u, t, theta = argument_symbols(model.rhs())
+    row = ca.vertcat(x, u, t, ca.SX.sym("one"))
+    return ca.Function("rates", [row, theta], [model.rhs()(x, u, t, theta)])
+
+
+def _products(model: Model) -> ca.Function:
+    """CasADi function (x, z and weights, theta) -> weighted slopes in x and theta."""
+    row, theta = argument_symbols(_rates(model))
+    weight = ca.SX.sym("weight", model.n_states)
+    dx = _rates(model)(row, theta)
+    of_row, of_theta = (ca.jtimes(dx, one, weight, True) for one in (row, theta))
+    slopes = [ca.densify(of_row[: model.n_states]), ca.densify(of_theta)]
+    return ca.Function("products", [ca.vertcat(row, weight), theta], ca.cse(slopes))
+
+
+def _in_rows(
+    model: Model,
+    make: Callable[[Model], ca.Function],
+    columns: Sequence[Tensor],
+    theta: Tensor,
+) -> list[Tensor]:
+    """The results of a function of the model, a row each for every row of a table."""
+    rows = torch.cat(list(columns), 1).numpy()
+    key = (make, len(rows))
+    of_all = model.built(key, lambda: in_rows(make(model), len(rows)))
+    results = BufferedFunction(of_all)(rows.T, theta.numpy())
+    return [torch.tensor(one.T, dtype=theta.dtype) for one in results]

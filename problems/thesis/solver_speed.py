@@ -115,7 +115,7 @@ def descent_trace(system: System, data: ph.Measurements) -> Trace:
 
     class Traced(DescentRun):
         def after_epoch(self, epoch: int) -> int:
-            trace.note(lambda: float(self.loss(self.steps.tables).detach()))
+            trace.note(lambda: float(self.loss(self.tables).detach()))
             return super().after_epoch(epoch)
 
     with one_thread():

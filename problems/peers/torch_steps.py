@@ -1,17 +1,26 @@
 """Defects of a scheme in torch, for any right-hand side, and the PHSI loss of them.
 
 The loss is that of `phsi_opt.transcription.losses.PHSILoss`. How it is brought down is
-in `descent`.
+in `phsi_opt.baselines.descent`.
 """
 
 from collections.abc import Callable, Sequence
+from math import sqrt
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.integrators import integrator, srk4_one_way
+from phsi_opt.transcription.integrators import (
+    FIRST_NODE,
+    SECOND_NODE,
+    integrator,
+)
+from phsi_opt.transcription.integrators import (
+    RightHandSide as Stage,
+)
 
 # dx/dt (n_rows, n_states) at states x (n_rows, n_states) and at z, the inputs, the time
 # and a one (n_rows, n_inputs + 2).
@@ -65,3 +74,10 @@ class Steps:
     def loss(self, f: RightHandSide, tables: Sequence[Tensor]) -> Tensor:
         """``(1/b) sum |defect|^2`` over the b intervals of a batch, as `defects`."""
         return self.defects(f, tables).square().sum() / len(tables[0])
+
+
+def srk4_one_way(g: Stage, x0: Any, x1: Any, h: Any) -> Any:
+    """Half of SRK4: its Psi is the mean of this from x0 to x1 and from x1 to x0."""
+    inner = FIRST_NODE * x0 + SECOND_NODE * x1
+    first = (x0 + x1) / 2 - sqrt(3) / 6 * h * g(inner, SECOND_NODE)
+    return g(first, FIRST_NODE)
