@@ -69,7 +69,7 @@ def conclusion(
         record: beside which models are weighed.
         effects: what may be missing.
     """
-    ranking = weighed_round(base, record, effects)
+    record, ranking = weighed_round(base, record, effects)
     return _Judge(base, record, effects, ranking).concluded()
 
 
@@ -161,7 +161,7 @@ class _Judge:
         others = [one.effect for one in self.ranking[1:]]
         try:
             record = EvidenceRecord.of(base.record, base.judging_record)
-            ranking = weighed_round(base, record, others)
+            record, ranking = weighed_round(base, record, others)
             second = _Judge(base, record, others, ranking)
         except SolveError as error:
             base.say(str(error))

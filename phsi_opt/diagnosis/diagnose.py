@@ -200,7 +200,7 @@ def candidate_of(
         trained, _ = _without_force(trained, None, loss)
     base = DiagnosedModel(trained=trained, judged=trained, loss=loss, say=silent)
     record = EvidenceRecord.of(base.record, None)
-    found = weighed_round(base, record, [effect])
+    _, found = weighed_round(base, record, [effect])
     if not found:
         return None
     done = refit(base, found[0])

@@ -25,16 +25,33 @@ FORCE_DOES = "it would explain no more than a force without a law"
 
 def weighed_round(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
-) -> list[Candidate]:
+) -> tuple[EvidenceRecord, list[Candidate]]:
     """All candidates, the likeliest first.
 
-    Screening tells which of them may gain anything; these are weighed.
+    Screening tells which of them may gain anything; these are weighed. Where the base
+    is likelier from where the likeliest of them ended, all begins again from there.
 
     Args:
         base: the model that is diagnosed.
         record: beside which models are weighed.
         effects: what may be missing.
+
+    Returns:
+        The record with the base where it is most likely, and the candidates.
     """
+    while True:  # the evidence of the base rises each time
+        candidates, likeliest = _weighed_beside(base, record, effects)
+        better = None if likeliest is None else record.better_from(likeliest)
+        if better is None:
+            return record, candidates
+        base.say("the model is likelier from where the likeliest effect was weighed")
+        record = better
+
+
+def _weighed_beside(
+    base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
+) -> tuple[list[Candidate], Weighed | None]:
+    """All candidates beside one weighing of the base, and the likeliest that gains."""
     base.say(f"screening {len(effects)} candidate effects")
     test = ScoreTest(LinearizedRecord.beside_force(record))
     screened = []
@@ -49,6 +66,7 @@ def weighed_round(
     weigh = partial(_weighed, record)
     ahead = Ahead(weigh, cases, base.executor, base.say)
     candidates: list[Candidate] = []
+    likeliest = None
     highest = worth = 0.0
     try:
         for place, one in enumerate(chosen):
@@ -67,13 +85,14 @@ def weighed_round(
             candidates.append(candidate)
             if candidate.log_evidence > highest:
                 highest = candidate.log_evidence
+                likeliest = weighed
                 worth = FAR_BEHIND * one.gain
     finally:
         ahead.close()
     for one in screened[len(candidates) :]:
         lost = FORCE_DOES if one.gain <= 0 else "it is expected to gain far less"
         candidates.append(replace(_expected(base, one), lost=lost))
-    return _in_order(candidates)
+    return _in_order(candidates), likeliest
 
 
 def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:

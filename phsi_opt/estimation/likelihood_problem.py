@@ -22,6 +22,7 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.residual_scatter import is_at_scatter
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
+from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.transcription.augmented_states import memory_start_bounds
 from phsi_opt.transcription.grid import interpolate_at_nodes
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
@@ -145,9 +146,11 @@ class LikelihoodProblem:
             there = self.continued(start)
             found.append(self.solve(start if there is None else there))
             return likeliest(found)
-        near = self.solve(start)
-        there = None if near.is_success else self.continued(start)
-        return near if there is None else self.solve(there)
+        near = self.solve(start, most_steps=STEPS_OF_A_PROBLEM)
+        if near.is_success:
+            return near
+        there = self.continued(start)
+        return self.solve(start if there is None else there)
 
     def continued(self, start: StartingPoint) -> StartingPoint | None:
         """A start that nearly solves the model, along a missing force that shrinks.

@@ -31,6 +31,7 @@ from phsi_opt.transcription.parameter_vector import Theta
 SCAN_FACTOR = 1.15
 MOST_SCANNED = 4
 SMALLER = 0.01  # factor on the force of a second attempt
+LIKELIER = 0.5  # gain of the log evidence from which another base is the better one
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,7 @@ class EvidenceRecord:
         disturbances: of the missing force, with their sizes.
         channels: measured states whose noise is not known.
         least_noise: (n_states,) below which that does not fall.
+        known: the base where it is weighed already; None: it is not.
     """
 
     aligned: AlignedData
@@ -56,6 +58,7 @@ class EvidenceRecord:
     disturbances: Disturbances = field(repr=False)
     channels: tuple[int, ...]
     least_noise: np.ndarray
+    known: Weighed | None = field(default=None, repr=False)
 
     @classmethod
     def of(cls, trained: Record, judged: Record | None) -> "EvidenceRecord":
@@ -141,6 +144,8 @@ class EvidenceRecord:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
+        if self.known is not None:
+            return self.known
         unknown = Theta.of(self.first, self.runs)
         theta = np.zeros(len(unknown))
         theta[unknown.table] = self.parameters
@@ -153,6 +158,30 @@ class EvidenceRecord:
                 forces.append(replace(force, size=SMALLER * force.size))
             small = replace(self.disturbances, forces=tuple(forces))
             return self._weighing.weighed(replace(start, disturbances=small))
+
+    def better_from(self, larger: Weighed) -> "EvidenceRecord | None":
+        """With the base begun where a larger model is; None where that is no likelier.
+
+        A model has the evidence of the best point that it can have, and a larger one
+        that has gained by more than its own size has found a better one.
+        """
+        own = [larger.names.index(name) for name in self.base.names]
+        n_states = self.states.shape[1]
+        sigma = larger.disturbances.sigma[:, :n_states]
+        start = Start(
+            self.first,
+            larger.theta[own],
+            larger.states[:, :n_states],
+            larger.processes,
+            replace(larger.disturbances, sigma=sigma),
+        )
+        try:
+            found = self._weighing.weighed(start)
+        except SolveError:
+            return None
+        if found.log_evidence < self.base.log_evidence + LIKELIER:
+            return None
+        return replace(self, known=found)
 
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
         """A model that is larger than the base, begun where the base is likeliest.
