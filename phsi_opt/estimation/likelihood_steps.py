@@ -169,6 +169,8 @@ def continued(values: LikelihoodValues, sigma: np.ndarray) -> np.ndarray | None:
             found = problem.optimum(z, target=NEXT_SIZE, before=found)
         except (SolveError, np.linalg.LinAlgError):
             return None
+        if not found.has_converged:  # smaller forces are harder
+            break
     return None if found is None else found.point.z
 
 
