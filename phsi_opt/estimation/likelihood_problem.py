@@ -16,7 +16,12 @@ from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_ipopt import by_ipopt
-from phsi_opt.estimation.likelihood_steps import by_steps, continued
+from phsi_opt.estimation.likelihood_steps import (
+    FORCE_SIZES,
+    SMALL_FORCES,
+    by_steps,
+    continued,
+)
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.residual_scatter import is_at_scatter
@@ -24,7 +29,7 @@ from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.transcription.augmented_states import memory_start_bounds
-from phsi_opt.transcription.grid import interpolate_at_nodes
+from phsi_opt.transcription.defects import between_samples
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -149,17 +154,21 @@ class LikelihoodProblem:
         near = self.solve(start, most_steps=STEPS_OF_A_PROBLEM)
         if near.is_success:
             return near
-        there = self.continued(start)
-        return self.solve(start if there is None else there)
+        is_near = start.is_optimum and not settings.thorough
+        there = self.continued(start, SMALL_FORCES if is_near else FORCE_SIZES)
+        most_steps = STEPS_OF_A_PROBLEM if is_near else None
+        return self.solve(start if there is None else there, most_steps=most_steps)
 
-    def continued(self, start: StartingPoint) -> StartingPoint | None:
+    def continued(
+        self, start: StartingPoint, sizes: Sequence[float] = FORCE_SIZES
+    ) -> StartingPoint | None:
         """A start that nearly solves the model, along a missing force that shrinks.
 
         None where it leads nowhere. Outliers count in full on the way, and L1 for
         nothing.
         """
         values = self._values(start)
-        z = continued(values, start.sigma)
+        z = continued(values, start.sigma, sizes)
         if z is None:
             return None
         unscaled = values.point.unscaled(z)
@@ -240,10 +249,10 @@ class LikelihoodProblem:
         model = start.model
         grid = self.task.aligned.grid_with(start.steps)
         unknown = Theta.of(model, self.task.runs)
-        pairs = zip(start.states, start.steps, strict=True)
-        nodes = np.concatenate([interpolate_at_nodes(x, n) for x, n in pairs])
-        point = point_at(model, grid, unknown, start.theta, nodes, start.held)
         parameters = np.asarray(unknown.by_trajectory(start.theta))
+        states = np.concatenate(start.states)
+        nodes = between_samples(model, grid, states, parameters)
+        point = point_at(model, grid, unknown, start.theta, nodes, start.held)
         bounds = memory_start_bounds(model, grid, nodes, parameters)
         point = replace(point, x_bounds=bounds)
         return LikelihoodValues(model, grid, self.loss.integrator, point, unknown)

@@ -14,6 +14,7 @@ could shrink with them, as from a position alone the scale of the momentum is op
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,7 @@ from phsi_opt.transcription.likelihood_values import LikelihoodValues
 FOR_THE_NOISE = Target(length=0.1)
 # Sizes of the force, as a share of each state's own rate, and where its steps end.
 FORCE_SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
+SMALL_FORCES = FORCE_SIZES[6:]  # from a start that is nearly the optimum
 NEXT_SIZE = Target(fall=1e-3)
 
 
@@ -152,17 +154,20 @@ def solution_of_steps(
     return Solution(values.point.unscaled(z), z, residual, outcome)
 
 
-def continued(values: LikelihoodValues, sigma: np.ndarray) -> np.ndarray | None:
+def continued(
+    values: LikelihoodValues, sigma: np.ndarray, sizes: Sequence[float]
+) -> np.ndarray | None:
     """Scaled variables that nearly solve the model; None: no steps lead there.
 
     Args:
         values: of the likelihood, whose point is the start.
         sigma: (n_states,) noise.
+        sizes: of the force, falling, as shares of the rates.
     """
     rates = _sizes_of_rates(values)
     linearizer = Linearizer(values)
     found = None
-    for size in FORCE_SIZES:
+    for size in sizes:
         problem = JointProblem.white(linearizer, sigma, (size * rates) ** 2)
         try:
             z = values.point.scaled

@@ -117,10 +117,49 @@ def local_errors(
         (n_intervals, n_states) exact end minus state at the end; NaN where the exact
         solution leaves the range of numbers.
     """
+    return _ends(model, grid, x, theta) - x[grid.begin + 1]
+
+
+def between_samples(
+    model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
+) -> np.ndarray:
+    """States at all nodes, those between samples as the model goes on from a sample.
+
+    So the model is violated at the ends of gaps alone: a straight line would cut the
+    corners of dry friction, and a search that begins there does not come back.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals, those of every gap between samples.
+        x: (n_samples, n_states) states at the samples of all trajectories.
+        theta: (n_free,) parameters, or (n_free, n_trajectories).
+
+    Returns:
+        (n_nodes, n_states); a state that the model would carry further than it ever
+        moves stays.
+    """
+    if grid.sample.all():
+        return x
+    place = np.arange(grid.n_nodes)
+    behind = place - np.maximum.accumulate(np.where(grid.sample, place, 0))
+    reach = np.ptp(x, axis=0)
+    nodes = np.empty((grid.n_nodes, x.shape[1]))
+    nodes[grid.sample] = x
+    for n_behind in range(1, int(behind.max()) + 1):
+        own = grid.intervals(np.flatnonzero(behind[grid.begin + 1] == n_behind))
+        begins = nodes[own.begin]
+        ends = _ends(model, own, nodes, theta)
+        is_near = np.abs(ends - begins) <= reach
+        nodes[own.begin + 1] = np.where(is_near, ends, begins)
+    return nodes
+
+
+def _ends(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """The exact ends of intervals that begin at states x, (n_intervals, n_states)."""
     exact = model.built("exact", lambda: _fine_integration(model))
     begins = x[grid.begin].T
     (ends,) = in_intervals(exact, grid, [begins, *known_arguments(grid)], theta)
-    return ends.T - x[grid.begin + 1]
+    return ends.T
 
 
 def _fine_integration(model: Model) -> ca.Function:

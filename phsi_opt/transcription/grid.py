@@ -248,22 +248,6 @@ def steps_per_gap(grid: Grid) -> list[np.ndarray]:
     return np.split(n_intervals, ends)
 
 
-def interpolate_at_nodes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Values at the samples, interpolated linearly to the nodes.
-
-    Args:
-        values: (n_samples, ...).
-        steps: (n_samples - 1,) number of intervals in each gap.
-
-    Returns:
-        (n_nodes, ...); at a sample its own value.
-    """
-    if np.all(steps == 1):
-        return values
-    n_nodes = np.append(steps, 1)
-    return _NodePlaces.of(n_nodes, np.array([len(steps)])).interpolated(values)
-
-
 @dataclass(frozen=True, eq=False)
 class _NodePlaces:
     """Where nodes stand among the samples of trajectories, one after the other.
