@@ -15,7 +15,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, trigonometric
 from phsi_opt.optimization.column_function import AT_ONCE
-from phsi_opt.transcription.defects import defect, defects
+from phsi_opt.transcription.defects import between_samples, defect, defects
 from phsi_opt.transcription.grid import grid_of, steps_per_gap
 from phsi_opt.transcription.integrators import INTEGRATORS
 from phsi_opt.transcription.known_defects import KnownDefects
@@ -49,6 +49,34 @@ def model() -> PseudoHamiltonian:
 
 
 # ---- layout
+
+
+def test_states_between_samples_follow_the_model_from_the_sample_before() -> None:
+    runs = data()
+    own = model()
+    theta = own.theta
+    grid = grid_of(runs, [np.full(5, 4), np.full(3, 4)])
+    x = np.random.default_rng(1).normal(size=(10, 2))
+    nodes = between_samples(own, grid, x, theta)
+    assert np.array_equal(nodes[grid.sample], x)
+    within = grid.intervals(np.flatnonzero(~grid.sample[grid.begin + 1]))
+    left = np.array(defects(own, within, "srk4", nodes.T, theta))
+    assert len(within.h) == 3 * 8
+    assert np.max(np.abs(left)) < 1e-5  # of the scheme
+    across = grid.intervals(np.flatnonzero(grid.sample[grid.begin + 1]))
+    assert np.max(np.abs(np.array(defects(own, across, "srk4", nodes.T, theta)))) > 0.1
+
+
+def test_states_that_would_run_away_between_samples_stay_where_they_were() -> None:
+    runs = Measurements.from_arrays(
+        [0.0, 1.0, 2.0], [[1.0], [2.0], [1.5]], states=["x"]
+    )
+    growing = FirstOrder(["x"], {"x": formula("a*x", a=Parameter(400.0))})
+    grid = grid_of(runs, [np.full(2, 3)])
+    nodes = between_samples(
+        growing, grid, np.array([[1.0], [2.0], [1.5]]), np.r_[400.0]
+    )
+    assert nodes[:, 0].tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 1.5]
 
 
 def test_measured_values_are_counted_once_and_by_their_state() -> None:

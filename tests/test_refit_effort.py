@@ -1,4 +1,4 @@
-"""Work that is not done: sharp corners and searches without hope."""
+"""Re-fits: beside a memory, and what is not tried: sharp corners without hope."""
 
 from dataclasses import dataclass, field, replace
 
@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.comparison.compare import compare_record
+from phsi_opt.comparison.model_selection import deviance
 from phsi_opt.diagnosis import friction_sharpening
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.refit import refit
 from phsi_opt.estimation import missing_force
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.transcription.grid import grid_of
@@ -48,6 +52,23 @@ def test_corners_beside_a_memory_stay_as_they_are_where_the_states_are_many(
     monkeypatch.setattr(friction_sharpening, "MOST_SHARP_STATES", 100)
     corners = friction_sharpening.CornerSharpening(complete, aligned)
     assert fit.model.memory and corners.at_widths(fit, {}, 8) is None
+
+
+def test_a_second_effect_is_refitted_beside_the_memory_of_the_first(
+    complete: DiagnosedModel,
+) -> None:
+    record = complete.record
+    delay = effect_named(complete.fit.model, "sensor delay", "q")
+    late = ph.identify(complete.fit.model.add(delay), record.data, start=complete.fit)
+    # The missing force beside it is that of the model without a memory.
+    trained = compare_record(record.refitted(late))
+    base = replace(complete, trained=trained, judged=trained)
+    drag = effect_named(late.model, "quadratic drag", "p")
+    done = refit(base, Candidate(drag, 0.0, np.nan, values={}, log_bayes=0.0))
+    assert done is not None
+    assert done.fit.model.memory == late.model.memory
+    assert done.fit.states[0].shape == (len(T), late.model.n_states)
+    assert deviance(done.fit) <= deviance(late) + 0.1  # a brief solve
 
 
 @dataclass(frozen=True)

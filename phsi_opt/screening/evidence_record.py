@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
+from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.data.resolution import quantisation_noise
@@ -31,7 +32,6 @@ from phsi_opt.transcription.parameter_vector import Theta
 SCAN_FACTOR = 1.15
 MOST_SCANNED = 4
 SMALLER = 0.01  # factor on the force of a second attempt
-LIKELIER = 0.5  # gain of the log evidence from which another base is the better one
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,7 @@ class EvidenceRecord:
             found = self._weighing.weighed(start)
         except SolveError:
             return None
-        if found.log_evidence < self.base.log_evidence + LIKELIER:
+        if found.log_evidence < self.base.log_evidence + STRONG_EVIDENCE:
             return None
         return replace(self, known=found)
 
