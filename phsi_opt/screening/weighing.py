@@ -404,7 +404,10 @@ def _log_likelihood(border: Border, sizes: Disturbances, pull: np.ndarray) -> fl
     of_functions = sizes.function_sizes
     information = border.with_priors(of_functions)
     log_det = np.linalg.slogdet(information[n:, n:])[1]
-    # What it says little of goes no further than by its own scale.
+    # Parameters move by their slope alone, whatever the functions do; and what the
+    # record says little of goes no further than by its own scale.
+    information[:n, n:] = 0.0
+    information[n:, :n] = 0.0
     information[:n, :n] += np.eye(n)
     gradient = np.concatenate([pull, border.gradient[n:]])
     gain = gradient @ solve_border(information, gradient)
