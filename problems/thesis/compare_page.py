@@ -122,7 +122,7 @@ def _introduction(table: pd.DataFrame) -> str:
     return markdown.paragraph(f"""
         The same pseudo-Hamiltonian model is identified from the same data by IPOPT
         (`identify`, `hybrid`) and by gradient descent (Algorithm 6 of the thesis in
-        torch, with a vectorised dictionary): {names}. Both prune by both rules: "size"
+        torch, with slopes from CasADi): {names}. Both prune by both rules: "size"
         is the thesis' (a coefficient below the threshold goes), "{BOTH}" takes out as
         well what the data do not tell from zero; in the descent from half of the
         epochs on, with the same test. Settings "thesis" are those of its appendix B as
