@@ -174,8 +174,6 @@ def continued(
             found = problem.optimum(z, target=NEXT_SIZE, before=found)
         except (SolveError, np.linalg.LinAlgError):
             return None
-        if not found.has_converged:  # smaller forces are harder
-            break
     return None if found is None else found.point.z
 
 
