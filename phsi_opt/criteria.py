@@ -50,11 +50,12 @@ EXPLAINED_IF_NAMED = 0.97
 
 # --- Evidence (`screening.weighing`, `diagnosis`)
 
-# Share of the gain that screening expects of the likeliest effect so far, below which
-# no other is weighed: gains that were expected and weighed differ by up to three.
+# Share of what the likeliest effect so far was expected to gain, and has gained, below
+# which no other is weighed: gains that were expected and weighed differ by up to three.
 FAR_BEHIND = 0.2
-# Effects that are weighed, at least and at most, and effects of one class that are
-# re-fitted. Beside a force that does nearly everything screening expects too little.
+# Effects that are weighed, at most, and at least where none gains: beside a force that
+# does nearly everything screening expects too little. Effects of one class that are
+# re-fitted.
 FEWEST_WEIGHED = 5
 MOST_WEIGHED = 12
 MOST_REFITTED = 3
@@ -64,8 +65,8 @@ LEAST_ERROR_EXPLAINED = 0.3
 
 # --- Dry friction, whose corner is sharpened step by step
 
-# Rise of the deviance up to which a sharper corner is taken: friction is sharp, and
-# corners that fall between samples make the likelihood rough.
+# Fall of the deviance that sharper corners must promise: two standard errors, less than
+# which the record does not tell.
 SHARPER_CORNER_DEVIANCE = 4.0
 # Widths of a corner within which the steps between samples are finer.
 CORNER_WIDTHS = 4.0

@@ -67,10 +67,11 @@ def _weighed_beside(
     ahead = Ahead(weigh, cases, base.executor, base.say)
     candidates: list[Candidate] = []
     likeliest = None
-    highest = worth = 0.0
+    highest = 0.0
+    worth = -np.inf
     try:
         for place, one in enumerate(chosen):
-            if place >= FEWEST_WEIGHED and one.gain < worth:
+            if one.gain < worth:
                 break
             n_effects = len(screened)
             candidate = _expected(base, one)
@@ -86,7 +87,7 @@ def _weighed_beside(
             if candidate.log_evidence > highest:
                 highest = candidate.log_evidence
                 likeliest = weighed
-                worth = FAR_BEHIND * one.gain
+                worth = FAR_BEHIND * min(one.gain, candidate.log_evidence)
     finally:
         ahead.close()
     for one in screened[len(candidates) :]:
