@@ -1,0 +1,154 @@
+"""A falling body whose drag coefficient drops at speed, which no catalogue has.
+
+    python -m problems.benchmarks.drag_crisis [--first=SEED] [--seeds=N] [--jobs=N]
+
+Drops from four heights, three of them for the fit; the height is measured. The model
+has gravity g and a quadratic drag, both open. Round a drawn speed the drag coefficient
+falls to 30 to 60 % of itself. `Study.auto` is asked: no sensor and no clock has
+anything to do with it. Seeds 0 to 19 are for development; the page has those of its
+first line.
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+from phsi_opt.sweeps.sweep import sweep
+from problems.tools import markdown, provenance
+from problems.tools.command_line import option
+from problems.tools.intervals import share
+from problems.tools.workers import workers
+
+FIRST_SEED = 40_000
+N_SEEDS = 40
+GRAVITY = 9.81
+SHARES = (1.0, 0.75, 0.5, 0.9)  # of the highest drop; the last is held out
+N_TRAINING = 3
+N_SAMPLES = 150  # of the highest drop
+NOISE = 0.002  # of the highest drop
+FAR_OFF = 3.0  # standard errors
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was said of one body.
+
+    Attributes:
+        verdict: of the first diagnosis; ``added``: what was added in all.
+        is_absurd: whether a sensor or something that needs a clock is among it.
+        error: of g, in standard errors.
+        stopped: why it stopped.
+    """
+
+    verdict: str
+    added: tuple[str, ...]
+    is_absurd: bool
+    error: float
+    stopped: str
+
+
+def measured(rng: np.random.Generator, mass: float) -> ph.Measurements:
+    """Heights along the drops."""
+    highest = float(rng.uniform(30.0, 120.0))
+    fastest = np.sqrt(2 * GRAVITY * highest)
+    terminal = float(rng.uniform(0.5, 0.9)) * fastest
+    drag = mass * GRAVITY / terminal**2
+    turn = float(rng.uniform(0.35, 0.6)) * fastest
+    left = float(rng.uniform(0.3, 0.6))
+    width = 0.1 * turn
+
+    def rates(_: float, x: np.ndarray) -> list[float]:
+        v = x[1] / mass
+        fall = (1 + np.tanh((abs(v) - turn) / width)) / 2
+        c = drag * (1 - (1 - left) * fall)
+        return [v, -mass * GRAVITY - c * v * abs(v)]
+
+    times, states = [], []
+    whole = np.linspace(0.0, 1.15 * fastest / GRAVITY, N_SAMPLES)
+    for one in SHARES:
+        t = whole[: int(N_SAMPLES * np.sqrt(one))]
+        solution = solve_ivp(
+            rates, (0, t[-1]), [one * highest, 0.0], t_eval=t, rtol=1e-9
+        )
+        h = solution.y[0] + NOISE * highest * rng.normal(size=len(t))
+        times.append(t)
+        states.append(np.column_stack([h, np.full_like(h, np.nan)]))
+    return ph.Measurements.from_arrays(times, states, states=["h", "p"])
+
+
+def model(mass: float) -> ph.PseudoHamiltonian:
+    """Gravity and a quadratic drag."""
+    g = ph.Parameter(9.0, lower=0)
+    c = ph.Parameter(0.01 * mass, lower=0)
+    return ph.PseudoHamiltonian(
+        states=["h", "p"],
+        S=ph.canonical(1),
+        H=ph.formula(f"{mass!r}*g*h + p**2/(2*{mass!r})", g=g),
+        R={"p": ph.formula("c*(dH_dp**2 + 1e-6)**0.5", c=c)},
+    )
+
+
+def answer(seed: int) -> Answer:
+    """What `Study.auto` makes of one body."""
+    rng = np.random.default_rng(seed)
+    mass = float(np.exp(rng.uniform(*np.log((0.05, 2.0)))))
+    data = measured(rng, mass)
+    train, test = data.split(N_TRAINING / len(SHARES))
+    study = ph.Study(model(mass), train, test)
+    verdict = str(study.diagnose().verdict)
+    stopped = study.auto()
+    fit = study.fit
+    absurd = [one for one in study.added if one.slot == "sensor" or one.needs_clock]
+    error = (fit.estimates["g"] - GRAVITY) / fit.std_errors["g"]
+    added = tuple(map(str, study.added))
+    return Answer(verdict, added, bool(absurd), float(error), stopped)
+
+
+def page(answers: dict[str, Answer]) -> str:
+    """The page of all answers."""
+    n = len(answers)
+    absurd = sum(one.is_absurd for one in answers.values())
+    near = sum(abs(one.error) <= FAR_OFF for one in answers.values())
+    rows = []
+    for seed, one in answers.items():
+        added = ", ".join(one.added) or "nothing"
+        rows.append([seed, one.verdict, added, f"{one.error:.1f}"])
+    introduction = markdown.paragraph(f"""
+        Drops whose heights are measured at {NOISE:.1%} noise; the drag coefficient
+        falls at a speed, the model has one for all speeds. Seeds
+        {next(iter(answers))} on, not looked at before.
+        """)
+    said = [
+        f"- No sensor and no clock is added: {share(n - absurd, n)} of {n}.",
+        f"- g within {FAR_OFF:g} of its standard errors: {share(near, n)} of {n}.",
+    ]
+    head = ["seed", "verdict", "added", "error of g, in standard errors"]
+    lines = ["# A drag that drops at speed", "", introduction, "", *said, ""]
+    return "\n".join([*lines, markdown.lines(head, rows)])
+
+
+def main() -> None:
+    """Ask, and write the page."""
+    first = int(option("first", str(FIRST_SEED)))
+    n_seeds = int(option("seeds", str(N_SEEDS)))
+    cases = {str(seed): seed for seed in range(first, first + n_seeds)}
+    with workers() as executor:
+        found = {d.key: d.result for d in sweep(answer, cases, executor=executor)}
+    text = page({name: found[name] for name in cases})
+    if first == FIRST_SEED:
+        provenance.write("drag_crisis.md", text)
+    else:
+        for name, one in found.items():
+            print(name, one)
+        print(text)
+
+
+if __name__ == "__main__":
+    main()
