@@ -154,7 +154,7 @@ class _Judge:
         return [self.ranking[place] for place in places if not self.ranking[place].lost]
 
     def beside(self, done: Refit) -> "_Judge | None":
-        """What is missing beside the first, where both together leave nothing."""
+        """What is missing beside the first, where both together explain enough."""
         base = replace(self.base, trained=done.trained, judged=done.trained)
         if self.base.is_held_out:
             base = replace(base, judged=done.judged)
@@ -167,10 +167,23 @@ class _Judge:
             base.say(str(error))
             return None
         both = second.first()
-        if both is None or not second.leaves_nothing(both):
+        if both is None:
+            return None
+        if not second.leaves_nothing(both) and self.doubt(both, second):
             return None
         second.done = both
         return second
+
+    def of_force(self, beside: "_Judge | None" = None) -> float:
+        """Share of the force (mean square) that the first takes over, or both."""
+        first = self.ranking[0]
+        left = first.force_left
+        if beside is not None:
+            second = beside.ranking[0]
+            is_one_force = second.effect.equation == first.effect.equation
+            of_second = second.force_left
+            left = left * of_second if is_one_force else max(left, of_second)
+        return max(1 - left**2, 0.0)
 
     def refit(self, place: int) -> Refit | None:
         """Re-fit a candidate, and note what that gives."""
@@ -210,10 +223,11 @@ class _Judge:
             share=base.share_explained(done.judged.rmse),
         )
 
-    def doubt(self, done: Refit) -> str:
-        """Why what is decisive is not named; empty where it is."""
+    def doubt(self, done: Refit, beside: "_Judge | None" = None) -> str:
+        """Why what is decisive is not named, alone or with another; empty: it is."""
         base = self.base
         first = self.ranking[0]
+        told = [first] if beside is None else [first, beside.ranking[0]]
         steps = self.steps_in_words()
         if steps and is_small_as_noise(done.trained):
             return f"so may {steps}"
@@ -221,13 +235,14 @@ class _Judge:
             return ""
         if done.trained.rmse > base.trained.rmse:
             return "its free run is further off than without it"
-        if is_wave(first.effect) and first.effect.needs_clock:
+        if any(is_wave(one.effect) and one.effect.needs_clock for one in told):
             return "a force remains, and any force in time has waves like it in it"
-        of_force = 1 - first.force_left**2
-        if of_force < MOST_OF_IT and not first.share > LEAST_ERROR_EXPLAINED:
+        of_force = self.of_force(beside)
+        share = base.share_explained(done.judged.rmse)
+        if of_force < MOST_OF_IT and not share > LEAST_ERROR_EXPLAINED:
             return (
                 f"it explains only {100 * of_force:.0f} % of the force (mean square) "
-                f"and {100 * first.share:.0f} % of the error"
+                f"and {100 * share:.0f} % of the error"
             )
         return self.rival(first)
 
@@ -297,8 +312,11 @@ class _Judge:
             last = thorough_refit(beside.base, beside.done)
         first = self.ranking[0]
         findings = [self.finding(last)]
-        leaves_nothing = beside is not None or self.leaves_nothing(done)
-        if beside is not None:
+        leaves_nothing = self.leaves_nothing(done)
+        share, of_force = first.share, self.of_force(beside)
+        if beside is not None and beside.done is not None:
+            leaves_nothing = beside.leaves_nothing(beside.done)
+            share = self.base.share_explained(last.judged.rmse)
             findings.append(beside.finding(last))
             second = beside.ranking[0]
             others = [one for one in self.ranking[1:] if one.effect != second.effect]
@@ -318,12 +336,11 @@ class _Judge:
         reason = f"{said}; {change}; {_grade_words(first)}"
         if not leaves_nothing:
             verdict = Verdict.PARTLY_NAMED
-            of_force = max(1 - first.force_left**2, 0.0)
             reason = (
                 f"{said}; {change}; {_grade_words(first)}. It accounts for "
                 f"{100 * of_force:.0f} % of the missing force (mean square) and "
-                f"{100 * first.share:.0f} % of the squared error above the noise "
-                "floor; a force remains"
+                f"{100 * share:.0f} % of the squared error above the noise floor; a "
+                "force remains"
             )
         ranking = tuple(self.ranking)
         return Conclusion(verdict, reason, ranking, tuple(findings), effects, last.fit)

@@ -5,8 +5,9 @@
 A driven mass on a spring with a damper, its position measured at 1 % noise in three
 training and two held-out runs. One effect takes energy, one bends the spring or the
 input; each has 8 to 30 % of the spring's force (rms), drawn. A random force that lasts
-a drawn time has 5 % of the momentum's rate. `Study.auto` is asked. Seeds 0 to 29 are
-for development; the page has those of its first line.
+a drawn time has 5 % of the momentum's rate. `Study.auto` is asked; a class that holds
+the right law names it. Seeds 0 to 29 and 40000 to 40059 were looked at; the page has
+those of its first line.
 """
 
 import os
@@ -29,7 +30,7 @@ from problems.tools.workers import workers
 Array = np.ndarray
 Law = Callable[[Array, Array, Array], Array]  # of position, velocity and input
 
-FIRST_SEED = 40_000
+FIRST_SEED = 41_000
 N_SEEDS = 60
 N_RUNS, N_TRAINING, N_SAMPLES = 5, 3, 240
 PER_PERIOD = 24  # samples in a period of the spring
@@ -108,8 +109,8 @@ class Answer:
         hidden: names of the two parameters.
         added: effects that were added, as they are called.
         errors: of the sizes of what was found, in standard errors.
-        is_both: whether both were added.
-        is_false: whether something else was added.
+        is_both: whether both were named, or are in a class that was.
+        is_false: whether something was added beside which neither was named.
         stopped: why it stopped.
     """
 
@@ -193,23 +194,39 @@ def answer(seed: int) -> Answer:
     machine, x = drawn(rng)
     data = measured(machine, x, rng)
     train, test = data.split(N_TRAINING / N_RUNS)
-    study = ph.Study(model(machine.mass), train, test)
+    said: list[str] = []
+    study = ph.Study(model(machine.mass), train, test, progress=said.append)
     stopped = study.auto()
+    named = [line.split(";")[0] for line in said if "named: " in line]
+    told = [label(name) for name in machine.sizes]
     found = study.fit.estimates
     errors = []
     for name, size in machine.sizes.items():
         if name in found:
             spread = study.fit.std_errors[name]
             errors.append(float((found[name] - size) / spread))
-    n_right = len(errors)
+    is_right = [any(one in line for line in named) for one in told]
+    wrong = [one for one in map(str, study.added) if one not in told]
     return Answer(
         hidden=tuple(machine.sizes),
         added=tuple(map(str, study.added)),
         errors=tuple(errors),
-        is_both=n_right == len(machine.sizes),
-        is_false=len(study.added) > n_right,
+        is_both=all(is_right),
+        is_false=any(not _is_tied(one, told, named) for one in wrong),
         stopped=stopped,
     )
+
+
+def label(name: str) -> str:
+    """The effect's name, by that of its parameter."""
+    words = name.removesuffix("_p").removesuffix("_q").removesuffix("_u")
+    return f"{words.replace('_', ' ')} on p"
+
+
+def _is_tied(one: str, told: list[str], named: list[str]) -> bool:
+    """Whether an effect was told in one line with a hidden one that does as well."""
+    lines = [line for line in named if one.removesuffix(" on p") in line]
+    return any(right in line for line in lines for right in told)
 
 
 def page(answers: dict[str, Answer]) -> str:
