@@ -65,9 +65,9 @@ LEAST_ERROR_EXPLAINED = 0.3
 
 # --- Dry friction, whose corner is sharpened step by step
 
-# Fall of the deviance that sharper corners must promise: two standard errors, less than
-# which the record does not tell.
-SHARPER_CORNER_DEVIANCE = 4.0
+# Fall of the deviance that sharper corners must promise: with less, sizes move by less
+# than their standard errors.
+SHARPER_CORNER_DEVIANCE = 1.0
 # Widths of a corner within which the steps between samples are finer.
 CORNER_WIDTHS = 4.0
 # Steps between samples there, and as many more at each sharper width: very sharp
