@@ -65,9 +65,9 @@ LEAST_ERROR_EXPLAINED = 0.3
 
 # --- Dry friction, whose corner is sharpened step by step
 
-# Fall of the deviance that sharper corners must promise: with less, sizes move by less
-# than their standard errors.
-SHARPER_CORNER_DEVIANCE = 1.0
+# Change of the deviance by a sharper corner that tells: friction is sharp, and a corner
+# is made so unless the deviance rises by more; sharper still where it promises to fall.
+SHARPER_CORNER_DEVIANCE = 4.0
 # Widths of a corner within which the steps between samples are finer.
 CORNER_WIDTHS = 4.0
 # Steps between samples there, and as many more at each sharper width: very sharp

@@ -62,13 +62,16 @@ class CornerSharpening:
         guesses = self.corners(blunt)
         n_stages = max((len(guess.sharper) for guess in guesses.values()), default=0)
         for stage in range(1, n_stages + 1):
-            if self._fall(fit) < SHARPER_CORNER_DEVIANCE:
+            # The slope tells little on a grid on which no corner is resolved.
+            if stage > 1 and self._fall(fit) < SHARPER_CORNER_DEVIANCE:
                 break
             widths = {}
             for name, guess in guesses.items():
                 widths[name] = blunt.values[name] * prod(guess.sharper[:stage])
             sharper = self.at_widths(fit, widths, stage * STEPS_AT_CORNER)
-            if sharper is None or deviance(sharper) > deviance(fit):
+            if sharper is None:
+                break
+            if deviance(sharper) > deviance(fit) + SHARPER_CORNER_DEVIANCE:
                 break
             fit = sharper
         return fit
