@@ -205,11 +205,12 @@ def answer(seed: int) -> Answer:
         if name in found:
             spread = study.fit.std_errors[name]
             errors.append(float((found[name] - size) / spread))
-    is_right = [any(one in line for line in named) for one in told]
-    wrong = [one for one in map(str, study.added) if one not in told]
+    added = tuple(map(str, study.added))
+    is_right = [one in added or any(one in line for line in named) for one in told]
+    wrong = [one for one in added if one not in told]
     return Answer(
         hidden=tuple(machine.sizes),
-        added=tuple(map(str, study.added)),
+        added=added,
         errors=tuple(errors),
         is_both=all(is_right),
         is_false=any(not _is_tied(one, told, named) for one in wrong),
