@@ -65,8 +65,8 @@ LEAST_ERROR_EXPLAINED = 0.3
 
 # --- Dry friction, whose corner is sharpened step by step
 
-# Change of the deviance by a sharper corner that tells: friction is sharp, and a corner
-# is made so unless the deviance rises by more; sharper still where it promises to fall.
+# Friction is sharp: a sharper corner is taken unless the deviance rises by more than
+# this. A still sharper one is tried only where the deviance promises to fall by more.
 SHARPER_CORNER_DEVIANCE = 4.0
 # Widths of a corner within which the steps between samples are finer.
 CORNER_WIDTHS = 4.0

@@ -20,11 +20,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.sweeps.sweep import sweep
 from problems.tools import markdown, provenance
-from problems.tools.command_line import option
 from problems.tools.intervals import share
-from problems.tools.workers import workers
+from problems.tools.seeds import asked
 
 FIRST_SEED = 40_000
 N_SEEDS = 40
@@ -136,18 +134,13 @@ def page(answers: dict[str, Answer]) -> str:
 
 def main() -> None:
     """Ask, and write the page."""
-    first = int(option("first", str(FIRST_SEED)))
-    n_seeds = int(option("seeds", str(N_SEEDS)))
-    cases = {str(seed): seed for seed in range(first, first + n_seeds)}
-    with workers() as executor:
-        found = {d.key: d.result for d in sweep(answer, cases, executor=executor)}
-    text = page({name: found[name] for name in cases})
-    if first == FIRST_SEED:
-        provenance.write("drag_crisis.md", text)
-    else:
-        for name, one in found.items():
-            print(name, one)
-        print(text)
+    answers = asked(answer, FIRST_SEED, N_SEEDS)
+    if str(FIRST_SEED) in answers:
+        provenance.write("drag_crisis.md", page(answers))
+        return
+    for name, one in answers.items():
+        print(name, one)
+    print(page(answers))
 
 
 if __name__ == "__main__":

@@ -17,13 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.sweeps.sweep import sweep
 from problems.benchmarks.disturbed_oscillator import Disturbance, Layout, model
 from problems.benchmarks.oscillator_records import records
 from problems.tools import provenance
-from problems.tools.command_line import option
 from problems.tools.intervals import share
-from problems.tools.workers import workers
+from problems.tools.seeds import asked
 
 FIRST_SEED = 30_000
 N_SEEDS = 100
@@ -86,12 +84,9 @@ runs of {LAYOUT.samples} samples. The noise of 0.02 m has a lag-one correlation 
 
 def main() -> None:
     """Ask, and write the page."""
-    first = int(option("first", str(FIRST_SEED)))
-    n_seeds = int(option("seeds", str(N_SEEDS)))
-    cases = {str(seed): seed for seed in range(first, first + n_seeds)}
-    with workers() as executor:
-        found = {d.key: d.result for d in sweep(answer, cases, executor=executor)}
-    answers = [found[name] for name in cases]
+    found = asked(answer, FIRST_SEED, N_SEEDS)
+    answers = list(found.values())
+    first = int(next(iter(found)))
     if first == FIRST_SEED:
         provenance.write("lasting_noise.md", page(answers, first))
     else:

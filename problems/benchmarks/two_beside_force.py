@@ -21,11 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.sweeps.sweep import sweep
 from problems.tools import markdown, provenance
-from problems.tools.command_line import option
 from problems.tools.intervals import share
-from problems.tools.workers import workers
+from problems.tools.seeds import asked
 
 Array = np.ndarray
 Law = Callable[[Array, Array, Array], Array]  # of position, velocity and input
@@ -262,18 +260,13 @@ def page(answers: dict[str, Answer]) -> str:
 
 def main() -> None:
     """Ask, and write the page."""
-    first = int(option("first", str(FIRST_SEED)))
-    n_seeds = int(option("seeds", str(N_SEEDS)))
-    cases = {str(seed): seed for seed in range(first, first + n_seeds)}
-    with workers() as executor:
-        found = {d.key: d.result for d in sweep(answer, cases, executor=executor)}
-    text = page({name: found[name] for name in cases})
-    if first == FIRST_SEED:
-        provenance.write("two_beside_force.md", text)
-    else:
-        for name, one in found.items():
-            print(name, one)
-        print(text)
+    answers = asked(answer, FIRST_SEED, N_SEEDS)
+    if str(FIRST_SEED) in answers:
+        provenance.write("two_beside_force.md", page(answers))
+        return
+    for name, one in answers.items():
+        print(name, one)
+    print(page(answers))
 
 
 if __name__ == "__main__":
