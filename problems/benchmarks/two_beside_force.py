@@ -138,7 +138,8 @@ def drawn(rng: np.random.Generator) -> tuple[Machine, Array]:
     for k in range(1, N_SAMPLES):
         random[k] = fade * random[k - 1] + np.sqrt(1 - fade**2) * noise[k]
     names = rng.choice(list(TAKING)), rng.choice(list(BENDING))
-    targets = np.exp(rng.uniform(*np.log(SHARES), 2))
+    low, high = np.log(SHARES)
+    targets = np.exp(rng.uniform(low, high, 2))
     start = np.stack([rng.normal(size=N_RUNS), np.zeros(N_RUNS)])
     sizes = dict.fromkeys(map(str, names), 0.0)
     strength = 0.0
