@@ -338,10 +338,15 @@ class MarginalLikelihood:
         every_state = np.arange(problem.nodes.size)
         rows = [below, unknown, self._pairs.row, every_state]
         columns = [unknown, below, self._pairs.column, every_state]
+        grid = problem.grid
+        run = self._of_unknowns(grid.trajectory, grid.runs)
         for first, n in places:
             on_diagonal = first + np.arange(n)
-            rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
-            columns += [on_diagonal, on_diagonal[:-1], on_diagonal[1:]]
+            after, before = on_diagonal[1:], on_diagonal[:-1]
+            # Nothing joins trajectories; places for it would widen the band.
+            before = np.where(run[before] == run[after], before, after)
+            rows += [on_diagonal, after, before]
+            columns += [on_diagonal, before, after]
         every_multiplier = self.n_unknowns + np.arange(len(self._softness))
         rows.append(every_multiplier)
         columns.append(every_multiplier)
@@ -349,7 +354,6 @@ class MarginalLikelihood:
             upper = problem.curvature.of_states
             rows += [upper.row, upper.col]
             columns += [upper.col, upper.row]
-        grid = problem.grid
         of_nodes = np.arange(grid.n_nodes, dtype=float)
         order = np.argsort(self._of_unknowns(of_nodes, grid.begin + 0.5), kind="stable")
         is_soft = bool(len(self._softness))
