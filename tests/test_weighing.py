@@ -16,7 +16,7 @@ from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.sensitivities import Sensitivities
-from phsi_opt.screening.weighing import Start, Weighed
+from phsi_opt.screening.weighing import Weighed
 
 T = np.linspace(0.0, 8.0, 81)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.8, -0.7])
@@ -128,15 +128,14 @@ def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> Non
     record = EvidenceRecord.of(ph.compare(fit, data).record, None)
     base = record.base
     assert base.is_settled
-    problem = record._weighing.problem(
-        Start(base.model, base.theta, base.states, base.processes, base.disturbances)
-    )
+    problem = record._weighing.problem(base.start)
+    problem = problem.tilted(problem.optimum(problem.values.point.scaled, 0))
     for place, spread in enumerate(np.sqrt(np.diag(base.covariance))):
         for sign in (-1.0, 1.0):
             z = problem.values.point.scaled.copy()
             z[place] += sign * spread / problem.values.scale[place]
             held = replace(problem, moving=problem.moving[:0])
-            beside = JointPoint(z, base.processes, np.zeros(0))
+            beside = JointPoint(z, np.concatenate(base.processes), np.zeros(0))
             there = held.optimum(z, beside=beside).likelihood
             likelihood = there.log_likelihood(base.disturbances)
             assert likelihood < base.log_likelihood

@@ -79,11 +79,13 @@ class Climbed:
     Attributes:
         vector: (n_coordinates,).
         log_evidence: there.
+        gain: of it since the origin.
         information: there, (n_coordinates, n_coordinates), how surely it ended there.
     """
 
     vector: np.ndarray
     log_evidence: float
+    gain: float
     information: np.ndarray
 
 
@@ -113,7 +115,8 @@ def climbed(
     damping = 0.1
     here = _slopes_at(likelihood, coordinates.at(vector), channels, sums)
     if here is None:
-        return Climbed(vector, -np.inf, np.zeros((len(vector), len(vector))))
+        return Climbed(vector, -np.inf, 0.0, np.zeros((len(vector), len(vector))))
+    first = here.log_evidence
     for _ in range(most_steps):
         leads_out = (vector <= lower) & (here.gradient < 0)
         leads_out |= (vector >= upper) & (here.gradient > 0)
@@ -136,7 +139,8 @@ def climbed(
         damping = max(damping / 10, 1e-3)
         if gain < least_gain:
             break
-    return Climbed(vector, here.log_evidence, here.information)
+    gain = here.log_evidence - first
+    return Climbed(vector, here.log_evidence, gain, here.information)
 
 
 def _promise(here: Slopes, moves: np.ndarray) -> float:

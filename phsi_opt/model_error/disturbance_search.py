@@ -216,24 +216,12 @@ class DisturbanceSearch:
         Sizes and times are known to a few percent from so many intervals and states,
         and the whole record has the last word.
         """
-        n_intervals = self.problem.grid.n_intervals
-        n_states = self.problem.nodes.shape[1]
-        most_intervals = min(1_500, 13_500 / n_states)
-        if n_intervals <= 1.5 * most_intervals:
+        spread = self.problem.evenly_spread()
+        if spread is None:
             return None
-        per_sample = max(n_intervals / max(int(self.problem.grid.sample.sum()), 1), 1.0)
-        most = most_intervals * per_sample**0.5
-        n_pieces = max(int(n_intervals / (250 * per_sample)), 2)  # of 250 samples
-        stride = max(round(n_intervals / most), 2)
-        numbers = self.problem.piece_numbers(n_pieces)
-        chosen = np.where(numbers % stride == 0, numbers, -1)
-        kept, first = np.unique(chosen, return_index=True)
-        runs = self.problem.grid.trajectory[first[kept >= 0]]
+        problem, runs = spread
         return replace(
-            self,
-            problem=self.problem.cut(chosen),
-            plain=self.plain[runs],
-            scatter=self.scatter[runs],
+            self, problem=problem, plain=self.plain[runs], scatter=self.scatter[runs]
         )
 
     def _found_directly(self) -> Evidence:

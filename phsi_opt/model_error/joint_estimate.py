@@ -524,13 +524,8 @@ class _Place:
         weighted = noise_weights(self.linear, disturbances.sigma) * shown
         sizes = likelihood.coefficient_sizes(disturbances)
         total = np.sum(weighted**2) + np.sum((coefficients / sizes) ** 2)
-        whiteners = likelihood.whiteners(disturbances)
-        every = disturbances.processes
-        first = 0
-        for process, whitener in zip(every, whiteners, strict=True):
-            own = processes[first : first + len(whitener.diagonal)]
-            total += np.sum((whitener.whitened(own) / process.size) ** 2)
-            first += len(own)
+        for one in likelihood.innovations(processes, disturbances):
+            total += np.sum(one**2)
         gives = ~self._holds
         total += np.sum(excess[gives] ** 2 / self.problem.variance[gives])
         return float(total)

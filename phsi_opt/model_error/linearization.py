@@ -227,6 +227,24 @@ class Linearization:
             first += n_of_run
         return numbers
 
+    def evenly_spread(self) -> "tuple[Linearization, np.ndarray] | None":
+        """Evenly spread pieces of a long record, and the trajectory of each.
+
+        None where it is short. Each piece is a trajectory of its own.
+        """
+        n_intervals = self.grid.n_intervals
+        most_intervals = min(1_500, 13_500 / self.n_states)
+        if n_intervals <= 1.5 * most_intervals:
+            return None
+        per_sample = max(n_intervals / max(int(self.grid.sample.sum()), 1), 1.0)
+        most = most_intervals * per_sample**0.5
+        n_pieces = max(int(n_intervals / (250 * per_sample)), 2)  # of 250 samples
+        stride = max(round(n_intervals / most), 2)
+        numbers = self.piece_numbers(n_pieces)
+        chosen = np.where(numbers % stride == 0, numbers, -1)
+        kept, first = np.unique(chosen, return_index=True)
+        return self.cut(chosen), self.grid.trajectory[first[kept >= 0]]
+
     def cut(self, piece: np.ndarray) -> "Linearization":
         """The same record in pieces, each of them a trajectory of its own.
 

@@ -459,6 +459,25 @@ class MarginalLikelihood:
             whiteners.append(whitener_of_sensor(problem, sensor))
         return whiteners
 
+    def by_process(self, processes: np.ndarray) -> list[np.ndarray]:
+        """Values of all processes (n_inner, ...), one by one."""
+        ends = np.cumsum([n for _, n in self.places_of_processes()], dtype=int)
+        return np.split(processes, ends)[:-1]
+
+    def innovations(
+        self, processes: np.ndarray, disturbances: Disturbances
+    ) -> list[np.ndarray]:
+        """Values of all processes (n_inner, ...) as standard normals, one by one."""
+        found = []
+        for values, process, whitener in zip(
+            self.by_process(processes),
+            disturbances.processes,
+            self.whiteners(disturbances),
+            strict=True,
+        ):
+            found.append(whitener.whitened(values) / process.size)
+        return found
+
     def eliminated(
         self,
         disturbances: Disturbances,

@@ -300,13 +300,8 @@ class EvidenceRecord:
             if name in memory:
                 continue
             function = StateFunction(equation, state, size)
-            start = Start(
-                self.first,
-                base.theta,
-                base.states,
-                base.processes,
-                base.disturbances.with_functions((function,)),
-            )
+            sizes = base.disturbances.with_functions((function,))
+            start = replace(base.start, model=self.first, disturbances=sizes)
             try:
                 found = self._weighing.weighed(start)
             except SolveError:
@@ -321,14 +316,7 @@ class EvidenceRecord:
         Without a tilt: what an effect does to the volume is not known before it is
         weighed, and that of the parameters alone would be no fair start.
         """
-        start = Start(
-            weighed.model,
-            weighed.theta,
-            weighed.states,
-            weighed.processes,
-            weighed.disturbances,
-        )
-        problem = replace(self._weighing.problem(start), tilt=None)
+        problem = self._weighing.problem(weighed.start)
         return problem.optimum(problem.values.point.scaled, 0).likelihood
 
 

@@ -12,7 +12,7 @@ the weighted residuals and in the whitened forces, with states, parameters and f
 following, is their trace. Without forces the dynamics are hard.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -99,6 +99,25 @@ class LinearizedRecord:
             disturbances=base.disturbances,
         )
 
+    @cached_property
+    def part(self) -> "LinearizedRecord":
+        """Evenly spread pieces of a long record, on which many values are tried."""
+        spread = self.likelihood.problem.evenly_spread()
+        if spread is None:
+            return self
+        problem, runs = spread
+        likelihood = self.likelihood
+        sizes = self.disturbances
+        return replace(
+            self,
+            unknown=replace(self.unknown, table=self.unknown.table[:, runs]),
+            states=problem.nodes,
+            likelihood=MarginalLikelihood(
+                problem, likelihood.structure, likelihood.moving
+            ),
+            disturbances=replace(sizes, sigma=sizes.sigma[runs]),
+        )
+
     @property
     def grid(self) -> Grid:
         """Nodes and intervals."""
@@ -178,15 +197,9 @@ class LinearizedRecord:
 
     def _whitened(self, unknowns: np.ndarray) -> np.ndarray:
         """Processes among unknowns (n_unknowns, k) as standard normals."""
-        parts = [np.zeros((0, unknowns.shape[1]))]
-        places = self.likelihood.places_of_processes()
-        processes = self.disturbances.processes
-        whiteners = self._eliminated.whiteners
-        for (first, n), process, whitener in zip(
-            places, processes, whiteners, strict=True
-        ):
-            parts.append(whitener.whitened(unknowns[first : first + n]) / process.size)
-        return np.concatenate(parts)
+        processes = unknowns[self.likelihood.problem.nodes.size :]
+        parts = self.likelihood.innovations(processes, self.disturbances)
+        return np.concatenate([np.zeros((0, unknowns.shape[1])), *parts])
 
     def traces(self, of_defects: np.ndarray, of_outputs: np.ndarray) -> np.ndarray:
         """What is left of changes in `residual` when all that may move has followed.

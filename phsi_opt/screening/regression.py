@@ -6,7 +6,7 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.bounded_step import bounded_least_squares
-from phsi_opt.screening.sensitivities import Trial
+from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.statistics import TINY
 
 # Share of the diagonal that is added to the correlations of traces: two that are equal
@@ -47,10 +47,11 @@ def bounds_of(model: Model, names: list[str]) -> list[tuple[float, float]]:
     return found
 
 
-def regression(trial: Trial, trace: np.ndarray, residual: np.ndarray) -> Regression:
-    """Regress a residual (n_values,) on a trial's trace (n_values, k) within bounds."""
+def regression(sensitivities: Sensitivities, trace: np.ndarray) -> Regression:
+    """Regress a record's residual on a trial's trace (n_values, k) within bounds."""
+    trial = sensitivities.trial
     information = trace.T @ trace
-    right = trace.T @ residual
+    right = trace.T @ sensitivities.linearized.residual
     if not trial.linear:
         drop = float(2 * right[0] - information[0, 0])
         return Regression(np.ones(1), drop, information)

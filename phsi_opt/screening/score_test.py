@@ -84,20 +84,26 @@ class ScoreTest:
             trial = self.trial(effect)
         except PhsiOptError:
             return None
-        sensitivities = Sensitivities(self.linearized, trial)
+        whole = part = Sensitivities(self.linearized, trial)
         points = _combinations(trial.tried)
         n_tried = len(points)
+        is_wave = trial.frequency is not None and trial.scanned is not None
+        if (is_wave or n_tried > 1) and self.linearized.part is not self.linearized:
+            part = Sensitivities(self.linearized.part, trial)
         if trial.frequency is not None and trial.scanned is not None:
             along = self._along(trial.scanned)
             if not np.ptp(along) > 0:
                 return None
             tried = frequency_grid(grid, along)
             n_tried = len(tried)
-            omega = self._best_frequency(sensitivities, trial, tried)
-            points = [{trial.frequency: omega}]
-        best = self._best(sensitivities, points)
+            search = best_frequency if trial.scanned == "t" else best_of_all
+            points = [{trial.frequency: search(whole, part, trial.frequency, tried)}]
+            part = whole
+        best = _best(part, points)
         if len(trial.tried) == 1 and n_tried > 1:
-            best = self._refined(sensitivities, best)
+            best = _refined(part, best)
+        if part is not whole:
+            best = _best(whole, [best.values])
         return self._expected(trial, best, n_tried)
 
     def trial(self, effect: Effect) -> Trial:
@@ -136,48 +142,6 @@ class ScoreTest:
             return linearized.grid.t
         return values_at(linearized.model, linearized.grid, linearized.states, variable)
 
-    def _best_frequency(
-        self, sensitivities: Sensitivities, trial: Trial, tried: np.ndarray
-    ) -> float:
-        """The one of the frequencies (n_tried,) at which a wave explains most."""
-        assert trial.frequency is not None
-
-        def drop(trace: np.ndarray) -> float:
-            return self._regression(trial, trace).drop
-
-        is_in_time = trial.scanned == "t"
-        search = best_frequency if is_in_time else best_of_all
-        return search(sensitivities, trial.frequency, tried, drop)
-
-    def _regression(self, trial: Trial, trace: np.ndarray) -> Regression:
-        return regression(trial, trace, self.linearized.residual)
-
-    def _best(
-        self, sensitivities: Sensitivities, points: list[dict[str, float]]
-    ) -> _Point:
-        """The point that explains most."""
-        changes = [sensitivities(values) for values in points]
-        traces = self.linearized.traces(
-            np.hstack([change.of_defects for change in changes]),
-            np.hstack([change.of_outputs for change in changes]),
-        )
-        tried = []
-        parts = np.split(traces, len(points), axis=1)
-        for values, change, trace in zip(points, changes, parts, strict=True):
-            found = self._regression(sensitivities.trial, trace)
-            tried.append(_Point(values, change, found))
-        return max(tried, key=lambda point: point.regression.drop)
-
-    def _refined(self, sensitivities: Sensitivities, best: _Point) -> _Point:
-        """The best point among finer and finer values of the one inner parameter."""
-        (name,) = sensitivities.trial.tried
-        around = np.sort(sensitivities.trial.tried[name])
-        for _ in range(SCAN_REFINEMENTS):
-            around = _finer(around, best.values[name])
-            points = [{name: float(value)} for value in around]
-            best = self._best(sensitivities, points)
-        return best
-
     def _expected(self, trial: Trial, point: _Point, n_tried: int) -> Screened | None:
         """What is expected of an effect at its best point; None: it leaves no trace."""
         linearized = self.linearized
@@ -199,6 +163,27 @@ class ScoreTest:
             n_tried=n_tried,
             values={**of_base, **_start_values(trial, point)},
         )
+
+
+def _best(sensitivities: Sensitivities, points: list[dict[str, float]]) -> _Point:
+    """The point that explains most."""
+    changes = [sensitivities(values) for values in points]
+    tried = []
+    parts = np.split(sensitivities.traces(changes), len(points), axis=1)
+    for values, change, trace in zip(points, changes, parts, strict=True):
+        tried.append(_Point(values, change, regression(sensitivities, trace)))
+    return max(tried, key=lambda point: point.regression.drop)
+
+
+def _refined(sensitivities: Sensitivities, best: _Point) -> _Point:
+    """The best point among finer and finer values of the one inner parameter."""
+    (name,) = sensitivities.trial.tried
+    around = np.sort(sensitivities.trial.tried[name])
+    for _ in range(SCAN_REFINEMENTS):
+        around = _finer(around, best.values[name])
+        points = [{name: float(value)} for value in around]
+        best = _best(sensitivities, points)
+    return best
 
 
 def _size(trial: Trial, point: _Point) -> float:

@@ -5,6 +5,7 @@ acts with states of its own, which are integrated along those of the record. A b
 rest has no friction law: there the force is whatever the rest of the model asks for.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -95,6 +96,13 @@ class Sensitivities:
             moving = np.where(self.at_rest != 0, 0.0, of_defects)
             of_defects = np.hstack([moving, self.at_rest])
         return Change(of_defects, of_outputs)
+
+    def traces(self, changes: Sequence[Change]) -> np.ndarray:
+        """What changes leave in the residual, (n_values, k of all of them)."""
+        return self.linearized.traces(
+            np.hstack([change.of_defects for change in changes]),
+            np.hstack([change.of_outputs for change in changes]),
+        )
 
     def _defect_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """(n_intervals, n_states, k)"""

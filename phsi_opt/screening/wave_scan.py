@@ -8,10 +8,9 @@ exactly, and from each the way leads uphill: beside a resonance the interpolated
 can be twenty times wrong.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
+from phsi_opt.screening.regression import regression
 from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.statistics import TINY, local_maxima
 
@@ -20,22 +19,21 @@ from phsi_opt.statistics import TINY, local_maxima
 N_EXACT_SIZES = 30
 N_EXACT_PEAKS = 8  # highest peaks of the estimated gain that are worked out exactly
 N_TOGETHER = 50  # waves whose traces are worked out at once
-Gain = Callable[[np.ndarray], float]  # of a trace (n_values, k): fall of the misfit
 
 
 def best_frequency(
-    sensitivities: Sensitivities, name: str, tried: np.ndarray, gain: Gain
+    whole: Sensitivities, part: Sensitivities, name: str, tried: np.ndarray
 ) -> float:
-    """The frequency among ``tried`` (evenly spaced, rad per time) of the largest gain.
+    """The frequency among ``tried`` (evenly spaced, rad per time) that explains most.
 
     Args:
-        sensitivities: of the wave's amplitudes, at any frequency.
+        whole: of the wave's amplitudes, at any frequency, on the whole record.
+        part: on the part of it on which sizes are worked out.
         name: of the frequency.
         tried: (n_tried,).
-        gain: of a trace.
     """
     gains: dict[int, float] = {}
-    tops = _likely_frequencies(sensitivities, name, tried)
+    tops = _likely_frequencies(whole, part, name, tried)
     while True:
         wanted: set[int] = set()
         for top in tops:
@@ -43,9 +41,7 @@ def best_frequency(
         new = sorted(wanted - gains.keys())
         if not new:
             break
-        traces = _wave_traces(sensitivities, name, tried[new])
-        for i, place in enumerate(new):
-            gains[place] = gain(traces[:, i])
+        gains.update(zip(new, _gains(whole, name, tried[new]), strict=True))
         tops = [
             max(_beside(top, len(tried)), key=lambda place: gains[place])
             for top in tops
@@ -54,18 +50,26 @@ def best_frequency(
 
 
 def best_of_all(
-    sensitivities: Sensitivities, name: str, tried: np.ndarray, gain: Gain
+    _: Sensitivities, part: Sensitivities, name: str, tried: np.ndarray
 ) -> float:
-    """The same of frequencies (n_tried,), each worked out exactly.
+    """The same of frequencies (n_tried,), each worked out on the part.
 
     For waves along a state: a Fourier sum tells little of them, as a slow motion gives
     every wave along it a slow part.
     """
     gains = []
-    for part in np.array_split(tried, 1 + len(tried) // N_TOGETHER):
-        traces = _wave_traces(sensitivities, name, part)
-        gains += [gain(traces[:, i]) for i in range(len(part))]
+    for few in np.array_split(tried, 1 + len(tried) // N_TOGETHER):
+        gains += _gains(part, name, few)
     return float(tried[int(np.argmax(gains))])
+
+
+def _gains(
+    sensitivities: Sensitivities, name: str, frequencies: np.ndarray
+) -> list[float]:
+    """Fall of the misfit by a wave of each frequency."""
+    traces = _wave_traces(sensitivities, name, frequencies)
+    n = len(frequencies)
+    return [regression(sensitivities, traces[:, i]).drop for i in range(n)]
 
 
 def _beside(place: int, n: int) -> range:
@@ -73,16 +77,16 @@ def _beside(place: int, n: int) -> range:
 
 
 def _likely_frequencies(
-    sensitivities: Sensitivities, name: str, tried: np.ndarray
+    whole: Sensitivities, part: Sensitivities, name: str, tried: np.ndarray
 ) -> list[int]:
     """Places in ``tried`` of the highest peaks of the estimated gain; of few, all."""
     n_tried = len(tried)
     if n_tried <= N_EXACT_SIZES:
         return list(range(n_tried))
-    linearized = sensitivities.linearized
+    linearized = whole.linearized
     grid = linearized.grid
     # A wave of frequency zero: cos = 1, sin = 0.
-    still = sensitivities({name: 0.0}).of_defects.sum(axis=1)
+    still = whole({name: 0.0}).of_defects.sum(axis=1)
     per_defect = linearized.adjoint() * still
     per_interval = per_defect.reshape(grid.n_intervals, -1).sum(axis=1)
     middle = grid.t[grid.begin] + grid.h / 2
@@ -91,7 +95,7 @@ def _likely_frequencies(
     logarithmic = np.geomspace(1, n_tried, N_EXACT_SIZES) - 1
     places = np.unique(np.concatenate([even, logarithmic]).astype(int))
     coarse = tried[places]
-    sizes = np.sum(_wave_traces(sensitivities, name, coarse) ** 2, axis=(0, 2))
+    sizes = np.sum(_wave_traces(part, name, coarse) ** 2, axis=(0, 2))
     log_size = np.interp(tried, coarse, np.log(np.maximum(sizes, TINY)))
     peaks = _peaks(correlation / np.exp(log_size))
     return [int(place) for place in peaks[:N_EXACT_PEAKS]]
@@ -102,10 +106,7 @@ def _wave_traces(
 ) -> np.ndarray:
     """(n_values, n_frequencies, k)"""
     changes = [sensitivities({name: float(omega)}) for omega in frequencies]
-    traces = sensitivities.linearized.traces(
-        np.hstack([change.of_defects for change in changes]),
-        np.hstack([change.of_outputs for change in changes]),
-    )
+    traces = sensitivities.traces(changes)
     return traces.reshape(len(traces), len(frequencies), -1)
 
 

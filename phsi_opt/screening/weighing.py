@@ -45,9 +45,7 @@ STEPS_OF_A_ROUND = 12
 CLIMBS_OF_A_ROUND = 6  # steps of the sizes uphill
 # Shortest correlation time of a force, in sampling intervals.
 SHORTEST_FORCE = 2.0
-# Change of the logarithm of every size at which the rounds end, and gain of the
-# evidence by a round that makes no difference to a verdict.
-SETTLED_SIZES = 0.02
+# Gain of the evidence that makes no difference to a verdict, at which the rounds end.
 SETTLED_EVIDENCE = 0.1
 # A model that has not come to rest in so many rounds is given up, and one whose
 # evidence is so far below that of the base.
@@ -77,7 +75,7 @@ class Weighed:
         at_bounds: names of those that ended at a bound.
         theta: (n_theta,); ``covariance``: of them, forces of these sizes acting.
         states: (n_nodes, n_states).
-        processes: values of forces and errors of sensors, forces first.
+        processes: values of each force, then of each sensor's errors.
         disturbances: noise, forces and errors of sensors, with their sizes.
         force_shares: root mean square of each force over that of the rates in its
             equation, by the number of the equation.
@@ -93,7 +91,7 @@ class Weighed:
     theta: np.ndarray
     covariance: np.ndarray = field(repr=False)
     states: np.ndarray = field(repr=False)
-    processes: np.ndarray = field(repr=False)
+    processes: tuple[np.ndarray, ...] = field(repr=False)
     disturbances: Disturbances = field(repr=False)
     force_shares: Mapping[int, float]
     is_settled: bool
@@ -108,6 +106,13 @@ class Weighed:
         largest = max(self.force_shares.values(), default=0.0)
         return self.force_shares.get(equation, largest)
 
+    @property
+    def start(self) -> "Start":
+        """Where it may be weighed again, with other sizes or something more."""
+        return Start(
+            self.model, self.theta, self.states, self.processes, self.disturbances
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -117,7 +122,8 @@ class Start:
         model: with its parameters.
         theta: (n_theta,) their values.
         states: (n_nodes, n_states).
-        processes: values of forces and errors of sensors; None: there are none.
+        processes: values of each force, then of each sensor's errors; None: they are
+            not known.
         disturbances: noise, forces and errors of sensors, with their sizes.
         held: names of parameters that stay.
     """
@@ -125,7 +131,7 @@ class Start:
     model: Model
     theta: np.ndarray
     states: np.ndarray
-    processes: np.ndarray | None
+    processes: tuple[np.ndarray, ...] | None
     disturbances: Disturbances
     held: frozenset[str] = frozenset()
 
@@ -187,10 +193,14 @@ class Weighing:
         start = start.padded(self.n_states)
         problem = self.problem(start)
         z = problem.values.point.scaled
-        processes = start.processes
+        processes = None
+        if start.processes is not None:
+            processes = np.concatenate([np.zeros(0), *start.processes])
         best = None
         names = problem.values.unknown.names
         held = [names.index(name) for name in start.held]
+        if processes is not None:
+            problem = problem.tilted(problem.optimum(z, 0))
         problem = replace(problem, moving=np.delete(problem.moving, held))
         # Beside a force that was never met with these parameters they stay at first:
         # free ones may run from a large force to where nothing is alike.
@@ -202,18 +212,17 @@ class Weighing:
             likelihood = joint.likelihood.with_moving(_within_bounds(own, z))
             # Of the sizes that led there: others have their optimum elsewhere.
             found = _Found(joint, likelihood, own.disturbances)
-            sizes = problem.disturbances
+            sizes, promise = problem.disturbances, 0.0
             if found.is_valid:
-                sizes = self._better_sizes(likelihood, sizes)
-            change = sizes.distance(problem.disturbances)
+                sizes, promise = self._better_sizes(likelihood, sizes)
             problem = replace(problem, disturbances=sizes).tilted(joint)
-            change = max(change, joint.move_for(problem.slope))
+            promise += joint.move_for(problem.slope) ** 2 / 2
             gain = np.inf
             if best is not None and best.is_valid:
                 gain = found.evidence - best.evidence
             if best is None or found.is_better_than(best):
                 best = found
-            is_settled = change < SETTLED_SIZES or gain < SETTLED_EVIDENCE
+            is_settled = min(promise, gain) < SETTLED_EVIDENCE
             if is_settled and joint.has_converged and not are_held:
                 break
             if number + 1 == ROUNDS_TO_REST and not best.is_valid:
@@ -240,8 +249,7 @@ class Weighing:
         grid = self._with_memory_at_rest(grid, start.states)
         values = LikelihoodValues(model, grid, SCHEME, point, unknown)
         every = np.arange(len(unknown))
-        problem = JointProblem(Linearizer(values), start.disturbances, every)
-        return problem.tilted(problem.optimum(point.scaled, 0))
+        return JointProblem(Linearizer(values), start.disturbances, every)
 
     def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
         """The memory of an effect is known to begin near rest, as if measured."""
@@ -254,8 +262,8 @@ class Weighing:
 
     def _better_sizes(
         self, likelihood: MarginalLikelihood, sizes: Disturbances
-    ) -> Disturbances:
-        """Sizes and times moved to the largest evidence of the linearised record."""
+    ) -> tuple[Disturbances, float]:
+        """Sizes of the largest evidence on the linearised record, and its gain."""
         problem = likelihood.problem
         rates = self.rates
         n_more = problem.n_states - len(self.least_noise)
@@ -275,7 +283,7 @@ class Weighing:
             rate = float(rates[force.place])
             size = float(np.clip(force.size, NO_FORCE * rate, LARGEST_FORCE * rate))
             forces.append(replace(force, size=size))
-        return replace(sizes, forces=tuple(forces))
+        return replace(sizes, forces=tuple(forces)), found.gain
 
     def _result(
         self, problem: JointProblem, found: "_Found", is_settled: bool
@@ -307,14 +315,12 @@ class Weighing:
         scale = point.theta_scale[likelihood.moving]
         within = likelihood.at(sizes).covariance * np.outer(scale, scale)
         covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
-        n_intervals = likelihood.problem.grid.n_intervals
-        n_forces = len(sizes.forces)
-        processes = found.joint.point.processes
-        forces = processes[: n_forces * n_intervals].reshape(n_forces, n_intervals)
+        processes = likelihood.by_process(found.joint.point.processes)
         rates = likelihood.problem.grid.rates(states)
-        places = [force.place for force in sizes.forces]
-        typical = np.sqrt(np.mean(rates[:, places] ** 2, axis=0)) + TINY
-        shares = np.sqrt(np.mean(forces**2, axis=1)) / typical
+        shares = {}
+        for force, acting in zip(sizes.forces, processes, strict=False):
+            typical = np.sqrt(np.mean(rates[:, force.place] ** 2)) + TINY
+            shares[force.place] = float(np.sqrt(np.mean(acting**2)) / typical)
         return Weighed(
             model=model.with_values(dict(zip(model.free, means, strict=True))),
             log_likelihood=found.evidence,
@@ -325,9 +331,9 @@ class Weighing:
             theta=theta,
             covariance=covariance,
             states=states,
-            processes=processes,
+            processes=tuple(processes),
             disturbances=sizes,
-            force_shares=dict(zip(places, shares.tolist(), strict=True)),
+            force_shares=shares,
             is_settled=is_settled,
         )
 
