@@ -8,8 +8,13 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.errors import ModelError
+from phsi_opt.estimation.identify import estimate_by
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.problem import Task
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.transcription.alignment import AlignedData
 
 NOISE = 0.02
 
@@ -326,3 +331,26 @@ def test_other_data_are_started_from_states_as_accurate_as_the_run(
     fine = error()
     monkeypatch.setattr("phsi_opt.estimation.smoothing.STEP_REFINEMENTS", 0)
     assert fine < 1.1 and error() > 1.3
+
+
+def test_the_change_of_the_deviance_by_a_fixed_number_needs_no_fit(
+    loads: ph.Measurements,
+) -> None:
+    def estimate(stiffness: float) -> LikelihoodEstimate:
+        model = ph.PseudoHamiltonian(
+            states=["q", "p"],
+            S=ph.canonical(1),
+            H=ph.formula("k*q**2/2 + p**2/(2*m)", k=stiffness, m=ph.Parameter(2.0)),
+            R=ph.damping("p"),
+        )
+        aligned = AlignedData.of(model, loads[:1])
+        task = Task(model, aligned, {}, None, SolverSettings())
+        found = estimate_by(ph.MaximumLikelihood(), task, None)
+        assert isinstance(found, LikelihoodEstimate)
+        return found
+
+    here, there, beyond = (estimate(k) for k in (40.0, 40.1, 40.2))
+    # At 40.1 by both neighbours: the slope is that of the deviances, fitted anew.
+    slope = (beyond.deviance - here.deviance) / 2
+    assert there.deviance_change(beyond.model) == pytest.approx(slope, rel=0.02)
+    assert there.deviance_change(there.model) == 0

@@ -249,12 +249,11 @@ def pushed(shown: str = "u") -> ph.PseudoHamiltonian:
     )
 
 
-@pytest.mark.parametrize("name", ["input lag", "input delay"])
-def test_a_memory_is_weighed_and_begins_near_rest(name: str) -> None:
-    late = 0.25
-    t = np.linspace(0.0, 12.0, 121)
+def late_by(delay: float, n_samples: int) -> EvidenceRecord:
+    """The spring beside a force, where its drive acts later than it was noted."""
+    t = 0.1 * np.arange(n_samples)
     u = np.sin(0.9 * t) + 0.7 * np.sin(2.3 * t)
-    acts = np.interp(t - late, t, u)
+    acts = np.interp(t - delay, t, u)
     x = ph.simulate(pushed().with_values({"k": 2.3}), t, [0.5, 0.0], acts[:, None])
     x[:, 0] += NOISE * np.random.default_rng(1).normal(size=len(t))
     x[:, 1] = np.nan
@@ -262,11 +261,17 @@ def test_a_memory_is_weighed_and_begins_near_rest(name: str) -> None:
         t, x, u[:, None], states=["q", "p"], inputs=["u"]
     )
     fit = ph.identify(pushed(), data)
-    record = EvidenceRecord.of(ph.compare(fit, data).record, None)
+    return EvidenceRecord.of(ph.compare(fit, data).record, None)
+
+
+@pytest.mark.parametrize("name", ["input lag", "input delay"])
+def test_a_memory_is_weighed_and_begins_near_rest(name: str) -> None:
+    late, n_samples = 0.25, 121
+    record = late_by(late, n_samples)
     found = weighed(record, name)
     assert found.log_evidence - record.base.log_evidence > DECISIVE_EVIDENCE
     n_states = len(found.model.states)
-    assert found.states.shape == (len(t), n_states) and n_states > 2
+    assert found.states.shape == (n_samples, n_states) and n_states > 2
     new = [n for n in found.names if n not in record.base.names]
     (place,) = [found.names.index(n) for n in new]
     assert found.theta[place] == pytest.approx(late, rel=0.15)
@@ -285,6 +290,19 @@ def test_screening_expects_the_coefficient_that_is_weighed() -> None:
     # It is expected beside the whole force, and found beside what is left of it.
     assert expected.std_error > error
     assert expected.gain > DECISIVE_EVIDENCE
+
+
+def test_values_are_tried_on_pieces_of_a_long_record_and_judged_on_all_of_it() -> None:
+    record = late_by(0.25, n_samples=2401)
+    whole = LinearizedRecord.beside_force(record)
+    assert whole.part.grid.n_intervals < whole.grid.n_intervals / 1.5
+    effect = effect_named(record.base.model, "input delay", "p")
+    found = ScoreTest(whole).screened(effect)
+    whole.__dict__["part"] = whole
+    exact = ScoreTest(whole).screened(effect)
+    assert found is not None and exact is not None
+    assert found.coefficient == pytest.approx(exact.coefficient, rel=0.1)
+    assert 0.95 * exact.gain < found.gain < 1.001 * exact.gain
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ A solver needs the corner rounded at first. Beside a body that sticks the roundi
 shows: it creeps where it should rest, and the size of the friction comes out wrong. So
 the width w is made smaller on a finer grid as long as the likelihood asks for it: the
 deviance D is nearly linear in a small w, so that all sharper corners together let it
-fall by its slope dD / dlog w, which one more fit at a width nearby tells.
+fall by its slope dD / dlog w, which the multipliers of the dynamics tell.
 """
 
 from collections.abc import Sequence
@@ -25,14 +25,19 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.refit_effort import BRIEF
 from phsi_opt.errors import PhsiOptError
+from phsi_opt.estimation.disturbed_estimate import DisturbedEstimate
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify_aligned
+from phsi_opt.estimation.identify import estimate_by
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.problem import Task
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.losses import l1_weights
 
-NEARBY_WIDTH = 0.9  # of the present one, at which the slope of the deviance is taken
+# Share of the present width over which the slope of the deviance is taken.
+NEARBY_WIDTH = 0.99
 
 
 class CornerSharpening:
@@ -61,33 +66,36 @@ class CornerSharpening:
         blunt = fit.model
         guesses = self.corners(blunt)
         n_stages = max((len(guess.sharper) for guess in guesses.values()), default=0)
+        estimate = None
         for stage in range(1, n_stages + 1):
             # The slope tells little on a grid on which no corner is resolved.
-            if stage > 1 and self._fall(fit) < SHARPER_CORNER_DEVIANCE:
+            if estimate and self._fall(estimate) < SHARPER_CORNER_DEVIANCE:
                 break
             widths = {}
             for name, guess in guesses.items():
                 widths[name] = blunt.values[name] * prod(guess.sharper[:stage])
-            sharper = self.at_widths(fit, widths, stage * STEPS_AT_CORNER)
-            if sharper is None:
+            estimate = self.at_widths(fit, widths, stage * STEPS_AT_CORNER)
+            if estimate is None:
                 break
+            sharper = estimate.fit()
             if deviance(sharper) > deviance(fit) + SHARPER_CORNER_DEVIANCE:
                 break
             fit = sharper
         return fit
 
-    def _fall(self, fit: Fit) -> float:
+    def _fall(self, estimate: LikelihoodEstimate | DisturbedEstimate) -> float:
         """By how much the deviance would fall with corners sharp without end."""
+        model = estimate.model
         widths = {}
-        for name in self.corners(fit.model):
-            widths[name] = NEARBY_WIDTH * fit.model.values[name]
-        nearby = self.at_widths(fit, widths, n_steps=1)
-        if nearby is None:
-            return np.inf
-        return (deviance(nearby) - deviance(fit)) / float(np.log(NEARBY_WIDTH))
+        for name in self.corners(model):
+            widths[name] = NEARBY_WIDTH * model.values[name]
+        change = estimate.deviance_change(model.with_values(widths))
+        return change / float(np.log(NEARBY_WIDTH))
 
-    def at_widths(self, fit: Fit, widths: dict[str, float], n_steps: int) -> Fit | None:
-        """The fit with other widths of its corners; None where it fails.
+    def at_widths(
+        self, fit: Fit, widths: dict[str, float], n_steps: int
+    ) -> LikelihoodEstimate | DisturbedEstimate | None:
+        """The estimate with other widths of its corners; None where it fails.
 
         Or where a model with a memory would have too many states.
 
@@ -106,11 +114,11 @@ class CornerSharpening:
         if fit.model.memory and n_intervals * fit.model.n_states > MOST_SHARP_STATES:
             return None
         model = fit.model.with_values(widths)
-        start = replace(fit, steps=steps)
+        task = Task(model, self.aligned, l1_weights(None), None, BRIEF)
         with suppress(PhsiOptError):
-            return identify_aligned(
-                model, self.aligned, self.base.loss, start=start, settings=BRIEF
-            )
+            found = estimate_by(self.base.loss, task, replace(fit, steps=steps))
+            assert isinstance(found, LikelihoodEstimate | DisturbedEstimate)
+            return found if found.is_success else None
         return None
 
 

@@ -25,6 +25,7 @@ from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_steps import solution_of_steps
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
+from phsi_opt.model.model import Model
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
@@ -63,6 +64,10 @@ class DisturbedEstimate(Estimate):
     def n_values(self) -> int:
         """Number of measured values."""
         return self.search.problem.n_values
+
+    def deviance_change(self, model: Model) -> float:
+        """That of the plain estimate."""
+        return self.plain.deviance_change(model)
 
     @property
     def misfit(self) -> float:

@@ -16,6 +16,7 @@ from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.uncertainty import Uncertainty
+from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization, linearized
@@ -28,6 +29,7 @@ from phsi_opt.model_error.standard_errors import (
 )
 from phsi_opt.transcription.elimination import regularized_inverse
 from phsi_opt.transcription.grid import steps_per_gap
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -71,6 +73,11 @@ class LikelihoodEstimate(Estimate):
         return self.solution.residual * np.sqrt(self.n_values / 2)
 
     @property
+    def _counted_residual(self) -> np.ndarray:
+        """The same in the units of the states."""
+        return self.standardized * self.sigma[self.grid.channel]
+
+    @property
     def misfit(self) -> float:
         """Mean of ((y - x)/sigma)^2, or of Huber's function of the residuals."""
         squares = float(np.sum(self.solution.residual**2) / 2)
@@ -103,7 +110,22 @@ class LikelihoodEstimate(Estimate):
     @cached_property
     def reduced(self) -> ReducedSystem:
         """The likelihood at the solution, states eliminated."""
-        return ReducedSystem(self.linearized(), self.sigma)
+        linear = replace(self.linearized(), residual=self._counted_residual)
+        return ReducedSystem(linear, self.sigma)
+
+    def deviance_change(self, model: Model) -> float:
+        """How the deviance would change if fixed numbers were those of ``model``.
+
+        To first order and without a fit: at an optimum what is estimated adds nothing
+        of that order, and each defect counts by its multiplier (envelope theorem).
+        """
+        theta = self.unknown.by_trajectory(self.theta)
+        found = []
+        for one in (model, self.model):
+            known = KnownDefects(one, self.grid, self.loss.integrator, self.nodes, [])
+            found.append(known.at(theta).d)
+        moved = (found[0] - found[1]) * self.grid.h[:, None] / self.point.x_scale
+        return 2 * float(self.reduced.multipliers @ moved.ravel())
 
     @property
     def z(self) -> np.ndarray:
@@ -170,8 +192,8 @@ class LikelihoodEstimate(Estimate):
     @property
     def plain(self) -> PlainEstimate:
         """The estimate as one that counts residuals as white noise."""
-        residual = self.standardized * self.sigma[self.grid.channel]
-        problem = between_samples(replace(self.linearized(), residual=residual))
+        linear = replace(self.linearized(), residual=self._counted_residual)
+        problem = between_samples(linear)
         following = self.reduced.following[self.grid.sample]
         following = following.reshape(problem.nodes.size, problem.n_theta)
         return PlainEstimate(

@@ -822,6 +822,7 @@ class ReducedSystem:
     Attributes:
         information: (n_theta, n_theta), the curvature that is left for theta when the
             states follow it.
+        multipliers: (n_constraints,) of the constraints, where z is most likely.
 
     Raises:
         SolveError: the states do not follow from the parameters and the data.
@@ -836,6 +837,7 @@ class ReducedSystem:
         self._factors = found.factors
         self._coupling = found.right[:, :-1]
         self._per_theta = found.solved[:, :-1]
+        self.multipliers = found.solved[linear.nodes.size :, -1]
         shown = likelihood.border_in_shown
         curvature = shown.T @ (found.weights[:, None] * shown)
         information = curvature - self._coupling.T @ self._per_theta

@@ -175,8 +175,9 @@ class EvidenceRecord:
             larger.processes,
             replace(larger.disturbances, sigma=sigma),
         )
+        worth = self.base.log_likelihood + STRONG_EVIDENCE
         try:
-            found = self._weighing.weighed(start)
+            found = self._weighing.weighed(start, worth)
         except SolveError:
             return None
         if found.log_evidence < self.base.log_evidence + STRONG_EVIDENCE:

@@ -47,10 +47,8 @@ CLIMBS_OF_A_ROUND = 6  # steps of the sizes uphill
 SHORTEST_FORCE = 2.0
 # Gain of the evidence that makes no difference to a verdict, at which the rounds end.
 SETTLED_EVIDENCE = 0.1
-# A model that has not come to rest in so many rounds is given up, and one whose
-# evidence is so far below that of the base.
+# A model that has not come to rest in so many rounds is given up.
 ROUNDS_TO_REST = 3
-HOPELESS = 10.0
 # Size of a force, as a share of the rate in its equation, that is as good as none, and
 # one beyond which it is no disturbance of the motion but in its place.
 NO_FORCE = 1e-5
@@ -181,7 +179,8 @@ class Weighing:
 
         Args:
             start: where to begin.
-            worth: log likelihood that the base has.
+            worth: log likelihood below which what is found is of no use; rounds end
+                where no more is promised.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
@@ -227,7 +226,7 @@ class Weighing:
                 break
             if number + 1 == ROUNDS_TO_REST and not best.is_valid:
                 break
-            if best.is_valid and best.evidence < worth - HOPELESS:
+            if found.is_valid and found.evidence + promise < worth:
                 break
         assert best is not None
         if not best.is_valid:
