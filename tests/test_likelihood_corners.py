@@ -336,12 +336,12 @@ def test_other_data_are_started_from_states_as_accurate_as_the_run(
 def test_the_change_of_the_deviance_by_a_fixed_number_needs_no_fit(
     loads: ph.Measurements,
 ) -> None:
-    def estimate(stiffness: float) -> LikelihoodEstimate:
+    def estimate(damping: float) -> LikelihoodEstimate:
         model = ph.PseudoHamiltonian(
             states=["q", "p"],
             S=ph.canonical(1),
-            H=ph.formula("k*q**2/2 + p**2/(2*m)", k=stiffness, m=ph.Parameter(2.0)),
-            R=ph.damping("p"),
+            H=ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=ph.Parameter(2.0)),
+            R={"p": ph.formula("c", c=damping)},
         )
         aligned = AlignedData.of(model, loads[:1])
         task = Task(model, aligned, {}, None, SolverSettings())
@@ -349,8 +349,8 @@ def test_the_change_of_the_deviance_by_a_fixed_number_needs_no_fit(
         assert isinstance(found, LikelihoodEstimate)
         return found
 
-    here, there, beyond = (estimate(k) for k in (40.0, 40.1, 40.2))
-    # At 40.1 by both neighbours: the slope is that of the deviances, fitted anew.
+    here, there, beyond = (estimate(c) for c in (1.1, 1.101, 1.102))
+    # At 1.101 by both neighbours: the slope is that of the deviances, fitted anew.
     slope = (beyond.deviance - here.deviance) / 2
     assert there.deviance_change(beyond.model) == pytest.approx(slope, rel=0.02)
     assert there.deviance_change(there.model) == 0
