@@ -74,7 +74,8 @@ class CornerSharpening:
             widths = {}
             for name, guess in guesses.items():
                 widths[name] = blunt.values[name] * prod(guess.sharper[:stage])
-            estimate = self.at_widths(fit, widths, stage * STEPS_AT_CORNER)
+            n_steps = STEPS_AT_CORNER * (stage + 1) // 2
+            estimate = self.at_widths(fit, widths, n_steps)
             if estimate is None:
                 break
             sharper = estimate.fit()
