@@ -14,7 +14,7 @@ from problems.field_machines import disturbances
 from problems.field_machines.kinds import NOISE_LEVELS, Kind, coloured
 from problems.field_machines.records import Case, Experiment
 from problems.field_machines.sensing import Sensing, measured
-from problems.field_machines.sizes import MODEL_ERROR, Sized, Sizing
+from problems.field_machines.sizes import Sized, Sizing
 from problems.hidden_effects.truth import RunawayError
 
 ATTEMPTS = 60  # experiments drawn, before a case is given up
@@ -22,16 +22,16 @@ BESIDE = (disturbances.RANDOM_FORCE, disturbances.FUNCTION)
 COLOURED = "coloured noise"
 
 
-def draw(kind: Kind, seed: int, model_error: float = MODEL_ERROR) -> Case:
+def draw(kind: Kind, seed: int, model_error: float | None = None) -> Case:
     """The case of a kind and a seed.
 
-    ``model_error``: root mean square of the disturbance, in that of the motion's own
-    force.
+    ``model_error``: in place of that of the kind.
 
     Raises:
         ArithmeticError: no experiment shows the effect.
     """
     rng = np.random.default_rng([zlib.crc32(kind.name.encode()), seed])
+    model_error = kind.model_error if model_error is None else model_error
     noise = NOISE_LEVELS[seed % len(NOISE_LEVELS)]
     for _ in range(ATTEMPTS):
         which = int(rng.integers(len(kind.draws)))

@@ -26,13 +26,14 @@ from problems.tools import markdown
 from problems.tools.intervals import share
 from problems.tools.provenance import write
 
-DEVELOPED_ON = "developed on seeds below 600; 8000 to 8719 were seen"
+DEVELOPED_ON = "developed on seeds below 21000; those up to 33999 were seen"
 ANSWERS = (NAME, CLASS, FALSE, SILENT)
 LEVELS = markdown.enumerated(f"{100 * noise:g}" for noise in NOISE_LEVELS)
 INTRODUCTION = markdown.paragraph(f"""
     Machines that an engineer meets are simulated by SciPy
     (`problems/field_machines`, without phsi_opt), an effect hidden, and given to a
-    study with a model that lacks it. Every case has {MODEL_ERROR:.0%} of model error: a
+    study with a model that lacks it. Every case has {MODEL_ERROR:.0%} of model error,
+    or what its kind says: a
     random force, or a smooth random function of the states, whose root mean square is
     that share of the motion's own force (of those where nothing is missing, a third
     have noise that lasts instead). Noise is {LEVELS} % of a channel's root mean square.
