@@ -14,6 +14,7 @@ from itertools import count, islice
 import numpy as np
 
 from problems.field_machines.kinds import KINDS
+from problems.field_machines.sizes import MODEL_ERROR
 from problems.hidden_effects.rows import ROWS
 
 HIDDEN, FIELD = "hidden_effects", "field_machines"
@@ -77,5 +78,7 @@ def one_round(first: int, numbers: Mapping[str, int], k: int = 0) -> list[Task]:
 def _numbers_of_rows(numbers: Mapping[str, int]) -> dict[tuple[str, str], int]:
     found = {(HIDDEN, row.name): numbers[row.kind] for row in ROWS.values()}
     for kind in KINDS.values():
-        found[FIELD, kind.name] = numbers["complete" if kind.is_complete else "machine"]
+        if kind.model_error == MODEL_ERROR:
+            said = "complete" if kind.is_complete else "machine"
+            found[FIELD, kind.name] = numbers[said]
     return found
