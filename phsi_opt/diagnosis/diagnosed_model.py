@@ -10,7 +10,6 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.comparison.model_selection import (
     is_failing,
     is_like_noise,
-    leaves_noise,
 )
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
@@ -64,10 +63,6 @@ class DiagnosedModel:
     def comparisons(self) -> list[Comparison]:
         """The free runs on the training record, and on the one held out if any."""
         return [self.trained, self.judged] if self.is_held_out else [self.trained]
-
-    def is_left_with_noise(self, trained: Comparison) -> bool:
-        """Whether noise is all that a larger model leaves on the training record."""
-        return leaves_noise(self.trained, trained)
 
     def share_explained(self, rmse: float) -> float:
         """Share of the judging squared error above the noise floor that is gone.

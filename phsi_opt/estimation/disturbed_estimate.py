@@ -26,6 +26,7 @@ from phsi_opt.estimation.likelihood_steps import solution_of_steps
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model.model import Model
+from phsi_opt.model_error.ascent import SETTLED_EVIDENCE
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
@@ -39,8 +40,6 @@ from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 MOST_SOLVES = 5  # each followed by better sizes
-# Change of the logarithm of the evidence by better sizes up to which they stay.
-SETTLED_EVIDENCE = 0.1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

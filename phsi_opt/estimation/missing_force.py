@@ -18,7 +18,7 @@ from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
-from phsi_opt.model_error.ascent import climbed
+from phsi_opt.model_error.ascent import SETTLED_EVIDENCE, climbed
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.force_posterior import ForcePosterior
@@ -188,9 +188,8 @@ def estimate_force(
             fixed_times=True,
         )
         sized = climbed(found.likelihood, coordinates, channels, most_steps=8)
-        before = disturbances
         disturbances = coordinates.at(sized.vector)
-        if disturbances.distance(before) < 0.02 and found.has_converged:
+        if sized.gain < SETTLED_EVIDENCE and found.has_converged:
             break
     x = linearizer.values.point.unscaled(found.point.z)["x"]
     n_forces = len(forces) * grid.n_intervals

@@ -31,6 +31,9 @@ MOST_STEPS = 25
 # Gain of the log evidence by a step at which an ascent ends: far below what makes a
 # difference to a standard error, and about what the random signs leave open.
 LEAST_GAIN = 0.03
+# Gain by better sizes, of a record linearised where others led, at which these stay: it
+# makes no difference to a verdict.
+SETTLED_EVIDENCE = 0.1
 PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 

@@ -69,13 +69,6 @@ class Disturbances:
         """Whether there is white noise and nothing else."""
         return self.structure == Structure()
 
-    def distance(self, other: "Disturbances") -> float:
-        """The largest difference of the logarithm of a size of noise or process."""
-        changes = np.abs(np.log(self.sigma / other.sigma)).ravel().tolist()
-        for own, theirs in zip(self.processes, other.processes, strict=True):
-            changes.append(abs(float(np.log(own.size / theirs.size))))
-        return float(max(changes))
-
     def with_functions(self, functions: tuple[StateFunction, ...]) -> "Disturbances":
         """Other functions of states."""
         return replace(self, functions=functions)

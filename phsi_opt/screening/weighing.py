@@ -23,7 +23,7 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
-from phsi_opt.model_error.ascent import climbed
+from phsi_opt.model_error.ascent import SETTLED_EVIDENCE, climbed
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
@@ -45,8 +45,6 @@ STEPS_OF_A_ROUND = 12
 CLIMBS_OF_A_ROUND = 6  # steps of the sizes uphill
 # Shortest correlation time of a force, in sampling intervals.
 SHORTEST_FORCE = 2.0
-# Gain of the evidence that makes no difference to a verdict, at which the rounds end.
-SETTLED_EVIDENCE = 0.1
 # A model that has not come to rest in so many rounds is given up.
 ROUNDS_TO_REST = 3
 # Size of a force, as a share of the rate in its equation, that is as good as none, and
