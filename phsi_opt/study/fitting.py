@@ -18,6 +18,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import Follows
 from phsi_opt.presentation.numbers import proper_names
+from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.study.record import Step
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -69,6 +70,18 @@ class StudyFitting:
     def of_base(self) -> Fit:
         """The base model, fitted."""
         return identify_aligned(self.base, self.train, self.loss)
+
+    def evidence(self, fit: Fit) -> float:
+        """Log evidence of a fitted model beside a force, by all measurements.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        trained = Record.of_aligned(fit, self.train)
+        judged = None
+        if self.held_out is not None:
+            judged = Record.of_aligned(fit, self.held_out)
+        return EvidenceRecord.of(trained, judged).base.log_evidence
 
     def step(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Step:
         """A fit with its free runs on both records."""

@@ -457,8 +457,9 @@ class Study(Summarised):
             kept = self._without(effect)
             try:
                 fit = self._fitting.with_effects(self.fit, kept)
+                gain = self._fitting.evidence(fit) - self._fitting.evidence(self.fit)
             except PhsiOptError:
                 continue
-            if fit.log_evidence > self.fit.log_evidence:
+            if gain > 0:
                 self._say(f"{effect} has become superfluous")
                 self._take(f"without {effect}", kept, fit)
