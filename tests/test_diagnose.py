@@ -287,6 +287,46 @@ def test_an_effect_that_became_superfluous_is_taken_out_again() -> None:
         study.remove("cubic drag", "p")
 
 
+def test_an_effect_that_is_needed_beside_a_force_stays() -> None:
+    # The free runs alone tell too little: a force that nobody knows acts as well.
+    t = np.linspace(0, 20, 401)
+
+    def machine(k: ph.Parameter | float, loss: str, force: str) -> ph.PseudoHamiltonian:
+        return ph.PseudoHamiltonian(
+            states=["q", "p"],
+            inputs=["u"],
+            S=ph.canonical(1),
+            H=ph.formula("k*q**2/2 + p**2/2", k=k),
+            R={"p": ph.formula(loss, c=ph.Parameter(0.1, lower=0))},
+            F={"p": ph.formula(force)},
+        )
+
+    true = machine(2.3, "c + 0.3*(dH_dp**4 + 1e-6)**(-0.25)", "u + 0.15")
+    rng = np.random.default_rng(3)
+    runs, drives = [], []
+    for _ in range(2):
+        tones, phases = rng.uniform(0.4, 2.5, 5), rng.uniform(0, 6, 5)
+        u = 0.6 * np.sin(np.outer(t, tones) + phases).sum(axis=1, keepdims=True)
+        w = np.zeros(len(t))
+        kept = np.exp(-(t[1] - t[0]) / 0.3)
+        for i in range(1, len(t)):
+            w[i] = kept * w[i - 1] + np.sqrt(1 - kept**2) * rng.normal()
+        x = ph.simulate(true, t, [0.5, 0.0], u + 0.3 * w[:, None])
+        x[:, 0] += 0.003 * rng.normal(size=len(t))
+        x[:, 1] = np.nan
+        runs.append(x)
+        drives.append(u)
+    data = ph.Measurements.from_arrays(
+        [t] * 2, runs, drives, states=["q", "p"], inputs=["u"]
+    )
+    base = machine(ph.Parameter(2.0, lower=0), "c", "u")
+    study = ph.Study(base, data[:1], held_out=data[1:])
+    study.add("coulomb friction", "p")
+    study.add("constant force", "p")
+    study._check_earlier()
+    assert len(study.added) == 2
+
+
 def test_a_tie_names_the_experiment_that_would_separate_it() -> None:
     data = measured(truth(F="0.3"), seed=6)
     train, test = data.split(0.7)
