@@ -14,8 +14,10 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model, built_of
+from phsi_opt.model_error import joint_estimate
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.model_error.linearization import Linearizer
+from phsi_opt.optimization import chained
 from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.outcome import DIRECT_STEPS
 from phsi_opt.transcription.alignment import AlignedData
@@ -310,6 +312,18 @@ def test_many_states_are_solved_as_few_are() -> None:
     for name, value in by_ipopt.values.items():
         close = pytest.approx(value, abs=1e-2 * by_ipopt.std_errors[name])
         assert fit.values[name] == close
+
+
+def test_the_band_of_many_states_that_samples_measure_is_never_filled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # With 400 states it would take 54 gigabytes.
+    monkeypatch.setattr(joint_estimate, "SLOW", 0.0)  # every step is slow
+    monkeypatch.setattr(chained, "Banded", None)
+    loss = ph.MaximumLikelihood(steps=1)
+    data = state_growth.data(MANY_MASSES, 100)
+    fit = ph.identify(state_growth.model(MANY_MASSES), data, loss)
+    assert fit.outcome.status == DIRECT_STEPS and fit.outcome.success
 
 
 # --- Dry friction: a body that sticks

@@ -127,7 +127,6 @@ def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> Non
     fit = ph.identify(oscillator(1.0), data)
     record = EvidenceRecord.of(ph.compare(fit, data).record, None)
     base = record.base
-    assert base.is_settled
     problem = record._weighing.problem(base.start)
     problem = problem.tilted(problem.optimum(problem.values.point.scaled, 0))
     for place, spread in enumerate(np.sqrt(np.diag(base.covariance))):

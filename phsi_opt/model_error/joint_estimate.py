@@ -32,6 +32,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     noise_weights,
 )
 from phsi_opt.optimization.bounded_step import SILENT, Room
+from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.outcome import is_level
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
@@ -191,6 +192,19 @@ class JointProblem:
         """`tilt`, (n_theta,)."""
         return np.zeros(len(self.values.unknown)) if self.tilt is None else self.tilt
 
+    @cached_property
+    def _may_curve(self) -> bool:
+        """Whether the curvature of the dynamics may take part.
+
+        Not where samples measure all of many states: these are solved for by their own
+        curvature, which is diagonal (`optimization.chained`). The band of the whole
+        would take four times the memory, and tens of gigabytes for 400 states.
+        """
+        grid = self.values.grid
+        is_many = self.values.n_states >= FEWEST_STATES
+        is_chained = is_many and bool(np.all(grid.measured[grid.sample]))
+        return len(self.moving) > 0 and not is_chained
+
     def linearized(
         self,
         z: np.ndarray,
@@ -296,7 +310,7 @@ class JointProblem:
             if is_whole:
                 shorter = aim.length / length if n_steps > 1 else contraction
                 contraction, length = min(shorter, 1.0), aim.length
-            if len(self.moving) and (not is_whole or contraction > SLOW):
+            if self._may_curve and (not is_whole or contraction > SLOW):
                 is_curved = True
             if there is None:
                 damping = max(10 * damping, LEAST_STEP_DAMPING)

@@ -128,7 +128,6 @@ class EvidenceRecord:
             aligned=self.aligned,
             n_fitted=self.n_fitted,
             n_states=self.states.shape[1],
-            known=frozenset(self.first.entries),
             channels=self.channels,
             least_noise=self.least_noise,
             longest=max(times, default=np.inf),

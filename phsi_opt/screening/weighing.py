@@ -75,7 +75,6 @@ class Weighed:
         disturbances: noise, forces and errors of sensors, with their sizes.
         force_shares: root mean square of each force over that of the rates in its
             equation, by the number of the equation.
-        is_settled: whether the last steps came to rest.
     """
 
     model: Model
@@ -90,7 +89,6 @@ class Weighed:
     processes: tuple[np.ndarray, ...] = field(repr=False)
     disturbances: Disturbances = field(repr=False)
     force_shares: Mapping[int, float]
-    is_settled: bool
 
     @property
     def log_held_out(self) -> float:
@@ -151,7 +149,6 @@ class Weighing:
         aligned: the measurements, those of the fit first.
         n_fitted: number of trajectories that the fit was made from.
         n_states: of the smallest model; further ones are the memory of an effect.
-        known: names of all numbers of the smallest model.
         channels: measured states whose noise is not known.
         least_noise: (n_states,) below which that does not fall.
         longest: correlation time of a force, at most.
@@ -161,7 +158,6 @@ class Weighing:
     aligned: AlignedData
     n_fitted: int
     n_states: int
-    known: frozenset[str]
     channels: tuple[int, ...]
     least_noise: np.ndarray
     longest: float
@@ -233,7 +229,7 @@ class Weighing:
                 f"(largest violation {best.joint.violation:.2g}, last step of "
                 f"{best.joint.length:.2g} standard deviations)."
             )
-        return self._result(problem, best, found.is_valid)
+        return self._result(problem, best)
 
     def problem(self, start: Start) -> JointProblem:
         """Parameters, states and forces together, as a start has them."""
@@ -282,9 +278,7 @@ class Weighing:
             forces.append(replace(force, size=size))
         return replace(sizes, forces=tuple(forces)), found.gain
 
-    def _result(
-        self, problem: JointProblem, found: "_Found", is_settled: bool
-    ) -> Weighed:
+    def _result(self, problem: JointProblem, found: "_Found") -> Weighed:
         point = problem.values.point
         unknown = problem.values.unknown
         values = point.unscaled(found.joint.point.z)
@@ -292,7 +286,7 @@ class Weighing:
         states = values["x"].reshape(point.x.shape)
         model = problem.values.model
         means = unknown.means(theta).tolist()
-        price = self._price(problem, states)
+        price = self._price(states)
         likelihood, sizes = found.likelihood, found.sizes
         borders = likelihood.borders_by_run(sizes)
         fitted = Border.sum(borders[: self.n_fitted])
@@ -331,10 +325,9 @@ class Weighing:
             processes=tuple(processes),
             disturbances=sizes,
             force_shares=shares,
-            is_settled=is_settled,
         )
 
-    def _price(self, problem: JointProblem, states: np.ndarray) -> float:
+    def _price(self, states: np.ndarray) -> float:
         """Of starting states, flat over the range of their motion."""
         n_own = self.n_states
         spread = np.std(states[:, :n_own], axis=0) + TINY
