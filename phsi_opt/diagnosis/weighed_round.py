@@ -121,7 +121,8 @@ def _candidate(
 ) -> Candidate:
     """An effect with what it weighs."""
     alone = record.base
-    names = _new(base, one, weighed)
+    # Those of its parameters that all trajectories share.
+    names = new_names(base.fit.model, one.effect, weighed.names)
     places = [weighed.names.index(name) for name in names]
     size = size_of(
         one.effect,
@@ -160,11 +161,6 @@ def _outside(weighed: Weighed, names: Sequence[str]) -> str:
             _, _, inner = name.partition(".")
             return f"its {inner or 'size'} ended at a bound"
     return ""
-
-
-def _new(base: DiagnosedModel, one: Screened, weighed: Weighed) -> list[str]:
-    """Names of the effect's parameters, those that all trajectories share."""
-    return new_names(base.fit.model, one.effect, weighed.names)
 
 
 def _in_order(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -152,10 +152,9 @@ class EvidenceRecord:
         try:
             return self._weighing.weighed(start)
         except SolveError:
-            forces = []
-            for force in self.disturbances.forces:
-                forces.append(replace(force, size=SMALLER * force.size))
-            small = replace(self.disturbances, forces=tuple(forces))
+            forces = self.disturbances.forces
+            smaller = tuple(replace(one, size=SMALLER * one.size) for one in forces)
+            small = replace(self.disturbances, forces=smaller)
             return self._weighing.weighed(replace(start, disturbances=small))
 
     def better_from(self, larger: Weighed) -> "EvidenceRecord | None":
@@ -301,7 +300,7 @@ class EvidenceRecord:
                 continue
             function = StateFunction(equation, state, size)
             sizes = base.disturbances.with_functions((function,))
-            start = replace(base.start, model=self.first, disturbances=sizes)
+            start = replace(base.start, disturbances=sizes)
             try:
                 found = self._weighing.weighed(start)
             except SolveError:

@@ -87,10 +87,10 @@ class ScoreTest:
         whole = part = Sensitivities(self.linearized, trial)
         points = _combinations(trial.tried)
         n_tried = len(points)
-        is_wave = trial.frequency is not None and trial.scanned is not None
-        if (is_wave or n_tried > 1) and self.linearized.part is not self.linearized:
+        is_long = self.linearized.part is not self.linearized
+        if is_long and (trial.scanned or n_tried > 1):
             part = Sensitivities(self.linearized.part, trial)
-        if trial.frequency is not None and trial.scanned is not None:
+        if trial.frequency and trial.scanned:
             along = self._along(trial.scanned)
             if not np.ptp(along) > 0:
                 return None

@@ -260,14 +260,13 @@ class Weighing:
         problem = likelihood.problem
         rates = self.rates
         n_more = problem.n_states - len(self.least_noise)
-        functions = [float(rates[f.equation]) for f in sizes.functions]
         coordinates = Coordinates(
             origin=sizes,
             channels=self.channels,
             least_noise=np.r_[self.least_noise, np.zeros(n_more)],
             shortest=SHORTEST_FORCE * float(np.median(problem.grid.h)),
             longest=self.longest,
-            largest_functions=tuple(functions),
+            largest_functions=tuple(rates[[f.equation for f in sizes.functions]]),
         )
         found = climbed(likelihood, coordinates, self.channels, CLIMBS_OF_A_ROUND)
         sizes = coordinates.at(found.vector)
