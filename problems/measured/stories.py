@@ -39,7 +39,7 @@ from problems.tools import markdown
 from problems.tools.data_paths import folder, is_present
 from problems.tools.provenance import write
 
-MOST_STEPS = 3  # of a study
+MOST_STEPS = 3  # that are added; the model after them is diagnosed too
 SECONDS_ASKED = 20.0  # of a processor, for one step
 
 Records = tuple[ph.Measurements, ph.Measurements]
