@@ -70,7 +70,7 @@ LEAST_ERROR_EXPLAINED = 0.3
 SHARPER_CORNER_DEVIANCE = 4.0
 # Widths of a corner within which the steps between samples are finer.
 CORNER_WIDTHS = 4.0
-# Steps between samples there, and half as many more at each sharper width: very sharp
+# Steps between samples there, and half as many more from the third width on: very sharp
 # friction is stiff, and with steps that are too long a body that sticks trembles.
 STEPS_AT_CORNER = 8
 # States at all nodes of a model with a memory beyond which its corners stay as they

@@ -74,7 +74,7 @@ class CornerSharpening:
             widths = {}
             for name, guess in guesses.items():
                 widths[name] = blunt.values[name] * prod(guess.sharper[:stage])
-            n_steps = STEPS_AT_CORNER * (stage + 1) // 2
+            n_steps = STEPS_AT_CORNER * max(stage, 2) // 2
             estimate = self.at_widths(fit, widths, n_steps)
             if estimate is None:
                 break

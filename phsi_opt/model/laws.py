@@ -51,8 +51,8 @@ DELAYS = (
 # flat, so that the share costs no friction at the velocities beyond it.
 FRICTION_TURNOVER = 0.06
 # Factors by which the turnover is then made sharper, where that fits better. By a
-# quarter once more, the steps of a fit of 10 000 samples went to and fro for 17 steps.
-SHARPER_TURNOVERS = (0.25, 0.5, 0.5, 0.5, 0.5)
+# quarter at once, the steps of fits of 10 000 samples went to and fro 20 times.
+SHARPER_TURNOVERS = (0.5,) * 6
 # Stribeck speeds to try, as shares of the largest velocity.
 STRIBECK_SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.45)
 # Levels at which a saturating leak has half its conductance, to try, as shares of the
