@@ -96,8 +96,11 @@ class ScoreTest:
                 return None
             tried = frequency_grid(grid, along)
             n_tried = len(tried)
-            search = best_frequency if trial.scanned == "t" else best_of_all
-            points = [{trial.frequency: search(whole, part, trial.frequency, tried)}]
+            name = trial.frequency
+            if trial.scanned == "t":
+                points = [{name: best_frequency(whole, part, name, tried)}]
+            else:
+                points = [{name: best_of_all(part, name, tried)}]
             part = whole
         best = _best(part, points)
         if len(trial.tried) == 1 and n_tried > 1:

@@ -49,9 +49,7 @@ def best_frequency(
     return float(tried[max(gains, key=lambda place: gains[place])])
 
 
-def best_of_all(
-    _: Sensitivities, part: Sensitivities, name: str, tried: np.ndarray
-) -> float:
+def best_of_all(part: Sensitivities, name: str, tried: np.ndarray) -> float:
     """The same of frequencies (n_tried,), each worked out on the part.
 
     For waves along a state: a Fourier sum tells little of them, as a slow motion gives

@@ -189,11 +189,10 @@ class Weighing:
         processes = None
         if start.processes is not None:
             processes = np.concatenate([np.zeros(0), *start.processes])
+            problem = problem.tilted(problem.optimum(z, 0))
         best = None
         names = problem.values.unknown.names
         held = [names.index(name) for name in start.held]
-        if processes is not None:
-            problem = problem.tilted(problem.optimum(z, 0))
         problem = replace(problem, moving=np.delete(problem.moving, held))
         # Beside a force that was never met with these parameters they stay at first:
         # free ones may run from a large force to where nothing is alike.

@@ -20,9 +20,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from problems.tools import markdown, provenance
+from problems.tools import markdown
 from problems.tools.intervals import share
-from problems.tools.seeds import asked
+from problems.tools.seeds import ask_and_write
 
 FIRST_SEED = 40_000
 N_SEEDS = 40
@@ -132,16 +132,5 @@ def page(answers: dict[str, Answer]) -> str:
     return "\n".join([*lines, markdown.lines(head, rows)])
 
 
-def main() -> None:
-    """Ask, and write the page."""
-    answers = asked(answer, FIRST_SEED, N_SEEDS)
-    if str(FIRST_SEED) in answers:
-        provenance.write("drag_crisis.md", page(answers))
-        return
-    for name, one in answers.items():
-        print(name, one)
-    print(page(answers))
-
-
 if __name__ == "__main__":
-    main()
+    ask_and_write(answer, FIRST_SEED, N_SEEDS, page, "drag_crisis.md")

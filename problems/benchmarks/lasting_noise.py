@@ -19,9 +19,8 @@ import numpy as np
 import phsi_opt as ph
 from problems.benchmarks.disturbed_oscillator import Disturbance, Layout, model
 from problems.benchmarks.oscillator_records import records
-from problems.tools import provenance
 from problems.tools.intervals import share
-from problems.tools.seeds import asked
+from problems.tools.seeds import ask_and_write
 
 FIRST_SEED = 30_000
 N_SEEDS = 100
@@ -59,8 +58,9 @@ def answer(seed: int) -> Answer:
     return Answer(str(diagnosis.verdict), kinds, float(force))
 
 
-def page(answers: list[Answer], first: int) -> str:
+def page(by_seed: dict[str, Answer]) -> str:
     """The page of all answers."""
+    seeds, answers = list(by_seed), list(by_seed.values())
     n = len(answers)
     silent = sum(one.verdict == ph.Verdict.NOTHING_MISSING for one in answers)
     forces = sum("force" in one.kinds for one in answers)
@@ -72,7 +72,7 @@ def page(answers: list[Answer], first: int) -> str:
 
 A driven oscillator whose model is right, its position alone measured, in {LAYOUT.runs}
 runs of {LAYOUT.samples} samples. The noise of 0.02 m has a lag-one correlation of
-{CORRELATION}. Seeds {first} to {first + n - 1}, not looked at before.
+{CORRELATION}. Seeds {seeds[0]} to {seeds[-1]}, not looked at before.
 
 - Verdict "nothing missing": {share(silent, n)} of {n}. All verdicts: {by_verdict}.
 - The fit finds no force by evidence: {share(n - forces, n)} of {n}.
@@ -82,16 +82,5 @@ runs of {LAYOUT.samples} samples. The noise of 0.02 m has a lag-one correlation 
 """
 
 
-def main() -> None:
-    """Ask, and write the page."""
-    found = asked(answer, FIRST_SEED, N_SEEDS)
-    answers = list(found.values())
-    first = int(next(iter(found)))
-    if first == FIRST_SEED:
-        provenance.write("lasting_noise.md", page(answers, first))
-    else:
-        print(page(answers, first))
-
-
 if __name__ == "__main__":
-    main()
+    ask_and_write(answer, FIRST_SEED, N_SEEDS, page, "lasting_noise.md")

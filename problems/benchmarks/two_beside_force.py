@@ -21,9 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import phsi_opt as ph
-from problems.tools import markdown, provenance
+from problems.tools import markdown
 from problems.tools.intervals import share
-from problems.tools.seeds import asked
+from problems.tools.seeds import ask_and_write
 
 Array = np.ndarray
 Law = Callable[[Array, Array, Array], Array]  # of position, velocity and input
@@ -259,16 +259,5 @@ def page(answers: dict[str, Answer]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Ask, and write the page."""
-    answers = asked(answer, FIRST_SEED, N_SEEDS)
-    if str(FIRST_SEED) in answers:
-        provenance.write("two_beside_force.md", page(answers))
-        return
-    for name, one in answers.items():
-        print(name, one)
-    print(page(answers))
-
-
 if __name__ == "__main__":
-    main()
+    ask_and_write(answer, FIRST_SEED, N_SEEDS, page, "two_beside_force.md")

@@ -1,28 +1,43 @@
-"""One question asked of many seeds."""
+"""One question asked of many seeds, and the page of the answers."""
 
 from collections.abc import Callable
 from typing import TypeVar
 
 from phsi_opt.sweeps.sweep import sweep
+from problems.tools import provenance
 from problems.tools.command_line import option
 from problems.tools.workers import workers
 
 Answer = TypeVar("Answer")
 
 
-def asked(
-    answer: Callable[[int], Answer], first: int, n_seeds: int
-) -> dict[str, Answer]:
-    """The answer to each seed, side by side; the command line may choose others.
+def ask_and_write(
+    answer: Callable[[int], Answer],
+    first: int,
+    n_seeds: int,
+    page: Callable[[dict[str, Answer]], str],
+    name: str,
+) -> None:
+    """Ask every seed, side by side, and write the page.
+
+    The command line may choose other seeds; their page is only printed.
 
     Args:
         answer: what a seed gives.
-        first: seed, where there is no ``--first``.
+        first: seed of the page.
         n_seeds: how many, where there is no ``--seeds``.
+        page: of all answers.
+        name: of its file.
     """
-    first = int(option("first", str(first)))
-    n_seeds = int(option("seeds", str(n_seeds)))
-    cases = {str(seed): seed for seed in range(first, first + n_seeds)}
+    begin = int(option("first", str(first)))
+    n_asked = int(option("seeds", str(n_seeds)))
+    cases = {str(seed): seed for seed in range(begin, begin + n_asked)}
     with workers() as executor:
         found = {d.key: d.result for d in sweep(answer, cases, executor=executor)}
-    return {name: found[name] for name in cases}
+    answers = {seed: found[seed] for seed in cases}
+    if begin == first:
+        provenance.write(name, page(answers))
+        return
+    for seed, one in answers.items():
+        print(seed, one)
+    print(page(answers))
