@@ -552,7 +552,7 @@ def test_the_steps_end_where_the_marginal_likelihood_says(
     assert d.structure == BESIDE[kind].structure
     search = estimate.search
     likelihood = MarginalLikelihood(search.problem, d.structure, search.moving)
-    step = likelihood.smoothed(d)
+    step = likelihood.smoothed(likelihood.eliminated(d), d)
     std_error = np.sqrt(np.diag(likelihood.at(d).covariance))
     limit = 0.1 if d.functions else 1e-3  # functions are those of the states before
     assert np.abs(step.theta / std_error).max() < limit

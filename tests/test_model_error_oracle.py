@@ -27,11 +27,12 @@ from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbance_search import BRIEF_GAIN
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Smoothed
 from phsi_opt.model_error.processes import Process
 from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.elimination import REGULAR
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 NOISE = 0.05
@@ -288,6 +289,10 @@ def likelihood_of(
     return MarginalLikelihood(problem, d.structure, moving)
 
 
+def smoothed_by(likelihood: MarginalLikelihood, d: Disturbances) -> Smoothed:
+    return likelihood.smoothed(likelihood.eliminated(d, REGULAR), d)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_evidence_is_that_of_dense_restricted_likelihood(
@@ -375,7 +380,7 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
     moving = np.arange(3)
     dense = Dense.of(problem, moving)
     d = cases(problem)[kind]
-    found = likelihood_of(problem, d, moving).smoothed(d)
+    found = smoothed_by(likelihood_of(problem, d, moving), d)
 
     inverse = np.linalg.inv(dense.errors(d))
     design = dense.design
@@ -782,7 +787,7 @@ def distance_at(steps: int) -> Distance:
         gains.append(here - there.log_likelihood)
     force = Process(1, 0.5, 2.0)
     d = Disturbances(np.full((1, 2), NOISE), (force,))
-    found = likelihood_of(problem, d, NONE).smoothed(d)
+    found = smoothed_by(likelihood_of(problem, d, NONE), d)
     expected = Continuous(k, 0.3, force, NOISE).smoothed(t, y)
     grid = problem.grid
     x = (problem.nodes + found.x * problem.x_scale)[grid.sample]
@@ -910,7 +915,7 @@ def test_smoothed_states_and_forces_are_those_of_statsmodels() -> None:
     problem = estimate.linearized()
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
-        ours = likelihood_of(problem, d, NONE).smoothed(d)
+        ours = smoothed_by(likelihood_of(problem, d, NONE), d)
         theirs = of_statsmodels(problem, d, "approximate_diffuse").smoothed_state
         # States and forces are of the order of one; rounding beside a variance of 1e7.
         np.testing.assert_allclose(ours.x, theirs[:2].T, atol=1e-6)

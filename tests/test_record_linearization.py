@@ -164,7 +164,7 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     whole = np.linalg.solve(kkt, np.r_[pull, -there.g])
     noise = Disturbances(np.tile(sigma, (len(RUNS), 1)))
     kernel = MarginalLikelihood(linear, noise.structure, np.arange(n))
-    found = kernel.smoothed(noise)
+    found = kernel.smoothed(kernel.eliminated(noise, REGULAR), noise)
     close(np.r_[found.theta, found.x.ravel()], whole[:n_z])
     alike(found.multipliers, whole[n_z:])
     # So it does where a state, or a parameter, does not move.
@@ -174,13 +174,15 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     kkt[0, :] = kkt[:, 0] = 0.0
     kkt[0, 0] = 1.0
     whole = np.linalg.solve(kkt, np.r_[0.0, pull[1:], -there.g])
-    found = kernel.smoothed(noise, room=room, held=np.array([1]))
+    found = kernel.smoothed(
+        kernel.eliminated(noise, REGULAR, np.array([1])), noise, room=room
+    )
     close(np.r_[found.theta, found.x.ravel()], whole[:n_z])
     alike(found.multipliers, whole[n_z:])
     # And beside a white force, whose variance softens the dynamics.
     softness = rng.uniform(0.1, 1.0, len(J))
     soft = MarginalLikelihood(linear, noise.structure, np.arange(n), softness)
-    found = soft.smoothed(noise)
+    found = soft.smoothed(soft.eliminated(noise, REGULAR), noise)
     H[range(n), range(n)] += RIDGE
     by_force = J.T / softness
     direct = np.linalg.solve(H + by_force @ J, pull - by_force @ there.g)

@@ -11,14 +11,15 @@ The sizes of noise and disturbances are given (`Disturbances`). Without a tilt a
 most likely together; with the slope of -1/2 log|det K| in theta, the volume of what is
 integrated out, the parameters are most likely by themselves. Each step linearises the
 record and goes to the optimum of what is then linear, by one banded factorisation
-(Gauss and Newton). It has to lower an augmented Lagrangian, which tells what the
-objective would be if the dynamics held (Nocedal and Wright, Numerical Optimization,
-2006, chapter 17). Else it is corrected for the curvature that was met (Maratos; chapter
-18), halved, and at last damped. Once steps shrink slowly, as where forces are large,
+(Gauss and Newton). It has to lead where the objective or the violation of the dynamics
+is lower than at every place before (a filter; Fletcher and Leyffer, Mathematical
+Programming 91, 2002). Else it is corrected for the curvature that was met (Maratos;
+Nocedal and Wright, Numerical Optimization, 2006, chapter 18), halved, and at last
+damped. Once steps shrink slowly, as where forces are large,
 the curvature of the dynamics takes part: then they are Newton's.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +28,7 @@ from phsi_opt.interrupts import solving
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Curvature, Linearization, Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
+    Eliminated,
     MarginalLikelihood,
     Smoothed,
     noise_weights,
@@ -34,6 +36,7 @@ from phsi_opt.model_error.marginal_likelihood import (
 from phsi_opt.optimization.bounded_step import SILENT, Room
 from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.outcome import is_level
+from phsi_opt.transcription.elimination import REGULAR
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 # Steps of a problem that others follow, with other noise or another size of the force.
@@ -49,6 +52,9 @@ SLOW = 0.3
 # curvature, which may lead uphill.
 MOST_TRIED = 8
 MOST_TRIED_CURVED = 3
+# Share of a violation that a step lessens, or that the objective falls by (Fletcher and
+# Leyffer).
+LEAST_FALL = 1e-5
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
 # Violation up to which a search that did not settle is of use: beside a kink of the
 # model, or for a start.
@@ -293,20 +299,22 @@ class JointProblem:
             place = replace(before.place, problem=self, likelihood=likelihood)
             contraction = before.contraction
         n_steps = 0
+        passed = _Filter()
         has_converged = is_curved = False
         damping = 0.0
         length = np.inf
         objectives: list[float] = []
         while not has_converged and n_steps < most_steps:
             n_steps += 1
+            passed.add(place)
             there = None
             if is_curved:
                 aim = place.curved().aim(0.0)
-                there = self._lower(place, aim, MOST_TRIED_CURVED)
+                there = self._lower(place, aim, passed, MOST_TRIED_CURVED)
             is_whole = there is not None or damping == 0
             if there is None:
                 aim = place.aim(damping)
-                there = self._lower(place, aim)
+                there = self._lower(place, aim, passed)
             if is_whole:
                 shorter = aim.length / length if n_steps > 1 else contraction
                 contraction, length = min(shorter, 1.0), aim.length
@@ -333,26 +341,26 @@ class JointProblem:
         return JointEstimate(place, n_steps, has_converged, length, contraction)
 
     def _lower(
-        self, place: "_Place", aim: "_Aim", most_tried: int = MOST_TRIED
+        self,
+        place: "_Place",
+        aim: "_Aim",
+        passed: "_Filter",
+        most_tried: int = MOST_TRIED,
     ) -> "_Place | None":
         """The first place on the way to the aim, halved again and again, that is lower.
 
         None where there is none.
         """
-        cost = place.cost(aim.multipliers)
-        # A tenth of what the step promises to lower (Armijo).
-        promise = 0.1 * (place.price(aim.multipliers) + aim.length**2 / 2)
-        if aim.length < 1e-2:  # what it gains is beyond the accuracy of numbers
-            promise = -np.inf
+        # What so short a step gains is beyond the accuracy of numbers.
+        is_short = aim.length < 1e-2
         for n_halvings in range(most_tried):
-            share = 0.5**n_halvings
-            there = self._moved(place, place.point.towards(aim.point, share))
-            if there.cost(aim.multipliers) < cost - share * promise:
+            there = self._moved(place, place.point.towards(aim.point, 0.5**n_halvings))
+            if (is_short and np.isfinite(there.objective)) or passed.lets_pass(there):
                 return replace(there.renewed(), multipliers=aim.multipliers)
-            again = there.corrected() if share == 1 else None
+            again = there.corrected(place.eliminated) if n_halvings == 0 else None
             if again is not None:
                 there = self._moved(there, again)
-                if there.cost(aim.multipliers) < cost - promise:
+                if passed.lets_pass(there):
                     return replace(there.renewed(), multipliers=aim.multipliers)
         return None
 
@@ -369,6 +377,30 @@ class JointProblem:
     def _at(self, z: np.ndarray) -> PointValues:
         with solving():
             return self.values.at(z)
+
+
+@dataclass(eq=False)
+class _Filter:
+    """The places that steps have passed, which no later one may be as bad as in both.
+
+    Attributes:
+        objectives: at each of them; ``missed``: sums of violations there.
+    """
+
+    objectives: list[float] = field(default_factory=list)
+    missed: list[float] = field(default_factory=list)
+
+    def add(self, place: "_Place") -> None:
+        """One more place."""
+        self.objectives.append(place.objective)
+        self.missed.append(place.missed)
+
+    def lets_pass(self, place: "_Place") -> bool:
+        """Whether a place is clearly lower than each of them, in one of both."""
+        missed = np.array(self.missed)
+        is_lower = place.objective < self.objectives - LEAST_FALL * missed
+        holds_better = place.missed < (1 - LEAST_FALL) * missed
+        return bool(np.all(is_lower | holds_better) and np.isfinite(place.objective))
 
 
 @dataclass(frozen=True, eq=False)
@@ -484,34 +516,10 @@ class _Place:
         """The largest violation of the dynamics that hold."""
         return float(np.max(np.abs(self._excess[self._holds]), initial=0.0))
 
-    def cost(self, multipliers: np.ndarray) -> float:
-        """The augmented Lagrangian, an estimate of the objective where dynamics hold.
-
-        Infinite where values or slopes are no numbers.
-        """
-        if not np.isfinite(self.objective):
-            return np.inf
-        cost = self.objective + float(multipliers @ self._missed)
-        return cost + self.price(multipliers)
-
-    def price(self, multipliers: np.ndarray) -> float:
-        """Of violations squared, as large as their multipliers or these on average.
-
-        Where parameters stay, of violations at twice the largest multiplier, an exact
-        penalty (Han 1977): beside sharp corners steps ended at forces that are not
-        there.
-        """
-        sizes = np.abs(multipliers) * self._holds
-        if not len(self.problem.moving):
-            missed = float(np.sum(np.abs(self._missed)))
-            return 2 * float(np.max(sizes, initial=0.0)) * missed
-        typical = np.sum(sizes) / max(np.sum(self._holds), 1)
-        return float(np.maximum(sizes, typical) @ self._missed**2) / 2
-
     @cached_property
-    def _missed(self) -> np.ndarray:
-        """Violations of the dynamics that hold, zero for the others."""
-        return np.where(self._holds, self._excess, 0.0)
+    def missed(self) -> float:
+        """Sum of all violations of the dynamics that hold."""
+        return float(np.sum(np.abs(self._excess[self._holds])))
 
     @cached_property
     def objective(self) -> float:
@@ -550,7 +558,7 @@ class _Place:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        found = self._within_bounds(self.likelihood, damping)
+        found = self._within_bounds(self.eliminated, damping)
         point = self._moved_by(found)
         return _Aim(
             point=point,
@@ -558,9 +566,16 @@ class _Place:
             multipliers=found.multipliers,
         )
 
-    def _within_bounds(
-        self, likelihood: MarginalLikelihood, damping: float
-    ) -> Smoothed:
+    @cached_property
+    def eliminated(self) -> Eliminated:
+        """States and processes of the record linearised here, none of them held.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        return self.likelihood.eliminated(self.problem.disturbances, REGULAR)
+
+    def _within_bounds(self, eliminated: Eliminated, damping: float) -> Smoothed:
         """The optimum within the bounds; states at one that lead out of it are held.
 
         Defects that do not hold curve directions about which the data say nothing:
@@ -576,29 +591,33 @@ class _Place:
         is_low, is_high = z[x] <= values.lower[x], z[x] >= values.upper[x]
         is_held = np.zeros(len(is_low), dtype=bool)
         while True:
-            found = likelihood.smoothed(
-                problem.disturbances,
-                damping,
-                room,
-                silent_share,
-                np.flatnonzero(is_held),
+            found = self.likelihood.smoothed(
+                eliminated, problem.disturbances, damping, room, silent_share
             )
             step = found.x.ravel()
             leads_out = (is_low & (step < 0)) | (is_high & (step > 0))
             if not np.any(leads_out & ~is_held):
                 return found
             is_held |= leads_out
+            eliminated = self.likelihood.eliminated(
+                problem.disturbances, REGULAR, np.flatnonzero(is_held)
+            )
 
-    def corrected(self) -> JointPoint | None:
+    def corrected(self, eliminated: Eliminated) -> JointPoint | None:
         """The optimum by the slopes of the place before: what curvature made is undone.
 
         None where a value is no number.
+
+        Args:
+            eliminated: states and processes by those slopes.
         """
         if not np.isfinite(self.violation):
             return None
         known = self.known
-        other = self.likelihood.at_values(known.misfit, known.g)
-        return self._moved_by(self._within_bounds(other, 0.0))
+        likelihood = self.likelihood.at_values(known.misfit, known.g)
+        other = replace(self, likelihood=likelihood)
+        again = likelihood.solved_again(eliminated)
+        return self._moved_by(other._within_bounds(again, 0.0))
 
     def _moved_by(self, found: Smoothed) -> JointPoint:
         step = np.concatenate([found.theta, found.x.ravel()])

@@ -525,8 +525,7 @@ class MarginalLikelihood:
         if problem.curvature is not None:
             mixed = problem.curvature.mixed[:, self.moving]
             right[: len(mixed), :n_theta] += mixed
-        right[:n, n_border] = self.shown_transposed @ (squared * problem.residual)
-        right[n:, n_border] = -problem.offset
+        right[:, n_border] = self._right_of_data(squared)
         log_noise = float(np.sum(np.log(weight)))
         return Eliminated(
             weights=squared,
@@ -536,6 +535,18 @@ class MarginalLikelihood:
             whiteners=whiteners,
             log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
         )
+
+    def _right_of_data(self, weights: np.ndarray) -> np.ndarray:
+        """Right-hand side of the measured values, (n_unknowns + n_dynamics,)."""
+        of_values = self.shown_transposed @ (weights * self.problem.residual)
+        return np.concatenate([of_values, -self.problem.offset])
+
+    def solved_again(self, eliminated: "Eliminated") -> "Eliminated":
+        """The same for other values and offsets, where the slopes are the same."""
+        right, solved = eliminated.right.copy("F"), eliminated.solved.copy("F")
+        right[:, -1] = self._right_of_data(eliminated.weights)
+        solved[:, -1] = eliminated.factors.solve(right[:, -1])
+        return replace(eliminated, right=right, solved=solved)
 
     def border(self, disturbances: Disturbances) -> Border:
         """What is left when states and processes are integrated out.
@@ -595,27 +606,26 @@ class MarginalLikelihood:
 
     def smoothed(
         self,
+        eliminated: "Eliminated",
         disturbances: Disturbances,
         damping: float = 0.0,
         room: Room = ANY_ROOM,
         silent_share: float = SILENT,
-        held: np.ndarray = NOTHING_HELD,
     ) -> Smoothed:
         """The most likely parameters, states and disturbances.
 
         Args:
+            eliminated: states and processes, in terms of the border.
             disturbances: with their sizes.
             damping: share of each parameter's information that is added to it, for a
                 shorter step.
             room: how far the parameters may move, (n_moving,).
             silent_share: of the largest information, up to which parameters do not
                 move.
-            held: places of states that do not move, (n_held,).
 
         Raises:
-            SolveError: the states do not follow from the data.
+            SolveError: rounding has made the information indefinite.
         """
-        eliminated = self.eliminated(disturbances, REGULAR, held)
         sizes = disturbances.function_sizes
         border = self._border_of(eliminated, 0.0)
         border = border.tilted(self.problem.slope[self.moving])

@@ -97,9 +97,7 @@ def measured(truth: ph.PseudoHamiltonian, n: int, seed: int) -> ph.Measurements:
     q = q + NOISE * np.std(q, axis=0) * rng.normal(size=q.shape)
     states[:, :n_masses] = q
     states[:, n_masses:] = np.nan  # nobody measured p
-    return ph.Measurements.from_arrays(
-        t, states, u, states=truth.states, inputs=["u"]
-    )
+    return ph.Measurements.from_arrays(t, states, u, states=truth.states, inputs=["u"])
 
 
 def timed(n: int, n_masses: int = 1) -> list[str]:

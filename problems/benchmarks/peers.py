@@ -135,7 +135,8 @@ def _iteration(estimate: LikelihoodEstimate) -> float:
 
     def work() -> None:
         there = linearizer.at(z, values.at(z))
-        kernel.relinearized(there).smoothed(noise, room=problem.room(z))
+        moved = kernel.relinearized(there)
+        moved.smoothed(moved.eliminated(noise), noise, room=problem.room(z))
 
     seconds = []
     for _ in range(N_TIMED):
