@@ -33,7 +33,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     Smoothed,
     noise_weights,
 )
-from phsi_opt.optimization.bounded_step import SILENT, Room
+from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.outcome import is_level
 from phsi_opt.transcription.elimination import REGULAR
@@ -55,6 +55,9 @@ MOST_TRIED_CURVED = 3
 # Share of a violation that a step lessens, or that the objective falls by (Fletcher and
 # Leyffer).
 LEAST_FALL = 1e-5
+# What the data tell of a direction is clear of what a step leaves out if it is so many
+# times as much.
+CLEAR = 10
 SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
 # Violation up to which a search that did not settle is of use: beside a kink of the
 # model, or for a start.
@@ -578,21 +581,22 @@ class _Place:
     def _within_bounds(self, eliminated: Eliminated, damping: float) -> Smoothed:
         """The optimum within the bounds; states at one that lead out of it are held.
 
-        Defects that do not hold curve directions about which the data say nothing:
-        those of size 1 by a thousandth of the largest information.
+        Steps leave out the curvature of the dynamics, multipliers times violations at
+        most. What the data tell of a direction has to be clear of it.
         """
         problem = self.problem
         values = problem.values
-        silent_share = SILENT
+        left_out = 0.0
         if problem.softness is None:
-            silent_share = max(SILENT, 1e-3 * min(self.violation, 1.0))
+            multipliers = eliminated.solved[self.likelihood.n_unknowns :, -1]
+            left_out = float(np.abs(multipliers) @ np.abs(self._excess))
         z, x = self.point.z, values.point.of_x
         room = problem.room(z)
         is_low, is_high = z[x] <= values.lower[x], z[x] >= values.upper[x]
         is_held = np.zeros(len(is_low), dtype=bool)
         while True:
             found = self.likelihood.smoothed(
-                eliminated, problem.disturbances, damping, room, silent_share
+                eliminated, problem.disturbances, damping, room, CLEAR * left_out
             )
             step = found.x.ravel()
             leads_out = (is_low & (step < 0)) | (is_high & (step > 0))

@@ -22,7 +22,7 @@ from phsi_opt.model_error.disturbances import Disturbances, Structure
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.optimization.banded import Banded
-from phsi_opt.optimization.bounded_step import ANY_ROOM, SILENT, Room, bounded_step
+from phsi_opt.optimization.bounded_step import ANY_ROOM, Room, bounded_step
 from phsi_opt.optimization.chained import Chain, Chained, TimeLayout
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, RIDGE
@@ -163,7 +163,7 @@ class Border:
         return gains
 
     def step(
-        self, sizes: np.ndarray, damping: float, room: Room, silent_share: float
+        self, sizes: np.ndarray, damping: float, room: Room, silent: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """The best step of parameters, and of coefficients.
 
@@ -179,7 +179,7 @@ class Border:
         left = information[:n, :n] - mixed @ through[:, :n]
         left = left + damping * np.diag(np.abs(np.diag(left)))
         pull = self.gradient[:n] - mixed @ through[:, n]
-        best = bounded_step(left, pull, room, silent_share)
+        best = bounded_step(left, pull, room, silent)
         return best, through[:, n] - through[:, :n] @ best
 
     def marginal(self, sizes: np.ndarray) -> Marginal:
@@ -610,7 +610,7 @@ class MarginalLikelihood:
         disturbances: Disturbances,
         damping: float = 0.0,
         room: Room = ANY_ROOM,
-        silent_share: float = SILENT,
+        silent: float = 0.0,
     ) -> Smoothed:
         """The most likely parameters, states and disturbances.
 
@@ -620,8 +620,7 @@ class MarginalLikelihood:
             damping: share of each parameter's information that is added to it, for a
                 shorter step.
             room: how far the parameters may move, (n_moving,).
-            silent_share: of the largest information, up to which parameters do not
-                move.
+            silent: information up to which parameters do not move.
 
         Raises:
             SolveError: rounding has made the information indefinite.
@@ -629,7 +628,7 @@ class MarginalLikelihood:
         sizes = disturbances.function_sizes
         border = self._border_of(eliminated, 0.0)
         border = border.tilted(self.problem.slope[self.moving])
-        theta, of_functions = border.step(sizes, damping, room, silent_share)
+        theta, of_functions = border.step(sizes, damping, room, silent)
         solved = eliminated.solved
         moved = np.concatenate([theta, of_functions])
         found = solved[:, -1] - solved[:, :-1] @ moved

@@ -12,6 +12,7 @@ from scipy.optimize import lsq_linear
 # Share of the largest curvature of (scaled) parameters below which a direction is as
 # good as rounding: it is the difference of numbers as large as the largest.
 SILENT = 1e-12
+LOUD = 1e-3  # share above which no direction is silent
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ ANY_ROOM = Room(np.array(-np.inf), np.array(np.inf))
 
 
 def bounded_step(
-    curvature: np.ndarray, pull: np.ndarray, room: Room, silent_share: float = SILENT
+    curvature: np.ndarray, pull: np.ndarray, room: Room, silent: float = 0.0
 ) -> np.ndarray:
     """The d (n,) within the room that minimises ``d'Cd/2 - p'd``.
 
@@ -59,14 +60,14 @@ def bounded_step(
         curvature: C, (n, n), none negative but by rounding.
         pull: p, (n,).
         room: for d.
-        silent_share: of the largest curvature, up to which a direction is silent.
+        silent: curvature up to which a direction is silent, beside that of rounding.
     """
     n = len(pull)
     if not n:
         return pull
     curvature = (curvature + curvature.T) / 2
     values, vectors = np.linalg.eigh(curvature)
-    silent = silent_share * values[-1]
+    silent = np.clip(silent, SILENT * values[-1], LOUD * values[-1])
     whole = _told_step(values, vectors, pull, silent)
     if room.holds(whole):
         return whole
