@@ -46,6 +46,8 @@ STEPS_OF_A_PROBLEM = 30
 LEAST_STEP_DAMPING = 1e-2
 # Step, in standard deviations of a parameter or its own scale, that tells a slope.
 SMALL_STEP = 1e-3
+# Move of a parameter by its tilt, in standard errors, that makes no difference.
+UNMOVED = 0.05
 # Share of a step's length that the next one has, from which curvature takes part.
 SLOW = 0.3
 # Parts of a step that are tried, each half of the one before; fewer of one with
@@ -244,7 +246,7 @@ class JointProblem:
         -1/2 log|det K|, which depends on the parameters. Without it these are pulled to
         where forces can do the most: the most likely forces together with parameters
         are not those of the most likely parameters (Neyman and Scott, Econometrica 16,
-        1948).
+        1948). A tilt that was there and moves its parameter too little stays.
 
         Raises:
             SolveError: the states do not follow from the data.
@@ -253,9 +255,15 @@ class JointProblem:
         likelihood = found.likelihood.with_moving(self.moving[:0])
         volume = likelihood.log_volume_of_unknowns(self.disturbances)
         moving = found.likelihood.with_moving(self.moving)
-        told = np.diag(moving.border(self.disturbances).information)
-        tilt = np.zeros(len(self.values.unknown))
-        for place, information in zip(self.moving, told, strict=False):
+        border = moving.border(self.disturbances)
+        told = np.diag(border.information)
+        covariance = border.marginal(self.disturbances.function_sizes).covariance
+        tilt = self.slope.copy()
+        moves = np.abs(tilt[self.moving]) * np.sqrt(np.diag(covariance))
+        is_new = self.tilt is None
+        for place, information, move in zip(self.moving, told, moves, strict=False):
+            if not is_new and move < UNMOVED:
+                continue
             step = SMALL_STEP / np.sqrt(information + 1)
             if z[place] + step > self.values.upper[place]:
                 step = -step
