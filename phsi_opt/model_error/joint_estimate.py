@@ -19,7 +19,8 @@ damped. Once steps shrink slowly, as where forces are large,
 the curvature of the dynamics takes part: then they are Newton's.
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -310,14 +311,14 @@ class JointProblem:
             place = replace(before.place, problem=self, likelihood=likelihood)
             contraction = before.contraction
         n_steps = 0
-        passed = _Filter()
+        passed: list[tuple[float, float]] = []
         has_converged = is_curved = False
         damping = 0.0
         length = np.inf
         objectives: list[float] = []
         while not has_converged and n_steps < most_steps:
             n_steps += 1
-            passed.add(place)
+            passed.append((place.objective, place.missed))
             there = None
             if is_curved:
                 aim = place.curved().aim(0.0)
@@ -355,7 +356,7 @@ class JointProblem:
         self,
         place: "_Place",
         aim: "_Aim",
-        passed: "_Filter",
+        passed: Sequence[tuple[float, float]],
         most_tried: int = MOST_TRIED,
     ) -> "_Place | None":
         """The first place on the way to the aim, halved again and again, that is lower.
@@ -366,12 +367,12 @@ class JointProblem:
         is_short = aim.length < 1e-2
         for n_halvings in range(most_tried):
             there = self._moved(place, place.point.towards(aim.point, 0.5**n_halvings))
-            if (is_short and np.isfinite(there.objective)) or passed.lets_pass(there):
+            if (is_short and np.isfinite(there.objective)) or there.is_below(passed):
                 return replace(there.renewed(), multipliers=aim.multipliers)
             again = there.corrected(place.eliminated) if n_halvings == 0 else None
             if again is not None:
                 there = self._moved(there, again)
-                if passed.lets_pass(there):
+                if there.is_below(passed):
                     return replace(there.renewed(), multipliers=aim.multipliers)
         return None
 
@@ -388,30 +389,6 @@ class JointProblem:
     def _at(self, z: np.ndarray) -> PointValues:
         with solving():
             return self.values.at(z)
-
-
-@dataclass(eq=False)
-class _Filter:
-    """The places that steps have passed, which no later one may be as bad as in both.
-
-    Attributes:
-        objectives: at each of them; ``missed``: sums of violations there.
-    """
-
-    objectives: list[float] = field(default_factory=list)
-    missed: list[float] = field(default_factory=list)
-
-    def add(self, place: "_Place") -> None:
-        """One more place."""
-        self.objectives.append(place.objective)
-        self.missed.append(place.missed)
-
-    def lets_pass(self, place: "_Place") -> bool:
-        """Whether a place is clearly lower than each of them, in one of both."""
-        missed = np.array(self.missed)
-        is_lower = place.objective < self.objectives - LEAST_FALL * missed
-        holds_better = place.missed < (1 - LEAST_FALL) * missed
-        return bool(np.all(is_lower | holds_better) and np.isfinite(place.objective))
 
 
 @dataclass(frozen=True, eq=False)
@@ -531,6 +508,18 @@ class _Place:
     def missed(self) -> float:
         """Sum of all violations of the dynamics that hold."""
         return float(np.sum(np.abs(self._excess[self._holds])))
+
+    def is_below(self, passed: Sequence[tuple[float, float]]) -> bool:
+        """Whether it is clearly lower than each place before, in one of both.
+
+        Args:
+            passed: objective and violations of each.
+        """
+        for objective, missed in passed:
+            fall = LEAST_FALL * missed
+            if self.objective >= objective - fall and self.missed >= missed - fall:
+                return False
+        return bool(np.isfinite(self.objective))
 
     @cached_property
     def objective(self) -> float:
