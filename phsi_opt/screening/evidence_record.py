@@ -1,7 +1,6 @@
 """Measurements of a fit, with those held out, beside which models are weighed."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -27,10 +26,6 @@ from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.parameter_vector import Theta
 
-# Factor between values at which an inner number is held, and how many are tried to
-# either side of the first.
-SCAN_FACTOR = 1.15
-MOST_SCANNED = 4
 SMALLER = 0.01  # factor on the force of a second attempt
 
 
@@ -185,8 +180,6 @@ class EvidenceRecord:
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
         """A model that is larger than the base, begun where the base is likeliest.
 
-        The time of a delay is scanned: its memory is stiff, and steps may end anywhere.
-
         Args:
             model: the base with something more.
             values: of what is new, from which to start.
@@ -194,18 +187,6 @@ class EvidenceRecord:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
-        new = [name for name in model.free if name not in self.first.entries]
-        if len(new) != 1 or model.n_states == self.first.n_states:
-            return self._begun_beside(model, values)
-        return self._scanned(model, values, frozenset(new))
-
-    def _begun_beside(
-        self,
-        model: Model,
-        values: Mapping[str, float],
-        held: frozenset[str] = frozenset(),
-    ) -> Weighed:
-        """A larger model, begun beside the base; ``held``: parameters that stay."""
         base = self.base
         unknown = Theta.of(model, self.runs)
         names = Theta.of(self.first, self.runs).names
@@ -217,53 +198,8 @@ class EvidenceRecord:
         theta = np.clip(theta, unknown.lower, unknown.upper)
         grid = self.aligned.for_model(model).grid
         states = with_memory(model, grid, base.states, theta[unknown.table])
-        start = Start(model, theta, states, base.processes, base.disturbances, held)
+        start = Start(model, theta, states, base.processes, base.disturbances)
         return self._weighing.weighed(start, base.log_likelihood)
-
-    def _scanned(
-        self,
-        model: Model,
-        values: Mapping[str, float],
-        held: frozenset[str],
-    ) -> Weighed:
-        """A model whose one inner number is held at values, uphill from the first.
-
-        For one along which no steps settle, such as a delay below a sample.
-
-        Raises:
-            SolveError: it cannot be weighed with the first value.
-        """
-        (name,) = held
-        first = values.get(name, model.values[name])
-        found: dict[int, Weighed] = {}
-
-        def at(place: float) -> Weighed:
-            moved = {**values, name: first * SCAN_FACTOR**place}
-            return self._begun_beside(model, moved, held)
-
-        found[0] = at(0)
-        for step in (-1, 1):
-            place = 0
-            while abs(place) < MOST_SCANNED:
-                try:
-                    found[place + step] = at(place + step)
-                except SolveError:
-                    break
-                place += step
-                if found[place].log_evidence < found[place - step].log_evidence:
-                    break
-        best = max(found, key=lambda place: found[place].log_evidence)
-        if {best - 1, best + 1} <= found.keys():
-            below, here, above = (
-                found[k].log_evidence for k in (best - 1, best, best + 1)
-            )
-            curvature = min(below - 2 * here + above, -TINY)
-            vertex = best + (below - above) / (2 * curvature)
-            with suppress(SolveError):
-                top = at(vertex)
-                if top.log_evidence > here:
-                    return top
-        return found[best]
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
         """A fitted model without any force, begun at its free runs.

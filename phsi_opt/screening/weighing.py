@@ -119,7 +119,6 @@ class Start:
         processes: values of each force, then of each sensor's errors; None: they are
             not known.
         disturbances: noise, forces and errors of sensors, with their sizes.
-        held: names of parameters that stay.
     """
 
     model: Model
@@ -127,7 +126,6 @@ class Start:
     states: np.ndarray
     processes: tuple[np.ndarray, ...] | None
     disturbances: Disturbances
-    held: frozenset[str] = frozenset()
 
     def padded(self, n_old: int) -> "Start":
         """With a size for the memory that a trajectory begins with."""
@@ -191,9 +189,6 @@ class Weighing:
             processes = np.concatenate([np.zeros(0), *start.processes])
             problem = problem.tilted(problem.optimum(z, 0))
         best = None
-        names = problem.values.unknown.names
-        held = [names.index(name) for name in start.held]
-        problem = replace(problem, moving=np.delete(problem.moving, held))
         # Beside a force that was never met with these parameters they stay at first:
         # free ones may run from a large force to where nothing is alike.
         for number in range(MOST_ROUNDS):
