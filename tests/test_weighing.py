@@ -86,7 +86,7 @@ def test_the_base_is_as_likely_as_the_best_point_that_a_larger_model_finds() -> 
     assert record.better_from(larger) is None  # it is where it is most likely
     # A base whose weighing had missed its optimum.
     off = replace(base, log_evidence=base.log_evidence - 100.0)
-    better = replace(record, known=off).better_from(larger)
+    better = replace(record, base=off).better_from(larger)
     assert better is not None
     assert better.base.log_evidence == pytest.approx(base.log_evidence, abs=0.5)
     assert better.base.names == base.names
@@ -127,7 +127,7 @@ def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> Non
     fit = ph.identify(oscillator(1.0), data)
     record = EvidenceRecord.of(ph.compare(fit, data).record, None)
     base = record.base
-    problem = record._weighing.problem(base.start)
+    problem = record.weighing.problem(base.start)
     problem = problem.tilted(problem.optimum(problem.values.point.scaled, 0))
     for place, spread in enumerate(np.sqrt(np.diag(base.covariance))):
         for sign in (-1.0, 1.0):

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -14,11 +13,9 @@ from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.force_search import LEAST_NOISE_BESIDE_SCATTER
-from phsi_opt.estimation.missing_force import ROUNDER
 from phsi_opt.estimation.record import Record
-from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.model import Model
-from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.disturbances import StateFunction
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.screening.weighing import Start, Weighed, Weighing
 from phsi_opt.statistics import TINY
@@ -26,38 +23,30 @@ from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.parameter_vector import Theta
 
-SMALLER = 0.01  # factor on the force of a second attempt
-
 
 @dataclass(frozen=True, eq=False)
 class EvidenceRecord:
     """Measurements beside which models are weighed: those of the fit, and held out.
 
     Attributes:
-        aligned: all of them, those of the fit first.
-        n_fitted: number of trajectories that the fit was made from.
-        first: the model of the fit, its corners rounded as the missing force asks.
-        parameters: its free parameters, (n_free, n_trajectories).
-        states: of the missing force, (n_nodes, n_states), where a search begins.
-        disturbances: of the missing force, with their sizes.
-        channels: measured states whose noise is not known.
-        least_noise: (n_states,) below which that does not fall.
-        known: the base where it is weighed already; None: it is not.
+        weighing: how.
+        base: the model of the fit, weighed.
     """
 
-    aligned: AlignedData
-    n_fitted: int
-    first: Model
-    parameters: np.ndarray
-    states: np.ndarray = field(repr=False)
-    disturbances: Disturbances = field(repr=False)
-    channels: tuple[int, ...]
-    least_noise: np.ndarray
-    known: Weighed | None = field(default=None, repr=False)
+    weighing: Weighing
+    base: Weighed = field(repr=False)
 
     @classmethod
     def of(cls, trained: Record, judged: Record | None) -> "EvidenceRecord":
-        """Of the records of one fit; ``judged`` where data were held out."""
+        """Of the records of one fit, whose model is weighed from its missing force.
+
+        Args:
+            trained: of the fit's own measurements.
+            judged: of those held out; None: there are none.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
         records = [trained] if judged is None else [trained, judged]
         data = _joined([record.data for record in records])
         estimate = trained.estimate
@@ -72,85 +61,33 @@ class EvidenceRecord:
         )
         aligned = AlignedData.of(trained.model, data)
         measured = aligned.grid.measured.any(axis=0)
-        record = cls(
+        states = np.concatenate([_states_of(record) for record in records])
+        disturbances = replace(estimate.disturbances, sigma=sigma)
+        times = [force.time for force in disturbances.processes]
+        rates = aligned.grid.rates(states)
+        weighing = Weighing(
             aligned=aligned,
             n_fitted=trained.data.n_trajectories,
-            first=trained.model.with_values(estimate.rounded),
-            parameters=_at_their_bounds(
-                trained.fit, np.hstack([record.theta for record in records])
-            ),
-            states=np.concatenate([_states_of(record) for record in records]),
-            disturbances=replace(estimate.disturbances, sigma=sigma),
+            n_states=states.shape[1],
             channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
             least_noise=least,
+            longest=max(times, default=np.inf),
+            rates=np.sqrt(np.mean(rates**2, axis=0)) + TINY,
         )
-        return record._rounded_enough()
-
-    def _rounded_enough(self) -> "EvidenceRecord":
-        """The same with corners of dry friction as round as the steps need them.
-
-        Raises:
-            SolveError: no states and forces were found that obey the dynamics.
-        """
-        model = self.first
-        widths = {name: model.values[name] for name in corner_widths(model)}
-        for factor in ROUNDER if widths else ROUNDER[:1]:
-            rounded = {name: factor * width for name, width in widths.items()}
-            record = replace(self, first=model.with_values(rounded))
-            try:
-                record.base  # noqa: B018
-            except SolveError as error:
-                failure = error
-                continue
-            return record
-        raise failure
-
-    @property
-    def runs(self) -> tuple[str, ...]:
-        """Names of the trajectories."""
-        return self._weighing.runs
+        model = trained.model.with_values(estimate.rounded)
+        unknown = Theta.of(model, weighing.runs)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = _at_their_bounds(
+            trained.fit, np.hstack([record.theta for record in records])
+        )
+        start = Start(model, theta, states, None, disturbances)
+        return cls(weighing, weighing.weighed(start))
 
     @property
     def n_fitted_nodes(self) -> int:
         """Number of nodes of the measurements that the fit was made from."""
-        return int(np.sum(self.aligned.grid.trajectory < self.n_fitted))
-
-    @cached_property
-    def _weighing(self) -> Weighing:
-        times = [force.time for force in self.disturbances.processes]
-        rates = self.aligned.grid.rates(self.states)
-        return Weighing(
-            aligned=self.aligned,
-            n_fitted=self.n_fitted,
-            n_states=self.states.shape[1],
-            channels=self.channels,
-            least_noise=self.least_noise,
-            longest=max(times, default=np.inf),
-            rates=np.sqrt(np.mean(rates**2, axis=0)) + TINY,
-        )
-
-    @cached_property
-    def base(self) -> Weighed:
-        """The model of the fit, weighed.
-
-        From the missing force, or from one that is far smaller where that fails.
-
-        Raises:
-            SolveError: no states and forces were found that obey the dynamics.
-        """
-        if self.known is not None:
-            return self.known
-        unknown = Theta.of(self.first, self.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = self.parameters
-        start = Start(self.first, theta, self.states, None, self.disturbances)
-        try:
-            return self._weighing.weighed(start)
-        except SolveError:
-            forces = self.disturbances.forces
-            smaller = tuple(replace(one, size=SMALLER * one.size) for one in forces)
-            small = replace(self.disturbances, forces=smaller)
-            return self._weighing.weighed(replace(start, disturbances=small))
+        grid = self.weighing.aligned.grid
+        return int(np.sum(grid.trajectory < self.weighing.n_fitted))
 
     def better_from(self, larger: Weighed) -> "EvidenceRecord | None":
         """With the base begun where a larger model is; None where that is no likelier.
@@ -159,10 +96,10 @@ class EvidenceRecord:
         that has gained by more than its own size has found a better one.
         """
         own = [larger.names.index(name) for name in self.base.names]
-        n_states = self.states.shape[1]
+        n_states = self.weighing.n_states
         sigma = larger.disturbances.sigma[:, :n_states]
         start = Start(
-            self.first,
+            self.base.model,
             larger.theta[own],
             larger.states[:, :n_states],
             larger.processes,
@@ -170,12 +107,12 @@ class EvidenceRecord:
         )
         worth = self.base.log_likelihood + STRONG_EVIDENCE
         try:
-            found = self._weighing.weighed(start, worth)
+            found = self.weighing.weighed(start, worth)
         except SolveError:
             return None
         if found.log_evidence < self.base.log_evidence + STRONG_EVIDENCE:
             return None
-        return replace(self, known=found)
+        return replace(self, base=found)
 
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
         """A model that is larger than the base, begun where the base is likeliest.
@@ -188,18 +125,17 @@ class EvidenceRecord:
             SolveError: no states and forces were found that obey the dynamics.
         """
         base = self.base
-        unknown = Theta.of(model, self.runs)
-        names = Theta.of(self.first, self.runs).names
-        known = dict(zip(names, base.theta.tolist(), strict=True))
+        unknown = Theta.of(model, self.weighing.runs)
+        known = dict(zip(base.names, base.theta.tolist(), strict=True))
         for name, value in values.items():
             known.setdefault(name, value)
         default = unknown.spread(np.array([model.values[n] for n in model.free]))
         theta = unknown.from_values(known, default)
         theta = np.clip(theta, unknown.lower, unknown.upper)
-        grid = self.aligned.for_model(model).grid
+        grid = self.weighing.aligned.for_model(model).grid
         states = with_memory(model, grid, base.states, theta[unknown.table])
         start = Start(model, theta, states, base.processes, base.disturbances)
-        return self._weighing.weighed(start, base.log_likelihood)
+        return self.weighing.weighed(start, base.log_likelihood)
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
         """A fitted model without any force, begun at its free runs.
@@ -211,7 +147,7 @@ class EvidenceRecord:
             SolveError: no such states were found.
         """
         model = comparisons[0].model
-        unknown = Theta.of(model, self.runs)
+        unknown = Theta.of(model, self.weighing.runs)
         theta = np.zeros(len(unknown))
         theta[unknown.table] = np.hstack([one.record.theta for one in comparisons])
         runs: list[np.ndarray] = []
@@ -219,7 +155,7 @@ class EvidenceRecord:
             runs += one.simulated
         states = np.concatenate(runs)
         noise = replace(self.base.disturbances, forces=())
-        return self._weighing.weighed(Start(model, theta, states, None, noise))
+        return self.weighing.weighed(Start(model, theta, states, None, noise))
 
     def with_functions(self, equation: int) -> Weighed | None:
         """The base with an unknown smooth function of one state in an equation.
@@ -228,17 +164,17 @@ class EvidenceRecord:
         """
         base = self.base
         best = None
-        rates = self.aligned.grid.rates(base.states)
+        rates = self.weighing.aligned.grid.rates(base.states)
         size = float(np.sqrt(np.mean(rates[:, equation] ** 2)))
-        memory = self.first.memory
-        for state, name in enumerate(self.first.states):
+        memory = base.model.memory
+        for state, name in enumerate(base.model.states):
             if name in memory:
                 continue
             function = StateFunction(equation, state, size)
             sizes = base.disturbances.with_functions((function,))
             start = replace(base.start, disturbances=sizes)
             try:
-                found = self._weighing.weighed(start)
+                found = self.weighing.weighed(start)
             except SolveError:
                 continue
             if best is None or found.log_evidence > best.log_evidence:
@@ -251,7 +187,7 @@ class EvidenceRecord:
         Without a tilt: what an effect does to the volume is not known before it is
         weighed, and that of the parameters alone would be no fair start.
         """
-        problem = self._weighing.problem(weighed.start)
+        problem = self.weighing.problem(weighed.start)
         return problem.optimum(problem.values.point.scaled, 0).likelihood
 
 

@@ -92,7 +92,7 @@ class LinearizedRecord:
         base = record.base
         return cls(
             model=base.model,
-            unknown=Theta.of(base.model, record.runs),
+            unknown=Theta.of(base.model, record.weighing.runs),
             theta=base.theta,
             states=base.states,
             likelihood=record.likelihood(base),
