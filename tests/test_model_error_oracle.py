@@ -293,6 +293,22 @@ def smoothed_by(likelihood: MarginalLikelihood, d: Disturbances) -> Smoothed:
     return likelihood.smoothed(likelihood.eliminated(d, REGULAR), d)
 
 
+@pytest.mark.parametrize("kind", ["white", "all"])
+def test_other_values_are_solved_for_by_the_same_factors(kind: str) -> None:
+    problem = problem_of("several runs")
+    d = cases(problem)[kind]
+    likelihood = likelihood_of(problem, d, np.arange(3))
+    rng = np.random.default_rng(5)
+    other = likelihood.at_values(
+        rng.normal(size=problem.n_values), rng.normal(size=len(problem.offset))
+    )
+    again = other.solved_again(likelihood.eliminated(d))
+    expected = other.eliminated(d)
+    largest = np.abs(expected.solved).max()
+    np.testing.assert_allclose(again.solved / largest, expected.solved / largest)
+    assert likelihood.eliminated(d).solved[:, -1] != pytest.approx(again.solved[:, -1])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_evidence_is_that_of_dense_restricted_likelihood(
