@@ -9,6 +9,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
+from phsi_opt.screening.effect_size import Size
 
 
 class Grade(StrEnum):
@@ -35,8 +36,8 @@ class Candidate:
 
     Attributes:
         effect: what may be missing.
-        coefficient: its size, of the re-fit, else beside the force that it leaves, else
-            expected, in ``unit``.
+        coefficient: its size in ``unit``: of the fit where it is named, else beside the
+            force that it leaves, else expected.
         std_error: of the coefficient.
         values: of the model's parameters, from which a re-fit starts.
         states: (n_nodes, n_states) along the training record, likewise.
@@ -87,6 +88,11 @@ class Candidate:
     def name(self) -> str:
         """The same in words."""
         return str(self.effect)
+
+    @property
+    def size(self) -> Size:
+        """The coefficient with its standard error and unit."""
+        return Size(self.coefficient, self.std_error, self.unit)
 
     @property
     def log_evidence(self) -> float:

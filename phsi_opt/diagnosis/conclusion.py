@@ -189,6 +189,10 @@ class _Judge:
         """Re-fit a candidate, and note what that gives."""
         base = self.base
         one = self.ranking[place]
+        if not one.size.z >= SURE_DEVIATIONS:
+            lost = f"its size, {one.size}, may as well be zero"
+            self.ranking[place] = replace(one, lost=lost)
+            return None
         done = refit(base, one)
         if done is None:
             self.ranking[place] = replace(one, lost="could not be re-fitted")
@@ -199,22 +203,14 @@ class _Judge:
             lost = f"{', '.join(at_bound)} ended at a bound"
             self.ranking[place] = replace(one, lost=lost)
             return None
-        size = fitted_size(base.fit, done.fit, one.effect)
-        if not size.z >= SURE_DEVIATIONS:
-            lost = f"its size, {size}, may as well be zero"
-            self.ranking[place] = replace(one, lost=lost)
-            return None
         self.ranking[place] = self.refitted(one, done)
         return done
 
     def refitted(self, one: Candidate, done: Refit) -> Candidate:
         """A candidate with what its re-fit gave."""
         base = self.base
-        size = fitted_size(base.fit, done.fit, one.effect)
         return replace(
             one,
-            coefficient=size.value,
-            std_error=size.std_error,
             fit=done.fit,
             trained=done.trained,
             comparison=done.judged,
@@ -307,7 +303,12 @@ class _Judge:
         """The first, with what is missing beside it, or alone."""
         if beside is None or beside.done is None:
             last = thorough_refit(self.base, done)
-            self.ranking[0] = self.refitted(self.ranking[0], last)
+            size = fitted_size(self.base.fit, last.fit, self.ranking[0].effect)
+            self.ranking[0] = replace(
+                self.refitted(self.ranking[0], last),
+                coefficient=size.value,
+                std_error=size.std_error,
+            )
         else:
             last = thorough_refit(beside.base, beside.done)
         first = self.ranking[0]
@@ -359,9 +360,8 @@ class _Judge:
         first = replace(self.ranking[0], lost=against)
         self.ranking[0] = first
         self.tell_others((first.effect,))
-        size = fitted_size(self.base.fit, done.fit, first.effect)
         reason = (
-            f"the nearest is {first.name} ({size}), with {_grade_words(first)}: "
+            f"the nearest is {first.name} ({first.size}), with {_grade_words(first)}: "
             f"{self.change(done)}. It is not named: {against}"
         )
         return Conclusion(Verdict.UNEXPLAINED, reason, tuple(self.ranking))
