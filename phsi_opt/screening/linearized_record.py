@@ -36,19 +36,6 @@ from phsi_opt.transcription.sensors import outputs
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
-    """How everything follows some changes, a column each.
-
-    Attributes:
-        unknowns: (n_unknowns, k) states, forces and errors of sensors.
-        border: (n_theta, k) scaled parameters.
-    """
-
-    unknowns: np.ndarray
-    border: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class LinearizedRecord:
     """A record, linearised (see the module's text).
 
@@ -213,17 +200,28 @@ class LinearizedRecord:
         """
         likelihood = self.likelihood
         direct = self._measured(of_outputs)
-        followed = self._followed(of_defects, direct)
-        shown = direct + likelihood.shown @ followed.unknowns
-        shown += likelihood.border_in_shown @ followed.border
-        weights = np.sqrt(self._eliminated.weights)[:, None]
-        return np.concatenate([weights * shown, self._whitened(followed.unknowns)])
+        parts = self._eliminated
+        right, border = self._driven(of_defects, direct)
+        answer = parts.factors.solve(right) - parts.solved[:, :-1] @ border
+        unknowns = answer[: likelihood.n_unknowns]
+        shown = direct + likelihood.shown @ unknowns
+        shown += likelihood.border_in_shown @ border
+        weights = np.sqrt(parts.weights)[:, None]
+        return np.concatenate([weights * shown, self._whitened(unknowns)])
 
     def _measured(self, of_outputs: np.ndarray) -> np.ndarray:
         """Of changes at all nodes those of measured values, (n_values, k)."""
         return np.asarray(of_outputs[self.grid.measured.ravel()])
 
-    def _followed(self, of_defects: np.ndarray, direct: np.ndarray) -> Followed:
+    def _driven(
+        self, of_defects: np.ndarray, direct: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Right-hand sides of some changes, and scaled parameters that follow them.
+
+        Args:
+            of_defects: (n_intervals * n_states, k), in units of rates.
+            direct: (n_values, k), what they do to measured values.
+        """
         likelihood = self.likelihood
         parts = self._eliminated
         n = likelihood.n_unknowns
@@ -231,13 +229,9 @@ class LinearizedRecord:
         right = np.empty((len(parts.right), direct.shape[1]), order="F")
         right[:n] = likelihood.shown_transposed @ weighted
         right[n:] = -self._per_rate[:, None] * of_defects
-        alone = parts.factors.solve(right)
         in_theta = likelihood.border_in_shown.T @ weighted
-        of_border = solve_border(
-            self._information, in_theta - parts.right[:, :-1].T @ alone
-        )
-        answer = alone - parts.solved[:, :-1] @ of_border
-        return Followed(answer[:n], of_border)
+        pull = in_theta - parts.solved[:, :-1].T @ right
+        return right, solve_border(self._information, pull)
 
     def adjoint(self) -> np.ndarray:
         """Multipliers of the defects, (n_intervals * n_states,).
@@ -260,7 +254,7 @@ class LinearizedRecord:
         """
         c = coefficients[:, None]
         direct = self._measured(of_outputs @ c)
-        by_effect = self._followed(of_defects @ c, direct).border[:, 0]
+        by_effect = self._driven(of_defects @ c, direct)[1][:, 0]
         scale = self.likelihood.problem.theta_scale
         moved = self.theta + scale * (self._step + by_effect)
         half_way_down = (self.unknown.lower + self.theta) / 2
