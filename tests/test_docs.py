@@ -78,6 +78,16 @@ def test_the_numbers_of_the_gallery_are_those_of_the_pages_it_links() -> None:
     assert n_numbers > 20
 
 
+def test_the_files_that_contributors_are_told_of_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    paths = re.findall(r"`([\w./]+/[\w./]*)`", text)
+    assert len(paths) > 8
+    for path in paths:
+        assert (ROOT / path).exists(), path
+    for module in re.findall(r"python -m ([\w.]+)", text):
+        assert (ROOT / module.replace(".", "/")).with_suffix(".py").exists(), module
+
+
 def test_numbers_beside_the_name_of_a_result_stand_there() -> None:
     readme = (ROOT / "README.md").read_text("utf-8")  # whose numbers are tested too
     n_numbers = 0
