@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pandas as pd
+import numpy as np
 import pytest
 
 from problems.examples.friction_spring import TRUTH
@@ -210,9 +211,11 @@ def test_starts_far_off(readme: str) -> None:
 
 def test_the_sizes_of_the_timed_diagnoses(readme: str) -> None:
     lines = (RESULTS / "diagnosis_speed.md").read_text("utf-8").splitlines()
-    sizes = [int(found[1]) for line in lines if (found := re.match(r"\| (\d+)", line))]
+    rows = [re.findall(r"\d+", line)[:2] for line in lines if re.match(r"\| \d", line)]
+    masses, sizes = np.array(rows, dtype=int).T
     low, high = (f"{size:,}".replace(",", " ") for size in (min(sizes), max(sizes)))
     assert f"{low} to {high} samples" in readme
+    assert f"a chain of {max(masses)} masses" in readme
 
 
 @pytest.mark.parametrize("path", sorted(RESULTS.rglob("*.md")), ids=lambda p: p.stem)
