@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-import pandas as pd
 import numpy as np
+import pandas as pd
 import pytest
 
 from problems.examples.friction_spring import TRUTH
