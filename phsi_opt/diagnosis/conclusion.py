@@ -96,7 +96,10 @@ class _Judge:
     def concluded(self) -> Conclusion:
         """What is named, by the likeliest effects that no doubt speaks against."""
         refused: list[tuple[Effect, Refit]] = []
-        while (done := self.first()) is not None:
+        while len(refused) < MOST_REFITTED:
+            done = self.first()
+            if done is None:
+                break
             doubt = self.doubt(done)
             if not doubt:
                 return self.named(done)
