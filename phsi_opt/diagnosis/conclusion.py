@@ -94,29 +94,16 @@ class _Judge:
     done: Refit | None = None
 
     def concluded(self) -> Conclusion:
-        """What is named, by the likeliest effects that no doubt speaks against."""
-        refused: list[tuple[Effect, Refit]] = []
-        while len(refused) < MOST_REFITTED:
-            done = self.first()
-            if done is None:
-                break
-            doubt = self.doubt(done)
-            if not doubt:
-                return self.named(done)
-            beside = None if refused else self.beside(done)
-            if beside is not None:
-                return self.named(done, beside)
-            refused.append((self.ranking[0].effect, done))
-            self.refuse(doubt)
-        return self.not_named(*refused[0]) if refused else self.without_effect()
-
-    def refuse(self, doubt: str) -> None:
-        """None of the first and those that the data do not tell from it."""
-        refused = [self.ranking[0], *self.tied()]
-        for place, one in enumerate(self.ranking):
-            if one in refused:
-                self.ranking[place] = replace(one, lost=one.lost or doubt)
-        self.nothing_left = None
+        done = self.first()
+        if done is None:
+            return self.without_effect()
+        doubt = self.doubt(done)
+        if not doubt:
+            return self.named(done)
+        beside = self.beside(done)
+        if beside is None:
+            return self.not_named(done, doubt)
+        return self.named(done, beside)
 
     def first(self) -> Refit | None:
         """An effect that is decisive, re-fitted; it is put first.
@@ -369,14 +356,13 @@ class _Judge:
             effects, class_of(effects), size.value, size.std_error, share, size.unit
         )
 
-    def not_named(self, nearest: Effect, done: Refit) -> Conclusion:
-        """The likeliest that was refused is told as the nearest."""
-        self.ranking.sort(key=lambda one: one.effect != nearest)
-        first = self.ranking[0]
-        self.tell_others((nearest,))
+    def not_named(self, done: Refit, against: str) -> Conclusion:
+        first = replace(self.ranking[0], lost=against)
+        self.ranking[0] = first
+        self.tell_others((first.effect,))
         reason = (
             f"the nearest is {first.name} ({first.size}), with {_grade_words(first)}: "
-            f"{self.change(done)}. It is not named: {first.lost}"
+            f"{self.change(done)}. It is not named: {against}"
         )
         return Conclusion(Verdict.UNEXPLAINED, reason, tuple(self.ranking))
 

@@ -15,8 +15,8 @@ record and goes to the optimum of what is then linear, by one banded factorisati
 is lower than at every place before (a filter; Fletcher and Leyffer, Mathematical
 Programming 91, 2002). Else it is corrected for the curvature that was met (Maratos;
 Nocedal and Wright, Numerical Optimization, 2006, chapter 18), halved, and at last
-damped. Once steps shrink slowly, as where forces are large,
-the curvature of the dynamics takes part: then they are Newton's.
+damped. Once steps shrink slowly, as where forces are large, the curvature of the
+dynamics takes part: then they are Newton's.
 """
 
 from collections.abc import Sequence
