@@ -12,10 +12,10 @@ from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.diagnosis import friction_sharpening
 from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.sensitivities import Sensitivities
+from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.alignment import aligned
 from problems.hidden_effects.cases import draw
 from problems.hidden_effects.rows import ROWS, Case

@@ -31,22 +31,28 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, damping, formula
-from phsi_opt.model_error import marginal_likelihood, score_test
-from phsi_opt.model_error.ascent import slopes
-from phsi_opt.model_error.clusters import Clusters
-from phsi_opt.model_error.coordinates import Coordinates
+from phsi_opt.model_error import ascent, marginal_likelihood
+from phsi_opt.model_error.ascent import Trial, WhiteRecord, slopes
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
-from phsi_opt.model_error.disturbances import Disturbances, StateFunction
-from phsi_opt.model_error.freedom import FEWEST, MOST, degrees_of_freedom
-from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
-from phsi_opt.model_error.processes import Process, Whitener, random_signs
-from phsi_opt.model_error.score_test import Trial, WhiteRecord
-from phsi_opt.model_error.standard_errors import Source
-from phsi_opt.model_error.state_functions import (
+from phsi_opt.model_error.disturbances import (
     LENGTH,
     LINEAR_SHARE,
+    Coordinates,
+    Disturbances,
+    Process,
+    StateFunction,
+    Whitener,
+    random_signs,
     smooth_functions,
+)
+from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
+from phsi_opt.model_error.standard_errors import (
+    FEWEST,
+    MOST,
+    Clusters,
+    Source,
+    degrees_of_freedom,
 )
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.settings import SolverSettings
@@ -1013,9 +1019,9 @@ def test_trials_that_are_asked_together_promise_what_each_does_alone(
     monkeypatch.setattr(Banded, "solve", noted)
     record.promised_gains(trials, search.channels)
     # What is felt, and the random signals of each trial that has any.
-    assert [shape[1] for shape in solved] == [n_felt, *[score_test.N_SIGNS] * 2]
+    assert [shape[1] for shape in solved] == [n_felt, *[ascent.N_SIGNS] * 2]
     assert together[0].forces > 0
-    assert together[1] == score_test.PromisedGain()
+    assert together[1] == ascent.PromisedGain()
 
 
 def test_a_first_step_is_the_best_one_with_variances_that_are_not_negative() -> None:
@@ -1027,7 +1033,7 @@ def test_a_first_step_is_the_best_one_with_variances_that_are_not_negative() -> 
         size = np.sqrt(np.diag(information))
         information = information / np.outer(size, size)
         slopes = rng.normal(size=2)
-        found = score_test._gain(slopes, information)
+        found = ascent._gain(slopes, information)
         # Of two variances both, one, or none is above zero.
         tried = [np.zeros(2), np.linalg.solve(information, slopes)]
         tried += [np.array([slopes[0], 0.0]), np.array([0.0, slopes[1]])]
@@ -1112,7 +1118,7 @@ def test_random_signs_and_whiteners_are_made_once_for_a_place(
 def test_slopes_in_a_variance_are_those_of_the_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(score_test, "N_SIGNS", 2000)  # traces to 2 % of their spread
+    monkeypatch.setattr(ascent, "N_SIGNS", 2000)  # traces to 2 % of their spread
     search = search_of(0)
     white = Disturbances(search.plain)
     record = WhiteRecord(search.likelihood(white), white)
@@ -1140,7 +1146,7 @@ def search_of_a_chain() -> DisturbanceSearch:
 def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(score_test, "N_SIGNS", 1000)
+    monkeypatch.setattr(ascent, "N_SIGNS", 1000)
     search = search_of_a_chain()
     white = Disturbances(search.plain)
     record = WhiteRecord(search.likelihood(white), white)
@@ -1175,11 +1181,11 @@ def test_many_channels_promise_nothing_by_their_number() -> None:
 def test_tied_sizes_are_searched_for_with_less_of_a_promise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    little = score_test.PromisedGain(forces=0.4 * STRONG_EVIDENCE)
+    little = ascent.PromisedGain(forces=0.4 * STRONG_EVIDENCE)
 
     def promised(
         _: WhiteRecord, trials: list[Trial], channels: tuple[int, ...]
-    ) -> list[score_test.PromisedGain]:
+    ) -> list[ascent.PromisedGain]:
         return [little] * len(trials)
 
     monkeypatch.setattr(WhiteRecord, "promised_gains", promised)

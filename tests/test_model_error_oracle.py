@@ -23,12 +23,15 @@ from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import formula
 from phsi_opt.model_error import ascent
-from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbance_search import BRIEF_GAIN
-from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.disturbances import (
+    Coordinates,
+    Disturbances,
+    Process,
+    StateFunction,
+)
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Smoothed
-from phsi_opt.model_error.processes import Process
 from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
@@ -609,7 +612,7 @@ def test_slopes_in_coordinates_are_sums_of_those_that_move_together(
     problem = problem_of("several runs, all steps")
     d = cases(problem)[kind]
     if is_tied:
-        monkeypatch.setattr("phsi_opt.model_error.coordinates.MOST_SIZES", 0)
+        monkeypatch.setattr("phsi_opt.model_error.disturbances.MOST_SIZES", 0)
     coordinates = coordinates_of(d, (0, 1))
     to_coordinates = coordinates.among_slopes()
     likelihood = likelihood_of(problem, d, np.arange(3))

@@ -12,9 +12,9 @@ from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.next_step import step_without_name
 from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.force_analysis.words import place_answer
-from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
+from phsi_opt.screening.weighing import EvidenceRecord
 
 INERTIA = 0.02  # kg m^2
 DAMPING = 0.3  # N m s/rad

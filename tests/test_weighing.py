@@ -12,11 +12,10 @@ from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model_error.joint_estimate import JointPoint
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
-from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.sensitivities import Sensitivities
-from phsi_opt.screening.weighing import Weighed
+from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 
 T = np.linspace(0.0, 8.0, 81)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.8, -0.7])

@@ -14,7 +14,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
-from phsi_opt.screening.evidence_record import EvidenceRecord
+from phsi_opt.screening.weighing import EvidenceRecord
 
 
 def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel | None:

@@ -36,7 +36,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import fitted_size, new_names
-from phsi_opt.screening.evidence_record import EvidenceRecord
+from phsi_opt.screening.weighing import EvidenceRecord
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,9 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.problem import Progress
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.effect_size import new_names, size_of, size_unit
-from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
-from phsi_opt.screening.weighing import Weighed
+from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.ahead import Ahead
 

@@ -8,7 +8,7 @@ marginal likelihood, until they stay.
 
 The straight part of a function of a state is that of a spring or a damper: no record
 tells which of the two it was. The estimates give all of it to the model; their standard
-errors count a part of it (`state_functions.LINEAR_SHARE`).
+errors count a part of it (`disturbances.LINEAR_SHARE`).
 """
 
 import time
@@ -27,15 +27,17 @@ from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.ascent import SETTLED_EVIDENCE
-from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
-from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.freedom import Spread
+from phsi_opt.model_error.disturbances import LINEAR_SHARE, Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, noise_weights
-from phsi_opt.model_error.standard_errors import Source, under_disturbances
-from phsi_opt.model_error.state_functions import LINEAR_SHARE
+from phsi_opt.model_error.standard_errors import (
+    Clusters,
+    Source,
+    Spread,
+    under_disturbances,
+)
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 

@@ -18,8 +18,11 @@ from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.uncertainty import Uncertainty
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
-from phsi_opt.model_error.gaps import between_samples
-from phsi_opt.model_error.linearization import Linearization, linearized
+from phsi_opt.model_error.linearization import (
+    Linearization,
+    between_samples,
+    linearized,
+)
 from phsi_opt.model_error.marginal_likelihood import ReducedSystem
 from phsi_opt.model_error.standard_errors import (
     PlainEstimate,

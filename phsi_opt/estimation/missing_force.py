@@ -19,9 +19,7 @@ from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.ascent import SETTLED_EVIDENCE, climbed
-from phsi_opt.model_error.coordinates import Coordinates
-from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.force_posterior import ForcePosterior
+from phsi_opt.model_error.disturbances import Coordinates, Disturbances, Process
 from phsi_opt.model_error.joint_estimate import (
     NEARLY_HELD,
     STEPS_OF_A_PROBLEM,
@@ -30,7 +28,7 @@ from phsi_opt.model_error.joint_estimate import (
     JointProblem,
 )
 from phsi_opt.model_error.linearization import Linearizer
-from phsi_opt.model_error.processes import Process
+from phsi_opt.model_error.marginal_likelihood import ForcePosterior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.estimation.problem import Task
-from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.processes import Process
+from phsi_opt.model_error.disturbances import Disturbances, Process
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid

@@ -13,17 +13,26 @@ import numpy as np
 
 from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.errors import SolveError
-from phsi_opt.model_error.ascent import LEAST_GAIN, MOST_STEPS, climbed
-from phsi_opt.model_error.coordinates import MOST_SIZES, Coordinates
-from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.ascent import (
+    LEAST_GAIN,
+    MOST_STEPS,
+    Trial,
+    WhiteRecord,
+    climbed,
+)
+from phsi_opt.model_error.disturbances import (
+    MOST_SIZES,
+    Coordinates,
+    Disturbances,
+    Process,
+    StateFunction,
+)
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import (
     Border,
     MarginalLikelihood,
     noise_weights,
 )
-from phsi_opt.model_error.processes import Process
-from phsi_opt.model_error.score_test import Trial, WhiteRecord
 from phsi_opt.statistics import TINY
 
 # Sizes of a force to begin with, as shares of the typical rate of its state.

@@ -27,8 +27,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     solve_border,
 )
-from phsi_opt.screening.evidence_record import EvidenceRecord
-from phsi_opt.screening.weighing import SCHEME
+from phsi_opt.screening.weighing import SCHEME, EvidenceRecord
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from phsi_opt.model_error.state_functions import LINEAR_SHARE
+from phsi_opt.model_error.disturbances import LINEAR_SHARE
 from problems.benchmarks.coverage_fits import DEFAULT, ONE, SCENARIOS, WHITE
 from problems.benchmarks.coverage_summary import LIMIT, PHYSICAL, PLAIN
 from problems.benchmarks.coverage_tables import FIXED, LAYOUTS, coverage_table
