@@ -1,10 +1,10 @@
 """The public names by the module that defines them; `__init__.py` imports by it."""
 
-from phsi_opt.comparison.bootstrap import Bootstrap as Bootstrap
-from phsi_opt.comparison.bootstrap import bootstrap as bootstrap
 from phsi_opt.comparison.compare import Comparison as Comparison
 from phsi_opt.comparison.compare import compare as compare
+from phsi_opt.comparison.profile_likelihood import Bootstrap as Bootstrap
 from phsi_opt.comparison.profile_likelihood import Profile as Profile
+from phsi_opt.comparison.profile_likelihood import bootstrap as bootstrap
 from phsi_opt.comparison.profile_likelihood import profile as profile
 from phsi_opt.data.measurements import Measurements as Measurements
 from phsi_opt.data.trajectory import Trajectory as Trajectory
@@ -33,7 +33,7 @@ from phsi_opt.model.terms import damping as damping
 from phsi_opt.model.terms import formula as formula
 from phsi_opt.model.terms import polynomials as polynomials
 from phsi_opt.model.terms import trigonometric as trigonometric
-from phsi_opt.optimization.settings import SolverSettings as SolverSettings
+from phsi_opt.optimization.ipopt import SolverSettings as SolverSettings
 from phsi_opt.simulation.simulate import simulate as simulate
 from phsi_opt.study.study import Study as Study
 from phsi_opt.study_file.sections import Channel as Channel

@@ -12,8 +12,8 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
-from phsi_opt.sweeps.ahead import Ahead
 from phsi_opt.sweeps.local_workers import local_workers
+from phsi_opt.sweeps.sweep import Ahead
 from tests import sweep_tasks
 from tests.sweep_tasks import Counted
 

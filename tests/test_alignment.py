@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.transcription.alignment import AlignedData, aligned
+from phsi_opt.transcription.grid import AlignedData, aligned
 
 X = np.arange(12.0).reshape(6, 2)
 U = np.arange(12.0, 24.0).reshape(6, 2)

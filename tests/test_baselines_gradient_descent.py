@@ -25,7 +25,7 @@ from phsi_opt.baselines.gradient_descent import (
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from phsi_opt.optimization.banded import Banded, BandLayout
-from phsi_opt.optimization.chained import (
+from phsi_opt.optimization.banded import (
     FEWEST_STATES,
+    Banded,
+    BandLayout,
     Chain,
     Chained,
     ChainLayout,

@@ -22,7 +22,7 @@ from phsi_opt.data import excel_tables, matlab_tables
 from phsi_opt.errors import DataError
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.toml_text import toml_tables
-from phsi_opt.sweeps.kept_results import KeptResults
+from phsi_opt.sweeps.sweep import KeptResults
 
 T = np.arange(40.0)
 N_DAMAGED = 150  # workbooks; always the same ones

@@ -29,7 +29,7 @@ TOOLS = {
 EXTRAS_OF = {
     "phsi_opt/baselines": {"baselines"},
     "phsi_opt/learning": {"neural"},
-    "phsi_opt/optimization/torch_threads.py": {"neural"},
+    "phsi_opt/sweeps/local_workers.py": {"neural"},
     "phsi_opt/page": {"app"},
 }
 

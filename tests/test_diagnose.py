@@ -16,7 +16,7 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.grid import aligned
 from problems.hidden_effects.cases import draw
 from problems.hidden_effects.rows import ROWS, Case
 

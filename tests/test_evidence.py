@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from phsi_opt import criteria
-from phsi_opt.comparison import model_selection as evidence
+from phsi_opt.comparison import compare as evidence
 
 
 def fit(deviance: float, n_names: int, n_values: int = 400) -> Any:

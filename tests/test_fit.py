@@ -24,7 +24,7 @@ from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter, Scan, Share
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
-from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.ipopt import Outcome
 
 OUTCOME = Outcome(
     True,

@@ -6,16 +6,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-import phsi_opt.simulation.free_run as module
+import phsi_opt.simulation.simulate as module
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, formula
-from phsi_opt.simulation import free_run as stepping
-from phsi_opt.simulation.free_run import Runs, free_run, rates
-from phsi_opt.simulation.simulate import simulate
+from phsi_opt.simulation import simulate as stepping
+from phsi_opt.simulation.simulate import Runs, free_run, rates, simulate
 
 # of the spread: what two integrations at tolerances of 1e-6 and 1e-8 per step may
 # differ by

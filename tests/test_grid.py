@@ -15,10 +15,14 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, trigonometric
 from phsi_opt.optimization.column_function import AT_ONCE
-from phsi_opt.transcription.defects import between_samples, defect, defects
+from phsi_opt.transcription.defects import (
+    KnownDefects,
+    between_samples,
+    defect,
+    defects,
+)
 from phsi_opt.transcription.grid import grid_of, steps_per_gap
 from phsi_opt.transcription.integrators import INTEGRATORS
-from phsi_opt.transcription.known_defects import KnownDefects
 
 
 def data(hold: str = "linear") -> Measurements:

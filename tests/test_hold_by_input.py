@@ -10,11 +10,10 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.page.drafts import StudyDraft
 from phsi_opt.page.table_look import look_at
-from phsi_opt.simulation.free_run import free_run
+from phsi_opt.simulation.simulate import free_run
 from phsi_opt.study_file.toml_text import toml_tables
 from phsi_opt.study_file.written_data import section_of, write_table
-from phsi_opt.transcription.alignment import aligned
-from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.grid import aligned, grid_of
 
 T = np.arange(0.0, 12.0, 0.25)
 PUSH = 2 * np.sin(2.5 * T)  # smooth, and coarsely sampled: ten samples a period

@@ -24,7 +24,7 @@ from phsi_opt.model_error.standard_errors import (
     StandardErrors,
     standard_errors,
 )
-from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 

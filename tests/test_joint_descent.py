@@ -13,7 +13,7 @@ import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.sweeps.local_workers import one_thread
 from problems.peers.joint_force import HybridBaseline, JointForce
 from problems.thesis.joint_descent import _JointRun, joint_descent
 from problems.thesis.systems import SYSTEMS

@@ -13,8 +13,8 @@ from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.problem import Task
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.transcription.grid import AlignedData
 
 NOISE = 0.02
 

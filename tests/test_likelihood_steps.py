@@ -18,12 +18,11 @@ from phsi_opt.model.model import Model, built_of
 from phsi_opt.model_error import joint_estimate
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.model_error.linearization import Linearizer
-from phsi_opt.optimization import chained
-from phsi_opt.optimization.chained import FEWEST_STATES
-from phsi_opt.optimization.outcome import DIRECT_STEPS
-from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.interval_map import mapped
+from phsi_opt.optimization import banded
+from phsi_opt.optimization.banded import FEWEST_STATES
+from phsi_opt.optimization.ipopt import DIRECT_STEPS
+from phsi_opt.transcription.defects import mapped
+from phsi_opt.transcription.grid import AlignedData, grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 from problems.benchmarks import state_growth
@@ -320,7 +319,7 @@ def test_the_band_of_many_states_that_samples_measure_is_never_filled(
 ) -> None:
     # With 400 states it would take 54 gigabytes.
     monkeypatch.setattr(joint_estimate, "SLOW", 0.0)  # every step is slow
-    monkeypatch.setattr(chained, "Banded", None)
+    monkeypatch.setattr(banded, "Banded", None)
     loss = ph.MaximumLikelihood(steps=1)
     data = state_growth.data(MANY_MASSES, 100)
     fit = ph.identify(state_growth.model(MANY_MASSES), data, loss)

@@ -6,7 +6,7 @@ from scipy.sparse import coo_matrix
 
 from phsi_opt.errors import SolveError
 from phsi_opt.optimization.banded import Banded, BandLayout
-from phsi_opt.transcription.elimination import (
+from phsi_opt.optimization.bounded_step import (
     HELD,
     RIDGE,
     regularized_inverse,

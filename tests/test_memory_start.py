@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import (
     memory_start_bounds,
     with_memory,
 )
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.grid import AlignedData, Grid
 
 T = np.linspace(0.0, 4.0, 401)
 LAG = 0.5

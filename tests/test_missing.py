@@ -16,7 +16,7 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.parameter_vector import Point
 from problems.examples.friction_spring import CSV
 
 K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02

@@ -55,8 +55,8 @@ from phsi_opt.model_error.standard_errors import (
     degrees_of_freedom,
 )
 from phsi_opt.optimization.banded import Banded
-from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from problems.benchmarks import state_growth
 

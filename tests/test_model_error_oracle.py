@@ -33,9 +33,9 @@ from phsi_opt.model_error.disturbances import (
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Smoothed
 from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
-from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.elimination import REGULAR
+from phsi_opt.optimization.bounded_step import REGULAR
+from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 NOISE = 0.05

@@ -16,12 +16,11 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, Term, polynomials
-from phsi_opt.optimization.ipopt import _is_settled, solve
+from phsi_opt.optimization.ipopt import SolverSettings, _is_settled, solve
 from phsi_opt.optimization.program import Program
-from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import PHSILoss
-from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.parameter_vector import Point
 
 POWERS = [
     (1, 0),

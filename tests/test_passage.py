@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_matrix
 
-from phsi_opt.optimization import passage
-from phsi_opt.optimization.passage import APART, PANEL, Passage, neighbours_first
+from phsi_opt.optimization import banded
+from phsi_opt.optimization.banded import APART, PANEL, Passage, neighbours_first
 
 N_STEPS = (1, 3, 2, 3)  # of the gaps of a run, and of another one from the third on
 
@@ -141,7 +141,7 @@ def test_states_that_feel_all_others_have_columns_of_their_own(
 def test_what_is_only_rounding_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     sparse = Gaps(150, 1).passage().slopes()
     assert sparse.nnz < 0.2 * len(N_STEPS) * 2 * 150**2
-    monkeypatch.setattr(passage, "NEGLIGIBLE", 0.0)
+    monkeypatch.setattr(banded, "NEGLIGIBLE", 0.0)
     whole = Gaps(150, 1).passage().slopes()
     assert whole.nnz > 2 * sparse.nnz
     np.testing.assert_allclose(sparse.toarray(), whole.toarray(), atol=1e-17)

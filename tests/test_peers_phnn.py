@@ -13,7 +13,7 @@ from scipy.optimize import approx_fprime
 
 import phsi_opt as ph
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
 from problems.peers.joint_force import JointForce

@@ -11,8 +11,8 @@ import phsi_opt as ph
 from phsi_opt.initialization.scaling import MOST_RATIO, theta_scale
 from phsi_opt.optimization import ipopt
 from phsi_opt.optimization.program import Program
+from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.known_defects import KnownDefects
 from problems.thesis.systems import SYSTEMS, known_leak, tank_model
 
 PRUNING = ph.Pruning(0.05, significance=0.01)

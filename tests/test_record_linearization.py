@@ -14,14 +14,11 @@ from phsi_opt.model.terms import Dictionary
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import linearized
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, ReducedSystem
-from phsi_opt.optimization.bounded_step import Room
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.optimization.bounded_step import REGULAR, RIDGE, Room
 from phsi_opt.transcription.defects import defects
-from phsi_opt.transcription.elimination import REGULAR, RIDGE
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import Grid, aligned, grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.parameter_vector import Point, Theta
 from phsi_opt.transcription.sensors import outputs
 
 SCHEME = "srk4"

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.comparison.compare import compare_record
-from phsi_opt.comparison.model_selection import deviance
+from phsi_opt.comparison.compare import compare_record, deviance
 from phsi_opt.diagnosis import friction_sharpening
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel

@@ -19,7 +19,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term, formula
-from phsi_opt.simulation.free_run import free_run
+from phsi_opt.simulation.simulate import free_run
 
 NOISE = 0.02
 

@@ -7,7 +7,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.smooth_inputs import SmoothInputs
-from phsi_opt.simulation.free_run import free_run
+from phsi_opt.simulation.simulate import free_run
 from phsi_opt.transcription.grid import grid_of
 from tests.pushed_mass import pushed_mass
 

@@ -4,7 +4,7 @@ import numpy as np
 
 import phsi_opt as ph
 from phsi_opt.initialization.scaling import first_point
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import AlignedData
 
 T = np.linspace(0.0, 4.0, 401)
 

@@ -23,7 +23,7 @@ from phsi_opt.estimation import record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.presentation.charts import LOG, draw, errors_chart
 from phsi_opt.presentation.content import ErrorStep
-from phsi_opt.transcription import alignment
+from phsi_opt.transcription import grid
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import CSV, TIMES, table
 
@@ -443,7 +443,7 @@ def test_a_diagnosis_and_a_step_go_on_from_the_record_that_was_made(
         monkeypatch.setattr(module, name, call)
 
     count(record, "missing_force_of")
-    count(alignment, "aligned")
+    count(grid, "aligned")
     data = measurements(2.0, seed=3)[:3]
     effects = ["coulomb friction", "quadratic drag", "hysteresis", "sensor delay"]
     study = ph.Study(spring(), *data.split(0.6), effects=effects)

@@ -19,13 +19,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from phsi_opt.comparison.bootstrap import bootstrap
+from phsi_opt.comparison.profile_likelihood import bootstrap
 from phsi_opt.errors import DataError, ModelError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
-from phsi_opt.sweeps.kept_results import KeptResults
 from phsi_opt.sweeps.local_workers import InThisProcess, local_workers
-from phsi_opt.sweeps.sweep import Done, sweep
+from phsi_opt.sweeps.sweep import Done, KeptResults, sweep
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.writing import write_whole
 from problems.tools.kept_tables import append_rows

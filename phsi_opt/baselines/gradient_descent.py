@@ -28,12 +28,10 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import Entry, place_of
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.column_function import in_rows
-from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.simulation.simulate import BufferedFunction
-from phsi_opt.transcription.alignment import aligned_once
-from phsi_opt.transcription.defects import defect, defects
-from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.interval_map import interval_arguments
+from phsi_opt.sweeps.local_workers import one_thread
+from phsi_opt.transcription.defects import defect, defects, interval_arguments
+from phsi_opt.transcription.grid import aligned_once, grid_of
 from phsi_opt.transcription.losses import complete_intervals
 
 __all__ = ["Descent", "DescentRun", "gradient_descent"]

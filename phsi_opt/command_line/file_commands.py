@@ -15,7 +15,7 @@ from phsi_opt.study_file.adding import add_effects
 from phsi_opt.study_file.filling_in import first_text, unfilled
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import check_alike, survey
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.writing import write_whole
 
 DEMO_FILES = ("friction_spring.csv", "study.toml")

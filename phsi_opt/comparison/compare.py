@@ -13,7 +13,12 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from phsi_opt.comparison.prediction_bands import prediction_bands
+from phsi_opt.criteria import (
+    EXPLAINED_IF_NAMED,
+    FAILING_ERROR,
+    SURE_LEVEL,
+    WHITE_ERROR,
+)
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
@@ -21,14 +26,113 @@ from phsi_opt.estimation.fit_record import parameter_matrix
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import smoothed_states
+from phsi_opt.initialization.scaling import point_at
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import Expressions, function_of
+from phsi_opt.model_error.linearization import linearized
+from phsi_opt.model_error.marginal_likelihood import ReducedSystem
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
-from phsi_opt.simulation.free_run import free_run
+from phsi_opt.simulation.simulate import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
-from phsi_opt.transcription.sensors import outputs_at_samples
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
+from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.sensors import (
+    output_slopes,
+    output_slopes_in_theta,
+    outputs_at_samples,
+)
+
+
+def prediction_bands(
+    record: Record,
+    simulated: Sequence[np.ndarray],
+    values: Mapping[str, Mapping[str, float]],
+) -> tuple[np.ndarray, ...] | None:
+    """Standard deviation of what a free run shows.
+
+    Args:
+        record: the fit and the measurements that its starting states follow.
+        simulated: states of the run, one (n_samples, n_states) per trajectory.
+        values: the free parameters of the run, by trajectory and name.
+
+    Returns:
+        One (n_samples, n_states) per trajectory, in the units of the states; None where
+        it is not known.
+    """
+    fit = record.fit
+    grid = record.grid
+    is_known = np.isfinite(np.diag(fit.covariance))
+    has_covariance = not fit.names or is_known.any()
+    nodes = np.concatenate(simulated)
+    # Of very many values they take longer than the fit, and are too narrow to be seen.
+    if not has_covariance or nodes.size > 200_000:
+        return None
+    if not np.all(np.isfinite(nodes)) or not grid.measured.any():
+        return None
+    model = record.model
+    unknown = Theta.of(model, record.trajectories)
+    theta = np.zeros(len(unknown))
+    theta[unknown.table] = parameter_matrix(model, values)
+    point = point_at(model, grid, unknown, theta, nodes)
+    scheme = MaximumLikelihood().integrator
+    likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
+    z = point.scaled
+    linear = linearized(likelihood, z, likelihood.at(z))
+    system = ReducedSystem(linear, record.sigma)
+    # What states follow parameters, and what is left open beside these.
+    starts = grid.first[:, None] * model.n_states + np.arange(model.n_states)
+    by_theta = system.following * point.x_scale[:, None]
+    left_open = system.start_covariances(starts, grid.trajectory)
+    left_open = left_open * np.outer(point.x_scale, point.x_scale)
+    if model.sensor:
+        of_runs = unknown.by_trajectory(theta)
+        by_state = output_slopes(model, grid, nodes, of_runs).in_states
+        direct = output_slopes_in_theta(unknown, grid, nodes, theta)
+        by_theta = by_state @ by_theta + direct * point.theta_scale
+        left_open = by_state @ left_open @ by_state.transpose(0, 2, 1)
+    own_names = record.estimated_here(model)
+    is_own = np.array([one.name in own_names for one in unknown.entries], dtype=bool)
+    covariance = _parameter_covariance(
+        fit, unknown, is_own, point.theta_scale, system.information
+    )
+    from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
+    from_starts = np.einsum("aii->ai", left_open)
+    # What is not independent tells as little about starting states as about parameters.
+    share = fit.independent_share(fit.names)
+    from_starts = from_starts / (share if np.isfinite(share) else 1.0)
+    variance = from_parameters + from_starts
+    return grid.split(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _parameter_covariance(
+    fit: Fit,
+    unknown: Theta,
+    is_own: np.ndarray,
+    scale: np.ndarray,
+    information: np.ndarray,
+) -> np.ndarray:
+    """Covariance of the scaled parameters along a record, (n_theta, n_theta).
+
+    That of the fit; what is estimated from the record (``is_own``) follows it, given
+    the other parameters.
+    """
+    is_known = np.isfinite(np.diag(fit.covariance))
+    fitted = np.where(np.outer(is_known, is_known), fit.covariance, 0.0)
+    shared = np.flatnonzero(~is_own)
+    own = np.flatnonzero(is_own)
+    place = [fit.names.index(unknown.names[i]) for i in shared]
+    of_shared = fitted[np.ix_(place, place)] / np.outer(scale[shared], scale[shared])
+    covariance = np.zeros((len(unknown), len(unknown)))
+    following = np.eye(len(unknown))[:, shared]
+    if len(own):
+        conditional = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
+        following[own] = -conditional @ information[np.ix_(own, shared)]
+        covariance[np.ix_(own, own)] = conditional
+    return covariance + following @ of_shared @ following.T
+
 
 # Standard deviations of the measurements: stands for a free run that broke off.
 DIVERGED_RUN = 1e3
@@ -399,3 +503,81 @@ def flat_sentence(states: Sequence[str]) -> str:
         "wrong optimum, and what the model lacks cannot be told from it. Give the "
         "parameters other values to start from."
     )
+
+
+def is_like_noise(comparison: Comparison) -> bool:
+    """Whether the residuals look like noise: as small as the noise floor, and white.
+
+    Noise that the fit found to last from sample to sample need not be white.
+    """
+    if not is_small_as_noise(comparison):
+        return False
+    return is_white_noise(comparison) or comparison.record.has_correlated_noise
+
+
+def is_white_noise(comparison: Comparison) -> bool:
+    """Whether the residuals are as small as the noise floor, and white.
+
+    The whiteness of several channels is tested together (Bonferroni).
+    """
+    p_values = comparison.table["whiteness"].to_numpy()
+    is_white = np.nanmin(p_values) * len(p_values) > SURE_LEVEL
+    return bool(is_white and is_small_as_noise(comparison))
+
+
+def leaves_noise(base: Comparison, trained: Comparison) -> bool:
+    """Whether what a larger model leaves looks like noise.
+
+    Noise that lasts must have been seen beside the smaller model too: what an effect
+    leaves that imitates another one looks like it.
+
+    Args:
+        base: the smaller model on the training record.
+        trained: the larger one.
+    """
+    if not is_small_as_noise(trained):
+        return False
+    return is_white_noise(trained) or (
+        trained.record.has_correlated_noise and base.record.shows_correlated_noise
+    )
+
+
+def is_small_as_noise(comparison: Comparison) -> bool:
+    """Whether noise hides, by its size, what the free run is off by besides."""
+    return comparison.rmse < WHITE_ERROR * comparison.noise_floor
+
+
+def is_failing(comparison: Comparison) -> bool:
+    """Whether the free run is further off than the noise alone would leave it."""
+    return comparison.rmse > FAILING_ERROR * comparison.noise_floor
+
+
+def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> bool:
+    """Whether a larger model explains what was missing.
+
+    What it leaves on the training record looks like noise, or is as small as the noise
+    there and on the record that judges.
+
+    Args:
+        base: the smaller model on the record that judges.
+        trained: the larger model on the training record.
+        judged: the larger model on the record that judges.
+    """
+    if leaves_noise(base, trained):
+        return True
+    is_small = (
+        judged.rmse < FAILING_ERROR * judged.noise_floor
+        and trained.rmse < FAILING_ERROR * trained.noise_floor
+    )
+    return is_small and explained_share(base, judged) > EXPLAINED_IF_NAMED
+
+
+def explained_share(old: Comparison, new: Comparison) -> float:
+    """Share of the squared error above the noise floor that a larger model removes."""
+    above_floor = max(old.rmse**2 - old.noise_floor**2, TINY)
+    return (old.rmse**2 - new.rmse**2) / above_floor
+
+
+def deviance(fit: Fit) -> float:
+    """-2 log likelihood of a maximum-likelihood fit."""
+    return fit.bic - len(fit.names) * float(np.log(fit.n_values))

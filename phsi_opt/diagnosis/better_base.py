@@ -7,8 +7,7 @@ the values that follow the record; a re-fit from there may be far likelier.
 
 from dataclasses import replace
 
-from phsi_opt.comparison.compare import compare_record
-from phsi_opt.comparison.model_selection import deviance
+from phsi_opt.comparison.compare import compare_record, deviance
 from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.errors import PhsiOptError

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from phsi_opt.comparison.compare import Comparison
-from phsi_opt.comparison.model_selection import (
+from phsi_opt.comparison.compare import (
+    Comparison,
     is_explained,
     is_small_as_noise,
 )

@@ -34,7 +34,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.sweeps.sweep import check_executor
-from phsi_opt.transcription.alignment import aligned_once
+from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 Progress = Callable[[str], None]

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.comparison.compare import Comparison
-from phsi_opt.comparison.model_selection import is_failing, is_like_noise
+from phsi_opt.comparison.compare import Comparison, is_failing, is_like_noise
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.transcription.losses import MaximumLikelihood

@@ -14,7 +14,7 @@ from math import prod
 
 import numpy as np
 
-from phsi_opt.comparison.model_selection import deviance
+from phsi_opt.comparison.compare import deviance
 from phsi_opt.criteria import (
     CORNER_WIDTHS,
     MOST_SHARP_STATES,
@@ -33,7 +33,7 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import l1_weights
 
 # Share of the present width over which the slope of the deviance is taken.

@@ -14,7 +14,7 @@ from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.model.model import Model
-from phsi_opt.simulation.free_run import Runs, rates
+from phsi_opt.simulation.simulate import Runs, rates
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 # Steps of an imitation, in those of the fit, whose errors are a tenth of the noise: of

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phsi_opt.comparison.compare import Comparison, compare_record
-from phsi_opt.comparison.model_selection import deviance
+from phsi_opt.comparison.compare import Comparison, compare_record, deviance
 from phsi_opt.criteria import (
     ONE_ATTEMPT_INTERVALS,
     OTHER_OPTIMUM_DEVIANCE,
@@ -22,8 +21,8 @@ from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_scanned
-from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs_at_samples
 

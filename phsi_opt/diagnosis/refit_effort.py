@@ -6,7 +6,7 @@ All are counts: a loaded machine gives the same verdict.
 from dataclasses import replace
 
 from phsi_opt.criteria import REFIT_ITERATIONS, REFIT_TOLERANCE, THOROUGH_ITERATIONS
-from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.optimization.ipopt import SolverSettings
 
 BRIEF = SolverSettings(
     tolerance=REFIT_TOLERANCE, max_iterations=REFIT_ITERATIONS, thorough=False

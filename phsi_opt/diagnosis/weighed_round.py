@@ -17,7 +17,7 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
-from phsi_opt.sweeps.ahead import Ahead
+from phsi_opt.sweeps.sweep import Ahead
 
 FORCE_DOES = "it would explain no more than a force without a law"
 

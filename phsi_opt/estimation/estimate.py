@@ -22,8 +22,7 @@ from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.parameter_vector import Point, Theta
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

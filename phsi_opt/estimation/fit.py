@@ -22,9 +22,9 @@ from phsi_opt.estimation.model_content import Content, model_content, model_from
 from phsi_opt.estimation.model_error_table import ModelErrorRow
 from phsi_opt.later import Later
 from phsi_opt.model_error.standard_errors import Source
-from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.ipopt import Outcome
 from phsi_opt.presentation.summary import Summarised, Summary
-from phsi_opt.transcription.alignment import aligned_once
+from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
 

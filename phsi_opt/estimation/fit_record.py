@@ -24,7 +24,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.slots import Entry
 from phsi_opt.model_error.standard_errors import Source
-from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.ipopt import Outcome
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.statistics import TINY, student_limit

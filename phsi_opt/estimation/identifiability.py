@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from phsi_opt.errors import SolveError
-from phsi_opt.transcription.elimination import RIDGE
+from phsi_opt.optimization.bounded_step import RIDGE
 
 # Share of a direction's largest member from which a parameter belongs to it.
 MEMBER_SHARE = 0.1

@@ -16,8 +16,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
 from phsi_opt.model.symbolic import Expressions
 from phsi_opt.presentation.summary import printed_table
-from phsi_opt.simulation.free_run import rates
-from phsi_opt.simulation.simulate import simulate
+from phsi_opt.simulation.simulate import rates, simulate
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -22,10 +22,9 @@ from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units
-from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.sweeps.sweep import check_executor
-from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import AlignedData, Grid, grid_of
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss, l1_weights
 
 

@@ -30,9 +30,9 @@ from phsi_opt.model_error.standard_errors import (
     StandardErrors,
     standard_errors,
 )
-from phsi_opt.transcription.elimination import regularized_inverse
+from phsi_opt.optimization.bounded_step import regularized_inverse
+from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.grid import steps_per_gap
-from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 

@@ -12,9 +12,8 @@ import numpy as np
 from phsi_opt.estimation.likelihood_steps import Optimum
 from phsi_opt.estimation.noise_estimation import NOISE_TOLERANCE, NoiseIteration
 from phsi_opt.model_error.joint_estimate import NEARLY_HELD
-from phsi_opt.optimization.ipopt import Solution, Solver
+from phsi_opt.optimization.ipopt import Solution, Solver, SolverSettings
 from phsi_opt.optimization.program import Program
-from phsi_opt.optimization.settings import SolverSettings
 
 
 def by_ipopt(

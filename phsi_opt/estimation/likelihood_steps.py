@@ -29,15 +29,16 @@ from phsi_opt.model_error.joint_estimate import (
     Target,
 )
 from phsi_opt.model_error.linearization import Linearizer
-from phsi_opt.optimization.ipopt import Solution, names_at_bounds
-from phsi_opt.optimization.outcome import (
+from phsi_opt.optimization.ipopt import (
     DIRECT_STEPS,
     FOUND,
     OTHERWISE,
     STALLED,
     Outcome,
+    Solution,
+    SolverSettings,
+    names_at_bounds,
 )
-from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 
 # Length of a step, in standard deviations of what is unknown, that is short enough for

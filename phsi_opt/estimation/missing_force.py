@@ -31,8 +31,7 @@ from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import ForcePosterior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.parameter_vector import Point, Theta
 
 Known = bool | np.ndarray  # whether the noise is known, of all states or of each
 Forces = tuple[Process, ...]

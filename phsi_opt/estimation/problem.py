@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.transcription.grid import AlignedData, Grid
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 Loss = PHSILoss | MaximumLikelihood

@@ -21,8 +21,7 @@ from phsi_opt.estimation.force_search import longest_noise, missing_force_of
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.model_error_table import SENSOR_ERROR
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.grid import AlignedData, Grid
 
 
 @dataclass(frozen=True, eq=False)

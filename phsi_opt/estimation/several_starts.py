@@ -21,7 +21,7 @@ from phsi_opt.estimation.likelihood_problem import (
 from phsi_opt.estimation.likelihood_start import states_at
 from phsi_opt.estimation.problem import Progress, silent
 from phsi_opt.initialization.scaling import theta_scale
-from phsi_opt.sweeps.ahead import Ahead
+from phsi_opt.sweeps.sweep import Ahead
 from phsi_opt.transcription.parameter_vector import Theta
 
 # Difference of -2 log likelihood up to which two starts found the same optimum: far

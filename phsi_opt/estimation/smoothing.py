@@ -24,9 +24,9 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.transcription.augmented_states import with_memory
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 

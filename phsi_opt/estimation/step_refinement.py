@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.optimization.bounded_step import regularized_inverse
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
-from phsi_opt.transcription.elimination import regularized_inverse
 from phsi_opt.transcription.grid import steps_per_gap
 
 MOST_INTERVALS = 64  # between two samples

@@ -18,8 +18,8 @@ from phsi_opt.estimation.identifiability import (
     silent_directions,
 )
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.defect_derivatives import defect_slopes
-from phsi_opt.transcription.elimination import RIDGE
+from phsi_opt.optimization.bounded_step import RIDGE
+from phsi_opt.transcription.defects import defect_slopes
 from phsi_opt.transcription.grid import Grid
 
 

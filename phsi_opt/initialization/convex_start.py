@@ -28,9 +28,9 @@ from phsi_opt.initialization.frequency_scan import (
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.bounded_step import bounded_least_squares
+from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
-from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 

@@ -17,10 +17,9 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.slots import place_of
 from phsi_opt.statistics import local_maxima
-from phsi_opt.transcription.defects import defects
+from phsi_opt.transcription.defects import KnownDefects, defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
-from phsi_opt.transcription.known_defects import KnownDefects
 
 N_STARTS = 3  # frequencies of the scan that are tried
 RANK = (

@@ -11,8 +11,8 @@ import numpy as np
 from phsi_opt.initialization.scaling import interpolated, invert_sensors
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
+from phsi_opt.transcription.defects import at_nodes
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import at_nodes
 
 # Share of the largest curvature of the rates' squares below which they leave a
 # direction of the states open.

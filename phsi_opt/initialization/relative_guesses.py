@@ -13,8 +13,8 @@ from phsi_opt.model.parameters import Share, Tried
 from phsi_opt.model.slots import place_of
 from phsi_opt.statistics import rms
 from phsi_opt.transcription.augmented_states import padded
+from phsi_opt.transcription.defects import at_nodes
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import at_nodes
 
 STILL = 4.0  # widths of dry friction's corner within which a speed counts as rest
 

@@ -17,12 +17,10 @@ from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import with_slopes
 from phsi_opt.statistics import TINY
+from phsi_opt.transcription.defects import KnownDefects, mapped
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
-from phsi_opt.transcription.interval_map import mapped
-from phsi_opt.transcription.known_defects import KnownDefects
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.parameter_vector import Point, Theta
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 N_SLOPES = 25  # nodes at which slopes of the model and the sensors are averaged

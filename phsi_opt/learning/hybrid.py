@@ -36,8 +36,7 @@ from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
 from phsi_opt.learning.hybrid_training import train
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.alignment import aligned_once
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.grid import Grid, aligned_once
 from phsi_opt.transcription.losses import PHSILoss
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]

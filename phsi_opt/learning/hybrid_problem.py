@@ -19,9 +19,9 @@ from phsi_opt.learning.hybrid_training import TrainingSet
 from phsi_opt.learning.ridge import cross_validated
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import rms
+from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.integrators import Integrator, integrator
-from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.errors import ModelError
-from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.sweeps.local_workers import one_thread
 
 # (weight (n_out, n_in), bias (n_out,)) of every layer
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]

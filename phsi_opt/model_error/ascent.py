@@ -31,8 +31,8 @@ from phsi_opt.model_error.marginal_likelihood import (
     whitener_of_force,
     whitener_of_sensor,
 )
+from phsi_opt.optimization.bounded_step import RIDGE
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import RIDGE
 
 # Random vectors: as many as together look at 8000 values, within these limits.
 LEAST_PROBES = 6

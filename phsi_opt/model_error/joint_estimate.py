@@ -34,10 +34,9 @@ from phsi_opt.model_error.marginal_likelihood import (
     Smoothed,
     noise_weights,
 )
-from phsi_opt.optimization.bounded_step import Room
-from phsi_opt.optimization.chained import FEWEST_STATES
-from phsi_opt.optimization.outcome import is_level
-from phsi_opt.transcription.elimination import REGULAR
+from phsi_opt.optimization.banded import FEWEST_STATES
+from phsi_opt.optimization.bounded_step import REGULAR, Room
+from phsi_opt.optimization.ipopt import is_level
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 # Steps of a problem that others follow, with other noise or another size of the force.
@@ -209,7 +208,7 @@ class JointProblem:
         """Whether the curvature of the dynamics may take part.
 
         Not where samples measure all of many states: these are solved for by their own
-        curvature, which is diagonal (`optimization.chained`). The band of the whole
+        curvature, which is diagonal (`optimization.banded`). The band of the whole
         would take four times the memory, and tens of gigabytes for 400 states.
         """
         grid = self.values.grid

@@ -19,8 +19,7 @@ from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
 
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.disturbances import LINEAR_SHARE, smooth_functions
-from phsi_opt.optimization.banded import Banded, BandLayout
-from phsi_opt.optimization.passage import Passage, neighbours_first
+from phsi_opt.optimization.banded import Banded, BandLayout, Passage, neighbours_first
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 

@@ -21,11 +21,15 @@ from scipy.sparse import coo_matrix, csr_matrix, hstack
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import Disturbances, Process, Structure, Whitener
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.optimization.banded import Banded
-from phsi_opt.optimization.bounded_step import ANY_ROOM, Room, bounded_step
-from phsi_opt.optimization.chained import Chain, Chained, TimeLayout
+from phsi_opt.optimization.banded import Banded, Chain, Chained, TimeLayout
+from phsi_opt.optimization.bounded_step import (
+    ANY_ROOM,
+    REGULAR,
+    RIDGE,
+    Room,
+    bounded_step,
+)
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import REGULAR, RIDGE
 
 EVERY = slice(None)
 NOTHING_HELD = np.zeros(0, dtype=int)

@@ -31,8 +31,8 @@ from phsi_opt.model_error.marginal_likelihood import (
     whitener_of_force,
     whitener_of_sensor,
 )
+from phsi_opt.optimization.bounded_step import RIDGE
 from phsi_opt.statistics import chi_square_tail
-from phsi_opt.transcription.elimination import RIDGE
 
 LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes
 FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing

@@ -3,11 +3,17 @@
 Unknowns that touch only their neighbours in time make a banded matrix.
 The optimality system of every likelihood here is such a matrix, bordered by the few
 columns of the parameters. Its factors cost time and memory in proportion to the number
-of samples. The border is dealt with elsewhere (`transcription.elimination`).
+of samples. The border is dealt with elsewhere by its owner.
 """
 
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
-from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.linalg.lapack import dgbtrf, dgbtrs, dpbtrf, dpbtrs
+from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from phsi_opt.errors import SolveError
 
@@ -118,3 +124,434 @@ class Banded:
         """Logarithm of the absolute value of the determinant."""
         diagonal = self._factors[self.layout.kl + self.layout.ku]
         return float(np.sum(np.log(np.abs(diagonal))))
+
+
+NEGLIGIBLE = 1e-18  # share of the largest slope that is only rounding
+# What touches its neighbours in a step hardly touches what is far away in several:
+# states that are so many places apart share a column at first.
+APART = 40
+PANEL = 8  # columns that are solved for together
+
+
+class Passage:
+    """The dynamics of all gaps.
+
+    Args:
+        slopes: J, (n_intervals * n_states, n_nodes * n_states).
+        begin: (n_intervals,) first node of each interval, in the order of time; the
+            next node is its end.
+        is_sample: (n_nodes,); the first and last nodes of every trajectory are samples.
+        rank: (n_states,) place of each state where those that touch are neighbours.
+
+    Attributes:
+        of_inside: rows of J that end inside gaps.
+        of_last: rows of J that end at samples.
+        inside: columns of J of the nodes inside.
+        samples: columns of J of samples.
+        first: slopes inside gaps in the states of samples.
+        onward: slopes of last intervals in the states inside.
+        last: slopes of last intervals in the states of samples.
+
+    Raises:
+        SolveError: a node inside does not follow.
+    """
+
+    def __init__(
+        self,
+        slopes: csr_matrix,
+        begin: np.ndarray,
+        is_sample: np.ndarray,
+        rank: np.ndarray,
+    ) -> None:
+        self._rank = rank
+        is_last = is_sample[begin + 1]
+        self._gap = np.cumsum(is_last) - is_last
+        sample = np.cumsum(is_sample) - 1
+        self._sample = sample[begin[is_sample[begin]]]
+        self.of_inside = self._places(~is_last)
+        self.of_last = self._places(is_last)
+        self.inside = self._places(~is_sample)
+        self.samples = self._places(is_sample)
+        behind = slopes[self.of_last]
+        self.onward = behind[:, self.inside]
+        self.last = behind[:, self.samples]
+        before = slopes[self.of_inside]
+        self.first = before[:, self.samples]
+        self._reach = self._farthest(self.onward)
+        self._factors: Banded | None = None
+        if len(self.inside):
+            self._factors = self._factored(before[:, self.inside].tocoo(), ~is_last)
+
+    def _places(self, chosen: np.ndarray) -> np.ndarray:
+        """Of the states of chosen nodes, or intervals, among all."""
+        n = len(self._rank)
+        places: np.ndarray = (
+            np.flatnonzero(chosen)[:, None] * n + np.arange(n)
+        ).ravel()
+        return places
+
+    def _farthest(self, slopes: csr_matrix) -> int:
+        """Places between states that touch, at most."""
+        entries = slopes.tocoo()
+        n = len(self._rank)
+        places = self._rank[entries.row % n] - self._rank[entries.col % n]
+        return int(np.max(np.abs(places), initial=0))
+
+    def _factored(self, slopes: coo_matrix, is_inside: np.ndarray) -> Banded:
+        """Of the slopes inside, in the order that makes the narrower band."""
+        gap = np.repeat(self._gap[is_inside], len(self._rank))
+        rank = np.tile(self._rank, len(gap) // len(self._rank))
+        number = np.arange(len(gap)) // len(self._rank)
+        layouts = []
+        for order in (np.lexsort((number, rank, gap)), np.lexsort((rank, number))):
+            layouts.append(BandLayout(slopes.row, slopes.col, order))
+        narrower = min(layouts, key=lambda layout: layout.kl + layout.ku)
+        return Banded(narrower, slopes.data)
+
+    @property
+    def log_abs_det(self) -> float:
+        """Of the slopes inside."""
+        return self._factors.log_abs_det if self._factors else 0.0
+
+    def followed(self, right: np.ndarray) -> np.ndarray:
+        """States inside for right-hand sides (n_inside, k) of their intervals."""
+        return self._factors.solve(right) if self._factors else right
+
+    def pulled(self, right: np.ndarray) -> np.ndarray:
+        """Multipliers of the intervals that end inside, for pulls on states there."""
+        return (
+            self._factors.solve(right, is_transposed=True) if self._factors else right
+        )
+
+    def over(self, right: np.ndarray) -> np.ndarray:
+        """Right-hand sides (n_intervals * n_states, k) of whole gaps."""
+        followed = self.followed(right[self.of_inside])
+        over: np.ndarray = right[self.of_last] - self.onward @ followed
+        return over
+
+    def slopes(self) -> csr_matrix:
+        """Of whole gaps in the states of samples."""
+        return self.last + self._carried(self.first, self._sample)
+
+    def over_blocks(self, blocks: csr_matrix) -> csr_matrix:
+        """Of whole gaps, for right-hand sides in one block of columns per gap."""
+        carried = self._carried(blocks[self.of_inside], np.arange(len(self._sample)))
+        return blocks[self.of_last] + carried
+
+    def _carried(self, blocks: csr_matrix, place: np.ndarray) -> csr_matrix:
+        """What intervals inside add to whole gaps, but for what is only rounding.
+
+        Args:
+            blocks: (n_inside, n_columns) in one block of columns per gap.
+            place: (n_gaps,) number of that block.
+        """
+        n = len(self._rank)
+        apart = min(APART, n)
+        carried = self._carried_by(apart, blocks, place)
+        while carried is None:
+            apart = min(2 * apart, n)
+            carried = self._carried_by(apart, blocks, place)
+        return carried
+
+    def _carried_by(
+        self, apart: int, blocks: csr_matrix, place: np.ndarray
+    ) -> csr_matrix | None:
+        """The same; None where states ``apart`` from each other are still felt."""
+        n = len(self._rank)
+        entries = blocks.tocoo()
+        largest = NEGLIGIBLE * np.max(np.abs(entries.data), initial=0.0)
+        column = self._rank[entries.col % n] % apart
+        found: list[tuple[np.ndarray, ...]] = []
+        for first in range(0, apart, PANEL):
+            own = (column >= first) & (column < first + PANEL)
+            width = min(PANEL, apart - first)
+            right = coo_matrix(
+                (entries.data[own], (entries.row[own], column[own] - first)),
+                shape=(blocks.shape[0], width),
+            ).toarray(order="F")
+            felt = -(self.onward @ self.followed(right))
+            row, number = np.nonzero(np.abs(felt) > largest)
+            distance = number + first - self._rank[row % n]
+            if apart < n:
+                distance = (distance + apart // 2) % apart - apart // 2
+            rank = self._rank[row % n] + distance
+            is_far = np.abs(distance) >= apart // 2 - self._reach
+            if apart < n and np.any(is_far | (rank < 0) | (rank >= n)):
+                return None
+            found.append((felt[row, number], row, rank))
+        value, row, rank = (np.concatenate(part) for part in zip(*found, strict=True))
+        state = np.argsort(self._rank)[rank]
+        places = (row, place[row // n] * n + state)
+        shape = (len(place) * n, blocks.shape[1])
+        return coo_matrix((value, places), shape=shape).tocsr()
+
+
+def neighbours_first(row: np.ndarray, column: np.ndarray, n_states: int) -> np.ndarray:
+    """An order of states in which those that touch are near, (n_states,)."""
+    touching = np.zeros((n_states, n_states), dtype=bool)
+    touching[row, column] = True
+    return reverse_cuthill_mckee(csr_matrix(touching | touching.T), True)
+
+
+# From this number of states on: below, the band is as fast.
+FEWEST_STATES = 14
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Nodes along the time, and intervals that join neighbours.
+
+    Attributes:
+        begin: (n_intervals,) first node of each interval; the next node is its end.
+        n_nodes: number of nodes.
+        n_states: number of states at a node.
+    """
+
+    begin: np.ndarray
+    n_nodes: int
+    n_states: int
+
+
+@dataclass(frozen=True, eq=False)
+class ChainLayout:
+    """Where the entries of matrices of one pattern stand: H, J and the nodes.
+
+    Attributes:
+        order: (n_states,) the states of a node, those that touch near each other. All
+            that follows, and all that factors do inside, has them in this order.
+        chain: nodes and intervals, in the order of time.
+        curved: entries of the diagonal of H among all.
+        state: (n_curved,) unknown on which each of them stands.
+        sloped: entries of J among all.
+        row: (n_sloped,) row of J of each of them.
+        column: (n_sloped,) its column.
+    """
+
+    order: np.ndarray
+    chain: Chain
+    curved: np.ndarray
+    state: np.ndarray
+    sloped: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+
+    @classmethod
+    def of(
+        cls, rows: np.ndarray, columns: np.ndarray, chain: Chain
+    ) -> "ChainLayout | None":
+        """Of a pattern; None where it is not of this kind, or too small to gain.
+
+        Args:
+            rows: (n_entries,) row of every entry; entries at one place are added.
+            columns: (n_entries,) its column.
+            chain: nodes and intervals.
+        """
+        begin, n_states = chain.begin, chain.n_states
+        n_x = chain.n_nodes * n_states
+        n_unknowns = n_x + len(begin) * n_states
+        is_larger = max(np.max(rows, initial=0), np.max(columns, initial=0))
+        in_time = bool(np.all(np.diff(begin) > 0))
+        if n_states < FEWEST_STATES or not in_time or is_larger >= n_unknowns:
+            return None  # such as one with processes among its unknowns
+        of_states = (rows < n_x) & (columns < n_x)
+        if np.any(rows[of_states] != columns[of_states]):
+            return None
+        curved = np.flatnonzero(of_states)
+        sloped = np.flatnonzero((rows >= n_x) & (columns < n_x))
+        row = rows[sloped] - n_x
+        column = columns[sloped]
+        first = begin[row // n_states] * n_states
+        if np.any((column < first) | (column >= first + 2 * n_states)):
+            return None
+        order = neighbours_first(row % n_states, column % n_states, n_states)
+        rank = np.argsort(order)
+        state = _renamed(rows[curved], rank)
+        row, column = _renamed(row, rank), _renamed(column, rank)
+        return cls(order, chain, curved, state, sloped, row, column)
+
+    def curvature(self, entries: np.ndarray) -> np.ndarray:
+        """Diagonal of H at every node, (n_nodes, n_states)."""
+        shape = (self.chain.n_nodes, self.chain.n_states)
+        n_x = shape[0] * shape[1]
+        diagonal = np.bincount(self.state, entries[self.curved], minlength=n_x)
+        return diagonal.reshape(shape)
+
+    def slopes(self, entries: np.ndarray) -> csr_matrix:
+        """J, (n_intervals * n_states, n_nodes * n_states)."""
+        n = self.chain.n_states
+        shape = (len(self.chain.begin) * n, self.chain.n_nodes * n)
+        return csr_matrix((entries[self.sloped], (self.row, self.column)), shape=shape)
+
+
+class Chained:
+    """Cholesky factors of the system of one layout.
+
+    Args:
+        layout: of the pattern.
+        entries: (n_entries,) in its order.
+        curvature: (n_nodes, n_states) diagonal of H.
+        is_sample: (n_nodes,) whether a node's states are measured.
+
+    Attributes:
+        n: number of unknowns and multipliers.
+        log_abs_det: logarithm of the absolute value of the determinant.
+
+    Raises:
+        SolveError: a node between samples does not follow.
+        np.linalg.LinAlgError: a multiplier does not.
+    """
+
+    def __init__(
+        self,
+        layout: ChainLayout,
+        entries: np.ndarray,
+        curvature: np.ndarray,
+        is_sample: np.ndarray,
+    ) -> None:
+        self._layout = layout
+        slopes = layout.slopes(entries)
+        n_states = layout.chain.n_states
+        rank = np.arange(n_states)
+        self._passage = Passage(slopes, layout.chain.begin, is_sample, rank)
+        self._over_gaps = self._passage.slopes()
+        self._inverse = 1 / curvature[is_sample].ravel()
+        self.n = curvature.size + slopes.shape[0]
+        band = _band_of_squares(self._over_gaps, self._inverse, n_states)
+        self._factors, info = dpbtrf(band, lower=True, overwrite_ab=True)
+        if info:
+            raise np.linalg.LinAlgError("multipliers do not follow")
+        of_samples = -float(np.sum(np.log(self._inverse)))
+        of_multipliers = 2 * float(np.sum(np.log(self._factors[0])))
+        of_inside = 2 * self._passage.log_abs_det
+        self.log_abs_det = of_samples + of_multipliers + of_inside
+
+    @classmethod
+    def of(cls, layout: ChainLayout, entries: np.ndarray) -> "Chained | None":
+        """Of the matrix with these entries; None where samples do not measure all."""
+        curvature = layout.curvature(entries)
+        is_sample = _samples(layout.chain.begin, curvature)
+        if is_sample is None or not np.all(np.isfinite(entries)):
+            return None
+        with suppress(np.linalg.LinAlgError, SolveError):
+            return cls(layout, entries, curvature, is_sample)
+        return None
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution for one right-hand side (n,) or several (n, k)."""
+        order = self._layout.order
+        n_x = self._layout.chain.n_nodes * len(order)
+        columns = right.reshape(self.n, -1)
+        shape = (-1, len(order), columns.shape[1])
+        sorted_columns = columns.reshape(shape)[:, order]
+        flat = sorted_columns.reshape(columns.shape)
+        x, multipliers = self._solved(flat[:n_x], flat[n_x:])
+        found = np.empty_like(sorted_columns)
+        found[:, order] = np.concatenate([x, multipliers]).reshape(shape)
+        return found.reshape(right.shape)
+
+    def _solved(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States and multipliers for a (n_x, k) and b (n_multipliers, k)."""
+        passage = self._passage
+        weights = self._inverse[:, None]
+        pulled = passage.pulled(a[passage.inside])
+        a_samples = a[passage.samples] - passage.first.T @ pulled
+        missed = self._over_gaps @ (weights * a_samples) - passage.over(b)
+        of_last: np.ndarray = dpbtrs(self._factors, missed, lower=True)[0]
+        samples = weights * (a_samples - self._over_gaps.T @ of_last)
+        offset = b[passage.of_inside] - passage.first @ samples
+        x = np.empty_like(a)
+        x[passage.samples] = samples
+        x[passage.inside] = passage.followed(offset)
+        multipliers = np.empty_like(b)
+        multipliers[passage.of_last] = of_last
+        onward = passage.pulled(passage.onward.T @ of_last)
+        multipliers[passage.of_inside] = pulled - onward
+        return x, multipliers
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLayout:
+    """A symmetric pattern of states and multipliers, filled again and again.
+
+    Attributes:
+        rows: (n_entries,) row of every entry; entries at one place are added.
+        columns: (n_entries,) its column.
+        order: (n,), the unknowns in the order in which they make a band.
+        chain: nodes and intervals that the unknowns belong to; None: a band is all.
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    order: np.ndarray
+    chain: Chain | None
+
+    @cached_property
+    def _banded(self) -> BandLayout:
+        return BandLayout(self.rows, self.columns, self.order, is_symmetric=True)
+
+    @cached_property
+    def _chained(self) -> ChainLayout | None:
+        if self.chain is None:
+            return None
+        return ChainLayout.of(self.rows, self.columns, self.chain)
+
+    def factors(self, entries: np.ndarray) -> Banded | Chained:
+        """Of the matrix with these entries (n_entries,).
+
+        Raises:
+            SolveError: the matrix is singular.
+        """
+        chained = self._chained and Chained.of(self._chained, entries)
+        return chained or Banded(self._banded, entries)
+
+
+def _band_of_squares(
+    slopes: csr_matrix, inverse: np.ndarray, n_states: int
+) -> np.ndarray:
+    """J H^-1 J' in LAPACK's storage of the lower half of a band, (height, n)."""
+    n = slopes.shape[0]
+    weighted = slopes @ diags(inverse)
+    transposed = slopes.T.tocsr()
+    height = 1 + _farthest(transposed)
+    band = np.zeros(height * n)
+    step = 64 * n_states  # gaps whose products are worked out at a time
+    for first in range(0, n, step):
+        part = (weighted[first : first + step] @ transposed).tocoo()
+        below = part.row + first - part.col
+        is_lower = below >= 0
+        places = part.col[is_lower].astype(np.int64) * height + below[is_lower]
+        band[places] = part.data[is_lower]
+    return band.reshape(n, height).T
+
+
+def _farthest(transposed: csr_matrix) -> int:
+    """Places between rows that touch one column, at most."""
+    transposed.sort_indices()
+    begin, end = transposed.indptr[:-1], transposed.indptr[1:]
+    is_any = end > begin
+    indices = transposed.indices
+    return int(np.max(indices[end[is_any] - 1] - indices[begin[is_any]], initial=0))
+
+
+def _renamed(places: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """Places (node or interval, state) with the states in another order."""
+    block, state = np.divmod(places, len(rank))
+    renamed: np.ndarray = block * len(rank) + rank[state]
+    return renamed
+
+
+def _samples(begin: np.ndarray, curvature: np.ndarray) -> np.ndarray | None:
+    """Nodes of which all states are measured, (n_nodes,); of the others none is.
+
+    None where it is not so, or where a trajectory begins or ends between samples.
+    """
+    largest = np.max(curvature, initial=0.0)
+    # What lies between the two limits would cost digits.
+    is_sample = np.all(curvature > 1e-8 * largest, axis=1)
+    is_between = np.all(curvature <= 1e-11 * largest, axis=1)
+    has_next = np.zeros(len(curvature), dtype=bool)
+    has_next[begin] = True
+    has_previous = np.zeros(len(curvature), dtype=bool)
+    has_previous[begin + 1] = True
+    follows = is_between & has_next & has_previous
+    return is_sample if np.all(is_sample | follows) else None

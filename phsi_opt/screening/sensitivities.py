@@ -20,7 +20,7 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.weighing import SCHEME
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import MemoryIntegration
-from phsi_opt.transcription.known_defects import KnownDefects
+from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 

@@ -41,9 +41,8 @@ from phsi_opt.model_error.marginal_likelihood import (
     solve_border,
 )
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.grid import AlignedData, Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 

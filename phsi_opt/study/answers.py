@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.comparison.compare import Comparison
-from phsi_opt.comparison.model_selection import is_failing
+from phsi_opt.comparison.compare import Comparison, is_failing
 from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.finding import Finding

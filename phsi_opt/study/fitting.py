@@ -20,7 +20,7 @@ from phsi_opt.presentation.content import Follows
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.study.record import Step
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 

@@ -143,3 +143,20 @@ def _one_blas_thread() -> Iterator[None]:
     finally:
         for name in added:
             os.environ.pop(name, None)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Let torch compute with one thread inside, and with as many as before afterwards.
+
+    Small batches are slower with more threads, and the order of sums, and so the last
+    bits, would depend on their number.
+    """
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

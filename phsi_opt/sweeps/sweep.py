@@ -5,7 +5,9 @@ for those that are not needed any more), so that processes, threads and a cluste
 alike. An executor that was given is never shut down here.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -15,14 +17,98 @@ from concurrent.futures import (
 )
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
+from urllib.parse import quote
 
 from phsi_opt.arguments import is_count
-from phsi_opt.errors import DataError, SolveError
-from phsi_opt.sweeps.kept_results import KeptResults
+from phsi_opt.errors import DataError, PhsiOptError, SolveError
+from phsi_opt.reading import file_text
 from phsi_opt.sweeps.local_workers import local_workers
+from phsi_opt.writing import write_whole
+
+FORMAT = "phsi_opt sweep 1"
+LONGEST_NAME = 100  # characters of a file's name; file systems take 255 bytes
+DIGEST_LENGTH = 16  # hexadecimal digits that tell long keys apart
+
+
+@dataclass(frozen=True)
+class KeptResults:
+    """The results of one sweep, in a folder that is made when the first one is kept.
+
+    Attributes:
+        folder: Where the files are.
+        of: What the results depend on beside their keys, in a word or a digest; a file
+            that says something else is refused.
+    """
+
+    folder: Path
+    of: str = ""
+
+    def keep(self, key: str, result: Any) -> None:
+        """Write the result of a key.
+
+        Raises:
+            DataError: JSON cannot hold the result.
+        """
+        content = {"format": FORMAT, "of": self.of, "key": key, "result": result}
+        try:
+            text = json.dumps(content, default=_plain)
+        except (TypeError, ValueError) as error:
+            raise DataError(
+                f"the result of {key!r} cannot be kept as JSON: {error}. Return "
+                "numbers, texts, lists and mappings, or sweep without a folder."
+            ) from None
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_whole(self.path_of(key), text + "\n")
+
+    def found(self, keys: Iterable[str]) -> Iterator[tuple[str, Any]]:
+        """Those of the keys that are kept, with their results.
+
+        A file that cannot be read counts as none: its result is computed anew.
+
+        Raises:
+            DataError: A file is of another sweep.
+        """
+        if not self.folder.is_dir():
+            return
+        for key in keys:
+            content = self._content(key)
+            if content is not None:
+                yield key, content["result"]
+
+    def path_of(self, key: str) -> Path:
+        """The file of a key; it may not exist."""
+        name = quote(key, safe=" ")
+        if len(name) > LONGEST_NAME or name.startswith("."):
+            digest = hashlib.sha256(key.encode()).hexdigest()[:DIGEST_LENGTH]
+            name = f"{name[: LONGEST_NAME - DIGEST_LENGTH]}-{digest}".lstrip(".")
+        return self.folder / f"{name}.json"
+
+    def _content(self, key: str) -> dict[str, Any] | None:
+        path = self.path_of(key)
+        try:
+            content = json.loads(file_text(path))
+        except (OSError, ValueError, RecursionError):
+            return None
+        if not isinstance(content, dict) or "result" not in content:
+            return None
+        is_same = content.get("of") == self.of and content.get("key") == key
+        if content.get("format") != FORMAT or not is_same:
+            raise DataError(
+                f"{path} holds a result of another sweep: {content.get('of')!r} in the "
+                f"file, {self.of!r} asked for. Take another folder, or empty this one."
+            )
+        return content
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays as Python's."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is no number, text, list or mapping")
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,3 +286,76 @@ def _check(
         raise DataError(
             f"in_flight={in_flight!r} must be a number of cases, 1 or more."
         )
+
+
+Say = Callable[[str], None]
+T = TypeVar("T")
+Result = TypeVar("Result")
+
+
+class Ahead(Generic[T, Result]):
+    """Results by key; close it, and what is not begun is cancelled.
+
+    Args:
+        function: Of a case and of what takes a line of text; at the top level of a
+            module, or a `functools.partial` of such a function.
+        cases: The argument by key.
+        executor: Where to compute; None: here, each case when it is asked for. So is a
+            single case.
+        say: Called with the lines of a case when its result is asked for.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[T, Say], Result],
+        cases: Mapping[str, T],
+        executor: Executor | None,
+        say: Say,
+    ) -> None:
+        self._function = function
+        self._cases = cases
+        self._say = say
+        self._found: dict[str, _Told] = {}
+        self._swept: Iterator[Done] | None = None
+        if executor is not None and len(cases) > 1:
+            self._swept = sweep(partial(_told, function), cases, executor=executor)
+
+    def result(self, key: str) -> Result:
+        """The result of a case, once.
+
+        Raises:
+            PhsiOptError: What the function raised, or a worker ended.
+        """
+        if self._swept is None:
+            return self._function(self._cases[key], self._say)
+        while key not in self._found:
+            done = next(self._swept)
+            self._found[done.key] = done.result
+        told = self._found.pop(key)
+        for line in told.lines:
+            self._say(line)
+        if told.error is not None:
+            raise told.error
+        result: Result = told.result
+        return result
+
+    def close(self) -> None:
+        """Cancel what is not begun."""
+        self._swept = None  # a sweep ends with its iterator
+
+
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """What a case gave or raised, and what it said before."""
+
+    result: Any
+    lines: list[str]
+    error: PhsiOptError | None = None
+
+
+def _told(function: Callable[[Any, Say], Any], case: Any) -> _Told:
+    lines: list[str] = []
+    try:
+        return _Told(function(case, lines.append), lines)
+    except PhsiOptError as error:
+        return _Told(None, lines, error)

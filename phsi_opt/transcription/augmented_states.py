@@ -15,10 +15,13 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
-from phsi_opt.transcription.defects import interval_symbols, rates_within
+from phsi_opt.transcription.defects import (
+    interval_arguments,
+    interval_symbols,
+    rates_within,
+)
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import interval_arguments
-from phsi_opt.transcription.point import UNBOUNDED
+from phsi_opt.transcription.parameter_vector import UNBOUNDED
 
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 

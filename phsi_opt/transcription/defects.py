@@ -6,20 +6,117 @@ made from them. Their second derivatives, and the first ones interval by interva
 in `defect_derivatives`.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.model.symbolic import argument_symbols
+from phsi_opt.optimization.column_function import ColumnFunction, in_columns
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
-from phsi_opt.transcription.interval_map import (
-    in_intervals,
-    interval_arguments,
-    known_arguments,
-    map_intervals,
-)
+
+
+def interval_arguments(grid: Grid, x: Any) -> list[Any]:
+    """x0, x1, t0, h, u0 and u1 of every interval, as columns.
+
+    Args:
+        grid: nodes and intervals.
+        x: (n_states, n_nodes) states, symbols or numbers.
+    """
+    begin: Any = grid.begin
+    end: Any = grid.begin + 1
+    if not isinstance(x, np.ndarray):  # CasADi takes lists of places
+        begin, end = begin.tolist(), end.tolist()
+    return [x[:, begin], x[:, end], *known_arguments(grid)]
+
+
+def known_arguments(grid: Grid) -> list[np.ndarray]:
+    """t0, h, u0 and u1 of every interval, (n_rows, n_intervals) each."""
+    t0 = grid.t[grid.begin]
+    return [t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
+
+
+def _of_each(theta: Any, trajectory: np.ndarray) -> tuple[Any, bool]:
+    """Parameters theta, a column per interval or node unless all share one.
+
+    And whether they do.
+    """
+    shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
+    if len(shape) < 2 or shape[1] == 1:
+        return theta, True
+    places: Any = trajectory
+    if not isinstance(theta, np.ndarray):  # CasADi takes lists of places
+        places = trajectory.tolist()
+    return theta[:, places], False
+
+
+def map_intervals(
+    function: ca.Function, grid: Grid, arguments: list[Any], theta: Any
+) -> Any:
+    """The function in every interval with the parameters of its trajectory.
+
+    Args:
+        function: its last argument are the parameters.
+        grid: nodes and intervals.
+        arguments: the other arguments, a column per interval.
+        theta: (n_free,) parameters, or (n_free, n_trajectories).
+    """
+    own, is_shared = _of_each(theta, grid.runs)
+    return mapped(function, grid.n_intervals, is_shared)(*arguments, own)
+
+
+def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:
+    """A function of (x, u, t, theta) at every node; ``x`` is (n_states, n_nodes)."""
+    own, is_shared = _of_each(theta, grid.trajectory)
+    arguments = node_arguments(grid, x)
+    return mapped(function, grid.n_nodes, is_shared)(*arguments, own)
+
+
+@lru_cache(32)  # of one model and its next neighbours; each takes some memory
+def mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
+    """The function in n columns; the last argument may be one and the same for all."""
+    if is_shared:
+        return function.map("mapped", "serial", n, [function.n_in() - 1], [])
+    return function.map(n, "serial")
+
+
+def in_intervals(
+    function: ca.Function, grid: Grid, arguments: list[Any], theta: np.ndarray
+) -> list[np.ndarray]:
+    """`map_intervals` in numbers: entries of every result, (n_entries, n_intervals)."""
+    return _in_columns(function, arguments, theta, grid.runs)
+
+
+def at_nodes(
+    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
+) -> list[np.ndarray]:
+    """`map_nodes` in numbers: entries of every result, (n_entries, n_nodes)."""
+    arguments = node_arguments(grid, x)
+    return _in_columns(function, arguments, theta, grid.trajectory)
+
+
+def _in_columns(
+    function: ca.Function,
+    arguments: list[Any],
+    theta: np.ndarray,
+    trajectory: np.ndarray,
+) -> list[np.ndarray]:
+    own, is_shared = _of_each(theta, trajectory)
+    if not is_shared:
+        return ColumnFunction(function)(*arguments, own)
+    last = function.n_in() - 1
+    return ColumnFunction(function, (last,))(*arguments, own.ravel())
+
+
+def node_arguments(grid: Grid, x: Any) -> list[Any]:
+    """x, u and t of every node, as columns; ``x`` is (n_states, n_nodes)."""
+    return [x, grid.u.T, grid.t[None, :]]
+
 
 FINE_STEPS = 8  # of RK4 along the interval by which one step of a scheme is checked
 
@@ -180,3 +277,183 @@ def _fine_integration(model: Model) -> ca.Function:
     for k in range(FINE_STEPS):
         x = step(x, k, *interval)
     return ca.Function("exact", [x0, *interval], [x])
+
+
+@dataclass(frozen=True, eq=False)
+class OfOne:
+    """A small matrix of one interval or node, by its entries that are not always zero.
+
+    Attributes:
+        function: whose last result are the entries, as a column.
+        places: (n_entries, 2) row and column of each.
+    """
+
+    function: ca.Function
+    places: np.ndarray
+
+
+def linear_function(function: ca.Function, n_states: int) -> OfOne:
+    """The value of a function, and its slopes in its states and parameters.
+
+    Args:
+        function: of one interval or node; its last argument are the parameters.
+        n_states: number of its first arguments that are states.
+    """
+    arguments = argument_symbols(function)
+    value = function(*arguments)
+    unknowns = [*arguments[:n_states], arguments[-1]]
+    slopes = ca.jacobian(value, ca.vertcat(*unknowns))
+    return _of_one("linear", arguments, [value], slopes)
+
+
+def linear_defect(model: Model, scheme: str) -> OfOne:
+    """A defect, and its slopes in (x0, x1, theta)."""
+    return model.built(
+        ("linear", scheme), lambda: linear_function(defect(model, scheme), 2)
+    )
+
+
+def defect_curvature(model: Model, scheme: str) -> OfOne:
+    """Second derivatives of multipliers'd in (x0, x1, theta), upper triangle.
+
+    A function of the arguments of `defect`, the multipliers before the parameters.
+    """
+    return model.built(("curvature", scheme), lambda: _curvature(model, scheme))
+
+
+def _curvature(model: Model, scheme: str) -> OfOne:
+    function = defect(model, scheme)
+    *given, parameters = argument_symbols(function)
+    multiplier = ca.SX.sym("multiplier", model.n_states)
+    value = ca.dot(multiplier, function(*given, parameters))
+    hessian = ca.hessian(value, ca.vertcat(*given[:2], parameters))[0]
+    arguments = [*given, multiplier, parameters]
+    return _of_one("curvature", arguments, [], ca.triu(hessian))
+
+
+def _of_one(
+    name: str, arguments: list[ca.SX], values: list[ca.SX], matrix: ca.SX
+) -> OfOne:
+    rows, columns = matrix.sparsity().get_triplet()
+    entries = [matrix[i, j] for i, j in zip(rows, columns, strict=True)]
+    results = [*values, ca.vertcat(ca.SX(0, 1), *entries)]
+    places = np.array([rows, columns], dtype=int).T
+    return OfOne(ca.Function(name, arguments, results), places)
+
+
+def defect_slopes(
+    model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Defects (n_intervals, n_states), and their slopes in (x0, x1, theta).
+
+    ``x`` is (n_nodes, n_states) and ``theta`` (n_free,); the slopes are
+    (n_intervals, n_states, 2 n_states + n_free).
+    """
+    one = linear_defect(model, scheme)
+    columns = interval_arguments(grid, x.T)
+    d, entries = in_intervals(one.function, grid, columns, theta)
+    n_states = model.n_states
+    slopes = np.zeros((grid.n_intervals, n_states, 2 * n_states + len(theta)))
+    slopes[:, *one.places.T] = entries.T
+    return d.T, slopes
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSlopes:
+    """Defects at some values of the parameters, and their slopes there.
+
+    Attributes:
+        d: (n_intervals, n_states) defects.
+        slopes: (n_intervals * n_states, n_chosen), a row per interval and equation.
+    """
+
+    d: np.ndarray
+    slopes: np.ndarray
+
+
+def known_defects(
+    model: Model, grid: Grid, scheme: str, theta: ca.MX
+) -> tuple[ca.MX, ca.MX]:
+    """Defects between the measurements in symbols, and their slopes.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals, every state measured at both ends.
+        scheme: name of the integrator.
+        theta: (n_free,) parameters.
+
+    Returns:
+        Defects (n_states * n_intervals,), one equation after the other, and slopes
+        (n_states * n_intervals, n_free).
+    """
+    n_free = len(model.free)
+    arguments: list[Sequence[ca.DM | ca.MX]] = []
+    for rows in interval_arguments(grid, grid.y.T):
+        # One number where all are alike.
+        arguments.append([ca.DM(row if np.ptp(row) else row[:1]) for row in rows])
+    arguments.append(ca.vertsplit(theta))
+    together = _with_slopes(model, scheme, list(range(n_free)))
+    d, slopes = in_columns(together, arguments)
+    columns = []
+    for entries in (d, *(slopes[j::n_free] for j in range(n_free))):
+        filled = [_filled(entry, grid.n_intervals) for entry in entries]
+        columns.append(ca.vertcat(*filled))
+    return columns[0], ca.horzcat(*columns[1:])
+
+
+def _filled(entry: ca.MX, n_places: int) -> ca.MX:
+    """A column, where it may be one number for all places."""
+    if entry.numel() == n_places:
+        return entry
+    return ca.MX.zeros(n_places) if entry.is_zero() else ca.repmat(entry, n_places, 1)
+
+
+class KnownDefects:
+    """Defects of all intervals between known states, and their slopes in parameters.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals.
+        scheme: name of the integrator.
+        x: (n_nodes, n_states) states at the nodes; None: ``grid.y``.
+        only: places of the parameters in ``model.free`` that get a column, in this
+            order; None: all.
+        n_moving: as that of `defect`.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        grid: Grid,
+        scheme: str,
+        x: np.ndarray | None = None,
+        only: list[int] | None = None,
+        n_moving: int | None = None,
+    ) -> None:
+        chosen = list(range(len(model.free))) if only is None else only
+        self._function = _with_slopes(model, scheme, chosen, n_moving)
+        self._n_chosen = len(chosen)
+        self._grid = grid
+        states = grid.y if x is None else x
+        self._arguments = interval_arguments(grid, states.T)
+
+    def at(self, theta: np.ndarray) -> ParameterSlopes:
+        """Defects and slopes for parameters theta (n_free,), or (n_free, n_runs)."""
+        theta = np.asarray(theta)
+        d, slopes = in_intervals(self._function, self._grid, self._arguments, theta)
+        return ParameterSlopes(d.T, slopes.T.reshape(d.size, self._n_chosen))
+
+
+def _with_slopes(
+    model: Model, scheme: str, chosen: list[int], n_moving: int | None = None
+) -> ca.Function:
+    """A function of one interval: its defect, and the slopes of each equation."""
+
+    def made() -> ca.Function:
+        function = defect(model, scheme, n_moving)
+        arguments = argument_symbols(function)
+        d = function(*arguments)
+        slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
+        return ca.Function("with_slopes", arguments, ca.cse([d, ca.vec(slopes)]))
+
+    return model.built(("with slopes", scheme, tuple(chosen), n_moving), made)

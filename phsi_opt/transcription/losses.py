@@ -23,16 +23,14 @@ from phsi_opt.arguments import is_count, require, require_positive, require_size
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import SLACK_ABOVE, Program
-from phsi_opt.transcription.defect_constraint import (
+from phsi_opt.transcription.defects import defects, known_defects
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.likelihood_values import (
+    LikelihoodValues,
     constraint_curvature,
     constraint_jacobian,
 )
-from phsi_opt.transcription.defects import defects
-from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import known_defects
-from phsi_opt.transcription.likelihood_values import LikelihoodValues
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.parameter_vector import Point, Theta
 from phsi_opt.transcription.sensors import outputs
 
 MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first

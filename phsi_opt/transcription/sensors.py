@@ -13,8 +13,8 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import with_slopes
+from phsi_opt.transcription.defects import map_nodes
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import map_nodes
 from phsi_opt.transcription.parameter_vector import Theta
 
 

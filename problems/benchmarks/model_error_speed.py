@@ -19,7 +19,7 @@ import pandas as pd
 import phsi_opt as ph
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.problem import Task
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks.coverage_fits import SCENARIOS
 from problems.benchmarks.disturbed_oscillator import Layout, model
 from problems.benchmarks.oscillator_records import records

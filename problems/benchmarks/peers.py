@@ -25,7 +25,7 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks.peer_cases import PROBLEMS, Drawn, Problem, drawn
 from problems.benchmarks.peer_methods import (
     DIFFERENCE,

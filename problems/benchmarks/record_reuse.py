@@ -28,7 +28,7 @@ COUNTING = "--count"
 STEPS = ("base model", "diagnosis", "tables and sentences", "figure", "auto")
 # What is counted, by the place of the function that does it.
 NOW = {
-    "aligned": "phsi_opt.transcription.alignment.aligned",
+    "aligned": "phsi_opt.transcription.grid.aligned",
     "laid out": "phsi_opt.transcription.grid.grid_of",
     "fingerprints": "phsi_opt.data.measurements.Measurements.digest",
     "missing forces": "phsi_opt.estimation.force_search.missing_force_of",

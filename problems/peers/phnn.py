@@ -21,7 +21,7 @@ from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.losses import complete_intervals

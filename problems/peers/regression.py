@@ -17,7 +17,7 @@ from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import Entry, place_of
 from phsi_opt.model.terms import Dictionary
-from phsi_opt.transcription.alignment import aligned_once
+from phsi_opt.transcription.grid import aligned_once
 from problems.peers.sampled_rates import SampledRates, sampled_rates
 
 

@@ -32,7 +32,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.terms import Dictionary, polynomials
-from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete_intervals
 from problems.peers.torch_polynomials import (

@@ -23,8 +23,8 @@ from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.column_function import in_rows
-from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.simulation.simulate import BufferedFunction
+from phsi_opt.sweeps.local_workers import one_thread
 from problems.peers.joint_force import HybridBaseline, JointForce
 from problems.peers.torch_networks import (
     PlacedForce,

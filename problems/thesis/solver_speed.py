@@ -25,7 +25,7 @@ import pandas as pd
 
 import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import DescentRun, gradient_descent
-from phsi_opt.optimization.torch_threads import one_thread
+from phsi_opt.sweeps.local_workers import one_thread
 from problems.thesis.methods import SIGNIFICANCE, descent_settings
 from problems.thesis.systems import SYSTEMS, System, mass_spring_descent_model
 from problems.tools import markdown
