@@ -3,7 +3,7 @@
 Unknowns that touch only their neighbours in time make a banded matrix.
 The optimality system of every likelihood here is such a matrix, bordered by the few
 columns of the parameters. Its factors cost time and memory in proportion to the number
-of samples. The border is dealt with elsewhere by its owner.
+of samples. The border is dealt with in `model_error`.
 """
 
 from contextlib import suppress
