@@ -12,7 +12,11 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import minimize
 
-from phsi_opt.learning.force_samples import RANK_TOLERANCE, ForceSamples, Response
+from phsi_opt.learning.orthogonal_network import (
+    RANK_TOLERANCE,
+    ForceSamples,
+    Response,
+)
 from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.expressions import evaluate
 from phsi_opt.model.laws import FRICTION_TURNOVER
@@ -22,8 +26,10 @@ from phsi_opt.statistics import autocorrelation_time, rms
 
 PLACES = np.linspace(0.04, 0.96, 16)  # of corners and pulses: quantiles of the variable
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of pulses: shares of the variable's range
-POWERS = ("{v}", "{v}*abs({v})", "{v}**2", "{v}**3", "{v}**4", "{v}**5")
-SINES = ("sin({v})", "cos({v})")
+OF_ONE = (
+    *("{v}", "{v}*abs({v})", "{v}**2", "{v}**3", "{v}**4", "{v}**5"),
+    *("sin({v})", "cos({v})"),
+)
 # The sign of the variable, rounded as the catalogue's Coulomb friction is.
 ROUNDED_SIGN = "{v}*({v}**4 + turnover**4)**(-0.25)"
 CORNERS = ("max({v} - corner, 0)", "max(corner - {v}, 0)")
@@ -44,7 +50,7 @@ def short_form(
 ) -> list[Term]:
     """A few terms, each with its coefficient, that explain a share of a curve.
 
-    A term is added while BIC = (squared traces that are left) / unit + (number of
+    A term is added while BIC = (unexplained squared traces) / unit + (number of
     parameters) log n falls. The unit is the variance of the residuals beside the curve,
     and they count for the independent ones they are worth.
 
@@ -61,22 +67,28 @@ def short_form(
     # Residuals are in units of the noise: less than one is luck.
     unit = max(float(np.mean(rest**2)), 1.0) * together
     price = float(np.log(max(len(rest) / together, 2.0)))
-    problem = _Problem(names, samples, response, target, unit, price)
+    problem = _Problem(names, samples, response, target)
+
+    def bic(chosen: Sequence[_Trial]) -> float:
+        n_parameters = sum(1 + len(trial.free) for trial in chosen)
+        return problem.unexplained(chosen) / unit + price * n_parameters
+
     listed = problem.listed()
     chosen: list[_Trial] = []
     while len(chosen) < most:
-        best = min(listed, key=lambda trial: problem.bic([*chosen, trial]))
+        best = min(listed, key=lambda trial: bic([*chosen, trial]))
         further = [*chosen, problem.refined(chosen, best)]
-        if problem.bic(further) >= problem.bic(chosen):
+        if bic(further) >= bic(chosen):
             break
         chosen = further
-    if not chosen or problem.left(chosen) > (1 - share) * problem.left([]):
+    enough = (1 - share) * problem.unexplained([])
+    if not chosen or problem.unexplained(chosen) > enough:
         return []
-    terms = []
     sizes = problem.coefficients(chosen).tolist()
-    for trial, size in zip(chosen, sizes, strict=True):
-        terms.append(replace(trial.term, coefficient=Parameter(size)))
-    return terms
+    return [
+        replace(trial.term, coefficient=Parameter(size))
+        for trial, size in zip(chosen, sizes, strict=True)
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,32 +107,20 @@ class _Trial:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What is explained, and by what.
-
-    Attributes:
-        target: (n_values,), what is explained.
-        unit: the squares of which each counts as one.
-        price: of a parameter.
-    """
+    """A trace (n_values,), the target, that terms of variables explain."""
 
     names: Sequence[str]
     samples: ForceSamples
     response: Response
     target: np.ndarray
-    unit: float
-    price: float
 
     def listed(self) -> list[_Trial]:
         """The candidates that the physics has not, with their traces."""
-        terms = []
-        columns = []
-        for term in _candidates(self.names, self.samples.v):
-            values = self.values(term)
-            if values is not None:
-                terms.append(term)
-                columns.append(values)
-        traces = self.response.traces(np.column_stack(columns)).T
-        return list(map(_Trial, terms, traces))
+        known = [(term, self.values(term)) for term in _candidates(self)]
+        new = [(term, values) for term, values in known if values is not None]
+        columns = np.column_stack([values for _, values in new])
+        traces = self.response.traces(columns).T
+        return [_Trial(term, x) for (term, _), x in zip(new, traces, strict=True)]
 
     def values(self, term: Term) -> np.ndarray | None:
         """The term along the record, (n,).
@@ -128,10 +128,9 @@ class _Problem:
         None where it is not finite, or nothing that the physics has not.
         """
         known = dict(zip(self.names, self.samples.v.T, strict=True))
-        for name, parameter in term.inner.items():
-            known[name] = parameter.start
+        inner = {name: parameter.start for name, parameter in term.inner.items()}
         with np.errstate(all="ignore"):
-            values = evaluate(term.body, known, NUMPY)
+            values = evaluate(term.body, {**known, **inner}, NUMPY)
             values = np.broadcast_to(values, self.samples.w.shape)
             beyond = np.linalg.norm(self.samples.without_physics(values))
             size = np.linalg.norm(values / self.samples.std)
@@ -141,24 +140,18 @@ class _Problem:
     def coefficients(self, chosen: Sequence[_Trial]) -> np.ndarray:
         """Those with which the terms explain the target best, (n_terms,)."""
         traces = np.column_stack([trial.trace for trial in chosen])
-        found = np.linalg.lstsq(traces, self.target, rcond=RANK_TOLERANCE)
-        return found[0]
+        return np.linalg.lstsq(traces, self.target, rcond=RANK_TOLERANCE)[0]
 
-    def left(self, chosen: Sequence[_Trial]) -> float:
-        """Squares of the target that the chosen terms leave."""
-        left = self.target
+    def unexplained(self, chosen: Sequence[_Trial]) -> float:
+        """Squares of the target less what the chosen terms explain."""
+        rest = self.target
         if chosen:
             traces = np.column_stack([trial.trace for trial in chosen])
-            left = left - traces @ self.coefficients(chosen)
-        return float(left @ left)
-
-    def bic(self, chosen: Sequence[_Trial]) -> float:
-        """The criterion of the chosen terms; less is better."""
-        n_parameters = sum(1 + len(trial.free) for trial in chosen)
-        return self.left(chosen) / self.unit + self.price * n_parameters
+            rest = rest - traces @ self.coefficients(chosen)
+        return float(rest @ rest)
 
     def refined(self, chosen: Sequence[_Trial], trial: _Trial) -> _Trial:
-        """The term with the place and width, near those tried, that leave least."""
+        """The term with the best place and width near those tried."""
         names = trial.free
         if not names:
             return trial
@@ -166,23 +159,24 @@ class _Problem:
         scale = WIDTHS[0] * float(np.max(np.ptp(self.samples.v, axis=0)))
         tried = [trial]
 
-        def left(step: np.ndarray) -> float:
-            values = dict(zip(names, (start + scale * step).tolist(), strict=True))
-            moved = self._moved(trial.term, values)
+        def error(step: np.ndarray) -> float:
+            moved = self._moved(trial.term, names, (start + scale * step).tolist())
             if moved is None:
                 return float(self.target @ self.target)
             tried.append(moved)
-            return self.left([*chosen, moved])
+            return self.unexplained([*chosen, moved])
 
         simplex = np.vstack([np.zeros(len(names)), np.eye(len(names))])
         options = {"maxfev": 40, "initial_simplex": simplex}
-        minimize(left, simplex[0], method="Nelder-Mead", options=options)
-        return min(tried, key=lambda one: self.left([*chosen, one]))
+        minimize(error, simplex[0], method="Nelder-Mead", options=options)
+        return min(tried, key=lambda one: self.unexplained([*chosen, one]))
 
-    def _moved(self, term: Term, values: dict[str, float]) -> _Trial | None:
+    def _moved(
+        self, term: Term, names: Sequence[str], values: Sequence[float]
+    ) -> _Trial | None:
         """The term at other inner values; None where they or it are not possible."""
         inner = dict(term.inner)
-        for name, value in values.items():
+        for name, value in zip(names, values, strict=True):
             parameter = inner[name]
             if not parameter.lower < value < parameter.upper:
                 return None
@@ -194,30 +188,21 @@ class _Problem:
         return _Trial(moved, self.response.traces(curve[:, None])[:, 0])
 
 
-def _candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
-    """A constant, the terms of each variable, and the products of two.
-
-    Their values are (n, n_variables).
-    """
+def _candidates(problem: _Problem) -> Iterator[Term]:
+    """A constant, the terms of each variable, and the products of two."""
     yield Term("1")
-    for name, values in zip(names, v.T, strict=True):
-        for body in (*POWERS, *SINES):
-            yield Term(body.format(v=name))
-        size = rms(values)
-        turnover = Parameter(FRICTION_TURNOVER * size, fixed=True)
-        yield Term(ROUNDED_SIGN.format(v=name), None, {"turnover": turnover})
-        for place in np.quantile(values, PLACES).tolist():
-            yield from _at_a_place(name, Parameter(place), float(np.ptp(values)))
-    for a, b in combinations(names, 2):
+    for v, values in zip(problem.names, problem.samples.v.T, strict=True):
+        for body in OF_ONE:
+            yield Term(body.format(v=v))
+        turnover = Parameter(FRICTION_TURNOVER * rms(values), fixed=True)
+        yield Term(ROUNDED_SIGN.format(v=v), None, {"turnover": turnover})
+        for place in map(Parameter, np.quantile(values, PLACES).tolist()):
+            for body in CORNERS:
+                yield Term(body.format(v=v), None, {"corner": place})
+            for share in WIDTHS:
+                width = Parameter(share * float(np.ptp(values)), lower=0.0)
+                inner = {"centre": place, "width": width}
+                yield Term(PULSE.format(v=v), None, inner)
+    for a, b in combinations(problem.names, 2):
         for body in PRODUCTS:
             yield Term(body.format(a=a, b=b))
-
-
-def _at_a_place(name: str, place: Parameter, spread: float) -> Iterator[Term]:
-    """Corners and pulses of a variable that has such a spread."""
-    for body in CORNERS:
-        yield Term(body.format(v=name), None, {"corner": place})
-    for share in WIDTHS:
-        width = Parameter(share * spread, lower=0.0)
-        inner = {"centre": place, "width": width}
-        yield Term(PULSE.format(v=name), None, inner)

@@ -7,43 +7,64 @@ turns, each with the other's latest estimate, on one and the same loss: the defe
 an integrator. A turn is
 
 1. the program for H and R, with the force of the network as an input at the stages of
-   every step (`transcription.stages`);
-2. the network on what is left of the forced equations at these stages (AdamW);
+   every step;
+2. the network on the rest of the forced equations at these stages (AdamW);
 3. its last layer once more, exactly, by least squares together with every coefficient
    of H and R: what the dictionary can explain is shared out as the joint loss wants it,
    whichever of the two was fitted first.
 
-The network itself is in `hybrid_network`, its training in `hybrid_training`, and what
-one turn computes in `hybrid_problem`.
+The network and its training are in `hybrid_network`.
 """
 
+import json
 import time
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.identify import identify_forced
+from phsi_opt.estimation.json_file import read_json
 from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.force_analysis.cross_validation import N_FOLDS
+from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.interrupts import interruptible
-from phsi_opt.learning.force_signals import without_signals
-from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
-from phsi_opt.learning.hybrid_problem import HybridProblem
-from phsi_opt.learning.hybrid_result import Hybrid
-from phsi_opt.learning.hybrid_training import train
+from phsi_opt.learning.hybrid_network import (
+    UNTRAINED,
+    NeuralForce,
+    TrainedForce,
+    TrainingSet,
+    train,
+)
+from phsi_opt.learning.network import Network, cross_validated_ridge
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.grid import Grid, aligned_once
-from phsi_opt.transcription.losses import PHSILoss
+from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.simulation.simulate import simulate_forced
+from phsi_opt.statistics import rms
+from phsi_opt.transcription.defects import KnownDefects, ParameterSlopes
+from phsi_opt.transcription.grid import Grid, aligned_once, grid_of
+from phsi_opt.transcription.integrators import Integrator, integrator
+from phsi_opt.transcription.losses import PHSILoss, complete_intervals
+from phsi_opt.writing import write_whole
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 
 # By then the network has taken its part, and what is small is small beside it.
 FIRST_PRUNED_TURN = 2
 SETTLED = 1e-3  # relative change of a coefficient below which it does not move
+FORMAT = "phsi_opt hybrid 1"
+SCALES = ("shift", "spread", "seen")  # of a network, in a file
+SIGNAL = "network_signal_"  # the inputs that stand for the force begin so
+STEP_SHARE = f"{SIGNAL}share"  # of the step
 
 
 @interruptible
@@ -57,7 +78,7 @@ def hybrid(
     integrator: str = "srk4",
     seed: int = 0,
     max_turns: int = 20,
-) -> Hybrid:
+) -> "Hybrid":
     """Identify a dictionary and train a neural force beside it, in turns.
 
     The turns end when the coefficients move by less than a thousandth and the force by
@@ -82,28 +103,27 @@ def hybrid(
     began = time.perf_counter()
     record = aligned_once(model, data)
     trained = TrainedForce.of(model, force.equations, force.variables)
-    problem = HybridProblem.of(model, record, trained, integrator)
+    problem = _Problem.of(model, record, trained, integrator)
     shape = (problem.grid.n_intervals, len(problem.rule.shares), len(trained.rows))
     at_stages = np.zeros(shape)
-    loss = PHSILoss(integrator)
     fit: Fit | None = None
     turns = []
     converged = False
     for turn in range(max_turns):
-        at_begin = (model, at_stages)
+        before = (model, at_stages)
         prune = pruning if turn >= FIRST_PRUNED_TURN else None
-        laid_out = partial(_given, problem.with_force(at_stages))
-        forced = problem.forced(model)
-        fit = identify_forced(forced, record, loss, l1, prune, laid_out, fit)
+        fit = problem.identified(*before, record, l1, prune, fit)
         model = without_signals(fit.model)
         stages = problem.training_set(model, at_stages)
-        rate = force.learning_rate * 0.8**turn
-        epochs = max(force.epochs // 4, 1) if turn > 0 else force.epochs
-        in_turn = replace(force, epochs=epochs, learning_rate=rate)
+        in_turn = replace(
+            force,
+            epochs=max(force.epochs // 4, 1) if turn > 0 else force.epochs,
+            learning_rate=force.learning_rate * 0.8**turn,
+        )
         trained = train(in_turn, trained, stages, seed)
         trained = problem.with_best_output(trained, model, stages)
         at_stages = trained.at(stages.stages)
-        row = problem.changes(*at_begin, model, at_stages)
+        row = problem.changes(*before, model, at_stages)
         turns.append({"turn": turn + 1, **row})
         converged = (
             row["coefficient_change"] < SETTLED and row["force_change"] < 10 * SETTLED
@@ -123,6 +143,325 @@ def hybrid(
     )
 
 
-def _given(grid: Grid, _: Grid) -> Grid:
-    """The grid with the force, in place of the one that the measurements have."""
-    return grid
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hybrid(Identified):
+    """Result of `hybrid`: dx/dt = dictionary model + force of the network.
+
+    Attributes:
+        fit: the dictionary part, identified beside the force.
+        force: the trained network.
+        convergence: a row per turn with turn, loss (mean squared defect),
+            coefficient_change (largest change of a coefficient, relative to the largest
+            of its slot), force_change (root mean square, relative to the force) and
+            n_terms.
+        converged: whether neither moved any more in the last turn.
+    """
+
+    fit: Fit
+    force: TrainedForce
+    convergence: pd.DataFrame
+    converged: bool
+
+    @property
+    def loss_value(self) -> float:
+        """Mean squared defect with the force."""
+        return float(self.convergence["loss"].iloc[-1])
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error by name at the trained force, whose own error is not in it."""
+        return {name: self.fit.std_errors[name] for name in self.model.entries}
+
+    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
+        """States (n_samples, n_states) with the force of the network, by SciPy.
+
+        Args:
+            t: increasing times (n_samples,).
+            x0: states (n_states,) at t[0].
+            u: inputs (n_samples, n_inputs) at t; None for a model without inputs.
+        """
+        return simulate_forced(self.model, t, x0, u, self._added, hold=self.hold)
+
+    def _added(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """What the network adds to dx/dt, (n_states,)."""
+        inputs = np.asarray(u)[: self.model.n_inputs]
+        total = np.zeros(self.model.n_states)
+        total[self.force.rows] = self.force.at(np.r_[x, inputs, t][None])[0]
+        return total
+
+    def without_force(self) -> Fit:
+        """The dictionary alone: the system with the outside force switched off."""
+        return replace(self.fit, model=self.model)
+
+    def equations(self) -> list[str]:
+        """The right-hand sides; the network appears by its name."""
+        inside = ", ".join(self.force.variables)
+        lines = super().equations()
+        for row in self.force.rows:
+            lines[row] += f" + network_{self.model.states[row]}({inside})"
+        return lines
+
+    def save(self, path: str | Path) -> None:
+        """Write dictionary, network and table of turns as JSON.
+
+        The file holds numbers and formulas, no code.
+        """
+        network = self.force.network
+        content = {
+            "format": FORMAT,
+            "fit": self.fit.content(),
+            "force": {
+                "equations": list(self.force.equations),
+                "variables": list(self.force.variables),
+                **{name: getattr(network, name).tolist() for name in SCALES},
+                "layers": [[w.tolist(), b.tolist()] for w, b in network.layers],
+            },
+            "convergence": self.convergence.to_dict("list"),
+            "converged": self.converged,
+            "seconds": self.seconds,
+        }
+        write_whole(path, json.dumps(content) + "\n")
+
+    @staticmethod
+    def load(path: str | Path) -> "Hybrid":
+        """Read what `save` wrote; never runs code from the file.
+
+        Raises:
+            DataError: for anything else.
+        """
+        return read_json(path, FORMAT, "a hybrid", _from_content)
+
+    def __str__(self) -> str:
+        last = self.convergence.iloc[-1]
+        ended = "stopped at the limit of turns, still moving"
+        if self.converged:
+            ended = "neither moves any more"
+        turns = (
+            f"  {len(self.convergence)} turns with the network, {self.seconds:.1f} s: "
+            f"{ended} (last change of a coefficient {last['coefficient_change']:.1e}, "
+            f"of the force {last['force_change']:.1e})"
+        )
+        return "\n".join([str(self.fit), *self.equations(), turns])
+
+    __repr__ = __str__
+
+
+def _from_content(content: dict[str, Any]) -> Hybrid:
+    fit = Fit.from_content(content["fit"])
+    stored = content["force"]
+    equations = tuple(map(str, stored["equations"]))
+    model = without_signals(fit.model)
+    shift, spread, seen = (np.array(stored[name], dtype=float) for name in SCALES)
+    layers = tuple(
+        (np.array(w, float), np.array(b, float)) for w, b in stored["layers"]
+    )
+    network = Network(shift, spread, seen, UNTRAINED.activation, layers)
+    force = TrainedForce.of(model, equations, stored["variables"], network)
+    network.check_sizes(len(force.variables), len(equations))
+    return Hybrid(
+        model=model,
+        hold=fit.hold,
+        seconds=float(content["seconds"]),
+        removed=fit.removed,
+        fit=fit,
+        force=force,
+        convergence=pd.DataFrame(content["convergence"]),
+        converged=bool(content["converged"]),
+    )
+
+
+# ---- one turn ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What stays the same in all turns.
+
+    The defects are linear in the output weights of the network, and nearly linear in
+    the coefficients of the dictionary. Forces are (n_intervals, n_stages, n_equations).
+
+    Attributes:
+        grid: the intervals, without the force.
+        equations: in which the force acts; ``rows``: their numbers.
+        rule: the integrator.
+    """
+
+    grid: Grid
+    equations: tuple[str, ...]
+    rows: list[int]
+    rule: Integrator
+
+    @classmethod
+    def of(
+        cls, model: Model, data: Measurements, force: TrainedForce, scheme: str
+    ) -> "_Problem":
+        grid = complete_intervals(model, grid_of(data))
+        return cls(grid, force.equations, force.rows, integrator(scheme))
+
+    def identified(
+        self,
+        model: Model,
+        force: np.ndarray,
+        data: Measurements,
+        l1: dict[str, float] | float | None,
+        pruning: Pruning | None,
+        start: Fit | None,
+    ) -> Fit:
+        """The dictionary, with a force as an input."""
+        forced = with_signals(model, self.equations, self.rule)
+        grid = with_force(self.grid, force, self.rule)
+        loss = PHSILoss(self.rule.name)
+        return identify_forced(forced, data, loss, l1, pruning, lambda _: grid, start)
+
+    def defects(self, model: Model, force: np.ndarray) -> ParameterSlopes:
+        """Of a dictionary beside a force, with their slopes in its coefficients."""
+        forced = with_signals(model, self.equations, self.rule)
+        grid = with_force(self.grid, force, self.rule)
+        return KnownDefects(forced, grid, self.rule.name).at(forced.theta)
+
+    def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
+        """The stages of the integrator, and what the force must add there on average.
+
+        Beside the dictionary's values, which were found with the force.
+        """
+        forced = with_signals(model, self.equations, self.rule)
+        grid = with_force(self.grid, force, self.rule)
+        theta = np.repeat(forced.theta[:, None], grid.n_intervals, axis=1)
+
+        def rates(x: np.ndarray, share: float) -> np.ndarray:
+            points = Points(x.T, *_inputs_and_times(grid, share), theta)
+            return points.values(forced.rhs()).T
+
+        x0 = grid.y[grid.begin].T
+        x1 = grid.y[grid.begin + 1].T
+        states = self.rule.states(rates, x0, x1, grid.h[None, :])
+        stages = []
+        for x, share in zip(states, self.rule.shares, strict=True):
+            u, t = _inputs_and_times(self.grid, share)
+            stages.append(np.column_stack([x.T, u, t]))
+        data = TrainingSet(
+            np.stack(stages, axis=1),
+            np.array(self.rule.weights) / sum(self.rule.weights),
+            self.defects(model, force).d[:, self.rows],
+            self.folds(),
+        )
+        return replace(data, target=data.target + data.mean(force))
+
+    def folds(self) -> np.ndarray:
+        """Number of the fold of every interval, (n_intervals,).
+
+        Whole trajectories, or blocks where there are fewer than `N_FOLDS` of them.
+        """
+        trajectory = self.grid.runs
+        if trajectory[-1] + 1 >= N_FOLDS:
+            return trajectory % N_FOLDS
+        return np.arange(len(trajectory)) * N_FOLDS // len(trajectory)
+
+    def with_best_output(
+        self, trained: TrainedForce, model: Model, data: TrainingSet
+    ) -> TrainedForce:
+        """Output weights by ridge regression over all defects.
+
+        Every coefficient of H and R may take a step with them.
+        """
+        known = self.defects(model, trained.at(data.stages))
+        d = known.d.copy()
+        d[:, self.rows] = data.target  # without the force
+        units = data.mean(trained.network.features(trained.values_in(data.stages)))
+        features = np.hstack([units, np.ones((len(d), 1))])
+        n_forces = len(self.rows)
+        of_outputs = np.zeros((*d.shape, n_forces, features.shape[1]))
+        of_outputs[:, self.rows, np.arange(n_forces)] = -features[:, None]
+        of_theta = known.slopes.reshape(*d.shape, -1)
+        n_theta = of_theta.shape[2]
+        columns = np.concatenate([of_theta, of_outputs.reshape(*d.shape, -1)], axis=2)
+        ridged = np.arange(columns.shape[2]) >= n_theta
+        step = cross_validated_ridge(columns, d, data.folds, ridged)
+        output = step[n_theta:].reshape(n_forces, -1)
+        layers = (*trained.network.layers[:-1], (output[:, :-1], output[:, -1]))
+        return replace(trained, network=replace(trained.network, layers=layers))
+
+    def changes(
+        self,
+        before: Model,
+        old_force: np.ndarray,
+        after: Model,
+        new_force: np.ndarray,
+    ) -> dict[str, float]:
+        """A row of the table of convergence; see `Hybrid.convergence`."""
+        d = self.defects(after, new_force).d
+        size = max(rms(new_force), LEAST_SIZE)
+        return {
+            "loss": float(np.mean(np.sum(d**2, axis=1))),
+            "coefficient_change": _coefficient_change(before, after),
+            "force_change": rms(new_force - old_force) / size,
+            "n_terms": len(after.free),
+        }
+
+
+def _inputs_and_times(grid: Grid, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """At a share of the steps, (n_intervals, n_inputs) and (n_intervals,)."""
+    u = grid.u0 + share * (grid.u1 - grid.u0)
+    return u, grid.t[grid.begin] + share * grid.h
+
+
+def _coefficient_change(before: Model, after: Model) -> float:
+    """Largest change of a coefficient, relative to the largest of its slot."""
+    old = pd.Series(before.values)
+    new = pd.Series(after.values).reindex(old.index, fill_value=0.0)
+    slots = [entry.slot for entry in before.entries.values()]
+    sizes = new.abs().groupby(slots).transform("max").clip(lower=LEAST_SIZE)
+    changes = (new - old).abs() / sizes
+    return float(np.max(changes.to_numpy(), initial=0.0))
+
+
+# ---- the force as inputs -------------------------------------------------------------
+#
+# The solver sees the network's force as it sees measured inputs. Over each step it is
+# the polynomial in the share of the step that passes through it at the nodes of the
+# integrator: its coefficients are inputs that stay, and the share is one that rises
+# from 0 to 1.
+
+
+def with_signals(model: Model, equations: Sequence[str], rule: Integrator) -> Model:
+    """The model with the force's inputs, each added to its equation."""
+    powers = range(len(rule.nodes))
+    F = dict(model.F)
+    for equation in equations:
+        added = [Term(f"{SIGNAL}{equation}_{k}*{STEP_SHARE}**{k}") for k in powers]
+        F[equation] = Dictionary((*model.F.get(equation, ()), *added))
+    names = [f"{SIGNAL}{equation}_{k}" for k in powers for equation in equations]
+    return replace(model, inputs=(*model.inputs, *names, STEP_SHARE), F=F)
+
+
+def without_signals(model: Model) -> Model:
+    """The inverse of `with_signals`, with the values that the model has now."""
+    inputs = tuple(name for name in model.inputs if not name.startswith(SIGNAL))
+    signals = set(model.inputs) - set(inputs)
+    F = {}
+    for equation, terms in model.F.items():
+        kept = tuple(term for term in terms if signals.isdisjoint(names_of(term.body)))
+        if kept:
+            F[equation] = Dictionary(kept)
+    return replace(model, inputs=inputs, F=F)
+
+
+def with_force(grid: Grid, force: np.ndarray, rule: Integrator) -> Grid:
+    """The grid with the force (n_intervals, n_stages, n_equations) as inputs.
+
+    Where two stages are at one node (RK4's middle), it passes through the mean of both.
+    """
+    shares = np.array(rule.shares)
+    at_nodes = np.stack([force[:, shares == c].mean(axis=1) for c in rule.nodes])
+    powers = np.vander(rule.nodes, increasing=True)
+    held = np.hstack([*np.tensordot(np.linalg.inv(powers), at_nodes, axes=1)])
+    share = np.zeros((grid.n_intervals, 1))
+    at_begin = np.hstack([held, share])
+    u = np.zeros((grid.n_nodes, at_begin.shape[1]))
+    u[grid.begin] = at_begin
+    return replace(
+        grid,
+        u0=np.hstack([grid.u0, at_begin]),
+        u1=np.hstack([grid.u1, held, share + 1]),
+        u=np.hstack([grid.u, u]),
+    )

@@ -19,7 +19,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import count, islice
+from itertools import count, filterfalse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,9 +33,12 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.json_file import read_json
 from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
-from phsi_opt.learning.force_samples import ForceSamples, Response
-from phsi_opt.learning.network import Network, numbers, range_of
-from phsi_opt.learning.orthogonal_network import Training
+from phsi_opt.learning.network import Network, range_of
+from phsi_opt.learning.orthogonal_network import (
+    ForceSamples,
+    Response,
+    orthogonal_network,
+)
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
@@ -102,10 +105,10 @@ class LearnedForce:
             variables.append(f"({inside} - {shift!r})/{spread!r}")
         (weights, bias), (sizes, (constant,)) = network.layers
         bodies = [repr(float(constant))]
-        for row, own, size in zip(weights, bias, sizes[0].tolist(), strict=True):
-            pairs = zip(row.tolist(), variables, strict=True)
-            parts = [f"{weight!r}*({z})" for weight, z in pairs]
-            bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {float(own)!r})")
+        units = np.column_stack([sizes[0], bias, weights])
+        for size, own, *row in units.tolist():
+            parts = [f"{w!r}*({z})" for w, z in zip(row, variables, strict=True)]
+            bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {own!r})")
         return bodies
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
@@ -188,20 +191,16 @@ def _from_content(content: dict[str, Any]) -> LearnedForce:
     physics.model.index(equation, "equation of the learned force")
     on = _checked_names(physics.model, list(map(str, content["on"])))
     record = content["record"]
-    samples = ForceSamples(**{name: numbers(record[name]) for name in record})
-    weights, bias = map(numbers, content["hidden"])
-    sizes, constant = map(numbers, content["output"])
-    network = Network(
-        numbers(content["shift"]),
-        numbers(content["spread"]),
-        range_of(samples.v),
-        "tanh",
-        ((weights, bias), (sizes[None], constant[None])),
-    )
-    if not network.is_of(len(on), 1) or len(samples.v) != len(samples.w):
-        raise DataError(
-            "the layers of the network do not fit together or to its variables."
-        )
+    samples = ForceSamples(**{name: np.array(record[name], float) for name in record})
+    shift = np.array(content["shift"], float)
+    spread = np.array(content["spread"], float)
+    weights, bias = (np.array(one, float) for one in content["hidden"])
+    sizes, constant = (np.array(one, float) for one in content["output"])
+    layers = ((weights, bias), (sizes[None], constant[None]))
+    network = Network(shift, spread, range_of(samples.v), "tanh", layers)
+    network.check_sizes(len(on), 1)
+    if len(samples.v) != len(samples.w):
+        raise DataError("its variables and forces are not of one length.")
     explains = float(content["explains"])
     return LearnedForce(physics, equation, on, network, explains, samples)
 
@@ -255,7 +254,7 @@ def learned_force_of(
     require_count("epochs", epochs)
     samples = ForceSamples.of(record, equation, on)
     response = Response.of(record, model.index(equation))
-    network, explains = Training(samples, response, epochs, seed).result()
+    network, explains = orthogonal_network(samples, response, epochs, seed)
     learned = LearnedForce(record.fit, equation, on, network, explains, samples)
     if explains <= 0:
         return learned
@@ -334,10 +333,11 @@ def distil(
     curve = learned.at(samples.v)
     terms = short_form(learned.on, samples, response, curve, most, share)
     taken = (model or fit.model).entries
-    names = (f"learned_{equation}_{k}" for k in count(1))
-    free = islice((name for name in names if name not in taken), len(terms))
+    free = filterfalse(
+        taken.__contains__, map(f"learned_{equation}_{{}}".format, count(1))
+    )
     effects = []
-    for term, name in zip(terms, free, strict=True):
+    for term, name in zip(terms, free, strict=False):
         dictionary = Dictionary((replace(term, name=name),))
         effects.append(Effect(f"learned {term.body}", "F", equation, dictionary))
     return effects

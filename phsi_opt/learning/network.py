@@ -1,7 +1,8 @@
 """Networks that stand for a force: their values, and what their training shares.
 
 Once trained, a network is a list of matrices and needs no torch. torch is imported
-inside the functions that train.
+inside the functions that train. Output layers are found by ridge regression, whose
+weight is chosen by the prediction of what was left out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,11 +14,17 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import DataError, ModelError
+from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
 from phsi_opt.sweeps.local_workers import one_thread
 
 # (weight (n_out, n_in), bias (n_out,)) of every layer
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+
+# Ridge weights that are tried, in units of the mean sum of squares of a ridged column.
+RIDGE_WEIGHTS = np.logspace(-10, 0, num=11)
+# Share of the largest singular value below which a direction is left alone.
+SINGULAR = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +71,24 @@ class Network:
         weights, bias = self.layers[-1]
         return self.features(v) @ weights.T + bias
 
-    def is_of(self, n_variables: int, n_outputs: int) -> bool:
-        """Whether all arrays have the sizes of so many variables and outputs."""
-        scales = (self.shift, self.spread, *self.seen)
+    def check_sizes(self, n_variables: int, n_outputs: int) -> None:
+        """Refuse arrays from a file that are not of so many variables and outputs.
+
+        Raises:
+            DataError: a size does not fit.
+        """
         sizes = [n_variables]
-        fits = all(scale.shape == (n_variables,) for scale in scales)
+        fits = len(self.seen) == 2
+        for scale in (self.shift, self.spread, *self.seen):
+            fits = fits and scale.shape == (n_variables,)
         for weights, bias in self.layers:
             fits = fits and weights.shape == (len(bias), sizes[-1])
             sizes.append(len(bias))
-        return fits and len(self.seen) == 2 and sizes[-1] == n_outputs
+        if not fits or sizes[-1] != n_outputs:
+            raise DataError(
+                "the layers of the network do not fit together "
+                "or to its equations and variables."
+            )
 
 
 def range_of(v: np.ndarray) -> np.ndarray:
@@ -80,12 +96,57 @@ def range_of(v: np.ndarray) -> np.ndarray:
     return np.stack([v.min(axis=0), v.max(axis=0)])
 
 
-def numbers(content: Any) -> np.ndarray:
-    """The array (n,) or (n, k) that a file holds as lists."""
-    return np.array(content, dtype=float)
+# ---- output layers by ridge regression -----------------------------------------------
 
 
-# ---- in torch
+def ridge_solutions(
+    normal: np.ndarray, ridge: np.ndarray, weights: np.ndarray = RIDGE_WEIGHTS
+) -> Iterator[np.ndarray]:
+    """Coefficients (k,) of a regression for each weight of its ridge, (n_weights,).
+
+    By its `normal_equations` and the ridge (k, k).
+    """
+    for weight in weights:
+        regularized = normal[:, :-1] + weight * ridge
+        yield np.linalg.lstsq(regularized, normal[:, -1], rcond=SINGULAR)[0]
+
+
+def cross_validated_ridge(
+    columns: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray
+) -> np.ndarray:
+    """Least squares with a ridge, by cross-validation.
+
+    The z, (n_columns,), that minimises::
+
+        |d + columns z|^2 + weight |z_ridged|^2
+
+    The weight is the largest within a standard error of the one that predicts the folds
+    best when they are left out.
+
+    Args:
+        columns: (n_intervals, n_equations, n_columns).
+        d: (n_intervals, n_equations).
+        folds: (n_intervals,), numbers below `N_FOLDS`.
+        ridged: (n_columns,), whether the weight acts on the column.
+    """
+    parts = []
+    for fold in range(N_FOLDS):
+        of_fold = columns[folds == fold].reshape(-1, columns.shape[2])
+        parts.append((of_fold, -d[folds == fold].ravel()))
+    normals = [normal_equations(*part) for part in parts]
+    normal = sum(normals[1:], normals[0])
+    ridge = np.diag(ridged * np.mean(np.diag(normal)[ridged]))
+    errors = np.zeros((len(RIDGE_WEIGHTS), N_FOLDS))
+    for fold, (of_fold, target) in enumerate(parts):
+        for place, z in enumerate(ridge_solutions(normal - normals[fold], ridge)):
+            errors[place, fold] = np.sum((target - of_fold @ z) ** 2)
+    more = errors - errors[np.argmin(errors.sum(axis=1))]
+    standard_error = more.std(axis=1, ddof=1) / np.sqrt(N_FOLDS)
+    good = np.flatnonzero(more.mean(axis=1) <= standard_error)
+    return next(ridge_solutions(normal, ridge, RIDGE_WEIGHTS[good[-1:]]))
+
+
+# ---- in torch ------------------------------------------------------------------------
 
 
 @contextmanager

@@ -14,170 +14,242 @@ to point does not say how little a curve through many points may err. Only outpu
 whose force is orthogonal to the physics on the record are allowed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
+from phsi_opt.errors import DataError, ModelError
+from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
-from phsi_opt.learning.force_samples import ForceSamples, Response
+from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.learning.network import (
-    Layers,
+    RIDGE_WEIGHTS,
+    SINGULAR,
     Network,
     layers_of,
     range_of,
+    ridge_solutions,
     torch_for,
     trainable,
 )
-from phsi_opt.learning.ridge import RIDGE_WEIGHTS, SINGULAR, solutions
+from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.statistics import TINY, rms
+from phsi_opt.transcription.parameter_vector import Theta
 
 # Bounds of the first weights of both layers: some units bend within the range, some are
 # nearly straight; the output is in root mean squares of the target.
 FIRST_WEIGHTS = (2.5, 0.1)
 STOPS = (0.0, 0.2, 0.4, 0.7, 1.0)  # shares of the epochs at which training may stop
-
-
-@dataclass(frozen=True)
-class Training:
-    """Of a hidden layer on samples of a force beside the physics.
-
-    Attributes:
-        samples: the missing force.
-        response: of the residuals to a force.
-        epochs: the most; how many are used is chosen on stretches of time left out.
-        seed: of the first weights.
-    """
-
-    samples: ForceSamples
-    response: Response
-    epochs: int
-    seed: int
-
-    def result(self) -> tuple[Network, float]:
-        """The network, and the share of left-out residuals that such networks explain.
-
-        Epochs and ridge are chosen on stretches of time left out. Where nothing is
-        explained the network is zero.
-
-        Raises:
-            ModelError: torch is not installed.
-        """
-        residual = self.response.residual
-        errors = self._errors_left_out()
-        total = errors.sum(axis=0)
-        stop, ridge = np.unravel_index(int(np.argmin(total)), total.shape)
-        network = self._trained(np.ones(len(self.samples.w), dtype=bool))[stop]
-        features = _Features.of(network, self)
-        weights = features.outputs(np.ones(len(residual), dtype=bool), residual)[ridge]
-        left = 0.0
-        for of_fold in errors:
-            # By the choice made on the other folds, so that choosing flatters nothing.
-            of_others = total - of_fold
-            choice = np.unravel_index(int(np.argmin(of_others)), total.shape)
-            left += of_fold[choice]
-        explains = float(1 - left / max(float(residual @ residual), TINY))
-        if explains <= 0:
-            weights = 0 * weights
-        layers = (*network.layers[:-1], (weights[None, :-1], weights[-1:]))
-        whole = range_of(self.samples.v)
-        return replace(network, layers=layers, seen=whole), explains
-
-    def _errors_left_out(self) -> np.ndarray:
-        """Squared residuals of each fold left out, (n_folds, n_stops, n_ridges)."""
-        residual = self.response.residual
-        errors = np.zeros((N_FOLDS, len(STOPS), len(RIDGE_WEIGHTS)))
-        fold_of_interval, fold_of_value = self.response.folds()
-        for fold in range(N_FOLDS):
-            left_out = fold_of_value == fold
-            networks = self._trained(fold_of_interval != fold)
-            for stop, network in enumerate(networks):
-                features = _Features.of(network, self)
-                found = features.outputs(~left_out, residual)
-                for ridge, weights in enumerate(found):
-                    predicted = features.traces[left_out] @ weights
-                    left = residual[left_out] - predicted
-                    errors[fold, stop, ridge] = np.sum(left**2)
-        return errors
-
-    def _trained(self, used: np.ndarray) -> list[Network]:
-        """The network at each of the `STOPS`, by the samples that are used."""
-        samples = self.samples
-        scaled = Network.scaled(samples.v, "tanh")
-        seen = replace(scaled, seen=range_of(samples.v[used]))
-        stops = [round(share * self.epochs) for share in STOPS]
-        found: dict[int, Layers] = {}
-        with torch_for("a learned force", self.seed) as torch:
-            net = trainable((samples.v.shape[1], 16, 1), scaled.activation)
-            torch.manual_seed(self.seed)
-            for layer, bound in zip(net[::2], FIRST_WEIGHTS, strict=True):
-                for tensor in layer.parameters():
-                    torch.nn.init.uniform_(tensor, -bound, bound)
-            loss = self._loss(net, scaled.standardized(samples.v), used)
-            optimiser = torch.optim.Adam(net.parameters(), lr=0.02)
-            for epoch in range(self.epochs + 1):
-                if epoch in stops:
-                    found[epoch] = layers_of(net)
-                optimiser.zero_grad()
-                loss().backward()
-                optimiser.step()
-        return [replace(seen, layers=found[epoch]) for epoch in stops]
-
-    def _loss(self, net: Any, z: np.ndarray, used: np.ndarray) -> Callable[[], Any]:
-        """Mean square of what a network at z leaves beside the physics, where used."""
-        from torch import tensor
-
-        samples = self.samples
-        values = samples.without_physics(samples.w)[used]
-        size = max(rms(values), LEAST_SIZE)
-        physics = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
-        target = tensor(values / size)
-        weight = tensor(np.median(samples.std) / samples.std[used])
-        basis = tensor(physics)
-        points = tensor(z[used])
-
-        def loss() -> Any:
-            force = weight * net(points)[:, 0]
-            beyond = force - basis @ (basis.T @ force)
-            return ((beyond - target) ** 2).mean()
-
-        return loss
+# Singular value, as a share of the largest, below which a direction is one that others
+# explain.
+RANK_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class _Features:
-    """Hidden units along a record, with a one for the bias.
+class ForceSamples:
+    """The missing force of one equation, in the middle of every interval of a record.
 
     Attributes:
-        traces: (n_values, n_features), theirs in the residuals.
-        free: (n_features, n_free), orthonormal directions of output weights whose force
-            is orthogonal to the physics.
+        v: (n, n_variables), the variables it may depend on.
+        w: (n,), the force.
+        std: (n,), its standard deviation.
+        physics: (n, n_columns), orthonormal basis of the forces over ``std`` that the
+            free parameters can produce.
     """
 
-    traces: np.ndarray
-    free: np.ndarray
+    v: np.ndarray
+    w: np.ndarray
+    std: np.ndarray
+    physics: np.ndarray
 
     @classmethod
-    def of(cls, network: Network, training: Training) -> "_Features":
-        """Those of a network on the samples of its training."""
-        units = network.features(training.samples.v)
-        features = np.hstack([units, np.ones((len(units), 1))])
-        scaled = features / training.samples.std[:, None]
-        _, sizes, directions = np.linalg.svd(training.samples.physics.T @ scaled)
-        n_bound = np.sum(sizes > SINGULAR * np.max(sizes, initial=0.0))
-        traces = training.response.traces(features)
-        return cls(traces, directions[n_bound:].T)
+    def of(cls, record: Record, equation: str, on: Sequence[str]) -> "ForceSamples":
+        """The samples of the force missing in an equation, on variables.
 
-    def outputs(self, used: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
-        """Output weights, bias last, within the free directions: one per ridge.
-
-        Of the residual (n_values,) where it is used, (n_values,) of bool.
+        Raises:
+            ModelError: the equation is unknown, or one of kinematics.
+            DataError: there are too few intervals.
         """
-        traces = self.traces[used]
-        weights = self.free[:-1].T @ self.free[:-1]  # the bias is free
-        ridge = weights * np.sum(traces**2) / traces.shape[1]
-        normal = normal_equations(traces @ self.free, residual[used])
-        found = solutions(normal, ridge)
-        return [self.free @ coefficients for coefficients in found]
+        estimate = record.estimate
+        grid = estimate.grid
+        model = record.model.with_values(estimate.rounded)
+        row = model.index(equation, "equation of a learned force")
+        if row not in estimate.rows:
+            raise ModelError(
+                f"d{equation}/dt is kinematics and lacks no force; "
+                "learn it in the equation of a momentum."
+            )
+        if grid.n_intervals < 50:  # every stretch of time left out holds a few
+            raise DataError(
+                f"{grid.n_intervals} intervals are too few to learn a force; "
+                "at least 50 are needed."
+            )
+        points = Points.middles(record)
+        column = estimate.rows.index(row)
+        std = np.maximum(estimate.posterior.deviation[:, column], TINY)
+        unknown = Theta.of(model, record.trajectories)
+        slopes = np.zeros((grid.n_intervals, len(unknown)))
+        places = unknown.table[:, grid.runs].T
+        np.put_along_axis(slopes, places, points.slopes(model)[:, row], axis=1)
+        basis, sizes, _ = np.linalg.svd(slopes / std[:, None], full_matrices=False)
+        physics = basis[:, sizes > RANK_TOLERANCE * np.max(sizes, initial=0.0)]
+        v = points.values(model.function(*on))
+        return cls(v, estimate.w[:, column], std, physics)
+
+    def without_physics(self, force: np.ndarray) -> np.ndarray:
+        """A force (n,) over ``std``, less what the physics explains of it, (n,)."""
+        scaled = force / self.std
+        return scaled - self.physics @ (self.physics.T @ scaled)
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The linearised response of the residuals to a force in one equation.
+
+    Attributes:
+        linearized: the likelihood of the record, at the states of its missing force.
+        row: of the equation.
+        residual: (n_values,), that of the fit, in units of the noise.
+    """
+
+    linearized: LinearizedRecord
+    row: int
+    residual: np.ndarray
+
+    @classmethod
+    def of(cls, record: Record, row: int) -> "Response":
+        """The response of a record."""
+        linearized = LinearizedRecord.of(record)
+        return cls(linearized, row, linearized.residual)
+
+    def folds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Groups of stretches of time, (n_intervals,) and (n_values,)."""
+        grid = self.linearized.grid
+        # With two, a fold sees the beginning and the end of what decays.
+        n_stretches = 2 * N_FOLDS
+        of_node = np.arange(grid.n_nodes) * n_stretches // grid.n_nodes % N_FOLDS
+        return of_node[grid.begin], of_node[np.nonzero(grid.measured)[0]]
+
+    def traces(self, forces: np.ndarray) -> np.ndarray:
+        """What forces (n_intervals, n_forces) change of the explained values.
+
+        In units of the noise, (n_values, n_forces).
+        """
+        grid = self.linearized.grid
+        n_states = self.linearized.model.n_states
+        n_forces = forces.shape[1]
+        of_defects = np.zeros((grid.n_intervals, n_states, n_forces))
+        of_defects[:, self.row] = -forces
+        of_outputs = np.zeros((grid.n_nodes * n_states, n_forces))
+        return self.linearized.traces(of_defects.reshape(-1, n_forces), of_outputs)
+
+
+def orthogonal_network(
+    samples: ForceSamples, response: Response, epochs: int, seed: int
+) -> tuple[Network, float]:
+    """The network, and the share of left-out residuals that such networks explain.
+
+    Epochs (at most those given) and ridge are chosen on stretches of time left out.
+    Where nothing is explained the network is zero. The seed is that of the first
+    weights.
+
+    Raises:
+        ModelError: torch is not installed.
+    """
+    residual = response.residual
+    errors = np.zeros((N_FOLDS, len(STOPS), len(RIDGE_WEIGHTS)))
+    fold_of_interval, fold_of_value = response.folds()
+    for fold in range(N_FOLDS):
+        left_out = fold_of_value == fold
+        used = fold_of_interval != fold
+        for number, network in enumerate(_trained(samples, used, epochs, seed)):
+            traces, outputs = _outputs(network, samples, response, ~left_out)
+            for place, weights in enumerate(outputs):
+                unexplained = residual[left_out] - traces[left_out] @ weights
+                errors[fold, number, place] = np.sum(unexplained**2)
+    total = errors.sum(axis=0)
+    stop, ridge = np.unravel_index(int(np.argmin(total)), total.shape)
+    network = _trained(samples, np.full(len(samples.w), True), epochs, seed)[stop]
+    _, outputs = _outputs(network, samples, response, np.full(len(residual), True))
+    weights = outputs[ridge]
+    error = 0.0
+    for of_fold in errors:
+        # By the choice made on the other folds, so that choosing flatters nothing.
+        of_others = total - of_fold
+        error += of_fold[np.unravel_index(int(np.argmin(of_others)), total.shape)]
+    explains = float(1 - error / max(float(residual @ residual), TINY))
+    if explains <= 0:
+        weights = 0 * weights
+    layers = (*network.layers[:-1], (weights[None, :-1], weights[-1:]))
+    return replace(network, layers=layers, seen=range_of(samples.v)), explains
+
+
+def _trained(
+    samples: ForceSamples, used: np.ndarray, epochs: int, seed: int
+) -> list[Network]:
+    """The network at each of the `STOPS`, by the samples that are used."""
+    scaled = Network.scaled(samples.v, "tanh")
+    seen = replace(scaled, seen=range_of(samples.v[used]))
+    stops = [round(share * epochs) for share in STOPS]
+    found = {}
+    with torch_for("a learned force", seed) as torch:
+        net = trainable((samples.v.shape[1], 16, 1), scaled.activation)
+        torch.manual_seed(seed)
+        for layer, bound in zip(net[::2], FIRST_WEIGHTS, strict=True):
+            for tensor in layer.parameters():
+                torch.nn.init.uniform_(tensor, -bound, bound)
+        loss = _loss(net, samples, scaled.standardized(samples.v), used)
+        optimiser = torch.optim.Adam(net.parameters(), lr=0.02)
+        for epoch in range(epochs + 1):
+            if epoch in stops:
+                found[epoch] = layers_of(net)
+            optimiser.zero_grad()
+            loss().backward()
+            optimiser.step()
+    return [replace(seen, layers=found[epoch]) for epoch in stops]
+
+
+def _loss(
+    net: Any, samples: ForceSamples, z: np.ndarray, used: np.ndarray
+) -> Callable[[], Any]:
+    """Mean squared error of a network at z, beside the physics, where used."""
+    from torch import tensor
+
+    values = samples.without_physics(samples.w)[used]
+    physics = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
+    target = tensor(values / max(rms(values), LEAST_SIZE))
+    weight = tensor(np.median(samples.std) / samples.std[used])
+    basis = tensor(physics)
+    points = tensor(z[used])
+
+    def loss() -> Any:
+        force = weight * net(points)[:, 0]
+        beyond = force - basis @ (basis.T @ force)
+        return ((beyond - target) ** 2).mean()
+
+    return loss
+
+
+def _outputs(
+    network: Network, samples: ForceSamples, response: Response, used: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Traces of the hidden units (n_values, n_features), and output weights by ridge.
+
+    The bias is the last of both. Weights are within the directions whose force is
+    orthogonal to the physics, found where values are ``used``, (n_values,) of bool.
+    """
+    units = network.features(samples.v)
+    features = np.hstack([units, np.ones((len(units), 1))])
+    scaled = features / samples.std[:, None]
+    _, sizes, directions = np.linalg.svd(samples.physics.T @ scaled)
+    n_bound = np.sum(sizes > SINGULAR * np.max(sizes, initial=0.0))
+    free = directions[n_bound:].T
+    traces = response.traces(features)
+    of_used = traces[used]
+    weights = free[:-1].T @ free[:-1]  # the bias is free
+    ridge = weights * np.sum(of_used**2) / of_used.shape[1]
+    normal = normal_equations(of_used @ free, response.residual[used])
+    return traces, [free @ found for found in ridge_solutions(normal, ridge)]
