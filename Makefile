@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo thesis compare test browser lint types docs package constraints clean
+.PHONY: help install demo thesis compare results test browser lint types docs package constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -33,6 +33,9 @@ thesis: $(VENV)/.full ## run every experiment of the thesis (about an hour; ARGS
 
 compare: $(VENV)/.full ## compare the solver with gradient descent on the systems of the thesis
 	@$(PY) -m problems.thesis.compare $(ARGS)
+
+results: $(VENV)/.full ## list the pages in results/ that are older than the code (ARGS="--run --hours=8": make them again)
+	@$(PY) -m problems.results $(ARGS)
 
 # The tests of one file share fits, so they stay together; one thread each, since every processor has tests of its own.
 test: $(VENV)/.full browser ## run the tests, on all processors

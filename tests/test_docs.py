@@ -43,7 +43,7 @@ def test_every_page_for_users_has_examples() -> None:
             if page.stem != "index":
                 expected.add(name_of(page))
     assert expected <= names
-    assert len(expected) == 17
+    assert len(expected) == 19
 
 
 def test_the_data_of_the_pages_are_what_their_script_writes() -> None:
@@ -88,15 +88,26 @@ def test_the_files_that_contributors_are_told_of_exist() -> None:
         assert (ROOT / module.replace(".", "/")).with_suffix(".py").exists(), module
 
 
+def test_the_files_that_the_design_names_exist() -> None:
+    text = (DOCS / "design.md").read_text("utf-8")
+    assert len(text.splitlines()) <= 150
+    paths = re.findall(r"`((?:\w+/)*\w+\.(?:py|md|jinja))`", text)
+    assert len(paths) > 12
+    for path in paths:
+        places = (ROOT, ROOT / "phsi_opt")
+        assert any((place / path).exists() for place in places), path
+
+
 def test_numbers_beside_the_name_of_a_result_stand_there() -> None:
-    readme = (ROOT / "README.md").read_text("utf-8")  # whose numbers are tested too
+    # Its numbers are tested too.
+    evidence = (DOCS / "evidence.md").read_text("utf-8")
     n_numbers = 0
     for page in sorted((DOCS / "explained").glob("*.md")):
         for paragraph in page.read_text("utf-8").split("\n\n"):
             for line in re.split(r"\n- ", paragraph):
                 names = RESULT.findall(line)
                 numbers = NUMBER.findall(line) if names else []
-                known = set(NUMBER.findall(readme + text_of_results(names)))
+                known = set(NUMBER.findall(evidence + text_of_results(names)))
                 assert not set(numbers) - known, line
                 n_numbers += len(numbers)
     assert n_numbers >= 4

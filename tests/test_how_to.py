@@ -1,15 +1,25 @@
 """Every example of the how-to pages and of the README runs."""
 
+import shutil
 from inspect import signature
 from pathlib import Path
 
 import pytest
 
 from phsi_opt.learning.hybrid_network import NeuralForce
-from tests.doc_pages import DOCS, HOW_TO, ROOT, name_of, pages, run_as_shown, run_page
+from tests.doc_pages import (
+    DEMO_DATA,
+    DOCS,
+    HOW_TO,
+    ROOT,
+    name_of,
+    pages,
+    run_as_shown,
+    run_page,
+)
 from tests.page_tools import spring_table
 
-LONG = ("without_python", "closed_loop", "many_fits")
+LONG = ("without_python", "closed_loop", "many_fits", "dictionary")
 
 
 def how_tos() -> list[object]:
@@ -28,6 +38,10 @@ def test_the_examples_of_a_how_to_run_and_print_what_it_shows(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
+    _, *settings = signature(NeuralForce).parameters.values()
+    # A network need not be good here.
+    brief = [8 if one.name == "epochs" else one.default for one in settings]
+    monkeypatch.setattr(NeuralForce.__init__, "__defaults__", tuple(brief))
     assert run_as_shown(page) > 0
 
 
@@ -38,12 +52,8 @@ def test_the_examples_of_the_readme_run_one_after_the_other(
     data = tmp_path / "problems" / "examples" / "data" / "friction_spring.csv"
     data.parent.mkdir(parents=True)
     data.write_bytes(spring_table())
+    shutil.copytree(DEMO_DATA, tmp_path / DEMO_DATA.relative_to(ROOT))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    _, *settings = signature(NeuralForce).parameters.values()
-    # The network need not be good here.
-    brief = [8 if one.name == "epochs" else one.default for one in settings]
-    monkeypatch.setattr(NeuralForce.__init__, "__defaults__", tuple(brief))
     run_page(ROOT / "README.md")
     assert (tmp_path / "report.html").exists()
-    assert (tmp_path / "model.json").exists()

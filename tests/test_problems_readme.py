@@ -1,4 +1,4 @@
-"""What README says of the results is what stands in results/."""
+"""What README and docs/evidence.md say of the results is what stands in results/."""
 
 import re
 from pathlib import Path
@@ -20,7 +20,7 @@ def words(path: Path) -> str:
 
 @pytest.fixture(scope="module")
 def readme() -> str:
-    return words(ROOT / "README.md")
+    return words(ROOT / "README.md") + words(ROOT / "docs" / "evidence.md")
 
 
 def percent(share: float, digits: int = 0) -> str:

@@ -1,8 +1,9 @@
-"""What every result says of itself: command, commit, machine."""
+"""What every result says of itself: command, commit, duration, machine."""
 
 import platform
 import subprocess
 import sys
+import time
 from functools import cache
 from pathlib import Path
 
@@ -10,13 +11,15 @@ from phsi_opt.writing import write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
+BEGIN = time.monotonic()
 
 
 def provenance() -> str:
     """One line for the head of a result."""
     system = f"{platform.system()} {platform.machine()}"
     machine = f"{system}, Python {platform.python_version()}"
-    return f"command: {command()}; commit: {commit()}; machine: {machine}"
+    seconds = f"seconds: {time.monotonic() - BEGIN:.0f}"
+    return f"command: {command()}; commit: {commit()}; {seconds}; machine: {machine}"
 
 
 def command() -> str:
