@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue import effect_named, every_name
-from phsi_opt.model.choice import EffectChoice
+from phsi_opt.model.catalogue import EffectChoice, effect_named, every_name
 from phsi_opt.model.kinds import KINDS
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.model.choice import EffectChoice
+from phsi_opt.model.catalogue import EffectChoice
 
 
 def two_masses() -> ph.PseudoHamiltonian:

@@ -6,8 +6,7 @@ import pytest
 import sympy as sp
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.backends import FUNCTIONS, NUMPY
-from phsi_opt.model.expressions import evaluate, names_of, parse
+from phsi_opt.model.expressions import FUNCTIONS, NUMPY, evaluate, names_of, parse
 from phsi_opt.model.sympy_backend import SYMPY
 
 FORMULAS = [

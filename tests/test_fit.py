@@ -18,8 +18,7 @@ from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.later import Later
-from phsi_opt.model.backends import NUMPY
-from phsi_opt.model.expressions import evaluate
+from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter, Scan, Share
 from phsi_opt.model.structure import canonical

@@ -20,8 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import phsi_opt as ph
-from phsi_opt.model.backends import CASADI, NUMPY
-from phsi_opt.model.expressions import evaluate, parse
+from phsi_opt.model.expressions import CASADI, NUMPY, evaluate, parse
 
 N_INPUTS = int(os.environ.get("PHSI_OPT_INPUTS", "1000"))
 N_PROPERTIES = 9

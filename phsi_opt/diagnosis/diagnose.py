@@ -28,8 +28,7 @@ from phsi_opt.estimation.identify import fit_of, identify_aligned
 from phsi_opt.estimation.problem import silent
 from phsi_opt.estimation.record import Record
 from phsi_opt.interrupts import interruptible
-from phsi_opt.model.catalogue import catalogue
-from phsi_opt.model.choice import EffectChoice, Given
+from phsi_opt.model.catalogue import EffectChoice, Given, catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.weighing import EvidenceRecord

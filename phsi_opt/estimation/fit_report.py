@@ -8,7 +8,7 @@ from functools import partial
 
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.identified import DIGITS
-from phsi_opt.model.equation_text import dictionary_rows, structure_rows
+from phsi_opt.model.symbolic import dictionary_rows, structure_rows
 from phsi_opt.model.terms import Term
 from phsi_opt.presentation.numbers import estimate_text
 from phsi_opt.presentation.sentences import lines

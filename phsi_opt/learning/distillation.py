@@ -17,8 +17,7 @@ from phsi_opt.learning.orthogonal_network import (
     ForceSamples,
     Response,
 )
-from phsi_opt.model.backends import NUMPY
-from phsi_opt.model.expressions import evaluate
+from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.laws import FRICTION_TURNOVER
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Term

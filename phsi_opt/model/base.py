@@ -17,20 +17,19 @@ import numpy as np
 from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.model.backends import RESERVED_IN_FORMULAS
-from phsi_opt.model.checks import checked_dictionary, checked_structure
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.model.kinds import checked_kinds
 from phsi_opt.model.parameters import Parameter, with_value
 from phsi_opt.model.slots import (
     BY_EQUATION,
     Entry,
     PlacedTerm,
+    Variables,
     parameter_table,
     place_of,
 )
 from phsi_opt.model.terms import Dictionary
-from phsi_opt.model.variables import Variables
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -331,3 +330,45 @@ class BaseModel:
             for equation, terms in getattr(self, slot).items():
                 slots[slot][equation] = change(place_of(slot, equation), terms)
         return slots
+
+
+def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:
+    """The structure matrix S, (n, n), as rows; zero where none is given.
+
+    Raises:
+        ModelError: S is no n x n matrix of numbers, or is not skew-symmetric.
+    """
+    try:
+        matrix = np.zeros((n, n)) if S is None else np.array(S, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"S={S!r} is not a matrix of numbers; expected {n} x {n}."
+        ) from None
+    if matrix.shape != (n, n):
+        raise ModelError(
+            f"S has shape {matrix.shape}; expected ({n}, {n}), "
+            "one row and column per state."
+        )
+    wrong = ~np.isfinite(matrix) | (matrix != -matrix.T)
+    if np.any(wrong):
+        i, j = np.argwhere(wrong)[0]
+        raise ModelError(
+            f"S is not skew-symmetric: S[{i}, {j}]={matrix[i, j]:g} "
+            f"but S[{j}, {i}]={matrix[j, i]:g}; "
+            "expected S[j, i] = -S[i, j]. Put losses into R."
+        )
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def checked_dictionary(terms: Any, where: str) -> Dictionary:
+    """The terms themselves, if they are a dictionary.
+
+    Raises:
+        ModelError: they are something else.
+    """
+    if not isinstance(terms, Dictionary):
+        raise ModelError(
+            f"{where}={terms!r} is not a dictionary of terms; "
+            "write formula('...') or polynomials([...], n)."
+        )
+    return terms

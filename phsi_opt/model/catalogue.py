@@ -5,13 +5,16 @@ here their names are filled in for each equation of a model. What a model can do
 is left out.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
+from typing import Any
+
+import numpy as np
 
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.effect import Effect, EffectList
+from phsi_opt.model.effect import Effect, EffectList, is_scanned
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.kinds import (
     KINDS,
@@ -32,17 +35,19 @@ from phsi_opt.model.laws import (
     SENSORS,
     Law,
 )
-from phsi_opt.model.redundancy import is_redundant
-from phsi_opt.model.roles import WORDS, Role, role_of
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
+    WORDS,
+    Role,
     effort_of,
     forced_rows,
     kind_of,
     position_of_momentum,
+    role_of,
     storage_states,
     with_kinds_of_units,
 )
+from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
 
 
 def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
@@ -238,3 +243,221 @@ def _names_of_source(model: BaseModel, source: str, x: str) -> dict[str, str]:
     """The names of a law by which x gets something from a storage or an input."""
     s_e = source if source in model.inputs else effort_of(model, source)
     return {"x": x, "e": effort_of(model, x), "s": source, "s_e": s_e, "level": s_e}
+
+
+# Range of random values for parameters that have none, away from zero.
+PARAMETER_RANGE = (0.5, 1.5)
+# What is left, as a share of the effect: above the rounding of the least squares, far
+# below any effect of its own.
+NOTHING_LEFT = 1e-8
+
+
+def is_redundant(model: BaseModel, effect: Effect) -> bool:
+    """Whether the model can do already what the effect does."""
+    if stands_in(model, effect):
+        return True
+    return bool(model.free) and not is_scanned(effect) and _is_spanned(model, effect)
+
+
+def stands_in(model: BaseModel, effect: Effect) -> bool:
+    """Whether a term, a coefficient or a memory of the effect is in the model."""
+    bodies = {term.body for term in model.terms_at(effect.slot, effect.equation)}
+    for term in effect.term:
+        if term.body in bodies or term.name in model.entries:
+            return True
+    return not set(effect.memory).isdisjoint(model.states)
+
+
+def _is_spanned(model: BaseModel, effect: Effect) -> bool:
+    """Whether the effect's slopes are a sum of the slopes of the model's parameters."""
+    larger = model.add(effect)
+    is_new = np.array([name not in model.entries for name in larger.free])
+    slopes = _slopes_in_random_states(model, larger)
+    own = slopes[:, ~is_new]
+    added = slopes[:, is_new]
+    weights = np.linalg.lstsq(own, added, rcond=None)[0]
+    left = added - own @ weights
+    return bool(np.linalg.norm(left) < NOTHING_LEFT * np.linalg.norm(added))
+
+
+def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
+    """Slopes of dx/dt and of what is shown in theta, (n_values, n_free)."""
+    random = np.random.default_rng(0)
+    # The model's parameters must explain the effect at one point of theta. The effect's
+    # coefficient is zero there, so that no parameter acts through it.
+    known = model.values
+    values = []
+    for name in larger.free:
+        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
+        is_added = name not in model.entries and larger.entries[name].prunable
+        values.append(0.0 if is_added else value)
+    theta = np.array(values)
+    # With fewer rows than parameters anything would be explained.
+    n = 4 * len(theta) + 20
+    x = random.normal(size=(larger.n_states, n))
+    u = random.normal(size=(larger.n_inputs, n))
+    t = random.uniform(0, 3, (1, n))
+    parts = []
+    for function in (rhs_function(larger), output_function(larger)):
+        slopes = with_slopes(function, "theta").map("slopes", "serial", n, [3], [])
+        columns = np.array(slopes(x, u, t, theta)[1]).T
+        parts.append(columns.reshape(-1, len(theta)))
+    return np.nan_to_num(np.vstack(parts))
+
+
+Given = Sequence[Effect | str]
+
+
+@dataclass(frozen=True)
+class EffectChoice:
+    """The effects that a diagnosis considers.
+
+    Args:
+        effects: those to consider, each an `Effect`, a name, or a name with its place
+            such as ``"coulomb friction on p"``; None: all of the catalogue. A name
+            without a place means every equation in which the catalogue has it.
+        without: those never considered, in the same words.
+
+    Raises:
+        ModelError: something else than a list of effects and names.
+    """
+
+    effects: Given | None = None
+    without: Given = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "without", _listed("without", self.without))
+        if self.effects is not None:
+            object.__setattr__(self, "effects", _listed("effects", self.effects))
+
+    def narrowed(self, effects: Given | None, without: Given) -> "EffectChoice":
+        """Of other effects, where there are any, and without more of them."""
+        chosen = self.effects if effects is None else effects
+        added = EffectChoice(None, without).without
+        return EffectChoice(chosen, (*self.without, *added))
+
+    def checked(
+        self, model: BaseModel, units: Mapping[str, str] | None = None
+    ) -> "EffectChoice":
+        """The choice itself, if all that it names could be candidates.
+
+        Effects of the catalogue become names, for what they add may change with what
+        the model has already. Names of another kind become those that the catalogue of
+        the model uses.
+
+        Raises:
+            ModelError: a name that the catalogue of the model does not have, an effect
+                to leave out that is no candidate, or one that the model has.
+        """
+        offered: list[Effect] = catalogue(model, units)
+        considered = offered
+        effects: list[Effect | str] | None = None
+        if self.effects is not None:
+            effects = []
+            for one in self.effects:
+                effects += _as_offered(one, offered, model, units, "effects")
+            considered = _all_meant(effects, offered)
+            for effect in considered:
+                if stands_in(model, effect):
+                    raise ModelError(
+                        f"effect {str(effect)!r} in effects stands in the model "
+                        "already; leave it out."
+                    )
+        without: list[Effect | str] = []
+        for one in self.without:
+            every = [*considered, *offered]
+            without += _as_offered(one, every, model, units, "without")
+        return EffectChoice(effects, without)
+
+    def candidates(
+        self, model: BaseModel, units: Mapping[str, str] | None = None
+    ) -> list[Effect]:
+        """The effects that are considered, but for those that the model has."""
+        considered: list[Effect] = catalogue(model, units)
+        if self.effects is not None:
+            considered = _all_meant(self.effects, considered)
+        kept: list[Effect] = []
+        for effect in considered:
+            is_out = any(_is_called(effect, one) for one in self.without)
+            if not is_out and not stands_in(model, effect) and effect not in kept:
+                kept.append(effect)
+        return kept
+
+
+def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
+    """The effects and names as a tuple, if they are a list of such."""
+    if isinstance(given, str | Effect) or not isinstance(given, Iterable):
+        raise ModelError(
+            f"{what}={given!r} must be a list of effects or of their names, "
+            "such as ['coulomb friction', 'gap on p']."
+        )
+    listed = tuple(given)
+    for one in listed:
+        if not isinstance(one, str | Effect):
+            raise ModelError(
+                f"{one!r} in {what} is neither an Effect nor the name of one."
+            )
+    return listed
+
+
+def _is_called(effect: Effect, one: Effect | str) -> bool:
+    """Whether a name, or an effect of that name and place, means the effect."""
+    if isinstance(one, str):
+        return one in (effect.name, str(effect))
+    return (one.name, one.equation) == (effect.name, effect.equation)
+
+
+def _all_meant(given: Given, offered: list[Effect]) -> list[Effect]:
+    """The effects themselves, and those of the catalogue that names stand for."""
+    found = []
+    for one in given:
+        if isinstance(one, Effect):
+            found.append(one)
+        else:
+            found += [effect for effect in offered if _is_called(effect, one)]
+    return found
+
+
+def _as_offered(
+    one: Effect | str,
+    offered: list[Effect],
+    model: BaseModel,
+    units: Mapping[str, str] | None,
+    what: str,
+) -> list[Effect | str]:
+    """What a user gave, as the catalogue calls it; an effect of one's own as it is.
+
+    Args:
+        one: what was given.
+        offered: effects that may be meant.
+        model: to which it could be added.
+        units: of its states.
+        what: the argument that it was given as.
+    """
+    if one in offered:
+        return [str(one)]
+    is_own = isinstance(one, Effect) and what == "effects"
+    if is_own or any(_is_called(effect, one) for effect in offered):
+        return [one]
+    found: list[Effect | str] = []
+    if isinstance(one, str):
+        aliases = [e for e in every_name(model, units) if _is_called(e, one)]
+        for alias in aliases:
+            found += [str(e) for e in offered if _term_of(e) == _term_of(alias)]
+        # What the units rule out may still be meant.
+        found = found or [e for e in catalogue(model) if _is_called(e, one)]
+    if found:
+        return found
+    names = sorted({effect.name for effect in offered})
+    with_places = list(map(str, offered))
+    hint = did_you_mean(str(one), with_places if " on " in str(one) else names)
+    raise ModelError(
+        f"effect {str(one)!r} in {what} is not in the catalogue of this model "
+        "(or the model has it already); "
+        f"available are {', '.join(names)}.{hint}"
+    )
+
+
+def _term_of(effect: Effect) -> tuple[object, ...]:
+    """What an effect adds, by whatever name."""
+    return (effect.slot, effect.equation, [term.body for term in effect.term])

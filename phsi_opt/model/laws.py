@@ -29,7 +29,7 @@ import numpy as np
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
-from phsi_opt.model.roles import Role
+from phsi_opt.model.structure import Role
 from phsi_opt.model.terms import Dictionary, Term
 
 HYSTERESIS = "hysteresis"

@@ -18,9 +18,9 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.equation_text import model_summary
 from phsi_opt.model.symbolic import (
     formulas_function,
+    model_summary,
     output_function,
     rhs_function,
     with_slopes,

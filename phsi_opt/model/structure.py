@@ -13,14 +13,14 @@ both. Where the model loses energy already says nothing about that.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from enum import StrEnum
 from typing import TypeVar
 
 import numpy as np
 
 from phsi_opt.arguments import is_count, require
-from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.expressions import evaluate, names_of
+from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.kinds import (
     ELECTRICAL,
     HYDRAULIC,
@@ -237,3 +237,48 @@ def unpaired_states(model: BaseModel) -> tuple[str, ...]:
     pairs = position_of_momentum(model)
     paired = {*pairs.keys(), *pairs.values(), *model.memory}
     return tuple(name for name in model.states if name not in paired)
+
+
+class Role(StrEnum):
+    """What a state is."""
+
+    BODY = "a momentum or speed"
+    PIPE = "a flow with inertia: the momentum of a hydraulic pair"
+    TANK = "a level, a volume or a pressure"
+    COIL = "a flux: the momentum of an electrical pair"
+    CAPACITOR = "a charge: the position of an electrical pair"
+    CIRCUIT = "a charge, flux, current or voltage, it is not known which"
+    HEAT = "a temperature or heat"
+    UNKNOWN = "a speed or a storage of an unknown kind"
+
+
+# What comes from outside, such as a force, and what a loss grows with.
+WORDS = {
+    Role.BODY: ("force", "speed"),
+    Role.PIPE: ("pressure", "the flow"),
+    Role.TANK: ("inflow", "the level"),
+    Role.COIL: ("voltage", "the current"),
+    Role.CAPACITOR: ("current", "the voltage"),
+    Role.CIRCUIT: ("source", "the current or voltage"),
+    Role.HEAT: ("heat input", "the temperature"),
+    Role.UNKNOWN: ("force", "the speed or level"),
+}
+OF_MOMENTA = {MECHANICAL: Role.BODY, HYDRAULIC: Role.PIPE, ELECTRICAL: Role.COIL}
+OF_OTHERS = {
+    MECHANICAL: Role.BODY,
+    HYDRAULIC: Role.TANK,
+    ELECTRICAL: Role.CIRCUIT,
+    THERMAL: Role.HEAT,
+    "": Role.UNKNOWN,
+}
+
+
+def role_of(model: BaseModel, state: str) -> Role:
+    """The role of a state in whose equation a force may be missing."""
+    kind = kind_of(model, state)
+    pairs = position_of_momentum(model)
+    if state in pairs:
+        return OF_MOMENTA[kind]
+    if kind == ELECTRICAL and state in pairs.values():
+        return Role.CAPACITOR
+    return OF_OTHERS[kind]

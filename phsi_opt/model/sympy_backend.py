@@ -4,7 +4,7 @@ from math import comb, prod
 
 import sympy as sp
 
-from phsi_opt.model.backends import Backend, functions_of
+from phsi_opt.model.expressions import Backend, functions_of
 
 SYMPY = Backend(
     functions_of(sp, abs="Abs", min="Min", max="Max"),

@@ -16,8 +16,7 @@ from typing import Any
 
 from phsi_opt.arguments import require_count, short_number
 from phsi_opt.errors import ModelError
-from phsi_opt.model.backends import FUNCTIONS
-from phsi_opt.model.expressions import MAX_EXPONENT, names_of
+from phsi_opt.model.expressions import FUNCTIONS, MAX_EXPONENT, names_of
 from phsi_opt.model.parameters import Parameter, Scan
 from phsi_opt.presentation.numbers import short_repr
 

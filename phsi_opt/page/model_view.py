@@ -8,7 +8,7 @@ from nicegui import ui
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of
-from phsi_opt.model.variables import Variables
+from phsi_opt.model.slots import Variables
 from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,

@@ -17,8 +17,7 @@ from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.problem import silent
 from phsi_opt.interrupts import interruptible
-from phsi_opt.model.catalogue import effect_named
-from phsi_opt.model.choice import EffectChoice, Given
+from phsi_opt.model.catalogue import EffectChoice, Given, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent

@@ -15,14 +15,12 @@ from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import checked_names
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.estimation.model_content import GUESSES, KINDS
-from phsi_opt.model.backends import RESERVED_IN_FORMULAS
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import names_of
+from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.slots import BY_EQUATION
+from phsi_opt.model.slots import BY_EQUATION, Variables
 from phsi_opt.model.terms import Dictionary, Term, polynomials, trigonometric
-from phsi_opt.model.variables import Variables
 from phsi_opt.study_file.complaints import Complaints, Place, shown
 from phsi_opt.study_file.keys import is_number, listed
 from phsi_opt.study_file.sections import DataSection

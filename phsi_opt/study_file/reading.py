@@ -14,8 +14,7 @@ from typing import Any
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, StudyFileError
-from phsi_opt.model.catalogue import effect_named
-from phsi_opt.model.choice import EffectChoice
+from phsi_opt.model.catalogue import EffectChoice, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.reading import file_text, why_not_read

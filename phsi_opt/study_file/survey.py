@@ -17,7 +17,7 @@ from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.tables import Table
 from phsi_opt.data.text_cells import NUMBER
 from phsi_opt.errors import DataError
-from phsi_opt.model.backends import RESERVED_IN_FORMULAS
+from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
     INPUT,
     PERHAPS_INPUT,
