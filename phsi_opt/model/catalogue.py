@@ -63,6 +63,11 @@ def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> Effec
         model: the model.
         units: of its states, as `Measurements.units`; they tell the kinds that the
             model does not tell.
+
+    Examples:
+        >>> effects = ph.catalogue(model, data.units)
+        >>> [effect.name for effect in effects][:3]
+        ['coulomb friction', 'quadratic drag', 'cubic drag']
     """
     units = units or {}
     known = with_kinds_of_units(model, units)

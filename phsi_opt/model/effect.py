@@ -36,6 +36,12 @@ class Effect:
 
     Raises:
         ModelError: an unknown slot, or no term.
+
+    Examples:
+        >>> pull = ph.formula("c/(1 - q)**2", c=ph.Parameter(0.1, unit="N m^2"))
+        >>> magnet = ph.Effect("magnet", "F", "p", pull)
+        >>> model.add(magnet).free
+        ('k', 'R_p', 'c')
     """
 
     name: str

@@ -194,6 +194,16 @@ class PseudoHamiltonian(Model):
     Raises:
         ModelError: unknown names, a matrix that is not skew-symmetric, a term that
             occurs twice, or a kind that there is not.
+
+    Examples:
+        >>> spring = ph.PseudoHamiltonian(
+        ...     states=["q", "p"],
+        ...     S=ph.canonical(1),
+        ...     H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(10.0), m=2.5),
+        ...     R=ph.damping("p"),
+        ... )
+        >>> spring.free
+        ('k', 'R_p')
     """
 
     def __post_init__(self) -> None:
@@ -234,6 +244,11 @@ class FirstOrder(Model):
     Raises:
         ModelError: unknown names, a term that occurs twice, an S or an H, or a kind
             that there is not.
+
+    Examples:
+        >>> outflow = ph.formula("u - a*sqrt(h)", a=ph.Parameter(0.2, lower=0))
+        >>> ph.FirstOrder(["h"], {"h": outflow}, inputs=["u"]).free
+        ('a',)
     """
 
     def __init__(

@@ -86,6 +86,10 @@ class Parameter:
     Raises:
         ModelError: a value that is not finite or outside the bounds, crossed bounds, or
             choices that contradict each other.
+
+    Examples:
+        >>> ph.Parameter(40.0, lower=0, unit="N/m")
+        Parameter(value=40.0, lower=0.0, unit='N/m')
     """
 
     value: float | None = None

@@ -50,6 +50,11 @@ def canonical(n: int) -> np.ndarray:
 
     Raises:
         ModelError: n is not a whole number from 1 to 1000.
+
+    Examples:
+        >>> ph.canonical(1)
+        array([[ 0.,  1.],
+               [-1.,  0.]])
     """
     expected = f"the number of positions, a whole number from 1 to {MOST_POSITIONS}"
     require(is_count(n) and n <= MOST_POSITIONS, "canonical: n", n, expected)

@@ -154,6 +154,11 @@ def formula(expression: str, **parameters: Parameter | float) -> Dictionary:
 
     Raises:
         ModelError: the text cannot be read, or lacks one of the parameters.
+
+    Examples:
+        >>> spring = ph.formula("k*q**2/2", k=ph.Parameter(1.0, lower=0, unit="N/m"))
+        >>> spring.terms[0].inner["k"].start
+        1.0
     """
     inner = {name: _parameter(value) for name, value in parameters.items()}
     return Dictionary((Term(expression, None, inner),))
@@ -176,6 +181,10 @@ def polynomials(
     Raises:
         ModelError: names that cannot be used, a degree below 1 or beyond 64, or more
             than 5000 terms.
+
+    Examples:
+        >>> [term.body for term in ph.polynomials(["q", "p"], degree=2)]
+        ['q', 'p', 'q**2', 'q*p', 'p**2']
     """
     names = _variables(variables)
     require_count("polynomials: degree", degree)
@@ -219,6 +228,10 @@ def trigonometric(
 
     Raises:
         ModelError: names that cannot be used, n below 1, or more than 5000 terms.
+
+    Examples:
+        >>> [term.body for term in ph.trigonometric("t")]
+        ['sin(omega_t*t)', 'cos(omega_t*t)']
     """
     names = _variables(variables)
     require_count("trigonometric: n", n)
@@ -252,6 +265,11 @@ def damping(*states: str | Iterable[str]) -> dict[str, Dictionary]:
 
     Raises:
         ModelError: names that cannot be used.
+
+    Examples:
+        >>> friction = ph.damping("p")
+        >>> friction["p"].terms[0].coefficient
+        Parameter(lower=0.0)
     """
     constant = Dictionary((Term("1", Parameter(lower=0.0)),))
     return dict.fromkeys(_variables(*states), constant)
