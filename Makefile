@@ -7,7 +7,7 @@ CONSTRAINTS := .ci/constraints.txt
 EXTRAS := neural,baselines,app,distributed,peers,dev
 # Bytecode is left to the first use of a module: compiling all that is installed takes longer than installing it.
 PIP_INSTALL := -m pip install -qq --no-compile
-# More arguments, e.g. `make test ARGS='-m "not slow"'` or `make compare ARGS=tanks`.
+# More arguments, e.g. `make test ARGS='-m slow'` or `make compare ARGS=tanks`.
 ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -38,7 +38,7 @@ results: $(VENV)/.full ## list the pages in results/ that are older than the cod
 	@$(PY) -m problems.results $(ARGS)
 
 # The tests of one file share fits, so they stay together; one thread each, since every processor has tests of its own.
-test: $(VENV)/.full browser ## run the tests, on all processors
+test: $(VENV)/.full browser ## run the tests on all processors, but for slow ones (ARGS="-m slow": those)
 	@OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile $(ARGS)
 
 browser: ## install Chromium for the tests of the page, where there is none and apt may be used
