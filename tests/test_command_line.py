@@ -43,9 +43,8 @@ from phsi_opt.presentation.forecast import (
     Forecast,
     duration,
 )
-from phsi_opt.study_file.filling_in import unfilled
 from phsi_opt.study_file.keys import KEYS
-from phsi_opt.study_file.survey import survey
+from phsi_opt.study_file.survey import survey, unfilled
 from problems.examples.friction_spring import CSV
 from problems.tools.data_paths import folder
 

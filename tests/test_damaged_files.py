@@ -404,16 +404,27 @@ DEEP = 50_000
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (".".join("a" * DEEP) + " = 1", "line 1 has more than 32 tables"),
-        ("\n[" + ".".join("a" * DEEP) + "]", "line 2 has more than 32 tables"),
-        ("a = " + "[" * DEEP + "]" * DEEP, "line 1 has more than 32 tables"),
-        ("a = " + "{ a = " * 40 + "1" + "}" * 40, "line 1 has more than 32 tables"),
-        ("a = 0x" + "f" * DEEP, "a name or number of more than 250 signs"),
+        (".".join("a" * DEEP) + " = 1", "line 1 has a key of more than 32 parts"),
+        ("\n[" + ".".join("a" * DEEP) + "]", "line 2 has a key of more than 32"),
+        ("a = " + "[" * DEEP + "]" * DEEP, "more than 32 tables or lists"),
+        ("a = " + "{ a = " * 40 + "1" + "}" * 40, "more than 32 tables or lists"),
+        ("a = { b = 1, " + ".".join("c" * DEEP) + " = 1 }", "key of more than 32"),
+        ("a = 0x" + "f" * DEEP, "a whole number has more than 300 digits"),
         ('"\\' * DEEP, "this is not TOML"),
         ("#" + "x" * 1_000_000, "at most 1 MB are read"),
         ("".join(f"k{i} = 1\n" for i in range(DEEP)), "the rest was not looked at"),
     ],
-    ids=["key", "header", "list", "table", "number", "quotes", "long", "wrong"],
+    ids=[
+        "key",
+        "header",
+        "list",
+        "table",
+        "inner",
+        "number",
+        "quotes",
+        "long",
+        "wrong",
+    ],
 )
 def test_a_study_file_made_to_do_harm_is_refused_at_once(
     tmp_path: Path, text: str, message: str

@@ -11,8 +11,8 @@ import phsi_opt as ph
 from phsi_opt.page.drafts import StudyDraft
 from phsi_opt.page.table_look import look_at
 from phsi_opt.simulation.simulate import free_run
+from phsi_opt.study_file.study_file import section_of, write_table
 from phsi_opt.study_file.toml_text import toml_tables
-from phsi_opt.study_file.written_data import section_of, write_table
 from phsi_opt.transcription.grid import aligned, grid_of
 
 T = np.arange(0.0, 12.0, 0.25)

@@ -13,8 +13,8 @@ from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt.model.parameters import Scan, Share, Tried
-from phsi_opt.study_file.adding import add_effects
 from phsi_opt.study_file.keys import KEYS
+from phsi_opt.study_file.study_text import add_effects
 from phsi_opt.study_file.toml_text import toml_value
 from problems.examples.friction_spring import CSV
 

@@ -16,7 +16,7 @@ import typer
 from phsi_opt.command_line.job import Answer, ExitCode, Job
 from phsi_opt.command_line.supervision import Supervised, answer_to, supervise
 from phsi_opt.errors import DataError, PhsiOptError
-from phsi_opt.study_file.adding import add_effects
+from phsi_opt.study_file.study_text import add_effects
 
 
 def finish(answer: Answer, as_json: bool, **further: Any) -> NoReturn:

@@ -3,15 +3,13 @@
 Every check raises `DataError`, which names the offender, its value, what is expected
 and how to repair it. A function called ``checked_...`` returns what it checked, in the
 form in which `Measurements` keeps it. Nothing is repaired, interpolated or scaled here.
-Only the caller knows which file, cell or sample a value came from, so it hands over the
-words for that place.
 """
 
 import keyword
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -29,20 +27,34 @@ RESERVED_NAMES = ("t", "trajectory")
 RESERVED_PREFIXES = ("dH_d", "dF_d")
 # sums of squares of larger values come near the end of the range of float64, 1.8e308
 LARGEST_VALUE = 1e100
+# what may be given by a channel's name: noun, type, test, and what is expected
+BY_NAME: dict[str, tuple[str, type, Callable[[Any], bool], str]] = {
+    "units": (
+        "unit",
+        str,
+        lambda unit: isinstance(unit, str) and unit.isprintable(),
+        "text such as 'm' in one line, or '' when unknown",
+    ),
+    "noise": (
+        "standard deviation",
+        float,
+        lambda sigma: isinstance(sigma, Real) and 0 < float(sigma) < np.inf,
+        "a positive number in the state's unit; leave it out when it is unknown",
+    ),
+    "hold": ("hold", str, HOLDS.__contains__, "'linear', 'zero' or 'cubic'"),
+}
 
 
 def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
-    """A read-only float64 copy of an array.
+    """A read-only float64 copy of an array; masked entries become NaN, not measured.
 
     Args:
-        values: Real numbers, (n_samples,) or (n_samples, n_channels). Masked entries
-            become NaN, which says that they were not measured.
-        n_axes: The number of axes that the copy has, 1 or 2; (n_samples,) may stand
-            for (n_samples, 1).
-        title: What messages call the array.
+        values: real numbers, (n_samples,) or (n_samples, n_channels).
+        n_axes: of the copy, 1 or 2; (n_samples,) may stand for (n_samples, 1).
+        title: what messages call the array.
 
     Raises:
-        DataError: The values are no regular array, not real, or in another shape.
+        DataError: the values are no regular array, not real, or in another shape.
     """
     try:
         # As it is where it is an array: masked ones cost more, and few are.
@@ -74,10 +86,9 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
 
 
 def from_first(values: Any, first: Any = ()) -> Any:
-    """Whole numbers that floats cannot hold, counted from the first of them.
+    """Whole numbers that floats cannot hold, counted from the first; all else as it is.
 
-    Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. All else
-    stays as it is.
+    Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart.
 
     Args:
         values: (n_samples,) times.
@@ -99,45 +110,41 @@ def check_values(
 
     Args:
         values: (n_samples,) or (n_samples, n_channels).
-        place_of: The words for the place of the value with these indices.
-        may_be_missing: Whether NaN is allowed.
+        place_of: the words for the place of the value with these indices.
+        may_be_missing: whether NaN is allowed.
 
     Raises:
-        DataError: A value cannot be used; the first one is named.
+        DataError: a value cannot be used; the first one is named.
     """
-    bad = np.abs(values) > LARGEST_VALUE
+    is_bad = np.abs(values) > LARGEST_VALUE
     if not may_be_missing:
-        bad |= np.isnan(values)
-    if not bad.any():
+        is_bad |= np.isnan(values)
+    if not is_bad.any():
         return
-    place = np.unravel_index(np.argmax(bad), bad.shape)
+    place = np.unravel_index(np.argmax(is_bad), is_bad.shape)
     value = values[place]
-    said = f"{place_of(*place)} is {value};"
     if np.isnan(value):
-        raise DataError(
-            f"{said} times and inputs must be known at every sample. "
-            "Drop the sample or fill the gap."
+        expected = (
+            "times and inputs must be known at every sample. Drop the sample or fill "
+            "the gap."
         )
-    if np.isinf(value):
-        raise DataError(
-            f"{said} expected a finite value. "
-            "Correct it; a state that was not measured is NaN."
+    elif np.isinf(value):
+        expected = (
+            "expected a finite value. Correct it; a state that was not measured is NaN."
         )
-    raise DataError(
-        f"{said} expected at most {LARGEST_VALUE:g} in size. "
-        "Correct it or choose a larger unit."
-    )
+    else:
+        expected = (
+            f"expected at most {LARGEST_VALUE:g} in size. Correct it or choose a "
+            "larger unit."
+        )
+    raise DataError(f"{place_of(*place)} is {value}; {expected}")
 
 
 def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
-    """Refuse sequences of different lengths.
-
-    Args:
-        sequences: What must have one length, by the name that messages use.
-        expected: The rule in words, such as "one entry per trajectory".
+    """Refuse sequences, by the names of messages, that differ in length or have none.
 
     Raises:
-        DataError: The lengths differ, or one of the values has no length.
+        DataError: it names the lengths and the rule, such as "one entry per run".
     """
     lengths = {}
     for name, values in sequences.items():
@@ -152,15 +159,10 @@ def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
 def check_unique(
     names: Sequence[str], what: str, error: type[PhsiOptError] = DataError
 ) -> None:
-    """Refuse a name that is used more than once.
-
-    Args:
-        names: The names.
-        what: What messages call one of them, such as "trajectory name".
-        error: What is raised.
+    """Refuse a name that is used twice; ``what`` is such as "trajectory name".
 
     Raises:
-        PhsiOptError: A name is used twice or more.
+        PhsiOptError: of the class ``error``.
     """
     for name, n_uses in Counter(names).items():
         if n_uses > 1:
@@ -179,13 +181,13 @@ def checked_names(
     """Names of channels that formulas can use.
 
     Args:
-        names: Several names in their order.
+        names: several names in their order.
         what: "states", "inputs" or "memory"; there must be at least one state.
-        reserved: Names that stand for something else, beside those of derivatives.
-        error: What is raised.
+        reserved: names that stand for something else, besides those of derivatives.
+        error: what is raised.
 
     Raises:
-        PhsiOptError: This is no list of names, or a name is no identifier or is
+        PhsiOptError: this is no list of names, or a name is no identifier or is
             reserved.
     """
     if isinstance(names, str | set) or not isinstance(names, Iterable):
@@ -211,78 +213,48 @@ def checked_names(
     return listed
 
 
-class _Entry(NamedTuple):
-    """What is told of a channel by its name: what it is, and what it may be."""
-
-    noun: str
-    kept_as: type
-    fits: Callable[[Any], bool]
-    expected: str
-
-
-BY_NAME = {
-    "units": _Entry(
-        "unit",
-        str,
-        lambda unit: isinstance(unit, str) and unit.isprintable(),
-        "text such as 'm' in one line, or '' when unknown",
-    ),
-    "noise": _Entry(
-        "standard deviation",
-        float,
-        lambda sigma: isinstance(sigma, Real) and 0 < float(sigma) < np.inf,
-        "a positive number in the state's unit; leave it out when it is unknown",
-    ),
-    "hold": _Entry(
-        "hold", str, lambda word: word in HOLDS, "'linear', 'zero' or 'cubic'"
-    ),
-}
-
-
-def checked_by_name(told: Any, names: Sequence[str], what: str) -> dict[str, Any]:
-    """What is told of channels by their names, in the order in which it is told.
+def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, Any]:
+    """What is given of channels by their names, in the order in which it is given.
 
     Args:
-        told: A mapping from names.
-        names: Those that there are.
-        what: A name in `BY_NAME`.
+        given: a mapping from names.
+        names: the channels.
+        what: "units", "noise" or "hold".
 
     Raises:
-        DataError: This is no mapping, or an entry cannot be used.
+        DataError: this is no mapping, or an entry cannot be used.
     """
-    if not isinstance(told, Mapping):
+    if not isinstance(given, Mapping):
         example = names[-1] if names else "u"
         raise DataError(
-            f"{what}={told!r} is not a mapping; expected e.g. {{{example!r}: ...}}."
+            f"{what}={given!r} is not a mapping; expected e.g. {{{example!r}: ...}}."
         )
-    entry = BY_NAME[what]
-    for name, value in told.items():
-        said = f"{what} names the unknown {name!r}"
-        require_known(name, names, said, DataError)
-        if not entry.fits(value):
+    noun, kept_as, fits, expected = BY_NAME[what]
+    for name, value in given.items():
+        require_known(name, names, f"{what} names the unknown {name!r}", DataError)
+        if not fits(value):
             hint = did_you_mean(value, HOLDS) if what == "hold" else ""
             raise DataError(
-                f"{what}: {name!r} has the {entry.noun} {value!r}; "
-                f"expected {entry.expected}.{hint}"
+                f"{what}: {name!r} has the {noun} {value!r}; expected {expected}.{hint}"
             )
-    return {name: entry.kept_as(value) for name, value in told.items()}
+    return {name: kept_as(value) for name, value in given.items()}
 
 
 def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
     """What each input does between samples: words of `HOLDS`, (n_inputs,).
 
-    An input that a mapping leaves out is "linear".
-
     Args:
-        hold: One of `HOLDS` for all inputs, or a mapping from their names.
-        inputs: The names of the inputs.
+        hold: one of `HOLDS` for all inputs, or a mapping from their names; an input
+            that it leaves out is "linear".
+        inputs: the names of the inputs.
 
     Raises:
-        DataError: It is none of them, or an input is unknown.
+        DataError: it is none of them, or an input is unknown.
     """
     if isinstance(hold, Mapping):
-        told = dict.fromkeys(inputs, "linear") | checked_by_name(hold, inputs, "hold")
-        return np.array(list(told.values()), dtype=str)
+        by_input = dict.fromkeys(inputs, "linear")
+        by_input |= checked_by_name(hold, inputs, "hold")
+        return np.array(list(by_input.values()), dtype=str)
     require_known(hold, HOLDS, f"hold={hold!r} is unknown", DataError)
     return np.array([hold] * len(inputs), dtype=str)
 
@@ -291,13 +263,13 @@ def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
     """What inputs do between samples: one of `HOLDS`, or one by input if they differ.
 
     Raises:
-        DataError: It is none of them, or an input is unknown.
+        DataError: it is none of them, or an input is unknown.
     """
     by_input = dict(zip(inputs, hold_of_each(hold, inputs).tolist(), strict=True))
     if isinstance(hold, str):
         return hold
-    words = list(dict.fromkeys(by_input.values())) or ["linear"]
-    return by_input if len(words) > 1 else words[0]
+    different = list(dict.fromkeys(by_input.values())) or ["linear"]
+    return by_input if len(different) > 1 else different[0]
 
 
 def numbered_names(prefix: str, n: int) -> list[str]:

@@ -15,8 +15,8 @@ from typing import Any
 from phsi_opt import reading
 from phsi_opt.arguments import require_known
 from phsi_opt.data.file_opening import OpenedFile
-from phsi_opt.data.tables import Rows, Table, table_of_rows
-from phsi_opt.data.text_cells import TextFormat, n_filled
+from phsi_opt.data.tables import Table
+from phsi_opt.data.text_tables import Rows, TextFormat, n_filled, table_of_rows
 from phsi_opt.errors import DataError
 
 MOST_CELLS = 50_000_000  # of a sheet, with the empty ones between; 20 GB of memory
@@ -28,13 +28,18 @@ PLACE = re.compile(
     rb"<(?:\w+:)?(row|c)\b(?:[^>]*?\sr=[\"'](?P<column>[A-Z]*)(?P<row>\d+)[\"'])?"
 )
 REPAIR = "Open it in a spreadsheet program and save it again as .xlsx or as CSV"
+# What `zipfile` raises for a damaged archive, or one with a password.
+DAMAGED = (
+    *(zipfile.BadZipFile, zlib.error, EOFError, OSError),
+    *(LookupError, ValueError, RuntimeError),
+)
 
 
 def table_of_excel(
     file: OpenedFile,
     wanted: Iterable[Any],
     sheet: str | None,
-    text_format: TextFormat,
+    form: TextFormat,
 ) -> Table:
     """The cells of a sheet; empty rows, and empty columns behind the last, are skipped.
 
@@ -42,16 +47,30 @@ def table_of_excel(
         file: The workbook.
         wanted: The columns that are looked for, by name or by number from 0.
         sheet: The sheet's name; None: the only one that is not empty.
-        text_format: The columns of a table without a header, and the sign before
-            decimals in cells that hold text.
+        form: The columns of a table without a header, and the sign before decimals in
+            cells that hold text.
 
     Raises:
         DataError: This is no workbook, there is no such sheet, or it is empty.
     """
     sheets = _sheets(file)
-    name = _chosen(sheets, sheet, file.title)
-    title = f"{file.title}, sheet {name!r}"
-    return table_of_rows(file, title, "row", sheets[name], wanted, text_format, ",")
+    if sheet is not None:
+        said = f"{file.title} has no sheet {sheet!r}"
+        require_known(sheet, sheets, said, DataError)
+    filled = [name for name, rows in sheets.items() if rows and sheet in (None, name)]
+    if not filled:
+        what = "is empty" if sheet is None else f"has nothing on its sheet {sheet!r}"
+        raise DataError(
+            f"{file.title} {what}; "
+            "expected a header row and at least 2 rows of numbers."
+        )
+    if len(filled) > 1:
+        raise DataError(
+            f"{file.title} has several sheets with content: {filled}. "
+            f'Say which one: sheet = "{filled[0]}".'
+        )
+    title = f"{file.title}, sheet {filled[0]!r}"
+    return table_of_rows(file, title, "row", sheets[filled[0]], wanted, form, ",")
 
 
 def filled_sheets(file: OpenedFile) -> list[str]:
@@ -68,10 +87,9 @@ def _sheets(file: OpenedFile) -> dict[str, Rows]:
     import openpyxl
 
     _check_workbook(file)
+    content = io.BytesIO(file.content)
     try:
-        book = openpyxl.load_workbook(
-            io.BytesIO(file.content), read_only=True, data_only=True
-        )
+        book = openpyxl.load_workbook(content, read_only=True, data_only=True)
         sheets = {}
         for sheet in book.worksheets:
             sheet.reset_dimensions()  # what a file states of them may be wrong
@@ -94,7 +112,8 @@ def _filled_rows(rows: Iterable[Sequence[Any]], title: str) -> Rows:
     filled: Rows = {}
     width = 0
     for number, row in enumerate(rows, start=1):
-        cells = [_cell(value) for value in row]
+        cells = ["" if value is None else value for value in row]
+        cells = [cell.strip() if isinstance(cell, str) else cell for cell in cells]
         del cells[n_filled(cells) :]
         if cells:
             filled[number] = cells
@@ -107,29 +126,6 @@ def _filled_rows(rows: Iterable[Sequence[Any]], title: str) -> Rows:
     for cells in filled.values():
         cells += [""] * (width - len(cells))
     return filled
-
-
-def _cell(value: Any) -> Any:
-    if value is None:
-        return ""
-    return value.strip() if isinstance(value, str) else value
-
-
-def _chosen(sheets: dict[str, Rows], sheet: str | None, title: str) -> str:
-    if sheet is not None:
-        require_known(sheet, sheets, f"{title} has no sheet {sheet!r}", DataError)
-    filled = [name for name, rows in sheets.items() if rows and sheet in (None, name)]
-    if not filled:
-        what = "is empty" if sheet is None else f"has nothing on its sheet {sheet!r}"
-        raise DataError(
-            f"{title} {what}; expected a header row and at least 2 rows of numbers."
-        )
-    if len(filled) > 1:
-        raise DataError(
-            f"{title} has several sheets with content: {filled}. "
-            f'Say which one: sheet = "{filled[0]}".'
-        )
-    return filled[0]
 
 
 def _check_workbook(file: OpenedFile) -> None:
@@ -153,11 +149,7 @@ def _check_workbook(file: OpenedFile) -> None:
                 _check_part(part.filename, archive.read(part), title)
     except DataError:
         raise
-    # What `zipfile` raises for a damaged archive, or one with a password.
-    except (
-        *(zipfile.BadZipFile, zlib.error, EOFError, OSError),
-        *(LookupError, ValueError, RuntimeError),
-    ) as error:
+    except DAMAGED as error:
         raise DataError(
             f"{title} is no Excel workbook of the kind .xlsx, or is damaged "
             f"({error}). {REPAIR}, without a password."
@@ -174,27 +166,19 @@ def _check_part(name: str, content: bytes, title: str) -> None:
             f"{title} is no usual Excel workbook: its part {name!r} defines XML "
             f"entities, which can grow without end. {REPAIR}."
         )
-    if SHEET_PART.fullmatch(name):
-        _check_order(content, f"{title}, {name!r}")
-
-
-def _check_order(sheet: bytes, title: str) -> None:
-    """Refuse rows and cells that do not stand in order."""
-    row = 0
-    last = (0, b"")
-    for tag, letters, number in PLACE.findall(sheet):
+    if not SHEET_PART.fullmatch(name):
+        return
+    row, last = 0, (0, b"")  # the last row, and the last column of it
+    for tag, letters, number in PLACE.findall(content):
         if tag == b"row":
-            following = int(number) if number else row + 1
-            is_next = following > row
-            row = following
-            last = (0, b"")
+            is_next = not number or int(number) > row
+            row, last = int(number or row + 1), (0, b"")
         else:
             column = (len(letters), letters)  # orders A, Z, AA, XFD
-            is_next = not letters or column > last
+            is_next = not letters or last < column < (4, b"")  # the last one is XFD
             last = max(last, column)
-        if not is_next or len(letters) > 3:  # the last column is XFD
-            place = (letters + number).decode()
+        if not is_next:
             raise DataError(
-                f"{title} has the row or cell {place} in the wrong place, and rows "
-                f"could be lost. {REPAIR}."
+                f"{title}, {name!r} has the row or cell {(letters + number).decode()} "
+                f"in the wrong place, and rows could be lost. {REPAIR}."
             )

@@ -1,15 +1,16 @@
 """Opening files: their content, and the names that messages and trajectories use.
 
-What the content means is the business of `tables`, `excel_tables` and `matlab_tables`.
+What the content means is the business of `text_tables`, `excel_tables`,
+`matlab_tables`.
 """
 
 import codecs
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, TextIO
 
@@ -25,10 +26,9 @@ NO_TEXT_TABLES = {  # what to do with files that are no text, by their suffix
     ".xls": "save it as .xlsx or CSV",
     ".ods": "save it as .xlsx or CSV",
 }
-KINDS_READ = "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat)"
 GUESSED = "its text is not UTF-8 and was read as Windows-1252"
 PATHS = (str, os.PathLike)
-NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # signs that no text table has
+NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # characters that no text table has
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class OpenedFile:
 
     Attributes:
         title: What messages call it: "file 'bench.csv'" or "open file".
-        run: The name of its trajectory where no column tells it.
+        run: The name of its trajectory where no column gives it.
         content: All of its bytes; or its text without a byte order mark, the lines
             ended by "\\n".
         remark: What was guessed of its encoding; "" where nothing was.
@@ -80,45 +80,20 @@ class OpenedFile:
     remark: str = ""
 
 
-def text_files(source: Source | Iterable[Source]) -> Iterator[OpenedFile]:
+def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
     """The files one after the other; each is read when its turn comes.
 
     Args:
         source: A path, an open file, or several of them.
+        as_text: Whether their text is asked for; else their bytes.
 
     Raises:
-        DataError: This is no source, or a file cannot be read as text.
+        DataError: This is no source, or a file cannot be read so.
     """
-    for one, path, file in _named(source, "an open file"):
-        instead = NO_TEXT_TABLES.get(Path(path or "").suffix.lower())
-        if instead:
-            raise DataError(f"{file.title} is no text table; {instead}.")
-        content = _content(one, file.title, str, bytes)
-        is_text = isinstance(content, str)
-        text, remark = (content, "") if is_text else _decoded(content, file.title)
-        text = text.removeprefix("\ufeff")  # spreadsheets write a byte order mark
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-        yield replace(file, content=text, remark=remark)
-
-
-def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[OpenedFile]:
-    """The files one after the other; each is read when its turn comes.
-
-    Args:
-        source: A path, a file that is open for reading bytes, or several of them.
-
-    Raises:
-        DataError: This is no source, or a file cannot be read.
-    """
-    for one, _, file in _named(source, "an open binary file"):
-        yield replace(file, content=_content(one, file.title, bytes))
-
-
-def _named(source: Any, open_file: str) -> Iterator[tuple[Any, str | None, OpenedFile]]:
-    """Each source, its path as the user wrote it, and its names; nothing is read."""
     if isinstance(source, PATHS) or hasattr(source, "read"):
         source = [source]
     if not isinstance(source, list | tuple | Iterator):
+        open_file = "an open file" if as_text else "an open binary file"
         raise DataError(
             f"source is a {type(source).__name__}; "
             f"expected a path, a list of paths or {open_file}."
@@ -126,18 +101,24 @@ def _named(source: Any, open_file: str) -> Iterator[tuple[Any, str | None, Opene
     sources = list(source)
     if not sources:
         raise DataError("source is an empty list; expected at least one path.")
-    for one in sources:
-        if not isinstance(one, PATHS) and not hasattr(one, "read"):
+    for file in sources:
+        if not isinstance(file, PATHS) and not hasattr(file, "read"):
             raise DataError(
-                f"source holds a {type(one).__name__}; expected paths or open files."
+                f"source holds a {type(file).__name__}; expected paths or open files."
             )
-    for one, run in zip(sources, run_names(sources), strict=True):
-        path = _path(one)
+    for file, run in zip(sources, run_names(sources), strict=True):
+        path = _path(file)
         title = f"file {path!r}" if path else "open file"
-        yield one, path, OpenedFile(title, run, None)
+        instead = NO_TEXT_TABLES.get(Path(path or "").suffix.lower())
+        if as_text and instead:
+            raise DataError(f"{title} is no text table; {instead}.")
+        content, remark = _content(file, title, as_text), ""
+        if as_text:
+            content, remark = _text(content, title)
+        yield OpenedFile(title, run, content, remark)
 
 
-def run_names(sources: Sequence[Any]) -> list[str]:
+def run_names(sources: Iterable[Any]) -> list[str]:
     """The files' names without folder and suffix; the whole path where two agree.
 
     Args:
@@ -146,21 +127,22 @@ def run_names(sources: Sequence[Any]) -> list[str]:
     Raises:
         DataError: A file is listed twice.
     """
-    # A NUL, which no path has, is told when the file is opened.
-    paths = [one for one in sources if isinstance(one, PATHS) and "\0" not in str(one)]
-    for place, n_times in Counter(map(os.path.realpath, paths)).items():
+    sources = list(sources)
+    # A NUL, which no path has, is refused when the file is opened.
+    paths = [file for file in sources if isinstance(file, PATHS)]
+    places = [os.path.realpath(path) for path in paths if "\0" not in str(path)]
+    for place, n_times in Counter(places).items():
         if n_times > 1:
             raise DataError(
                 f"the file {place!r} is listed {n_times} times; its runs "
                 "are one measurement. List it once."
             )
-    named = [_path(one) for one in sources]
+    named = [_path(file) for file in sources]
     stems = [Path(path).stem if path else f"run {i}" for i, path in enumerate(named, 1)]
-    n_files = Counter(stems)
-    names = []
-    for path, stem in zip(named, stems, strict=True):
-        names.append(path if path and n_files[stem] > 1 else stem)
-    return names
+    return [
+        path if path and stems.count(stem) > 1 else stem
+        for path, stem in zip(named, stems, strict=True)
+    ]
 
 
 def _path(source: Any) -> str | None:
@@ -171,12 +153,20 @@ def _path(source: Any) -> str | None:
     return name if isinstance(name, str) and name else None
 
 
-def _decoded(content: bytes, title: str) -> tuple[str, str]:
-    """A file's text: UTF-8, UTF-16 where it begins so, or else Windows-1252.
+def _text(content: str | bytes, title: str) -> tuple[str, str]:
+    """A file's text, and a remark where its encoding was guessed.
 
-    Numbers are the same in all of them; in a text of another encoding the names of
-    columns alone look strange.
+    UTF-8, UTF-16 where it begins so, or else Windows-1252. Numbers are the same in all
+    of them; in a text of another encoding the names of columns alone look strange.
     """
+    remark = ""
+    if isinstance(content, bytes):
+        content, remark = _decoded(content, title)
+    text = content.removeprefix("\ufeff")  # spreadsheets write a byte order mark
+    return text.replace("\r\n", "\n").replace("\r", "\n"), remark
+
+
+def _decoded(content: bytes, title: str) -> tuple[str, str]:
     is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     encodings = {"utf-16": ""} if is_utf_16 else {"utf-8": "", "cp1252": GUESSED}
     for encoding, remark in encodings.items():
@@ -186,11 +176,12 @@ def _decoded(content: bytes, title: str) -> tuple[str, str]:
                 return text, remark
     raise DataError(
         f"{title} is no table: it holds binary data and no text. Tables are read from "
-        f"{KINDS_READ}. Save it as one of these."
+        "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat). Save it as one of "
+        "these."
     )
 
 
-def _content(source: Any, title: str, *kinds: type) -> Any:
+def _content(source: Any, title: str, as_text: bool) -> Any:
     """All of a file: bytes of a path; bytes or text of an open file, as asked for."""
     try:
         if hasattr(source, "read"):
@@ -202,9 +193,9 @@ def _content(source: Any, title: str, *kinds: type) -> Any:
         if isinstance(error, OSError):
             why = reading.why_not_read(error)
         raise DataError(f"{title} cannot be read: {why}.") from error
-    if not isinstance(content, kinds):
+    if not isinstance(content, bytes | str if as_text else bytes):
         raise DataError(
             f"{title} gives {type(content).__name__}; expected "
-            f"{' or '.join(kind.__name__ for kind in kinds)}, as open(path, 'rb') does."
+            f"{'str or ' * as_text}bytes, as open(path, 'rb') does."
         )
     return content

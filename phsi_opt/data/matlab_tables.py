@@ -13,6 +13,7 @@ the process that reads it, or fill its memory. It reads in a process of its own,
 import os
 import subprocess
 import sys
+from collections import ChainMap
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -61,10 +62,8 @@ def table_of_vectors(file: OpenedFile) -> Table:
     """
     variables = _variables(file)
     # A matrix that is taken for a table has few columns.
-    few = {one: found for one, found in variables.items() if len(found) <= 20}
-    lengths: list[int] = []
-    for vectors in few.values():
-        lengths += (one.size for one in vectors.values())
+    few = {one: vectors for one, vectors in variables.items() if len(vectors) <= 20}
+    lengths = [vector.size for own in few.values() for vector in own.values()]
     n_rows = max(lengths, key=lambda n: (n > 1, lengths.count(n), n), default=0)
     if n_rows < 2:
         raise DataError(
@@ -74,8 +73,8 @@ def table_of_vectors(file: OpenedFile) -> Table:
     columns: dict[str, np.ndarray] = {}
     further = []
     for variable in variables:
-        vectors = few.get(variable, {})
-        fitting = {k: one.ravel() for k, one in vectors.items() if one.size == n_rows}
+        own = few.get(variable, {}).items()
+        fitting = {name: one.ravel() for name, one in own if one.size == n_rows}
         columns |= fitting
         if not fitting:
             further.append(variable)
@@ -95,30 +94,27 @@ def _table(
 def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
     """The vector of this name, which may go without its struct."""
     wanted = str(name).replace(" ", "")
-    vectors: dict[str, np.ndarray] = {}
-    for of_variable in variables.values():
-        vectors |= of_variable
-    found = _fitting(wanted, vectors)
+    vectors = ChainMap(*reversed(variables.values()))
+
+    def fitting(wanted: str) -> list[str]:
+        if wanted in vectors:
+            return [wanted]
+        return [one for one in vectors if one.endswith(f".{wanted}")]
+
+    names = fitting(wanted)
     axis = {"(:,1)": 1, "(1,:)": 0}.get(wanted[-5:])
-    if not found and axis is not None:  # all of a vector, written as of a matrix
-        whole = _fitting(wanted[:-5], vectors)
-        found = [one for one in whole if vectors[one].shape[axis] == 1]
-    if len(found) == 1:
-        return vectors[found[0]].ravel()
-    if found:
+    if not names and axis is not None:  # all of a vector, written as of a matrix
+        whole = fitting(wanted[:-5])
+        names = [one for one in whole if vectors[one].shape[axis] == 1]
+    if len(names) == 1:
+        return vectors[names[0]].ravel()
+    if names:
         raise DataError(
             f"{title}: {name!r} is a field of several structs; say which one of "
-            f"{found}."
+            f"{names}."
         )
     hint = did_you_mean(wanted, vectors)
     raise DataError(f"{title} has no column {name!r}. {_listing(variables)}{hint}")
-
-
-def _fitting(wanted: str, vectors: Iterable[str]) -> list[str]:
-    """The vector of this name, or the fields of structs that are called so."""
-    if wanted in vectors:
-        return [wanted]
-    return [one for one in vectors if one.endswith(f".{wanted}")]
 
 
 def _listing(variables: Vectors) -> str:
@@ -127,35 +123,29 @@ def _listing(variables: Vectors) -> str:
     return f"The file holds: {', '.join(listed) or 'nothing'}."
 
 
-def _vectors_of(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """The vectors in an array of numbers, as they are called in MATLAB.
+def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
+    """A variable in words, and the vectors in it, as they are called in MATLAB.
 
     Of a matrix these are its columns, or its rows where it is wider than high.
     """
-    if 1 in values.shape:
-        return {name: values}
-    is_high = values.shape[0] >= values.shape[1]
-    form = f"{name}(:,{{}})" if is_high else f"{name}({{}},:)"
-    vectors = values.T if is_high else values
-    return {form.format(i): one for i, one in enumerate(vectors, 1)}
-
-
-def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
-    """A variable in words, and the vectors in it."""
     if values.dtype.kind == "U":
         return Variable(name, str(values)), {}
     if not values.size:
         return Variable(name, "empty"), {}
     if values.ndim > 2:
-        said = f"an array with {values.ndim} axes, which is not read"
-        return Variable(name, said), {}
-    vectors = _vectors_of(name, values)
-    if values.size > 1:
-        sizes = " x ".join(str(n) for n in values.shape if n > 1)
-        first = f": {next(iter(vectors))}, ..." if len(vectors) > 1 else ""
-        return Variable(name, f"{sizes} numbers{first}"), vectors
-    number = None if np.iscomplexobj(values) else float(values.item())
-    return Variable(name, f"the number {values.item():g}", number), vectors
+        axes = f"an array with {values.ndim} axes, which is not read"
+        return Variable(name, axes), {}
+    if values.size == 1:
+        number = None if np.iscomplexobj(values) else float(values.item())
+        return Variable(name, f"the number {values.item():g}", number), {name: values}
+    n_rows, n_columns = values.shape
+    if 1 in values.shape:
+        return Variable(name, f"{values.size} numbers"), {name: values}
+    is_high = n_rows >= n_columns
+    form = f"{name}(:,{{}})" if is_high else f"{name}({{}},:)"
+    vectors = enumerate(values.T if is_high else values, 1)
+    size = f"{n_rows} x {n_columns} numbers: {form.format(1)}, ..."
+    return Variable(name, size), {form.format(i): vector for i, vector in vectors}
 
 
 def _variables(file: OpenedFile) -> Vectors:

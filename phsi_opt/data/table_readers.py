@@ -7,37 +7,34 @@ file is its header, or an integer, its position counted from 0.
 
 import datetime as dt
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 
 import numpy as np
 
-from phsi_opt.arguments import require_known
-from phsi_opt.data.checks import Hold
+from phsi_opt.arguments import is_size, require_known
+from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.excel_tables import table_of_excel
-from phsi_opt.data.file_opening import BinarySource, Source, binary_files, text_files
-from phsi_opt.data.layout import RUN_PART, TIME_PART, ColumnMap, Layout, Part
+from phsi_opt.data.file_opening import BinarySource, Source, opened_files
 from phsi_opt.data.matlab_tables import table_of_mat
-from phsi_opt.data.tables import (
-    Table,
-    numbers_in,
-    rows_of_runs,
-    table_of_csv,
-    table_of_frame,
-)
-from phsi_opt.data.text_cells import TextFormat
-from phsi_opt.data.times import Clock, clock_of
+from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
+from phsi_opt.data.text_tables import TextFormat, table_of_csv
+from phsi_opt.data.times import Moment, times_in
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-
-NO_CLOCK = Clock(np.empty(0))
+# name -> column, or a list of names which are columns
+ColumnMap = Mapping[str, Any] | Sequence[str]
+Part = tuple[str, ...]  # that a column plays, as a study file names it below [data]
+RUN_PART: Part = ("trajectory",)
+TIME_PART: Part = ("time", "column")
 
 
 class TableWords(TypedDict, total=False):
-    """What every reader is told of a table, by the names that `from_csv` explains."""
+    """What every reader can be given, by the names that `from_csv` explains."""
 
     time: Any
     states: Required[ColumnMap]
@@ -75,7 +72,7 @@ class TableReaders:
         columns: Sequence[str] | None = None,
         separator: str | None = None,
         decimal: str | None = None,
-        **told: Unpack[TableWords],
+        **words: Unpack[TableWords],
     ) -> Self:
         """Read text tables.
 
@@ -112,10 +109,11 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
-        wanted = _layout(told).columns
+        wanted = _layout(words).columns
         form = TextFormat(columns, separator, decimal)
-        tables = [table_of_csv(file, wanted, form) for file in text_files(source)]
-        return cls.from_tables(tables, **told)
+        files = opened_files(source, as_text=True)
+        tables = [table_of_csv(file, wanted, form) for file in files]
+        return cls.from_tables(tables, **words)
 
     @classmethod
     def from_excel(
@@ -125,7 +123,7 @@ class TableReaders:
         sheet: str | None = None,
         columns: Sequence[str] | None = None,
         decimal: str | None = None,
-        **told: Unpack[TableWords],
+        **words: Unpack[TableWords],
     ) -> Self:
         """Read sheets of Excel workbooks (.xlsx); otherwise as `from_csv`.
 
@@ -136,23 +134,23 @@ class TableReaders:
             source: A path, a file opened for reading bytes, or several of them.
             sheet: The sheet; None: the only one that is not empty.
             columns, decimal: As in `from_csv`.
-            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+            **words: time, states, inputs, hold, trajectory, units, noise, step, start
                 and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with file, sheet, column and row.
         """
-        wanted = _layout(told).columns
+        wanted = _layout(words).columns
         form = TextFormat(columns, None, decimal)
-        files = binary_files(source)
+        files = opened_files(source, as_text=False)
         tables = [table_of_excel(file, wanted, sheet, form) for file in files]
-        return cls.from_tables(tables, **told)
+        return cls.from_tables(tables, **words)
 
     @classmethod
     def from_mat(
         cls,
         source: BinarySource | Iterable[BinarySource],
-        **told: Unpack[TableWords],
+        **words: Unpack[TableWords],
     ) -> Self:
         """Read MATLAB files of version 4 to 7.
 
@@ -163,33 +161,34 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them: then
                 each file is a trajectory of its own.
-            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+            **words: time, states, inputs, hold, trajectory, units, noise, step, start
                 and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
                 what the file holds where a column is not found.
         """
-        wanted = _layout(told).columns
-        tables = [table_of_mat(file, wanted) for file in binary_files(source)]
-        return cls.from_tables(tables, **told)
+        wanted = _layout(words).columns
+        files = opened_files(source, as_text=False)
+        tables = [table_of_mat(file, wanted) for file in files]
+        return cls.from_tables(tables, **words)
 
     @classmethod
-    def from_dataframe(cls, frame: "pd.DataFrame", **told: Unpack[TableWords]) -> Self:
+    def from_dataframe(cls, frame: "pd.DataFrame", **words: Unpack[TableWords]) -> Self:
         """Read a data frame, which is not changed; columns are its labels.
 
         Args:
             frame: The table.
-            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+            **words: time, states, inputs, hold, trajectory, units, noise, step, start
                 and date_format, as in `from_csv`.
 
         Raises:
             DataError: Something cannot be used; with the row's label in the index.
         """
-        return cls.from_tables([table_of_frame(frame)], **told)
+        return cls.from_tables([table_of_frame(frame)], **words)
 
     @classmethod
-    def from_tables(cls, tables: Sequence[Table], **told: Unpack[TableWords]) -> Self:
+    def from_tables(cls, tables: Sequence[Table], **words: Unpack[TableWords]) -> Self:
         """From tables, whose trajectories are in the order in which they begin.
 
         Where several tables have a column that names the trajectory, the table's own
@@ -197,82 +196,150 @@ class TableReaders:
 
         Args:
             tables: At least one, as a file or a data frame has it.
-            **told: time, states, inputs, hold, trajectory, units, noise, step, start
+            **words: time, states, inputs, hold, trajectory, units, noise, step, start
                 and date_format, as in `from_csv`.
 
         Raises:
             TableError: Columns cannot be used.
             DataError: Something else cannot be used.
         """
-        layout = _layout(told)
+        layout = _layout(words)
         trajectories: list[Trajectory] = []
         faults: dict[Part, DataError] = {}
         are_dates = False
         for table in tables:
-            named = table.run if len(tables) > 1 and layout.trajectory else ""
-            runs, clock = _runs_in(table, layout, f"{named}/" if named else "", faults)
+            prefix = f"{table.run}/" if len(tables) > 1 and layout.trajectory else ""
+            runs, origins = _runs_in(table, layout, prefix, faults)
             trajectories += runs
-            are_dates = are_dates or bool(clock.origins)
+            are_dates = are_dates or bool(origins)
         if faults:
             raise TableError(faults)
-        units = told.get("units")
+        units = words.get("units")
         make: Any = cls  # a `Measurements`, which names its fields
         made: Self = make(
             tuple(trajectories),
             states=tuple(layout.states),
             inputs=tuple(layout.inputs),
             units=_with_seconds({} if units is None else units, are_dates),
-            hold=told.get("hold", "linear"),
-            noise=told.get("noise"),
+            hold=words.get("hold", "linear"),
+            noise=words.get("noise"),
         )
         return made
 
 
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Which column of a table plays which part, in the words of the readers.
+
+    Raises:
+        DataError: A name cannot be used, an input has no column, or what is said of the
+            times does not go together.
+    """
+
+    states: Any
+    time: Any = None
+    inputs: Any = None
+    trajectory: str | None = None
+    step: float | None = None
+    start: Any = None
+    date_format: str | None = None
+
+    def __post_init__(self) -> None:
+        step = self.step
+        if (self.time is None) == (step is None):
+            raise DataError(
+                f"time={self.time!r} and step={step!r}; expected one of them: "
+                "the column of the times, or the time between neighbouring rows."
+            )
+        if step is not None and (not is_size(step) or step == 0):
+            raise DataError(
+                f"step={step!r} is no time between rows; expected a positive number."
+            )
+        if step is not None and (self.start, self.date_format) != (None, None):
+            raise DataError(
+                "start and date_format are for dates in a column; "
+                "with step=... leave them out."
+            )
+        for what in ("inputs", "states"):
+            columns = getattr(self, what)
+            if not isinstance(columns, Mapping):
+                names = checked_names(() if columns is None else columns, what)
+                check_unique(names, "name")
+                columns = dict(zip(names, names, strict=True))
+            object.__setattr__(self, what, dict(columns))
+        if None in self.inputs.values():
+            raise DataError(
+                f"inputs={self.inputs!r} has an input without a column; "
+                "inputs must be measured."
+            )
+
+    @property
+    def parts(self) -> dict[Part, Any]:
+        """The column of each part, None where it has none."""
+        parts: dict[Part, Any] = {RUN_PART: self.trajectory, TIME_PART: self.time}
+        for what in ("states", "inputs"):
+            for name, column in getattr(self, what).items():
+                parts[what, name, "column"] = column
+        return parts
+
+    @property
+    def columns(self) -> list[Any]:
+        """The columns that are asked for."""
+        return [column for column in self.parts.values() if column is not None]
+
+
+def _layout(words: TableWords) -> Layout:
+    others = ("hold", "units", "noise")
+    return Layout(**{name: one for name, one in words.items() if name not in others})  # type: ignore[arg-type]
+
+
 def _runs_in(
     table: Table, layout: Layout, prefix: str, faults: dict[Part, DataError]
-) -> tuple[list[Trajectory], Clock]:
-    """The trajectories of a table; none, and the faults noted, where it has some."""
+) -> tuple[list[Trajectory], list[Moment]]:
+    """The trajectories of a table, with their moments where t is 0; faults are noted.
+
+    There are none where there is a fault, and no moments where times are numbers.
+    """
     rows: dict[str, np.ndarray] = {}
-    clock = NO_CLOCK
     n_rows = len(table.frame)
-    values: dict[str, list[np.ndarray]] = {}
-    for what in ("states", "inputs"):
-        values[what] = [np.empty((n_rows, 0))]
+    t = np.empty(n_rows)
+    origins: list[Moment] = []
+    empty = np.empty((n_rows, 0))
+    values: dict[str, list[np.ndarray]] = {"states": [empty], "inputs": [empty]}
     for part, column in layout.parts.items():
         try:
             _check_column(table, column, layout)
             if part == RUN_PART:
                 rows = _rows_by_name(table, column)
+            elif part == TIME_PART and layout.step is not None:
+                for own in rows.values():
+                    t[own] = layout.step * np.arange(len(own))
             elif part == TIME_PART:
-                clock = clock_of(table, layout, list(rows.values()))
+                runs = list(rows.values())
+                form = layout.date_format
+                t, origins = times_in(table, column, runs, layout.start, form)
+            elif column is None:
+                values[part[0]].append(np.full(n_rows, np.nan))
             else:
-                cells = np.full(n_rows, np.nan)
-                if column is not None:
-                    cells = numbers_in(table, column, part[0] == "states")
-                values[part[0]].append(cells)
+                numbers = numbers_in(table, column, part[0] == "states")
+                values[part[0]].append(numbers)
         except DataError as error:
             faults.setdefault(part, error)
     if faults:
-        return [], clock
+        return [], origins
     if table.frame.empty:
         raise DataError(
             f"{table.title} has no samples; "
             "expected at least 2 rows of numbers below the header."
         )
-    x, u = (np.column_stack(columns) for columns in values.values())
-    runs = []
-    origins: Sequence[Any] = clock.origins or [None] * len(rows)
-    for (name, own), origin in zip(rows.items(), origins, strict=True):
-        moment = origin if isinstance(origin, dt.datetime) else None
-        runs.append(Trajectory(prefix + name, clock.t[own], x[own], u[own], moment))
-    return runs, clock
-
-
-def _layout(told: TableWords) -> Layout:
-    words: dict[str, Any] = dict(told)
-    for name in ("hold", "units", "noise"):
-        words.pop(name, None)
-    return Layout(**words)
+    x, u = map(np.column_stack, values.values())
+    trajectories = []
+    for i, (name, own) in enumerate(rows.items()):
+        is_date = bool(origins) and isinstance(origins[i], dt.datetime)
+        origin: Any = origins[i] if is_date else None
+        run = Trajectory(prefix + name, t[own], x[own], u[own], origin)
+        trajectories.append(run)
+    return trajectories, origins
 
 
 def _with_seconds(units: Any, are_dates: bool) -> Any:

@@ -7,7 +7,7 @@ that was set back are refused with their row.
 
 A date may be written as one number, such as 20210131. As numbers the differences of
 these are no times: from the 31st to the next day it is 70. Numbers of 8, 10, 12 or 14
-digits are told to be dates where each of them has a year, month, day, hour, minute and
+digits are taken for dates where each of them has a year, month, day, hour, minute and
 second that there can be. Seconds since 1970, and parts of seconds, have other lengths
 or begin with no such year.
 """
@@ -16,15 +16,19 @@ import datetime as dt
 import re
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.checks import LARGEST_EXACT, from_first
-from phsi_opt.data.layout import Layout
-from phsi_opt.data.tables import Table, holds_real_numbers, is_missing, numbers_in
-from phsi_opt.data.text_cells import DECIMAL_COMMA, NUMBER
+from phsi_opt.data.tables import (
+    DECIMAL_COMMA,
+    Table,
+    holds_real_numbers,
+    is_missing,
+    numbers_in,
+)
+from phsi_opt.data.text_tables import NUMBER
 from phsi_opt.errors import DataError
 
 SECOND = dt.timedelta(seconds=1)
@@ -44,58 +48,53 @@ WHOLE_NUMBER = re.compile(r"(\d+)(\.0*)?")
 Moment = dt.datetime | dt.timedelta  # of a calendar, or since midnight
 
 
-@dataclass(frozen=True, eq=False)
-class Clock:
-    """The times of a table.
-
-    Attributes:
-        t: Of all rows, (n_rows,), in seconds where they were moments.
-        origins: The moments at which t is 0 in each trajectory; none where the times
-            are numbers.
-    """
-
-    t: np.ndarray
-    origins: Sequence[Moment] = ()
-
-
-def clock_of(table: Table, layout: Layout, runs: Sequence[np.ndarray]) -> Clock:
-    """The times of all rows.
+def times_in(
+    table: Table,
+    column: Any,
+    runs: Sequence[np.ndarray],
+    start: Any = None,
+    date_format: str | None = None,
+) -> tuple[np.ndarray, list[Moment]]:
+    """The times in a column, in seconds where they are moments.
 
     Args:
         table: As it was read.
-        layout: Says where its times come from.
+        column: Of the times.
         runs: The row numbers of each trajectory, (n_samples,).
+        start: The moment at which t is 0; None: the first sample of each trajectory.
+        date_format: In the signs of strptime; None: ISO 8601; "": these are numbers.
+
+    Returns:
+        Those of all rows, (n_rows,), and the moments at which t is 0 in each
+        trajectory; none where the times are numbers.
 
     Raises:
         DataError: A cell is no time, or not after the one before it in its trajectory.
     """
-    if layout.step is not None:
-        t = np.empty(len(table.frame))
+    cells = table.frame[column]
+    if _are_moments(cells, date_format):
+        moments = _moments(table, column, date_format)
+        begin = None if start is None else _start(start, date_format, moments[0])
+        t = np.empty(len(moments))
+        origins = []
         for rows in runs:
-            t[rows] = layout.step * np.arange(len(rows))
-        return Clock(t)
-    if _are_moments(table, layout):
-        return _clock_of_moments(table, layout, runs)
-    if layout.start is not None:
+            origin: Any = moments[rows[0]] if begin is None else begin
+            t[rows] = [(moments[i] - origin) / SECOND for i in rows]
+            origins.append(origin)
+        _check_increasing(table, column, t, moments, runs)
+        return t, origins
+    if start is not None:
         raise DataError(
-            f"start={layout.start!r} is for dates, and the column {layout.time!r} of "
+            f"start={start!r} is for dates, and the column {column!r} of "
             f"{table.title} holds numbers; leave start out."
         )
-    t = _numbers(table, layout)
-    _check_increasing(table, layout.time, t, t.tolist(), runs)
-    return Clock(t)
-
-
-def _numbers(table: Table, layout: Layout) -> np.ndarray:
-    """Times that are numbers, (n_rows,)."""
-    t = numbers_in(table, layout.time, may_be_missing=False)
-    cells = table.frame[layout.time]
+    t = numbers_in(table, column, may_be_missing=False)
     form = format_of_dates(t)
-    if form and layout.date_format is None:
+    if form and date_format is None:
         first = cells.iloc[0]
         moment = _date_in(first, form) or "a date"  # of a 31st of February
         raise DataError(
-            f"{table.place(layout.time, 0)} {first} looks like {moment} written as "
+            f"{table.place(column, 0)} {first} looks like {moment} written as "
             "one number, and so do all others; expected times as numbers of one unit, "
             f'or dates. Say date_format = "{form}" where they are dates, and '
             'date_format = "" where they are numbers.'
@@ -103,7 +102,8 @@ def _numbers(table: Table, layout: Layout) -> np.ndarray:
     if np.max(np.abs(t), initial=0.0) > LARGEST_EXACT:
         with suppress(ValueError, OverflowError):  # not whole, or beyond all bounds
             t = np.asarray(from_first([int(str(cell)) for cell in cells]), float)
-    return t
+    _check_increasing(table, column, t, t.tolist(), runs)
+    return t, []
 
 
 def format_of_dates(values: np.ndarray) -> str:
@@ -117,61 +117,45 @@ def format_of_dates(values: np.ndarray) -> str:
     has_decimals = bool(np.any(known != whole))
     fewest = len(DATE_PARTS) if has_decimals else 3  # only seconds have decimals
     for n_parts in range(fewest, len(DATE_PARTS) + 1):
-        if known.size and _are_dates(whole, DATE_PARTS[:n_parts]):
+        rest = whole
+        fits = known.size > 0
+        for sign, low, high in reversed(DATE_PARTS[:n_parts]):
+            part = rest if sign == "%Y" else rest % 100
+            rest = rest // 100
+            fits = fits and bool(np.all((part >= low) & (part <= high)))
+        if fits:
             signs = "".join(sign for sign, _, _ in DATE_PARTS[:n_parts])
             return f"{signs}.%f" if has_decimals else signs
     return ""
 
 
-def _are_dates(values: np.ndarray, parts: Sequence[tuple[str, int, int]]) -> bool:
-    """Whether all values are a year and parts of two digits each."""
-    rest = values
-    for sign, low, high in reversed(parts):
-        part = rest if sign == "%Y" else rest % 100
-        rest = rest // 100
-        if np.any((part < low) | (part > high)):
-            return False
-    return True
-
-
-def _are_moments(table: Table, layout: Layout) -> bool:
-    """Whether the times are dates or times of day, as the first filled cell tells."""
-    if layout.date_format is not None:
-        return layout.date_format != ""
-    cells = table.frame[layout.time]
+def _are_moments(cells: Any, date_format: str | None) -> bool:
+    """Whether times are dates or times of day, as the first filled cell tells."""
+    if date_format is not None:
+        return date_format != ""
     if holds_real_numbers(cells):
         return False
     first = next((cell for cell in cells if not is_missing(cell)), None)
     if not isinstance(first, str):
         return isinstance(first, dt.datetime | dt.time | dt.timedelta)
-    is_number = any(form.fullmatch(first.strip()) for form in NUMBERS)
-    return not is_number
+    return not any(form.fullmatch(first.strip()) for form in NUMBERS)
 
 
-def _clock_of_moments(
-    table: Table, layout: Layout, runs: Sequence[np.ndarray]
-) -> Clock:
+def _moments(table: Table, column: Any, date_format: str | None) -> list[Moment]:
+    """The moments in a column, all of one kind."""
     moments: list[Moment] = []
-    for i, cell in enumerate(table.frame[layout.time]):
-        place = table.place(layout.time, i)
-        moment = _moment(cell, layout.date_format)
+    for i, cell in enumerate(table.frame[column]):
+        place = table.place(column, i)
+        moment = _moment(cell, date_format)
         if moment is None:
-            raise DataError(f"{place} {_refused(cell, layout.date_format)}")
+            raise DataError(f"{place} {_refused(cell, date_format)}")
         moments.append(moment)
         if _kind(moment) != _kind(moments[0]):
             raise DataError(
                 f"{place} {cell!r} is {_kind(moment)}, and the first of the column is "
                 f"{_kind(moments[0])}; expected one kind. Write all in one way."
             )
-    start = None if layout.start is None else _start(layout, moments[0])
-    t = np.empty(len(moments))
-    origins = []
-    for rows in runs:
-        origin: Any = moments[rows[0]] if start is None else start
-        t[rows] = [(moments[i] - origin) / SECOND for i in rows]
-        origins.append(origin)
-    _check_increasing(table, layout.time, t, moments, runs)
-    return Clock(t, origins)
+    return moments
 
 
 def _moment(cell: Any, date_format: str | None) -> Moment | None:
@@ -186,16 +170,14 @@ def _moment(cell: Any, date_format: str | None) -> Moment | None:
         return _date_in(cell, date_format)
     if not isinstance(cell, str):
         return None
-    text = cell.strip()
-    clock = TIME_OF_DAY.fullmatch(text)
+    clock = TIME_OF_DAY.fullmatch(cell.strip())
     if clock is not None:
         hours, minutes, seconds = clock.groups()
         whole = dt.timedelta(hours=int(hours), minutes=int(minutes))
         return whole + float(seconds.replace(",", ".")) * SECOND
-    try:
-        return dt.datetime.fromisoformat(text)
-    except ValueError:
-        return None
+    with suppress(ValueError):
+        return dt.datetime.fromisoformat(cell.strip())
+    return None
 
 
 def _date_in(cell: Any, form: str) -> dt.datetime | None:
@@ -207,10 +189,9 @@ def _date_in(cell: Any, form: str) -> dt.datetime | None:
     whole = WHOLE_NUMBER.fullmatch(text)
     if whole is not None:
         text = f"{whole[1]}.0" if form.endswith("%f") else whole[1]
-    try:
+    with suppress(ValueError):
         return dt.datetime.strptime(text, form)
-    except ValueError:
-        return None
+    return None
 
 
 def _refused(cell: Any, date_format: str | None) -> str:
@@ -236,35 +217,32 @@ def _kind(moment: Moment) -> str:
     return f"a date with{'out' if moment.tzinfo is None else ''} time zone"
 
 
-def _start(layout: Layout, first: Moment) -> Moment:
-    start = _moment(layout.start, layout.date_format) or _moment(layout.start, None)
-    if start is None or _kind(start) != _kind(first):
+def _start(start: Any, date_format: str | None, first: Moment) -> Moment:
+    moment = _moment(start, date_format) or _moment(start, None)
+    if moment is None or _kind(moment) != _kind(first):
         raise DataError(
-            f"start={layout.start!r} is not {_kind(first)}, as the times are; "
+            f"start={start!r} is not {_kind(first)}, as the times are; "
             f"expected such as {str(first)!r}."
         )
-    return start
+    return moment
 
 
 def _check_increasing(
     table: Table,
     column: Any,
     t: np.ndarray,
-    said: Sequence[Any],
+    shown: Sequence[Any],
     runs: Sequence[np.ndarray],
 ) -> None:
     """Refuse a time of a trajectory that is not after the one before it."""
     for rows in runs:
-        is_late = np.diff(t[rows]) <= 0
-        if not is_late.any():
-            continue
-        number = int(np.argmax(is_late))
-        before, after = rows[number : number + 2].tolist()
-        clock = " (a clock set back in autumn repeats an hour)"
-        raise DataError(
-            f"{table.place(column, after)} {said[after]} is not after {said[before]} "
-            f"of {table.row(before)}; times must increase strictly"
-            f"{'' if isinstance(said[0], float) else clock}. "
-            "Sort the samples or drop the duplicate; where runs follow each other, "
-            "name the column that tells them apart (trajectory)."
-        )
+        for number in np.flatnonzero(np.diff(t[rows]) <= 0)[:1]:
+            before, after = rows[number : number + 2].tolist()
+            clock = " (a clock set back in autumn repeats an hour)"
+            raise DataError(
+                f"{table.place(column, after)} {shown[after]} is not after "
+                f"{shown[before]} of {table.row(before)}; times must increase strictly"
+                f"{'' if isinstance(shown[0], float) else clock}. "
+                "Sort the samples or drop the duplicate; where runs follow each other, "
+                "name the column that tells them apart (trajectory)."
+            )

@@ -1,7 +1,8 @@
 """One experiment: times, states and inputs, checked where they enter.
 
 A trajectory knows neither the names nor the units of its channels: all trajectories of
-a `Measurements` share those. `check_channels` is the check that needs the names.
+a `Measurements` share those. Here too: arrays as trajectories, whole records or
+integration steps, of which those that continue each other become one trajectory.
 """
 
 import datetime as dt
@@ -11,7 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.checks import check_unique, check_values, read_only_floats
+from phsi_opt.data.checks import (
+    Hold,
+    check_same_length,
+    check_unique,
+    check_values,
+    from_first,
+    hold_of_each,
+    numbered_names,
+    read_only_floats,
+)
 from phsi_opt.errors import DataError
 from phsi_opt.presentation.numbers import number_of
 
@@ -48,11 +58,31 @@ class Trajectory:
                 f"trajectory name {self.name!r} is not a text of one line; "
                 "give each trajectory a non-empty name."
             )
+        title = f"trajectory {self.name!r}"
         for label, n_axes in (("t", 1), ("x", 2), ("u", 2)):
-            title = f"trajectory {self.name!r}: {label}"
-            array = read_only_floats(getattr(self, label), n_axes, title)
+            array = read_only_floats(getattr(self, label), n_axes, f"{title}: {label}")
             object.__setattr__(self, label, array)
-        _check_samples(self)
+        for label in ("x", "u"):
+            n_rows = len(getattr(self, label))
+            if n_rows != self.n_samples:
+                raise DataError(
+                    f"{title}: {label} has {n_rows} rows and t has {self.n_samples}; "
+                    "expected one row per time. Check that the arrays belong together "
+                    "and are not transposed."
+                )
+        if self.n_samples < 2:
+            raise DataError(
+                f"{title} has {number_of(self.n_samples, 'sample')}; "
+                "expected at least 2. Leave the trajectory out."
+            )
+        check_values(self.t, f"{title}: t[{{}}]".format, may_be_missing=False)
+        for before in np.flatnonzero(np.diff(self.t) <= 0)[:1]:
+            after = before + 1
+            raise DataError(
+                f"{title}: t[{after}]={float(self.t[after])} is not after "
+                f"t[{before}]={float(self.t[before])}; times must increase strictly. "
+                "Sort the samples or drop the duplicate."
+            )
 
     @property
     def n_samples(self) -> int:
@@ -70,11 +100,7 @@ class Trajectory:
 
 
 def part_of(run: Trajectory, rows: slice) -> Trajectory:
-    """The trajectory of some of the samples, under the same name.
-
-    Raises:
-        DataError: Fewer than 2 samples are left.
-    """
+    """The trajectory of some of the samples, at least 2, under the same name."""
     return replace(run, t=run.t[rows], x=run.x[rows], u=run.u[rows])
 
 
@@ -82,7 +108,7 @@ def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
     """At least one trajectory, each under a name of its own, as a tuple.
 
     Raises:
-        DataError: This is no such list or tuple.
+        DataError: this is no such list or tuple.
     """
     is_sequence = isinstance(trajectories, Sequence)
     if not is_sequence or isinstance(trajectories, str) or not trajectories:
@@ -106,11 +132,23 @@ def check_channels(
     """Check the columns of a trajectory against the names of the channels.
 
     Raises:
-        DataError: A column has no name or a name no column, a value is infinite or
+        DataError: a column has no name or a name no column, a value is infinite or
             huge, an input is missing, or no state was measured at all.
     """
-    _check_columns(run, "state", states, run.x)
-    _check_columns(run, "input", inputs, run.u)
+    for kind, names, values in (("state", states, run.x), ("input", inputs, run.u)):
+        n_columns = values.shape[1]
+        if n_columns != len(names):
+            raise DataError(
+                f"trajectory {run.name!r} has {number_of(n_columns, f'{kind} column')};"
+                f" expected {len(names)}, one for each of {list(names)}. "
+                "Name every column of the array."
+            )
+
+        def place_of(i: int, k: int, kind: str = kind, names: Any = names) -> str:
+            channel = f"trajectory {run.name!r}: {kind} {names[k]!r}"
+            return f"{channel} at sample {i} (t={run.t[i]})"
+
+        check_values(values, place_of, may_be_missing=kind == "state")
     if not np.isfinite(run.x).any():
         raise DataError(
             f"trajectory {run.name!r} has no measured value in any of the states "
@@ -119,46 +157,110 @@ def check_channels(
         )
 
 
-def _check_columns(
-    run: Trajectory, kind: str, names: tuple[str, ...], values: np.ndarray
-) -> None:
-    n_columns = values.shape[1]
-    if n_columns != len(names):
-        found = number_of(n_columns, f"{kind} column")
+# ---- arrays --------------------------------------------------------------------------
+
+
+def trajectories_in_arrays(
+    t: Any, x: Any, u: Any, names: Sequence[str] | None
+) -> tuple[Trajectory, ...]:
+    """The trajectories of `Measurements.from_arrays`; None: no inputs, numbered names.
+
+    Whole times too large for a float are counted from the first.
+
+    Raises:
+        DataError: the lists differ in length, or an array cannot be used.
+    """
+    is_list = isinstance(t, list | tuple) and len(t) > 0 and np.ndim(t[0]) > 0
+    if not is_list:
+        t, x, u = [t], [x], None if u is None else [u]
+    if u is None:
+        u = [np.empty((np.size(t_run), 0)) for t_run in t]
+    if names is None:
+        names = numbered_names("run ", len(t))
+    lists = {"t": t, "x": x, "u": u, "names": names}
+    check_same_length(lists, "one entry per trajectory")
+    return tuple(
+        Trajectory(name, from_first(t_run, t[0]), x_run, u_run)
+        for name, t_run, x_run, u_run in zip(names, t, x, u, strict=True)
+    )
+
+
+Pair = tuple[Any, Any]  # one quantity at the starts and at the ends of all pairs
+
+
+def joined_pairs(
+    t: Pair, x: Pair, u: Pair, inputs: Sequence[str] | None, hold: Hold
+) -> tuple[list[np.ndarray], ...]:
+    """Times, states and inputs of the trajectories that pairs make, in their order.
+
+    A pair continues the pair before it if it starts at the same time, state and input;
+    two values that were not measured are the same. A held input ("zero") acts on
+    nothing at the end of a pair: it is not compared, and may be None if all are held.
+
+    Args:
+        t: times, (n_pairs,).
+        x: states, (n_pairs, n_states); a single one may be (n_pairs,).
+        u: inputs likewise; None at both ends: there are none.
+        inputs: their names; None: "u1", "u2", ...
+        hold: what they do between samples.
+
+    Raises:
+        DataError: there are no pairs, the shapes differ, an array cannot be used, or a
+            pair does not go forward in time.
+    """
+    if u[0] is None and u[1] is None:
+        u = (np.empty((np.size(t[0]), 0)),) * 2
+    n_inputs = np.shape(u[0])[1] if np.ndim(u[0]) == 2 else 1
+    names = numbered_names("u", n_inputs) if inputs is None else inputs
+    is_held = hold_of_each(hold, names) == "zero"
+    if u[1] is None and is_held.all():
+        u = (u[0], u[0])
+    if u[0] is None or u[1] is None:
         raise DataError(
-            f"trajectory {run.name!r} has {found}; "
-            f"expected {len(names)}, one for each of {list(names)}. "
-            "Name every column of the array."
+            "only one of u_start and u_end is given; expected both. "
+            "If u keeps its value: hold='zero'."
         )
+    sides = []
+    for k, side in enumerate(("start", "end")):
+        given = {"x": (x[k], 2), "t": (from_first(t[k], t[0]), 1), "u": (u[k], 2)}
+        arrays = {}
+        for label, (values, n_axes) in given.items():
+            title = f"{label}_{side}"
+            arrays[title] = read_only_floats(values, n_axes, title)
+        sides.append(arrays)
+    _check_pairs(*sides)
+    start, end = (np.column_stack(list(arrays.values())) for arrays in sides)
+    same = (start[1:] == end[:-1]) | (np.isnan(start[1:]) & np.isnan(end[:-1]))
+    if n_inputs == len(names):  # else refused with the names
+        same[:, same.shape[1] - n_inputs :] |= is_held
+    runs = np.split(np.arange(len(start)), np.flatnonzero(~same.all(axis=1)) + 1)
+    samples = [np.vstack([start[rows], end[rows[-1:]]]) for rows in runs]
+    k = sides[0]["x_start"].shape[1]
+    return (
+        [run[:, k] for run in samples],
+        [run[:, :k] for run in samples],
+        [run[:, k + 1 :] for run in samples],
+    )
 
-    def place_of(i: int, k: int) -> str:
-        where = f"at sample {i} (t={run.t[i]})"
-        return f"trajectory {run.name!r}: {kind} {names[k]!r} {where}"
 
-    check_values(values, place_of, may_be_missing=kind == "state")
-
-
-def _check_samples(run: Trajectory) -> None:
-    for label, array in (("x", run.x), ("u", run.u)):
-        if len(array) != run.n_samples:
+def _check_pairs(starts: dict[str, np.ndarray], ends: dict[str, np.ndarray]) -> None:
+    for (name, start), (other, end) in zip(starts.items(), ends.items(), strict=True):
+        if start.shape != end.shape:
             raise DataError(
-                f"trajectory {run.name!r}: {label} has {len(array)} rows "
-                f"and t has {run.n_samples}; expected one row per time. "
-                "Check that the arrays belong together and are not transposed."
+                f"{name} has the shape {start.shape} and {other} {end.shape}; "
+                "expected the same shape."
             )
-    if run.n_samples < 2:
+    check_same_length(starts, "one row per pair")
+    t, t_end = starts["t_start"], ends["t_end"]
+    if not len(t):
         raise DataError(
-            f"trajectory {run.name!r} has {number_of(run.n_samples, 'sample')}; "
-            "expected at least 2. Leave the trajectory out."
+            "there are no pairs; expected at least one row in x_start and t_start."
         )
-    place_of = f"trajectory {run.name!r}: t[{{}}]".format
-    check_values(run.t, place_of, may_be_missing=False)
-    is_late = np.diff(run.t) <= 0
-    if is_late.any():
-        before = int(np.argmax(is_late))
-        after = before + 1
+    check_values(t, "t_start[{}]".format, may_be_missing=False)
+    check_values(t_end, "t_end[{}]".format, may_be_missing=False)
+    for k in np.flatnonzero(t_end <= t)[:1]:
         raise DataError(
-            f"trajectory {run.name!r}: t[{after}]={float(run.t[after])} is not after "
-            f"t[{before}]={float(run.t[before])}; times must increase strictly. "
-            "Sort the samples or drop the duplicate."
+            f"pair {k}: t_end[{k}]={float(t_end[k])} is not after "
+            f"t_start[{k}]={float(t[k])}; each pair must go forward in time. "
+            "Exchange the two ends or drop the pair."
         )

@@ -1,20 +1,155 @@
-"""A look at one column: numbers or not, how many cells are missing, which are wrong.
+"""A look at one column: what its header says, whether its cells are numbers.
+
+Units stand in brackets ("q [m]", "T (degC)", "Time(s)"), after a stroke ("x / mm"), or
+after the last underscore where it is one ("position_m", "Tempo_s"); "v_m_s" is in m/s,
+"a_m_s2" in m/s2. A column of a MATLAB matrix, "X(:,2)", has none.
 
 A column is meant to be numeric where most of its cells are numbers: then a cell that is
-none is a mistake in the file, and it is told with its line.
+none is a mistake in the file, and it is reported with its line.
 """
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from phsi_opt.data.tables import Table, rows_of_runs
-from phsi_opt.data.text_cells import MISSING_CELLS
+from phsi_opt.data.tables import MISSING_CELLS, Table, rows_of_runs
 from phsi_opt.data.times import format_of_dates
+from phsi_opt.model.kinds import VOLTS, kind_of_unit
 from phsi_opt.presentation.numbers import number_of, shortened
-from phsi_opt.study_file.headers import TIMES, Header
+
+# ---- headers -------------------------------------------------------------------------
+
+IN_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+AFTER_STROKE = re.compile(r"^(.*?\S)\s+(?:/|in)\s+(\S+)$")
+OF_MATRIX = re.compile(r"([\w.]+)\((?::,\s*)?(\d+)(?:,\s*:)?\)")
+TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
+SPELLED = {"sec": "s", "seconds": "s"}
+# Single letters after an underscore that are more often an index than a unit.
+INDICES = frozenset({"l", "C", "d"})
+WORD = re.compile(r"[^\W\d_]+\d*")
+
+TIME_WORDS = frozenset(
+    {"t", "time", "times", "timestamp", "datetime", "date", "tempo", "zeit", "temps"}
+)
+STEP_WORDS = frozenset({"ts", "dt", "step"})
+RUN_WORDS = frozenset({"run", "trajectory", "trial", "experiment", "versuch", "record"})
+INPUT_WORDS = frozenset(
+    {
+        *("u", "in", "input", "command", "cmd", "controle", "control", "pwm", "duty"),
+        *("force", "torque", "current", "heater", "pump", "valve", "throttle", "motor"),
+        *("uest", "uval", "drive", "actuator", "thrust"),
+    }
+)
+# These may be what drives a system, or what is to be found: only a remark is made.
+PERHAPS_INPUT_WORDS = frozenset(
+    {
+        *("solar", "sun", "irradiance", "radiation", "ghi", "wind", "load", "power"),
+        *("ambient", "outdoor", "outside", "supply", "inflow", "heating", "pulses"),
+        *("disturbance", "ps", "ph", "ta", "thm", "qh"),
+    }
+)
+SET_POINT_WORDS = frozenset(
+    {"setpoint", "reference", "referencia", "referenz", "sollwert", "target", "desired"}
+)
+
+
+@dataclass(frozen=True)
+class Header:
+    """A header.
+
+    Attributes:
+        text: as it stands in the table.
+        label: without the unit.
+        unit: "" where it does not tell one.
+    """
+
+    text: str
+    label: str
+    unit: str = ""
+
+    @classmethod
+    def of(cls, text: str) -> "Header":
+        """The label and the unit of a header."""
+        of_matrix = OF_MATRIX.fullmatch(text)
+        if of_matrix is not None:
+            return cls(text, f"{of_matrix[1]}_{of_matrix[2]}")
+        for form in (IN_BRACKETS, AFTER_STROKE):
+            found = form.match(text)
+            if found and found[1]:
+                return cls(text, found[1], SPELLED.get(found[2], found[2]))
+        label, _, last = text.rpartition("_")
+        name, _, numerator = label.rpartition("_")
+        if name and not _any_of(_words(text)[:1], TIME_WORDS):
+            time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
+            if time in TIMES and kind_of_unit(f"{numerator}/{time}") != "":
+                return cls(text, name, f"{numerator}/{last}")
+        is_unit = last in TIMES | VOLTS or kind_of_unit(last) != ""
+        if label and last not in INDICES and is_unit:
+            return cls(text, label, SPELLED.get(last, last))
+        return cls(text, text)
+
+    @property
+    def is_time(self) -> bool:
+        """Whether it says that it is the time; T is a temperature."""
+        words = _words(self.label.rpartition(".")[2])  # of a field of a struct
+        if not words or self.label == "T" or self.unit not in ("", *TIMES):
+            return False
+        return words[0] in TIME_WORDS or (words[-1] in TIME_WORDS and self.unit != "")
+
+    @property
+    def is_run(self) -> bool:
+        """Whether it says that it names runs."""
+        return _any_of(_words(self.label)[:1], RUN_WORDS)
+
+    @property
+    def is_step(self) -> bool:
+        """Whether it says that it is the time between samples."""
+        words = _words(self.label)
+        return len(words) == 1 and words[0] in STEP_WORDS
+
+    @property
+    def _words(self) -> list[str]:
+        """Its words without the numbers behind them."""
+        return [word.rstrip("0123456789") for word in _words(self.label)]
+
+    @property
+    def is_set_point(self) -> bool:
+        """Whether it says that it is what a controller aims at."""
+        is_reference = any(word.endswith("ref") for word in self._words)
+        is_split = self._words[:2] == ["set", "point"]
+        return is_reference or is_split or _any_of(self._words, SET_POINT_WORDS)
+
+    @property
+    def is_input(self) -> bool:
+        """Whether it sounds like an input."""
+        return _any_of(self._words, INPUT_WORDS)
+
+    @property
+    def may_be_input(self) -> bool:
+        """Whether it may be that of an input, or as well of a state."""
+        return _any_of(self._words, PERHAPS_INPUT_WORDS)
+
+    @property
+    def name(self) -> str:
+        """A name that formulas can use, from the label."""
+        name = re.sub(r"\W+", "_", self.label).strip("_")
+        return f"x{name}" if name[:1].isdigit() else name
+
+
+def _words(text: str) -> list[str]:
+    """The words of a text, in lower case, with the numbers behind them."""
+    return [word.lower() for word in WORD.findall(text)]
+
+
+def _any_of(words: Iterable[str], known: frozenset[str]) -> bool:
+    return not known.isdisjoint(words)
+
+
+# ---- cells ---------------------------------------------------------------------------
 
 TIME = "time"
 RUN = "run"
@@ -37,7 +172,7 @@ class Column:
     """A column as it was seen, and what it may be.
 
     Attributes:
-        header: what its header tells.
+        header: what its header says.
         cells: its cells as text, (n_lines,).
         lines: what messages call its rows: "line 3" or "row 3", (n_lines,).
         is_missing: which cells are empty, (n_lines,).
@@ -77,13 +212,13 @@ class Column:
     @property
     def remark(self) -> str:
         """Everything that was seen, what is wrong first."""
-        return "; ".join(filter(None, [self.wrong, self.said]))
+        return _joined(self.wrong, self.said)
 
     @property
     def content(self) -> dict[str, Any]:
-        """What is told of it as JSON."""
-        told = ("column", "part", "name", "unit", "said", "wrong")
-        return {name: getattr(self, name) for name in told}
+        """What JSON has of it."""
+        names = ("column", "part", "name", "unit", "said", "wrong")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def may_be_input(self) -> bool:
@@ -93,12 +228,7 @@ class Column:
     def becomes(self, part: str, remark: str = "") -> None:
         """Take a part, and say why."""
         self.part = part
-        self.said = "; ".join(filter(None, [self.said, remark]))
-
-    def left_out(self, why: str) -> None:
-        """Nothing can be made of it."""
-        self.values = None
-        self.said = why
+        self.said = _joined(self.said, remark)
 
     @property
     def is_dates(self) -> bool:
@@ -111,6 +241,11 @@ class Column:
         return int(self.is_missing.sum())
 
     @property
+    def first_missing(self) -> str:
+        """The line of the first cell that is empty."""
+        return self.lines[int(np.argmax(self.is_missing))]
+
+    @property
     def only_number(self) -> float | None:
         """The only number of the column, where it is above zero."""
         numbers = pd.to_numeric(self.cells, errors="coerce").dropna().unique()
@@ -120,7 +255,7 @@ class Column:
     @property
     def may_be_time(self) -> bool:
         """Whether nothing speaks against a time, if the column increases."""
-        if self.values is None or self.header.unit not in ("", *TIMES):
+        if self.values is None or self.unit not in ("", *TIMES):
             return self.is_dates
         return not np.all(np.diff(self.values) == 1)  # a counter of lines
 
@@ -137,7 +272,7 @@ class Column:
         if self.wrong:
             return self.wrong
         if self.n_missing:
-            return f"{self.lines[int(np.argmax(self.is_missing))]} has no time"
+            return f"{self.first_missing} has no time"
         pairs = self.neighbours(run)
         late = pairs[self.values[pairs[:, 1]] <= self.values[pairs[:, 0]]]
         if not len(late):
@@ -154,7 +289,7 @@ def columns_of(table: Table) -> list[Column]:
     """All columns of a table, in its order."""
     headers = [str(column) for column in table.frame.columns]
     lines = [table.row(i) for i in range(len(table.frame))]
-    seen = []
+    columns = []
     for number, header in enumerate(headers):
         cells = table.frame.iloc[:, number].map(
             lambda cell: "" if cell is None else str(cell)
@@ -163,52 +298,57 @@ def columns_of(table: Table) -> list[Column]:
         if table.decimal == ",":
             cells = cells.str.replace(",", ".", regex=False)
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
-        one = Column(Header.of(header), cells, lines, is_missing)
-        _look_at(one, headers.count(header))
-        seen.append(one)
-    return seen
+        column = Column(Header.of(header), cells, lines, is_missing)
+        column.said = _look_at(column, headers.count(header))
+        columns.append(column)
+    return columns
 
 
-def _look_at(one: Column, n_of_this_name: int) -> None:
-    filled = one.cells.where(~one.is_missing)
-    numbers = pd.to_numeric(filled, errors="coerce").to_numpy(float)
+def _look_at(column: Column, n_of_this_name: int) -> str:
+    """Find the values of a column; what was seen, in words."""
+    filled = ~column.is_missing
+    numbers = pd.to_numeric(column.cells.where(filled), errors="coerce").to_numpy(float)
     is_number = np.isfinite(numbers)
-    if one.is_missing.all():
-        return one.left_out("empty")
+    if not filled.any():
+        return "empty"
     if n_of_this_name > 1:
-        return one.left_out(f"{n_of_this_name} columns are called so")
-    if not one.header.text:
-        return one.left_out("no name in the header")
-    one.is_numeric = bool(is_number.sum() > MOSTLY * (~one.is_missing).sum())
-    if not one.is_numeric:
-        return _look_at_texts(one)
-    one.values = np.where(is_number, numbers, np.nan)
-    one.wrong = _wrong_cells(one, np.flatnonzero(~is_number & ~one.is_missing))
-    one.date_format = "" if one.wrong else format_of_dates(one.values)
-    if one.date_format:
-        return one.left_out(DATES)
-    low = np.nanmin(one.values)
-    high = np.nanmax(one.values)
-    if low == high and not one.wrong:
-        return one.left_out(f"always {low:g}")
-    one.said = f"{low:.4g} to {high:.4g}"
-    if one.n_missing:
-        one.said += f", {number_of(one.n_missing, 'cell')} missing"
+        return f"{n_of_this_name} columns are called so"
+    if not column.header.text:
+        return "no name in the header"
+    column.is_numeric = bool(is_number.sum() > MOSTLY * filled.sum())
+    if not column.is_numeric:
+        return _look_at_texts(column)
+    values = np.where(is_number, numbers, np.nan)
+    column.wrong = _wrong_cells(column, np.flatnonzero(~is_number & filled))
+    column.date_format = "" if column.wrong else format_of_dates(values)
+    if column.date_format:
+        return DATES
+    low, high = np.nanmin(values), np.nanmax(values)
+    if low == high and not column.wrong:
+        return f"always {low:g}"
+    column.values = values
+    missing = f", {number_of(column.n_missing, 'cell')} missing"
+    return f"{low:.4g} to {high:.4g}{missing if column.n_missing else ''}"
 
 
-def _wrong_cells(one: Column, places: np.ndarray) -> str:
+def _wrong_cells(column: Column, places: np.ndarray) -> str:
     """The first cell that is no finite number, and how many more there are."""
     if not places.size:
         return ""
     first = int(places[0])
-    said = f"{one.lines[first]} holds {_shown(one.cells.iloc[first])}, no finite number"
+    cell = _shown(column.cells.iloc[first])
+    said = f"{column.lines[first]} holds {cell}, no finite number"
     if places.size == 1 and first == 0:
         return f"{said}; {OF_UNITS}"
     return _and_more(said, places.size, "more such cell")
 
 
-def _and_more(said: str, n_found: int, noun: str) -> str:
-    return said if n_found == 1 else f"{said}; {number_of(n_found - 1, noun)}"
+def _and_more(said: str, n: int, noun: str) -> str:
+    return said if n == 1 else f"{said}; {number_of(n - 1, noun)}"
+
+
+def _joined(*parts: str) -> str:
+    return "; ".join(filter(None, parts))
 
 
 def _shown(cell: str) -> str:
@@ -216,24 +356,19 @@ def _shown(cell: str) -> str:
     return f'"{shortened(" ".join(cell.split()), 20)}"'
 
 
-def _look_at_texts(one: Column) -> None:
-    """A column of dates, or of texts, which are left out."""
-    cells = one.cells[~one.is_missing]
-    one.date_format = _date_format(cells)
-    some = cells[:50]  # more would tell nothing else
-    if one.date_format or _share_of_dates(some, "mixed") > MOSTLY:
-        return one.left_out(DATES)
-    different = some.unique()
-    more = ", ..." if len(different) > 3 else ""
-    return one.left_out(f"text: {', '.join(map(_shown, different[:3]))}{more}")
-
-
-def _date_format(cells: pd.Series) -> str:
-    """The one way of `DATE_FORMATS` in which most of the cells are dates; else ""."""
+def _look_at_texts(column: Column) -> str:
+    """What is in a column of dates, or of texts, which are left out."""
+    cells = column.cells[~column.is_missing]
     shares = {form: _share_of_dates(cells, form) for form in DATE_FORMATS}
     best = max(shares, key=shares.__getitem__)
     is_clear = list(shares.values()).count(shares[best]) == 1
-    return best if is_clear and shares[best] > MOSTLY else ""
+    column.date_format = best if is_clear and shares[best] > MOSTLY else ""
+    some = cells[:50]  # more would tell nothing else
+    if column.date_format or _share_of_dates(some, "mixed") > MOSTLY:
+        return DATES
+    different = some.unique()
+    more = ", ..." if len(different) > 3 else ""
+    return f"text: {', '.join(map(_shown, different[:3]))}{more}"
 
 
 def _share_of_dates(cells: pd.Series, form: str) -> float:

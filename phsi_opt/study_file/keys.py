@@ -3,14 +3,22 @@
 One table: files are read and checked by it, messages say what it expects, and the
 reference in docs/command_line.md is tested against it. The fields of the records in
 `sections` have the names of these keys.
+
+What is wrong is collected in `Complaints`, not raised, so that all is told at once:
+what cannot be used is noted and left out, and reading goes on. A place in the file is
+the names and numbers that lead to it from the top: ``("data", "states", "q")``.
 """
 
+import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from phsi_opt.errors import did_you_mean
-from phsi_opt.study_file.complaints import Complaints
+from phsi_opt.errors import Complaint, DataError, ModelError, did_you_mean
+from phsi_opt.presentation.numbers import shortened
+from phsi_opt.study_file.toml_text import key_text, toml_value
 
 # The key, what it holds, what it is for; "*" stands for a name of the user's own.
 TABLE = """
@@ -141,7 +149,7 @@ class Key(NamedTuple):
 
 def is_number(value: Any) -> bool:
     """Whether this is a number; true and false are none."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return _is(int, float)(value)
 
 
 def listed(value: Any) -> list[Any]:
@@ -159,52 +167,48 @@ def _many(fits: Fits) -> Fits:
     return lambda value: isinstance(value, list) and all(map(fits, value))
 
 
-def _between(low: float, high: float) -> Fits:
-    return lambda value: is_number(value) and low < value < high
+def _one_or_many(*types: type) -> Fits:
+    return lambda value: all(map(_is(*types), listed(value)))
 
 
-def _is_count(value: Any) -> bool:
-    return _is(int)(value) and bool(value > 0)
+def _between(low: float, high: float, kind: Fits = is_number) -> Fits:
+    return lambda value: kind(value) and low < value < high
 
 
-def _is_column(value: Any) -> bool:
-    return isinstance(value, str) or (_is(int)(value) and value >= 0)
+def _two(fits: Fits, differ: Callable[[Any, Any], bool]) -> Fits:
+    return lambda value: _many(fits)(value) and len(value) == 2 and differ(*value)
 
 
-def _is_span(value: Any) -> bool:
-    return _many(is_number)(value) and len(value) == 2 and value[0] < value[1]
-
-
-def _is_pair(value: Any) -> bool:
-    return _many(_is(str))(value) and len(value) == 2 and value[0] != value[1]
-
-
-def _are_texts(value: Any) -> bool:
-    return _many(_is(str))(listed(value))
-
-
-def _are_terms(value: Any) -> bool:
-    return _many(_is(str, int, float, dict))(listed(value))
-
-
+IS_TEXT = _is(str)
+ARE_TEXTS = _one_or_many(str)
+IS_POSITION = _between(-1, float("inf"), _is(int))
+IS_SPAN = _two(is_number, operator.lt)
+ARE_PAIRS = _many(_two(IS_TEXT, operator.ne))
+ARE_TERMS = _one_or_many(str, int, float, dict)
+IS_COUNT = _between(0, float("inf"), _is(int))
 FORMS = {
-    "text": Form(_is(str), 'text in quotes, such as "m"'),
-    "formula": Form(_is(str), 'a formula in quotes, such as "q**2"'),
+    "text": Form(IS_TEXT, 'text in quotes, such as "m"'),
+    "formula": Form(IS_TEXT, 'a formula in quotes, such as "q**2"'),
     "number": Form(is_number, "a number, such as 0.5, without quotes"),
     "positive number": Form(
         _between(0, float("inf")),
         "a positive number, such as 0.1, or nothing where it is not known",
     ),
     "number from 0 to 1": Form(_between(0, 1), "a number between 0 and 1, such as 0.3"),
-    "whole number": Form(_is_count, "a whole number of at least 1"),
+    "whole number": Form(
+        _between(0, float("inf"), _is(int)), "a whole number of at least 1"
+    ),
     "true or false": Form(_is(bool), "true or false, without quotes"),
-    "text or position": Form(_is_column, 'a header, such as "q", or a position from 0'),
-    "list of texts": Form(_are_texts, 'a list of texts, such as ["q", "p"]'),
-    "list of files": Form(_are_texts, 'the data file(s), such as ["bench.csv"]'),
-    "list of effects": Form(_are_texts, 'names, such as ["coulomb friction on p"]'),
+    "text or position": Form(
+        lambda value: IS_TEXT(value) or IS_POSITION(value),
+        'a header, such as "q", or a position from 0',
+    ),
+    "list of texts": Form(ARE_TEXTS, 'a list of texts, such as ["q", "p"]'),
+    "list of files": Form(ARE_TEXTS, 'the data file(s), such as ["bench.csv"]'),
+    "list of effects": Form(ARE_TEXTS, 'names, such as ["coulomb friction on p"]'),
     "list of numbers": Form(_many(is_number), "numbers, such as [0.25, 0.5]"),
-    "list of two numbers": Form(_is_span, "two times, first and last: [20, 80]"),
-    "list of pairs": Form(_many(_is_pair), 'pairs of states, such as [["q", "p"]]'),
+    "list of two numbers": Form(IS_SPAN, "two times, first and last: [20, 80]"),
+    "list of pairs": Form(ARE_PAIRS, 'pairs of states, such as [["q", "p"]]'),
     "list of rows": Form(_is(list), "a list of rows, such as [[0, 1], [-1, 0]]"),
     "table": Form(_is(dict), 'a table, such as { unit = "m" }'),
     "list of tables": Form(_many(_is(dict)), "sections [[effects]], with two brackets"),
@@ -217,7 +221,9 @@ FORMS = {
     "table of parameters": Form(_is(dict), "a table: { omega = 2.0 }", "parameters"),
     "table of terms": Form(_is(dict), 'a table, such as { lag = "-lag/2" }', "model.F"),
     "formula, term, or list of these": Form(
-        _are_terms, 'a formula in quotes, such as "c*dH_dp", or a list of them', "term"
+        _one_or_many(str, int, float, dict),
+        'a formula in quotes, such as "c*dH_dp", or a list of them',
+        "term",
     ),
 }
 LISTS = ("list of texts", "list of files", "list of effects")  # one text stands for one
@@ -228,6 +234,116 @@ KEYS_OF: dict[str, dict[str, Key]] = {}  # by their table and name
 for _key in KEYS:
     _table, _, _name = _key.path.rpartition(".")
     KEYS_OF.setdefault(_table, {})[_name] = _key
+
+
+# ---- what is wrong -------------------------------------------------------------------
+
+Place = tuple[str | int, ...]
+
+
+class TooManyComplaintsError(Exception):
+    """So much is wrong that the rest of a file is not looked at."""
+
+
+def shown(value: Any) -> str:
+    """A value as the file has it, cut where it is long."""
+    return shortened(toml_value(value), 60)
+
+
+def key_of(place: Iterable[str | int]) -> str:
+    """The key of a place, such as ``"effects[0].name"``."""
+    key = ""
+    for one in place:
+        key += f"[{one}]" if isinstance(one, int) else f".{key_text(one)}"
+    return key.removeprefix(".")
+
+
+@dataclass
+class Complaints:
+    """What is wrong with a file, in the order in which it was found.
+
+    Attributes:
+        content: the tables of the file.
+        listed: what is wrong.
+    """
+
+    content: Mapping[str, Any]
+    listed: list[Complaint] = field(default_factory=list)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether more are noted than a person corrects before the next look."""
+        return len(self.listed) >= 100
+
+    def add(self, said: object, *place: str | int, value: Any = None) -> None:
+        """Note that what stands at a place cannot be used.
+
+        Args:
+            said: what was expected and what to do.
+            *place: where it stands; a number counts where there is a list.
+            value: the part of it that is meant; None: all of it; "": nothing.
+
+        Raises:
+            TooManyComplaintsError: this is the last one that is told.
+        """
+        path: list[str | int] = []
+        content: Any = self.content
+        for part in place:
+            if isinstance(part, int) and not isinstance(content, list):
+                continue  # the only entry stands for a list of it
+            path.append(part)
+            try:
+                content = content[part]
+            except (KeyError, IndexError, TypeError):
+                content = None
+        value = content if value is None else value
+        written = "" if value in (None, "") else shown(value)
+        complaint = Complaint(key_of(path), written, str(said))
+        if complaint not in self.listed:
+            self.listed.append(complaint)
+        if self.is_full:
+            raise TooManyComplaintsError
+
+    def need(self, said: str, value: Any, *place: str | int) -> None:
+        """Note that nothing stands at a place, where nothing else is wrong with it."""
+        if value in (None, "", (), ("",), {}) and not self.about(*place):
+            self.add(said, *place, value="")
+
+    @contextmanager
+    def noting(self, *place: str | int, value: Any = None) -> Iterator[None]:
+        """Note an error as one of a place; what stands behind it is not done."""
+        try:
+            yield
+        except (DataError, ModelError) as error:
+            self.add(error, *place, value=value)
+
+    def about(self, *place: str | int) -> bool:
+        """Whether something is wrong at a place, or below it."""
+        key = key_of(place)
+        below = (f"{key}.", f"{key}[")
+        keys = [complaint.key for complaint in self.listed]
+        return any(one == key or one.startswith(below) for one in keys)
+
+    def exactly_one(
+        self, content: Mapping[str, Any], names: tuple[str, ...], *place: str | int
+    ) -> str:
+        """The one of several keys that a table has; "" where it has none or several.
+
+        Args:
+            content: what is usable of the table.
+            names: the keys.
+            *place: of the table.
+        """
+        given = [one for one in names if one in content or self.about(*place, one)]
+        if len(given) == 1:
+            return given[0]
+        both = " and ".join(given) or "none"
+        said = f"expected exactly one of {' or '.join(names)}; found {both}."
+        self.add(said, *place, value="")
+        return ""
+
+
+# ---- what is usable ------------------------------------------------------------------
 
 
 def usable(

@@ -21,8 +21,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION, Variables
 from phsi_opt.model.terms import Dictionary, Term, polynomials, trigonometric
-from phsi_opt.study_file.complaints import Complaints, Place, shown
-from phsi_opt.study_file.keys import is_number, listed
+from phsi_opt.study_file.keys import Complaints, Place, is_number, listed, shown
 from phsi_opt.study_file.sections import DataSection
 
 WITH_ENERGY, WITHOUT_ENERGY = KINDS  # the types of models

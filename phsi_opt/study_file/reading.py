@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.data.checks import checked_names
+from phsi_opt.data.file_opening import run_names
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.table_readers import TableError
 from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.model.catalogue import EffectChoice, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.reading import file_text, why_not_read
-from phsi_opt.study_file.complaints import Complaints, TooManyComplaintsError
-from phsi_opt.study_file.data_files import check_held_out, check_measurements
-from phsi_opt.study_file.keys import usable
+from phsi_opt.study_file.keys import Complaints, Place, TooManyComplaintsError, usable
 from phsi_opt.study_file.model_reading import ModelReader, check_channels
 from phsi_opt.study_file.sections import (
     DataSection,
@@ -28,6 +28,8 @@ from phsi_opt.study_file.sections import (
     Sections,
     StudySection,
     own_effect,
+    reader_of,
+    table_at,
 )
 from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -76,20 +78,50 @@ def _sections(
         check_channels(model, data, found)
         if not found.about("effects"):
             _check_effects(steps, model, own, data.units, found)
-    measured = check_measurements(data, folder, found)
+    measured = None if found.about("data") else _measurements(data, folder, found)
     if measured is not None and held_out is not None and not found.about("held_out"):
-        check_held_out(held_out, measured, found)
+        for run in held_out.runs or ():
+            with found.noting("held_out", "runs", value=run):
+                measured.trajectory_number(run)
+        if not found.about("held_out"):
+            with found.noting("held_out"):
+                held_out.split(measured)
     if model is None or measured is None:
         return None
-    sections = Sections(
-        base=model,
-        data=data,
-        held_out=held_out,
-        steps=steps,
-        own_effects=own,
-        loss=loss,
-    )
-    return sections, measured
+    parts: dict[str, Any] = {"base": model, "data": data, "held_out": held_out}
+    return Sections(**parts, steps=steps, own_effects=own, loss=loss), measured
+
+
+def _measurements(
+    section: DataSection, folder: Path, found: Complaints
+) -> Measurements | None:
+    """The measurements; None, and what is wrong noted, where they cannot be read."""
+    paths = section.paths(folder)
+    names: list[str] = []
+    with found.noting("data", "files"):
+        names = run_names(paths)
+    tables = []
+    for number, name in enumerate(names):
+        path = paths[number]
+        place: Place = ("data", "files", *([number] if len(names) > 1 else []))
+        if not path.exists():
+            said = "there is no such file; paths are relative to the study file."
+            found.add(said, *place)
+        elif reader_of(path) != section.reader:
+            suffix = paths[0].suffix.lower()
+            found.add(f"the first file is {suffix}; give files of one kind.", *place)
+        else:
+            with found.noting(*place):
+                tables.append(replace(table_at(path, section), run=name))
+    if not tables:
+        return None
+    with found.noting("data", value=""):
+        try:
+            return section.measured(tables)
+        except TableError as error:
+            for part, fault in error.by_part.items():
+                found.add(fault, "data", *part)
+    return None
 
 
 def _in_order(found: Complaints, lines: Mapping[str, int]) -> list[Complaint]:

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.copies import check_can_judge
-from phsi_opt.data.file_opening import DataFile, NamedFile
+from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
+from phsi_opt.data.file_opening import DataFile, NamedFile, opened_files, run_names
+from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.tables import Table
-from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.errors import DataError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -24,8 +26,6 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
 READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
-# Settings that readers know by the names that they have here.
-
 OF_FILES = ("sheet", "columns", "separator", "decimal")  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 
@@ -131,18 +131,15 @@ class DataSection:
     @property
     def units(self) -> dict[str, str]:
         """The units that are known, of the time, the states and the inputs."""
-        units = {"t": self.time.unit}
-        for name, channel in (*self.states.items(), *self.inputs.items()):
-            units[name] = channel.unit
-        return {name: unit for name, unit in units.items() if unit}
+        channels: dict[str, Any] = {"t": self.time, **self.states, **self.inputs}
+        return {name: one.unit for name, one in channels.items() if one.unit}
 
     def paths(self, folder: Path) -> list[DataFile]:
         """The files, from the folder of the study file."""
-        found: list[DataFile] = []
-        for file in self.files:
-            place = self.places.get(file)
-            found.append(folder / file if place is None else NamedFile(place, file))
-        return found
+        return [
+            NamedFile(self.places[file], file) if file in self.places else folder / file
+            for file in self.files
+        ]
 
     def moved(self, old: Path, new: Path) -> "DataSection":
         """The same files, as they are called from another folder."""
@@ -161,13 +158,13 @@ class DataSection:
     def reader_arguments(self) -> dict[str, Any]:
         """What the reader is told beside the files; only what is not the default."""
         hold = {name: one.hold or self.hold for name, one in self.inputs.items()}
-        ways = set(hold.values())
+        holds = set(hold.values())
         states = self.states.items()
         arguments = {
             "states": {name: one.column for name, one in states},
             "time": self.time.column,
             "inputs": {name: one.column for name, one in self.inputs.items()},
-            "hold": ways.pop() if len(ways) == 1 else hold,
+            "hold": holds.pop() if len(holds) == 1 else hold,
             "trajectory": self.trajectory,
             **{name: getattr(self, name) for name in OF_FILES},
             "step": self.time.step,
@@ -181,12 +178,12 @@ class DataSection:
     @property
     def wanted(self) -> list[Any]:
         """The columns that are asked for."""
-        columns: list[Any] = [self.time.column, self.trajectory]
-        columns += [one.column for one in self.states.values()]
-        columns += [one.column for one in self.inputs.values()]
+        columns: list[Any] = [self.trajectory, self.time.column]
+        for channel in (*self.states.values(), *self.inputs.values()):
+            columns.append(channel.column)
         return [column for column in columns if column is not None]
 
-    def measured(self, tables: list[Table]) -> Measurements:
+    def measured(self, tables: Sequence[Table]) -> Measurements:
         """The measurements of tables that have been read.
 
         Raises:
@@ -195,7 +192,10 @@ class DataSection:
         arguments = self.reader_arguments()
         for name in OF_FILES:
             arguments.pop(name, None)
-        return self._used(Measurements.from_tables(tables, **arguments))
+        data = Measurements.from_tables(tables, **arguments)
+        if self.between is not None:
+            data = data.between(*self.between)
+        return data if self.thinned is None else data.thinned(self.thinned)
 
     def measurements(self, folder: Path) -> Measurements:
         """Read the files.
@@ -206,13 +206,48 @@ class DataSection:
         Raises:
             DataError: something in them cannot be used; with file, column and line.
         """
-        read = getattr(Measurements, self.reader)
-        return self._used(read(self.paths(folder), **self.reader_arguments()))
+        paths = self.paths(folder)
+        names = zip(paths, run_names(paths), strict=True)
+        return self.measured(
+            [replace(table_at(one, self), run=run) for one, run in names]
+        )
 
-    def _used(self, data: Measurements) -> Measurements:
-        if self.between is not None:
-            data = data.between(*self.between)
-        return data if self.thinned is None else data.thinned(self.thinned)
+
+def table_at(path: DataFile, section: DataSection | None = None) -> Table:
+    """The table of a file, column by column.
+
+    Args:
+        path: of the file; its suffix tells what it is.
+        section: what the user said of the table; None: nothing, and of a MATLAB file
+            all vectors of the commonest length are taken, of a workbook the first sheet
+            with content.
+
+    Raises:
+        DataError: it cannot be read as such a table.
+    """
+    given = section or DataSection()
+    reader = reader_of(path)
+    (file,) = opened_files(path, as_text=reader == TEXT_READER)
+    if reader == "from_mat":
+        return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
+    if reader == TEXT_READER:
+        form = TextFormat(given.columns, given.separator, given.decimal)
+        return table_of_csv(file, given.wanted, form)
+    sheet = given.sheet if section else next(iter(filled_sheets(file)), None)
+    form = TextFormat(given.columns, None, given.decimal)
+    return table_of_excel(file, given.wanted, sheet, form)
+
+
+def sheets_in(path: DataFile) -> list[str]:
+    """The sheets of a workbook that have content; none of another file.
+
+    Raises:
+        DataError: it cannot be read.
+    """
+    if reader_of(path) != "from_excel":
+        return []
+    (file,) = opened_files(path, as_text=False)
+    return filled_sheets(file)
 
 
 @dataclass(frozen=True)
@@ -256,11 +291,9 @@ class HeldOut:
 def _by_runs(
     data: Measurements, runs: tuple[str, ...]
 ) -> tuple[Measurements, Measurements]:
-    held_out = {data.trajectory_number(run) for run in runs}
-    parts: tuple[list[Trajectory], list[Trajectory]] = ([], [])
-    for number, run in enumerate(data.trajectories):
-        parts[number in held_out].append(run)
-    kept, judging = (tuple(part) for part in parts)
+    chosen = {data.trajectory_number(run) for run in runs}
+    judging = tuple(data.trajectories[number] for number in sorted(chosen))
+    kept = tuple(run for run in data if run not in judging)
     if not kept or not judging:
         raise DataError(
             f"{len(judging)} of {data.n_trajectories} runs are held out; expected at "

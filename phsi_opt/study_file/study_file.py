@@ -8,7 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
@@ -16,18 +18,20 @@ from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.model.catalogue import catalogue, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.reading import file_text
 from phsi_opt.study import Study
 from phsi_opt.study_file.reading import read_sections
 from phsi_opt.study_file.sections import (
+    Channel,
     DataSection,
     HeldOut,
     Sections,
     StudySection,
+    Times,
     own_effect,
 )
 from phsi_opt.study_file.study_script import study_script
 from phsi_opt.study_file.study_text import study_text
-from phsi_opt.study_file.written_data import joined, section_of, write_table
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole
@@ -277,3 +281,90 @@ class StudyFile(Sections):
             study.add(self.meant(study.model, name))
             tell(study)
         return study
+
+
+# ---- measurements that lie in no file yet --------------------------------------------
+
+
+def section_of(data: Measurements, file: str) -> DataSection:
+    """The section [data] of measurements that are written by `write_table`."""
+    noise = data.noise or {}
+    states = {}
+    for name in data.states:
+        column = name if name in data.measured else None
+        states[name] = Channel(column, data.units[name], noise.get(name))
+    hold = data.hold
+    by_input: Mapping[str, str] = {} if isinstance(hold, str) else hold
+    inputs = {}
+    for name in data.inputs:
+        inputs[name] = Channel(name, data.units[name], hold=by_input.get(name))
+    return DataSection(
+        files=(file,),
+        time=Times("t", data.units["t"]),  # columns as in `Measurements.to_dataframe`
+        states=states,
+        inputs=inputs,
+        trajectory="trajectory",
+        hold=hold if isinstance(hold, str) else "linear",
+    )
+
+
+def write_table(data: Measurements, path: Path) -> None:
+    """Write the measurements as CSV, every number with all digits.
+
+    Raises:
+        DataError: another file is there.
+    """
+    unmeasured = [name for name in data.states if name not in data.measured]
+    frame = data.to_dataframe().drop(columns=unmeasured)
+    text = frame.to_csv(index=False, lineterminator="\n")
+    if path.exists():
+        try:
+            is_same = file_text(path) == text
+        except (OSError, UnicodeDecodeError):  # no regular file, or none of text
+            is_same = False
+        if not is_same:
+            raise DataError(
+                f"{path} is there already and holds something else; move it, or write "
+                "the study file under another name."
+            )
+    write_whole(path, text)
+
+
+def joined(
+    train: Measurements, held_out: Measurements | None
+) -> tuple[Measurements, HeldOut | None]:
+    """Training data and data held out as one, and what tells them apart again.
+
+    Raises:
+        DataError: they have other channels, or runs of one name that are not parts of
+            one record, cut at one time.
+    """
+    if held_out is None:
+        return train, None
+    for what in ("states", "inputs", "units", "hold", "noise"):
+        one = getattr(train, what)
+        other = getattr(held_out, what)
+        if one != other:
+            raise DataError(
+                f"{what} of the data held out, {other}, differ from {one} of the "
+                "training data; a study file has one description for both."
+            )
+    names = [run.name for run in train.trajectories]
+    judging = [run.name for run in held_out.trajectories]
+    if not set(names) & set(judging):
+        both = (*train.trajectories, *held_out.trajectories)
+        return replace(train, trajectories=both), HeldOut(runs=tuple(judging))
+    cut = float(held_out.stacked("t").min())
+    if names != judging or float(train.stacked("t").max()) >= cut:
+        raise DataError(
+            f"the runs {names} and those held out, {judging}, have names in common and "
+            "are not cut at one time; give the runs names of their own."
+        )
+    whole = []
+    for first, then in zip(train.trajectories, held_out.trajectories, strict=True):
+        parts: dict[str, Any] = {
+            label: np.concatenate([getattr(first, label), getattr(then, label)])
+            for label in ("t", "x", "u")
+        }
+        whole.append(replace(first, **parts))
+    return replace(train, trajectories=tuple(whole)), HeldOut(after=cut)

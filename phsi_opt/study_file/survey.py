@@ -1,21 +1,24 @@
-"""A look at a table nobody has described yet: which column is what, and its unit.
+"""A look at a table nobody has described yet, and the first study file for it.
 
-Guesses from headers and values, for a first study file that a person corrects. Nothing
-is decided by them. The reader of ``phsi_opt.data`` reads the table, so that what is
-seen here can be read later.
+Which column is what, and its unit: guesses from headers and values, that a person
+corrects. Nothing is decided by them. The reader of ``phsi_opt.data`` reads the table,
+so that what is seen here can be read later. Also: what stands empty in a study file.
 """
 
+import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, count
+from pathlib import Path
 
 import numpy as np
 
 from phsi_opt.data.checks import RESERVED_NAMES, checked_names
 from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.tables import Table
-from phsi_opt.data.text_cells import NUMBER
+from phsi_opt.data.text_tables import NUMBER
 from phsi_opt.errors import DataError
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
@@ -24,12 +27,24 @@ from phsi_opt.study_file.columns import (
     RUN,
     STATE,
     TIME,
+    TIMES,
     UNUSED,
     Column,
+    Header,
     columns_of,
 )
-from phsi_opt.study_file.data_files import sheets_in, table_at
-from phsi_opt.study_file.headers import TIMES, Header
+from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
+from phsi_opt.study_file.reading import tables_of
+from phsi_opt.study_file.sections import DataSection, sheets_in, table_at
+from phsi_opt.study_file.toml_text import text_template
+
+# From 2000 to 2050 as clocks count it: the unit, with its first and last number.
+CLOCKS = (
+    ("days, as spreadsheets count them", "d", 36526, 54789),
+    ("seconds since 1970", "s", 946684800, 2524608000),
+    ("milliseconds since 1970", "ms", 946684800e3, 2524608000e3),
+    ("microseconds since 1970", "us", 946684800e6, 2524608000e6),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +120,8 @@ class TableSurvey:
         if time.values is None:
             first = time.cells.iloc[0]
             is_number = NUMBER.fullmatch(first) is not None
-            what = (
-                f"numbers such as {first} look like" if is_number else "the times are"
-            )
-            return f"{what} dates"
+            numbers = f"numbers such as {first} look like"
+            return f"{numbers if is_number else 'the times are'} dates"
         if time.wrong:
             return time.said
         steps = np.diff(time.values[time.neighbours(self.run)])
@@ -133,20 +146,18 @@ def survey(path: DataFile) -> TableSurvey:
     columns = columns_of(table)
     n_lines = len(table.frame)
     if n_lines < 2:
-        found = "1 line" if n_lines else "no line"
         raise DataError(
-            f"{path} has {found} below its header; at least 2 are needed, and a study "
-            "needs many more."
+            f"{path} has {'1 line' if n_lines else 'no line'} below its header; at "
+            "least 2 are needed, and a study needs many more."
         )
     run = next(filter(_is_run, columns), None)
-    steps = [one for one in columns if one is not run and one.only_number is not None]
-    of_step = next((one for one in steps if one.header.is_step), None)
-    step = None if of_step is None else of_step.only_number
-    for variable in table.further:
-        value = variable.value or 0.0
-        if step is None and value > 0 and Header.of(variable.name).is_step:
-            step = value
-    time = _time([one for one in columns if one is not run], run, step)
+    others = [one for one in columns if one is not run]
+    steps = [one for one in others if one.header.is_step and one.only_number]
+    of_step = steps[0] if steps else None
+    values = [one.only_number for one in steps]
+    values += [one.value for one in table.further if Header.of(one.name).is_step]
+    step = next((value for value in values if value and value > 0), None)
+    time = _time(others, run, step)
     for one in columns:
         _take_part(one, time, run, of_step)
     seen = TableSurvey(
@@ -173,9 +184,8 @@ def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> 
     Raises:
         DataError: it has other columns than the first.
     """
-    known = [column.column for column in first]
-    found = [column.column for column in other]
-    if sorted(known) != sorted(found):
+    known, found = (sorted(one.column for one in columns) for columns in (first, other))
+    if known != found:
         differ = sorted(set(known) ^ set(found))
         raise DataError(
             f"{file} has other columns than the first file: {', '.join(differ)} "
@@ -192,7 +202,7 @@ def _is_run(one: Column) -> bool:
         return False
     one.said = f"{n_different} runs"
     if one.n_missing:
-        one.wrong = f"{one.lines[int(np.argmax(one.is_missing))]} names no run"
+        one.wrong = f"{one.first_missing} names no run"
     return True
 
 
@@ -270,3 +280,54 @@ def _free_name(wanted: str, used: set[str]) -> str:
     name = next(one for one in names if one not in used)
     used.add(name)
     return name
+
+
+# ---- what a person fills in ----------------------------------------------------------
+
+
+def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
+    """The study file for a table.
+
+    Args:
+        table: what was seen in the first file.
+        files: all of them.
+        folder: that of the study file.
+    """
+    places = []
+    for file in files:  # as the folder calls it; absolute where that was meant
+        place = Path(os.path.relpath(file.resolve(), folder.resolve()))
+        is_outside = place.parts[0] == os.pardir
+        places.append((file if is_outside and file.is_absolute() else place).as_posix())
+    template = text_template("first_study.toml.jinja")
+    return template.render(table=table, files=places, clocks=CLOCKS)
+
+
+def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
+    """What stands empty, a sentence each, with an example.
+
+    Args:
+        path: of the study file.
+        has_dates: whether the times are dates, which are read in seconds.
+
+    Raises:
+        StudyFileError: it cannot be read, or is no TOML.
+    """
+    try:
+        tables = tables_of(path)
+        file = usable(tables, Complaints(tables))
+    except TooManyComplaintsError:
+        return ()
+    model = file.get("model", {})
+    formulas = [model.get(name) for name in ("H", "R", "F", "sensor")]
+    words = re.findall(r"\w+", str([*formulas, file.get("effects")]))
+    data = DataSection.of(file.get("data", {}))
+    channels = {**data.states, **data.inputs}
+    without_unit = [name for name, one in channels.items() if not one.unit]
+    if data != DataSection() and not has_dates and not data.time.unit:
+        without_unit.insert(0, "the time")
+    text = text_template("unfilled.txt.jinja").render(
+        file=file,
+        idle=[name for name in model.get("inputs", ()) if name not in words],
+        without_unit=without_unit,
+    )
+    return tuple(text.splitlines())

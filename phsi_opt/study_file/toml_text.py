@@ -1,7 +1,7 @@
 """TOML: read with bounds, the lines of its keys, and values as it writes them.
 
-`tomllib` takes a time that grows with the square of the parts of a dotted key, and what
-follows it walks tables by recursion: what lies too deep is refused before.
+`tomllib` takes a time that grows with the square of the parts of a dotted key, and
+reads tables by recursion; so do those who walk them. What lies too deep is refused.
 """
 
 import json
@@ -15,21 +15,16 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 MOST_NESTED = 32  # tables, lists and parts of a key in each other; a study needs 8
-MOST_SIGNS = 250  # of a name without quotes, or a number: floats go further
 LARGEST_STUDY = 1_000_000  # bytes of a study file, which a person writes
+LARGEST_WHOLE = 10**300  # of what floats can hold
 # A text that is never closed ends where it could; every match is possessive ("+" behind
 # another sign), so that a search takes a time in proportion to the text.
 KEY_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?)"""
-DOTTED = rf"{KEY_PART}(?:[ \t]*+\.[ \t]*+{KEY_PART})*+"
-LONG_TEXT = r'''"""(?:[^"\\]|\\.|"(?!""))*+(?:""")?|''' + (
-    r"""'''(?:[^']|'(?!''))*+(?:''')?"""
+DOTTED = rf"{KEY_PART}(?:[ \t]*+\.[ \t]*+{KEY_PART})"
+LONG_KEY = re.compile(
+    rf"(?:^|[{{,])[ \t]*+\[{{0,2}}+[ \t]*+{DOTTED}{{{MOST_NESTED}}}", re.MULTILINE
 )
-TOML_TOKEN = re.compile(
-    rf"{LONG_TEXT}|#[^\n]*+|(?P<open>[\[{{])|(?P<close>[\]}}])|(?P<key>{DOTTED})",
-    re.DOTALL,
-)
-DOT = re.compile(rf"{KEY_PART}|\.")
-ENTRY = re.compile(rf"[ \t]*+(\[{{0,2}})[ \t]*+({DOTTED})[ \t]*+[=\]]")
+ENTRY = re.compile(rf"[ \t]*+(\[{{0,2}})[ \t]*+({DOTTED}*+)[ \t]*+[=\]]")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 DELETE = "\x7f"  # the one character that JSON leaves as it is and TOML does not allow
 
@@ -40,28 +35,27 @@ def toml_tables(text: str) -> dict[str, Any]:
     Raises:
         ValueError: it is no TOML, or something in it lies too deep or is too large.
     """
-    _check_tokens(text)
-    return tomllib.loads(text)
+    long_key = LONG_KEY.search(text)
+    if long_key is not None:
+        line = text.count("\n", 0, long_key.end()) + 1
+        raise ValueError(f"line {line} has a key of more than {MOST_NESTED} parts")
+    try:
+        tables = tomllib.loads(text)
+        _check_bounds(tables)
+    except RecursionError:
+        said = f"more than {MOST_NESTED} tables or lists lie in each other"
+        raise ValueError(said) from None
+    return tables
 
 
-def _check_tokens(text: str) -> None:
-    depth = 0
-    for token in TOML_TOKEN.finditer(text):
-        parts = DOT.findall(token["key"] or "")
-        if token["open"]:
-            depth += 1
-        elif token["close"]:
-            depth = max(depth - 1, 0)
-        said = ""
-        if max(depth, parts.count(".") + 1) > MOST_NESTED:
-            said = (
-                f"more than {MOST_NESTED} tables, lists or parts of a key in each other"
-            )
-        elif any(len(part) > MOST_SIGNS and part[0] not in "\"'" for part in parts):
-            said = f"a name or number of more than {MOST_SIGNS} signs"
-        if said:
-            line = text.count("\n", 0, token.start()) + 1
-            raise ValueError(f"line {line} has {said}")
+def _check_bounds(value: Any, depth: int = 0) -> None:
+    if depth > MOST_NESTED:
+        raise RecursionError
+    if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
+        raise ValueError("a whole number has more than 300 digits")
+    further = value.values() if isinstance(value, dict) else value
+    for entry in further if isinstance(value, dict | list) else ():
+        _check_bounds(entry, depth + 1)
 
 
 def lines_of(text: str) -> dict[str, int]:
