@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation.identifiability import silent_directions
+from phsi_opt.estimation.uncertainty import silent_directions
 from phsi_opt.optimization.bounded_step import regularized_inverse
 
 NAMES = [f"c{i}" for i in range(30)]

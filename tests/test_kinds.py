@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation.model_content import model_content, model_from
+from phsi_opt.estimation.fit_file import model_content, model_from
 from phsi_opt.model.kinds import kind_of_unit
 
 

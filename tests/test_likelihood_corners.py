@@ -8,9 +8,9 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.errors import ModelError
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.problem import Task
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.optimization.ipopt import SolverSettings
@@ -329,7 +329,7 @@ def test_other_data_are_started_from_states_as_accurate_as_the_run(
         return float(np.sqrt(np.mean((left / noise) ** 2)))
 
     fine = error()
-    monkeypatch.setattr("phsi_opt.estimation.smoothing.STEP_REFINEMENTS", 0)
+    monkeypatch.setattr("phsi_opt.estimation.record.STEP_REFINEMENTS", 0)
     assert fine < 1.1 and error() > 1.3
 
 

@@ -9,9 +9,9 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
-from phsi_opt.estimation.likelihood_start import crude_start
-from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.maximum_likelihood import crude_start
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model, built_of

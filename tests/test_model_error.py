@@ -19,12 +19,13 @@ from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation import identify as identify_module
-from phsi_opt.estimation.disturbed_estimate import DisturbedEstimate
-from phsi_opt.estimation.estimate import Estimate
+from phsi_opt.estimation.estimate import Estimate, Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import estimate_by, identify
-from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.likelihood_estimate import (
+    DisturbedEstimate,
+    LikelihoodEstimate,
+)
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.model import PseudoHamiltonian

@@ -16,9 +16,9 @@ from scipy.linalg import block_diag, expm, hadamard
 from scipy.optimize import minimize
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import formula

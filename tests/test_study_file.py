@@ -687,7 +687,7 @@ def test_a_link_to_a_study_file_stays_a_link(spring: Path) -> None:
 
 def test_guesses_are_those_of_the_parameters() -> None:
     kinds = dict.fromkeys((Scan, Share, Tried))
-    from phsi_opt.estimation.model_content import GUESSES
+    from phsi_opt.estimation.fit_file import GUESSES
 
     assert set(GUESSES.values()) == set(kinds)
 

@@ -24,8 +24,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix
 from phsi_opt.estimation.identify import fit_of
-from phsi_opt.estimation.record import Record
-from phsi_opt.estimation.smoothing import smoothed_states
+from phsi_opt.estimation.record import Record, smoothed_states
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model

@@ -22,11 +22,10 @@ from phsi_opt.arguments import require_known
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_file import model_content
 from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
 from phsi_opt.estimation.identify import identify
-from phsi_opt.estimation.model_content import model_content
-from phsi_opt.estimation.record import Record
-from phsi_opt.estimation.smoothing import likelihood_of, maximum_along, steps_on
+from phsi_opt.estimation.record import Record, likelihood_of, maximum_along, steps_on
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.summary import printed_table

@@ -23,9 +23,9 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import refit
 from phsi_opt.diagnosis.weighed_round import weighed_round
 from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.estimation.estimate import silent
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import fit_of, identify_aligned
-from phsi_opt.estimation.problem import silent
 from phsi_opt.estimation.record import Record
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given, catalogue

@@ -25,11 +25,13 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.refit_effort import BRIEF
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.estimation.disturbed_estimate import DisturbedEstimate
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import estimate_by
-from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.likelihood_estimate import (
+    DisturbedEstimate,
+    LikelihoodEstimate,
+)
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share

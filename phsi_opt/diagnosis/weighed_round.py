@@ -10,7 +10,7 @@ from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_E
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.problem import Progress
+from phsi_opt.estimation.estimate import Progress
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.effect_size import new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord

@@ -1,38 +1,103 @@
-"""An estimate: the solved program of a loss, from which the `Fit` is made.
+"""A task of `identify`, and its estimate: the solved program of a loss.
 
-It still holds the measurements and their layout, so it is not saved; `Estimate.fit`
-takes from it what a user reads. What differs between the losses (residuals, standard
-errors) is said by the subclasses, each beside the solution of its loss.
+An estimate still holds the measurements and their layout, so it is not saved;
+`Estimate.fit` takes from it what a user reads. What differs between the losses
+(residuals, standard errors) is said by the subclasses.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
 from phsi_opt.data.checks import checked_hold
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_record import FitUncertainty
-from phsi_opt.estimation.problem import Loss, Task
+from phsi_opt.estimation.fit_record import (
+    OF_SENSOR,
+    SENSOR_ERROR,
+    FitUncertainty,
+    ModelErrorRow,
+)
+from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.estimation.uncertainty import Uncertainty, unknown
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import Solution
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.optimization.ipopt import Solution, SolverSettings
+from phsi_opt.presentation.units import rate_unit
+from phsi_opt.statistics import TINY
+from phsi_opt.transcription.grid import AlignedData, Grid
+from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.transcription.parameter_vector import Point, Theta
+
+Loss = PHSILoss | MaximumLikelihood
+Progress = Callable[[str], None]
+
+
+def silent(line: str) -> None:
+    """The `Progress` that says nothing."""
+
+
+def unchanged(grid: Grid) -> Grid:
+    """The layout without inputs beyond those of the measurements."""
+    return grid
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Model, measurements and settings of one call of `identify`.
+
+    Attributes:
+        model: with its free parameters at values to start from.
+        aligned: measurements in the model's order, laid out.
+        l1: weight of ``|coefficient|`` per slot, in units of the scaled loss.
+        pruning: how terms are removed; None keeps them all.
+        settings: of every solve.
+        say: called with a line of text as the work goes on.
+        layout: adds inputs to the grid that the measurements do not hold.
+        executor: where further starts are solved; None: here.
+    """
+
+    model: Model
+    aligned: AlignedData
+    l1: dict[str, float]
+    pruning: Pruning | None
+    settings: SolverSettings
+    say: Progress = silent
+    layout: Callable[[Grid], Grid] = unchanged
+    executor: Executor | None = None
+
+    @property
+    def data(self) -> Measurements:
+        """The measurements, states and inputs in the model's order."""
+        return self.aligned.data
+
+    @property
+    def grid(self) -> Grid:
+        """The measurements laid out, one interval between neighbouring samples."""
+        return self.aligned.grid
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the trajectories."""
+        return tuple(run.name for run in self.data.trajectories)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(ABC):
-    """The model (with what pruning left of it), its program and the solution.
+    """The model (after pruning), its program and the solution.
 
     Attributes:
         task: what was asked for.
         loss: what was minimised.
-        model: with the terms that are left; its values are those before the solve.
+        model: with the terms that were kept; its values are those before the solve.
         grid: nodes and intervals of the program.
         unknown: names and places of the free parameters.
         point: where the solver started, with the scale of each unknown.
@@ -79,21 +144,9 @@ class Estimate(ABC):
 
     @property
     def values(self) -> dict[str, float]:
-        """One value per parameter of the model.
-
-        The mean over the trajectories where each has its own.
-        """
+        """One value per parameter of the model, the mean over the trajectories."""
         means = self.unknown.means(self.theta).tolist()
         return dict(zip(self.model.free, means, strict=True))
-
-    @property
-    def sizes(self) -> dict[str, float]:
-        """The largest absolute value of each parameter of the model."""
-        if not len(self.theta):
-            return {}
-        by_parameter = np.abs(self.theta[self.unknown.table])
-        largest = by_parameter.max(axis=1).tolist()
-        return dict(zip(self.model.free, largest, strict=True))
 
     @property
     def has_l1(self) -> bool:
@@ -116,39 +169,41 @@ class Estimate(ABC):
             )
         return self.uncertainty_at_optimum()
 
-    @property
-    def shared_covariance(self) -> np.ndarray:
-        """Covariance in the order of ``model.free``, (n_free, n_free).
-
-        NaN for parameters that every trajectory has of its own.
-        """
-        covariance = self.uncertainty.covariance
-        is_shared = np.bincount(self.unknown.owner) == 1
-        first = self.unknown.table[:, 0]
-        of_first = covariance[np.ix_(first, first)]
-        return np.where(np.outer(is_shared, is_shared), of_first, np.nan)
-
     def noise_by_name(self, sigma: np.ndarray) -> dict[str, float]:
-        """Noise of the states that were measured, of that of all, (n_states,)."""
+        """Noise of the measured states, from that of all, (n_states,)."""
         measured = np.flatnonzero(self.grid.measured_states).tolist()
         return {self.model.states[k]: float(sigma[k]) for k in measured}
 
     def fit(self) -> Fit:
         """The result record."""
+        data = self.task.data
+        by_trajectory = {}
+        if not self.unknown.is_shared:
+            for run in self.unknown.runs:
+                by_trajectory[run] = self.unknown.values_of(self.theta, run)
+        provenance = {
+            "phsi_opt": _release(),
+            "loss": repr(self.loss),
+            "l1": dict(self.task.l1),
+            "pruning": repr(self.task.pruning),
+            "data_sha256": data.digest,
+            "n_trajectories": data.n_trajectories,
+            "n_samples": data.n_samples,
+        }
         return Fit(
             model=self.model.with_values(self.values),
             names=self.unknown.names,
-            by_trajectory=self._values_by_trajectory(),
+            by_trajectory=by_trajectory,
             loss=type(self.loss).__name__,
             loss_value=self.misfit,
             uncertainty=Later(self.fit_uncertainty),
             noise={},
             outcome=self.solution.outcome,
             n_values=self.n_values,
-            hold=checked_hold(self.task.data.hold, self.model.inputs),
-            units=dict(self.task.data.units),
+            hold=checked_hold(data.hold, self.model.inputs),
+            units=dict(data.units),
             removed=self.removed,
-            provenance=self._provenance(),
+            provenance=provenance,
         )
 
     def fit_uncertainty(self) -> FitUncertainty:
@@ -165,20 +220,10 @@ class Estimate(ABC):
             covariance=self.uncertainty.covariance, warnings=tuple(warnings)
         )
 
-    def _values_by_trajectory(self) -> dict[str, dict[str, float]]:
-        """Empty where all trajectories share all parameters."""
-        if self.unknown.is_shared:
-            return {}
-        values = {}
-        for run in self.unknown.runs:
-            values[run] = self.unknown.values_of(self.theta, run)
-        return values
-
     def _bound_warning(self, name: str) -> str:
         place = self.unknown.names.index(name)
         parameter = self.unknown.entries[place].parameter
-        value = self.theta[place]
-        bound = parameter.nearest_bound(value)
+        bound = parameter.nearest_bound(self.theta[place])
         side = "lower" if bound == parameter.lower else "upper"
         return (
             f"{name} ended at its {side} bound {bound:g}, to which the data press it: "
@@ -186,17 +231,51 @@ class Estimate(ABC):
             "standard error, and the others take it as known"
         )
 
-    def _provenance(self) -> dict[str, Any]:
-        data = self.task.data
-        return {
-            "phsi_opt": _release(),
-            "loss": repr(self.loss),
-            "l1": dict(self.task.l1),
-            "pruning": repr(self.task.pruning),
-            "data_sha256": data.digest,
-            "n_trajectories": data.n_trajectories,
-            "n_samples": data.n_samples,
-        }
+    def model_error_rows(
+        self, nodes: np.ndarray, disturbances: Disturbances
+    ) -> tuple[ModelErrorRow, ...]:
+        """A row per disturbance, forces first, and where white noise differs.
+
+        Args:
+            nodes: (n_nodes, n_states) states.
+            disturbances: what was found.
+        """
+        states = self.model.states
+        units = self.task.data.units
+        grid = self.grid
+        rate = np.sqrt(np.mean(grid.rates(nodes) ** 2, axis=0))
+        rows = []
+
+        def add(
+            kind: str, place: int, size: float, time: float, is_sensor: bool = False
+        ) -> None:
+            state = states[place]
+            where = f"{OF_SENSOR}{state}" if is_sensor else f"d{state}/dt"
+            unit = units.get(state, "")
+            typical = np.nanstd(grid.y[:, place]) if is_sensor else rate[place]
+            if not is_sensor:
+                unit = _rate_unit(unit, units.get("t", ""))
+            share = size / max(float(typical), TINY)
+            rows.append(ModelErrorRow(where, kind, size, time, unit, share))
+
+        for force in disturbances.forces:
+            add("force", force.place, force.size, force.time)
+        for one in disturbances.functions:
+            add(f"function of {states[one.state]}", one.equation, one.size, np.nan)
+        for sensor in disturbances.sensors:
+            add(SENSOR_ERROR, sensor.place, sensor.size, sensor.time, is_sensor=True)
+        differs = np.ptp(disturbances.sigma, axis=0) > 0
+        for k in np.flatnonzero(differs & grid.measured_states).tolist():
+            sizes = disturbances.sigma[:, k].tolist()
+            for run, size in zip(self.task.runs, sizes, strict=True):
+                add(f"noise of {run}", k, size, 0.0, is_sensor=True)
+        return tuple(rows)
+
+
+def _rate_unit(unit: str, of_time: str) -> str:
+    if not of_time:
+        return unit and f"{unit} per unit of time"
+    return rate_unit(unit or "1", of_time)
 
 
 @cache
@@ -205,3 +284,81 @@ def _release() -> str:
         return version("phsi_opt")
     except PackageNotFoundError:
         return "unknown"
+
+
+# ---- pruning: solve, remove terms, solve again ---------------------------------------
+
+E = TypeVar("E", bound=Estimate)
+# A warm-started solve: (model with fewer terms, theta, L1 weights, estimate so far)
+Resolve = Callable[[Model, np.ndarray, dict[str, float], E], E]
+
+
+def pruned(estimate: E, resolve: Resolve[E]) -> E:
+    """Warm-started re-solves until the task's pruning removes no more terms.
+
+    First by size with the L1 term, then without it, then by significance. The tests of
+    significance count the present terms and those that were removed before.
+
+    Raises:
+        ModelError: if every term, or every one of H, would go.
+    """
+    pruning = estimate.task.pruning
+    if pruning is None:
+        return estimate
+    n_tests = len(pruning.candidates(estimate.model)) + len(estimate.removed)
+    for _ in range(pruning.max_rounds):
+        change = _next_change(estimate, pruning, n_tests)
+        if change is None:
+            break
+        removed, l1 = change
+        _check_rest(estimate.model, removed, pruning)
+        model = estimate.model.without(removed)
+        unknown = Theta.of(model, estimate.unknown.runs)
+        values = dict(zip(estimate.unknown.names, estimate.theta, strict=True))
+        theta = unknown.from_values(values, np.zeros(len(unknown)))
+        again = resolve(model, theta, l1, estimate)
+        all_removed = (*estimate.removed, *sorted(removed))
+        estimate = replace(again, removed=all_removed, notes=estimate.notes)
+    return estimate
+
+
+def _next_change(
+    estimate: Estimate, pruning: Pruning, n_tests: int
+) -> tuple[set[str], dict[str, float]] | None:
+    """Terms that the next solve leaves out, and its L1 weights; None: all is done."""
+    model = estimate.model
+    unknown = estimate.unknown
+    # The largest of the trajectories.
+    by_parameter = np.abs(estimate.theta[unknown.table])
+    sizes = by_parameter.max(axis=1, initial=0.0).tolist()
+    small = pruning.small(model, dict(zip(model.free, sizes, strict=True)))
+    if small:
+        return small, estimate.l1
+    if pruning.debias and estimate.has_l1:
+        return set(), {}
+    if pruning.significance is None or not estimate.is_success:
+        return None
+    # A parameter that every trajectory has of its own has no covariance here.
+    first = unknown.table[:, 0]
+    is_shared = np.bincount(unknown.owner) == 1
+    covariance = np.where(
+        np.outer(is_shared, is_shared),
+        estimate.uncertainty.covariance[np.ix_(first, first)],
+        np.nan,
+    )
+    weak = pruning.insignificant(model, estimate.values, covariance, n_tests)
+    return (weak, estimate.l1) if weak else None
+
+
+def _check_rest(model: Model, removed: set[str], pruning: Pruning) -> None:
+    energy = {term.coefficient_name("H") for term in model.H}
+    if removed and set(model.free) <= removed:
+        what = "every term"
+    elif removed and energy and energy <= removed:
+        what = "every term of H"
+    else:
+        return
+    raise ModelError(
+        f"{pruning!r} removes {what}; lower its threshold or the L1 weight, or add "
+        "terms that the data need."
+    )

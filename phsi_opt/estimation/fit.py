@@ -5,25 +5,33 @@ they are as long as the record, and a fit is used without them.
 """
 
 import json
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_type_hints
 
 import numpy as np
 
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, did_you_mean
-from phsi_opt.estimation.fit_record import FitRecord, FitUncertainty
-from phsi_opt.estimation.fit_report import fit_summary, report
-from phsi_opt.estimation.json_file import made_of, read_json
-from phsi_opt.estimation.model_content import Content, model_content, model_from
-from phsi_opt.estimation.model_error_table import ModelErrorRow
+from phsi_opt.estimation.fit_file import (
+    Content,
+    decoded,
+    encoded,
+    model_content,
+    model_from,
+    read_json,
+)
+from phsi_opt.estimation.fit_record import DIGITS, FitRecord, FitUncertainty
 from phsi_opt.later import Later
-from phsi_opt.model_error.standard_errors import Source
-from phsi_opt.optimization.ipopt import Outcome
-from phsi_opt.presentation.summary import Summarised, Summary
+from phsi_opt.model.symbolic import dictionary_rows, structure_rows
+from phsi_opt.model.terms import Term
+from phsi_opt.presentation.numbers import estimate_text
+from phsi_opt.presentation.sentences import lines
+from phsi_opt.presentation.summary import Part, Summarised, Summary
 from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
@@ -34,6 +42,13 @@ if TYPE_CHECKING:
 
 FORMAT = "phsi_opt fit 1"
 PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and pictures
+# Fields whose content a file has in another form, and names that it has for others.
+OTHERWISE_IN_FILES = ("model", "uncertainty", "hold", "states", "steps")
+NAMES_IN_FILES = {"source": "std_error_source", "model_error_rows": "model_error"}
+# Ratio of two standard errors beyond which the report gives both.
+DIFFERENT_STD_ERRORS = 4 / 3
+IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
+LONG_NUMBER = re.compile(r"(?<![\w.])\d+\.\d{7,}(?:e[+-]?\d+)?")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,38 +106,15 @@ class Fit(FitRecord, Summarised):
 
     def content(self) -> Content:
         """The fit as numbers, text, lists and mappings: what `save` writes."""
-        return {
-            "format": FORMAT,
-            "model": model_content(self.model),
-            "names": list(self.names),
-            "by_trajectory": {
-                run: dict(one) for run, one in self.by_trajectory.items()
-            },
-            "loss": self.loss,
-            "loss_value": self.loss_value,
-            "covariance": self.covariance.tolist(),
-            "std_error_source": str(self.std_error_source),
-            "covariances": {
-                str(k): one.tolist() for k, one in self.covariances.items()
-            },
-            "freedom": None if self.freedom is None else self.freedom.tolist(),
-            "model_error": [vars(row) for row in self.model_error_rows],
-            "has_model_error": self.has_model_error,
-            "noise": dict(self.noise),
-            "outcome": {**vars(self.outcome), "at_bounds": [*self.outcome.at_bounds]},
-            "n_values": self.n_values,
-            "bic": self.bic,
-            "log_evidence": self.log_evidence,
-            "hold": self.hold,
-            "huber": self.huber,
-            "steps": [_steps_content(steps) for steps in self.steps],
-            "n_gaps": [len(steps) for steps in self.steps],
-            "seconds": self.seconds,
-            "units": dict(self.units),
-            "removed": list(self.removed),
-            "warnings": list(self.warnings),
-            "provenance": dict(self.provenance),
-        }
+        content: Content = {"format": FORMAT, "model": model_content(self.model)}
+        for name in _plain_fields():
+            content[name] = encoded(getattr(self, name))
+        for name, value in encoded(self.uncertainty.value).items():
+            content[NAMES_IN_FILES.get(name, name)] = value
+        content["hold"] = self.hold
+        content["steps"] = [_steps_content(steps) for steps in self.steps]
+        content["n_gaps"] = [len(steps) for steps in self.steps]
+        return content
 
     @classmethod
     def from_content(cls, content: Content) -> "Fit":
@@ -134,62 +126,41 @@ class Fit(FitRecord, Summarised):
             LookupError, TypeError, ValueError, AttributeError: The content is damaged.
         """
         model = model_from(content["model"])
-        names = tuple(map(str, content.get("names", model.free)))
-        by_run = content.get("by_trajectory", {})
-        _check_names(names, Theta.of(model, tuple(by_run) or ("",)).names)
-        noise = _numbers(content["noise"])
-        _check_names(noise, model.states)
-        n = len(names)
-        covariance = np.array(content["covariance"], dtype=float).reshape(n, n)
-        covariances = {}
-        for source, matrix in content.get("covariances", {}).items():
-            found = np.array(matrix, dtype=float).reshape(n, n)
-            covariances[Source(source)] = found
-        freedom = content.get("freedom")
-        freedom = None if freedom is None else np.array(freedom, dtype=float)
+        hints = get_type_hints(cls)
+        known = [name for name in _plain_fields() if name in content]
+        gaps = zip(content.get("steps", []), content.get("n_gaps", []), strict=True)
+        fit = cls(
+            model=model,
+            uncertainty=Later.known(_uncertainty_from(content)),
+            hold=checked_hold(content["hold"], model.inputs),
+            steps=tuple(
+                np.broadcast_to(np.array(steps, int), n).copy() for steps, n in gaps
+            ),
+            **{name: decoded(hints[name], content[name]) for name in known},
+        )
+        _check_names(
+            fit.names, Theta.of(model, tuple(fit.by_trajectory) or ("",)).names
+        )
+        _check_names(fit.noise, model.states)
+        n = len(fit.names)
+        freedom = fit.freedom
         for what, numbers in (
-            ("the variances of the estimates", np.diag(covariance)),
-            ("noise", np.array(list(noise.values()))),
+            ("the variances of the estimates", np.diag(fit.covariance.reshape(n, n))),
+            ("noise", np.array(list(fit.noise.values()))),
             ("degrees of freedom", np.zeros(0) if freedom is None else freedom),
-            ("n_values", np.array([content["n_values"]])),
+            ("n_values", np.array([fit.n_values])),
         ):
             if np.any(numbers < 0):
                 raise DataError(f"{what}: {numbers.tolist()}; none can be negative")
         if freedom is not None and freedom.shape != (n,):
             raise DataError(f"{freedom.size} degrees of freedom for {n} estimates")
-        rows = content.get("model_error", [])
-        huber = content.get("huber")
-        uncertainty = FitUncertainty(
-            covariance=covariance,
-            # Files of before hold standard errors from white noise alone.
-            source=Source(content.get("std_error_source", Source.NOISE)),
-            covariances=covariances,
-            freedom=freedom,
-            model_error_rows=tuple(made_of(ModelErrorRow, row) for row in rows),
-            log_evidence=float(content.get("log_evidence", np.nan)),
-            warnings=tuple(map(str, content["warnings"])),
+        by_source = fit.covariances.items()
+        uncertainty = replace(
+            fit.uncertainty.value,
+            covariance=fit.covariance.reshape(n, n),
+            covariances={source: one.reshape(n, n) for source, one in by_source},
         )
-        gaps = zip(content.get("steps", []), content.get("n_gaps", []), strict=True)
-        return cls(
-            model=model,
-            names=names,
-            by_trajectory={run: _numbers(own) for run, own in by_run.items()},
-            loss=str(content["loss"]),
-            loss_value=float(content["loss_value"]),
-            uncertainty=Later.known(uncertainty),
-            has_model_error=bool(content.get("has_model_error", False)),
-            noise=noise,
-            outcome=made_of(Outcome, content["outcome"]),
-            n_values=int(content["n_values"]),
-            bic=float(content["bic"]),
-            hold=checked_hold(content["hold"], model.inputs),
-            huber=None if huber is None else float(huber),
-            steps=tuple(np.broadcast_to(np.array(k, int), n).copy() for k, n in gaps),
-            seconds=float(content.get("seconds", np.nan)),
-            units={name: str(unit) for name, unit in content["units"].items()},
-            removed=tuple(map(str, content["removed"])),
-            provenance=dict(content["provenance"]),
-        )
+        return replace(fit, uncertainty=Later.known(uncertainty))
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw how well every parameter is known: each estimate with its 95 % interval.
@@ -240,11 +211,11 @@ class Fit(FitRecord, Summarised):
         self._check_states(data)
         number = data.trajectory_number(trajectory)
         run = data.trajectories[number]
+        estimated = np.asarray(self.states[number])
         channels = []
         for k, name in enumerate(data.states):
             unit = data.units.get(name, "")
-            estimated = np.asarray(self.states[number])[:, k]
-            channels.append(Channel(name, unit, run.x[:, k], estimated, None))
+            channels.append(Channel(name, unit, run.x[:, k], estimated[:, k], None))
         t_unit = data.units.get("t", "")
         title = f"Measured and estimated states of {run.name}"
         if ax is None:
@@ -283,12 +254,36 @@ class Fit(FitRecord, Summarised):
         return table.rename_axis("name").reset_index()
 
     def _summary(self) -> Summary:
-        return fit_summary(self)
+        """For notebooks and rich: as the text, the parameters in a table."""
+        shown = self.parameters[["name", "value", "std_error", "unit"]]
+        equations = Part(code="\n".join(equation_lines(self)))
+        remarks = Part(text="\n".join(_remarks(self)))
+        return Summary(_title(self), (equations, Part(table=shown), remarks))
 
     def __str__(self) -> str:
-        return report(self)
+        rows = [*equation_lines(self), *_remarks(self)]
+        return "\n".join([_title(self), *(f"  {row}" for row in rows)])
 
     __repr__ = __str__
+
+
+# ---- files ---------------------------------------------------------------------------
+
+
+def _plain_fields() -> list[str]:
+    names = [one.name for one in fields(Fit)]
+    return [name for name in names if name not in OTHERWISE_IN_FILES]
+
+
+def _uncertainty_from(content: Content) -> FitUncertainty:
+    """Files of before hold standard errors from white noise alone."""
+    found = {"covariance": content["covariance"]}
+    for one in fields(FitUncertainty):
+        key = NAMES_IN_FILES.get(one.name, one.name)
+        if key in content:
+            found[one.name] = content[key]
+    uncertainty: FitUncertainty = decoded(FitUncertainty, found)
+    return uncertainty
 
 
 def _steps_content(steps: np.ndarray) -> int | list[int]:
@@ -299,11 +294,73 @@ def _steps_content(steps: np.ndarray) -> int | list[int]:
     return per_gap
 
 
-def _numbers(content: Content) -> dict[str, float]:
-    return {name: float(value) for name, value in content.items()}
-
-
 def _check_names(names: Iterable[str], known: Sequence[str]) -> None:
     for name in names:
         if name not in known:
             raise DataError(f"{name!r} is not in the model{did_you_mean(name, known)}")
+
+
+# ---- text ----------------------------------------------------------------------------
+
+
+def _title(fit: FitRecord) -> str:
+    states = ", ".join(fit.model.states)
+    return f"Fit of {type(fit.model).__name__} by {fit.loss}: {states}"
+
+
+def equation_lines(fit: FitRecord) -> list[str]:
+    """Structure, terms with their estimates, and fixed parameters; a line each."""
+    rows = [
+        *structure_rows(fit.model),
+        *dictionary_rows(fit.model, partial(_term, fit)),
+    ]
+    for name, entry in fit.model.entries.items():
+        if entry.parameter.fixed:
+            value = f"{fit.values[name]:.6g} {fit.parameter_units[name]}".rstrip()
+            rows.append(f"{name} = {value} (fixed)")
+    return [LONG_NUMBER.sub(_few_digits, row) for row in rows]
+
+
+def _few_digits(found: re.Match[str]) -> str:
+    return f"{float(found[0]):.{DIGITS}g}"
+
+
+def _remarks(fit: FitRecord) -> list[str]:
+    """What ``answers.jinja`` says: noise, standard errors, solver, warnings."""
+    # By how much others sources differ, where they do.
+    errors = fit.standard_errors.drop(columns="freedom")
+    ratios = errors.div(errors.pop("std_error"), axis=0).agg(["min", "max"]).T
+    limit = DIFFERENT_STD_ERRORS
+    different = ratios[(ratios["max"] >= limit) | (ratios["min"] <= 1 / limit)]
+    rows = different.drop(index=str(fit.std_error_source), errors="ignore").itertuples()
+    return lines(__package__, "remarks", fit=fit, different=list(rows)).splitlines()
+
+
+def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
+    """The term with every parameter replaced by its estimate in brackets."""
+
+    def estimate_of(match: re.Match[str]) -> str:
+        name = match[0]
+        if name not in term.inner:
+            return name
+        return f"({_estimate(fit, term.inner_name(name, place))})"
+
+    # In one pass: a unit that was put in may have the name of another parameter.
+    body = IDENTIFIER.sub(estimate_of, term.body)
+    if term.is_formula:
+        return body
+    coefficient = f"({_estimate(fit, term.coefficient_name(place))})"
+    return coefficient if term.body == "1" else f"{coefficient}*{body}"
+
+
+def _estimate(fit: FitRecord, name: str) -> str:
+    """Value +- standard error and unit; of a parameter per trajectory only the mean."""
+    parameter = fit.model.entries[name].parameter
+    known = fit.parameter_units[name]
+    unit = f" {known}" if known else ""
+    value = fit.values[name]
+    if parameter.per_trajectory and fit.by_trajectory:
+        return f"{value:.6g}{unit}, mean over trajectories"
+    if name in fit.outcome.at_bounds:
+        return f"{parameter.nearest_bound(value):.6g}{unit}, at its bound"
+    return f"{estimate_text(value, fit.std_errors[name])}{unit}"

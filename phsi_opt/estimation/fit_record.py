@@ -1,8 +1,8 @@
-"""The numbers of a fit: the record that every fit is, and its tables.
+"""What an identification found: the model with its values, tables and equations.
 
-A record holds what an identification found, and derives tables from it. How a fit is
-printed, stored and drawn stands in files of its own, which read this record; `Fit` puts
-them together.
+`Identified` is what every method of identification returns; `FitRecord` adds what
+`identify` knows of its estimates: covariance, noise, the solver's outcome. How a fit is
+printed, stored and drawn stands in `fit`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,32 +10,215 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
-from phsi_opt.estimation.identified import Identified
-from phsi_opt.estimation.model_error_table import (
-    MODEL_ERROR_COLUMNS,
-    ModelErrorRow,
-)
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.slots import Entry
+from phsi_opt.model.symbolic import Expressions
+from phsi_opt.model_error.disturbances import Process
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.ipopt import Outcome
 from phsi_opt.presentation.summary import printed_table
-from phsi_opt.simulation.simulate import simulate
+from phsi_opt.simulation.simulate import rates, simulate
 from phsi_opt.statistics import TINY, student_limit
 
 if TYPE_CHECKING:
     import pandas as pd
+    import sympy as sp
+
+PARAMETER_COLUMNS = [
+    "name",
+    "slot",
+    "equation",
+    "value",
+    "std_error",
+    "lower",
+    "upper",
+    "unit",
+    "fixed",
+]
+DIGITS = 6  # of printed numbers: more than most data tell
+MOST_TERMS = 2_000  # that a right-hand side is multiplied out to: some seconds
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Identified:
+    """A model with the values that were found, and what can be done with it.
+
+    Attributes:
+        model: The model; the found values are the values of its parameters.
+        hold: How inputs are held between samples, "linear", "zero" or "cubic", or by
+            input, as the measurements declared it.
+        seconds: Wall time of the whole identification, starting values included.
+        removed: Names of the terms that were pruned, in order.
+    """
+
+    model: Model
+    hold: Hold = "linear"
+    seconds: float = np.nan
+    removed: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value of every parameter by name."""
+        return self.model.values
+
+    @property
+    def std_errors(self) -> Mapping[str, float]:
+        """Standard error by name; NaN where it is not known."""
+        return dict.fromkeys(self.model.entries, np.nan)
+
+    @property
+    def parameter_units(self) -> Mapping[str, str]:
+        """Unit of every parameter by name; "" where it is not known."""
+        return {name: one.parameter.unit for name, one in self.model.entries.items()}
+
+    @property
+    def parameters(self) -> "pd.DataFrame":
+        """Table of the parameters, a row each, fixed ones included.
+
+        Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
+        ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the
+        bounds that the solver kept), ``unit``, ``fixed``. A parameter that every
+        trajectory has of its own has a row per trajectory. Limits of confidence are
+        those of `Fit.intervals`.
+        """
+        rows = []
+        for entry in self.model.entries.values():
+            parameter = entry.parameter
+            unit = self.parameter_units[entry.name]
+            after = (parameter.lower, parameter.upper, unit, parameter.fixed)
+            for name, value in self._values_of(entry).items():
+                known = (value, self.std_errors[name])
+                rows.append((name, entry.slot, entry.equation, *known, *after))
+        return printed_table(rows, columns=PARAMETER_COLUMNS)
+
+    def _values_of(self, entry: Entry) -> dict[str, float]:
+        """Values of one parameter of the model by name."""
+        return {entry.name: self.values[entry.name]}
+
+    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
+        """Simulate the fitted model from given starting states, by SciPy.
+
+        Inputs are held between samples as the measurements declared it.
+
+        Args:
+            t: (n_samples,) times, increasing; the simulation starts at ``t[0]``.
+            x0: (n_states,) states at ``t[0]``.
+            u: (n_samples, n_inputs) inputs at the times, or a function of the time;
+                None: the model has none.
+
+        Returns:
+            (n_samples, n_states) states at the times.
+
+        Raises:
+            DataError: An argument has the wrong shape.
+            SolveError: The simulation broke off before the last time.
+        """
+        return simulate(self.model, t, x0, u, hold=self.hold)
+
+    def sympy(self) -> "dict[str, sp.Expr]":
+        """The fitted model as SymPy expressions.
+
+        Returns:
+            ``H``, and for every state ``R_<state>``, ``F_<state>`` and the right-hand
+            side ``d<state>/dt``, in the names of states, inputs and ``t``; right-hand
+            sides are multiplied out where that gives no more than `MOST_TERMS` terms.
+        """
+        import sympy as sp
+
+        from phsi_opt.model.sympy_backend import SYMPY, n_expanded
+
+        model = self.model
+        # Real while it differentiates, or |q| has no simple derivative; plain names in
+        # the result.
+        x = sp.symbols(model.states, real=True)
+        u = sp.symbols(model.inputs, real=True)
+        t = sp.Symbol("t", real=True)
+        values = {name: sp.Float(value) for name, value in self.values.items()}
+        parts = Expressions(model, x, u, t, values, SYMPY)
+        expressions = {"H": sp.sympify(parts.energy)}
+        by_state = (model.states, parts.loss, parts.force, parts.rates)
+        for state, loss, force, rate in zip(*by_state, strict=True):
+            expressions[f"R_{state}"] = sp.sympify(loss)
+            expressions[f"F_{state}"] = sp.sympify(force)
+            is_short = n_expanded(rate) <= MOST_TERMS
+            expressions[f"d{state}/dt"] = sp.expand(rate) if is_short else rate
+        plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t)}
+        return {name: e.xreplace(plain) for name, e in expressions.items()}
+
+    def casadi(self) -> ca.Function:
+        """The fitted model as a CasADi function (x, u, t) -> dx, with dx = dx/dt.
+
+        x is (n_states,), u (n_inputs,), t a number; the fitted numbers stand in it.
+        """
+        return rates(self.model)
+
+    def equations(self) -> list[str]:
+        """The right-hand sides with the fitted numbers, one text per state.
+
+        Numbers have 6 digits; no term is left out, however small.
+        """
+        return [f"d{s}/dt = {e}" for s, e in self._rounded("sstr").items()]
+
+    def latex(self) -> str:
+        """The right-hand sides as an aligned LaTeX block, numbers with 6 digits."""
+        rows = self._rounded("latex").items()
+        body = " \\\\\n".join(rf"\dot{{{symbol}}} &= {e}" for symbol, e in rows)
+        return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
+
+    def _rounded(self, printer: str) -> dict[str, str]:
+        """The right-hand side of every state, by a function of SymPy that prints."""
+        import sympy as sp
+
+        text_of = getattr(sp, printer)
+        exact = self.sympy()
+        found = {}
+        for state in self.model.states:
+            rounded = exact[f"d{state}/dt"].n(DIGITS)
+            found[text_of(sp.Symbol(state))] = text_of(rounded)
+        return found
+
+
+# ---- the record of `identify` --------------------------------------------------------
+
+SENSOR_ERROR = "sensor error"  # kind of a row
+OF_SENSOR = "sensor of "  # where it is, before the name of a state
+MODEL_ERROR_COLUMNS = ("where", "kind", "size", "time", "unit", "share")
+
+
+@dataclass(frozen=True)
+class ModelErrorRow:
+    """One disturbance that acts besides the model.
+
+    Attributes:
+        where: equation, such as "dp/dt", or sensor, such as "sensor of q".
+        kind: "force", "sensor error", "function of q", or "noise of run 1" where white
+            noise differs between trajectories.
+        size: standard deviation, in ``unit``.
+        time: correlation time in the unit of the record's times; NaN for a function, 0
+            for white noise.
+        unit: of the size.
+        share: of the typical rate of that equation, or of the channel's spread.
+    """
+
+    where: str
+    kind: str
+    size: float
+    time: float
+    unit: str
+    share: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FitUncertainty:
-    """What a fit says of its estimates beside their values.
+    """How well the estimates of a fit are known.
 
     Attributes:
         covariance: (n_names, n_names) of the estimates; NaN where it is not known.
@@ -43,8 +226,8 @@ class FitUncertainty:
         covariances: (n_names, n_names) by source, all that were worked out.
         freedom: (n_names,) degrees of freedom of the variances; None: those that the
             residuals leave.
-        model_error_rows: what was found beside the model.
-        log_evidence: of the model, beside what was found.
+        model_error_rows: the disturbances that were found.
+        log_evidence: of the model with these disturbances.
         warnings: sentences to read before the numbers are used.
     """
 
@@ -148,7 +331,7 @@ class FitRecord(Identified):
 
     @property
     def model_error_rows(self) -> tuple[ModelErrorRow, ...]:
-        """What was found beside the model (see `model_error`)."""
+        """The rows of `model_error`."""
         return self.uncertainty.value.model_error_rows
 
     @property
@@ -160,9 +343,9 @@ class FitRecord(Identified):
             log p(y | model) = log of the integral over states and disturbances
                                - (number of free parameters) log(n_values) / 2
 
-        What acts beside the model, a force that it lacks, errors of sensors that last,
-        is integrated out, its size chosen by the same evidence (`model_error` names
-        it). Starting states have a flat prior of density one in their units. The
+        What acts besides the model, a force that it lacks or errors of sensors that
+        last, is integrated out, its size chosen by the same evidence (`model_error`
+        names it). Starting states have a flat prior of density one in their units. The
         difference between two fits of the same measurements is the logarithm of the
         Bayes factor: from 3 (a factor of 20) it is strong, from 4.6 (100) decisive. NaN
         for a fit by `PHSILoss`, or with L1.
@@ -178,9 +361,8 @@ class FitRecord(Identified):
     def estimates(self) -> dict[str, float]:
         """Estimated value of every parameter in ``names``, by name."""
         known = dict(self.values)
-        for trajectory, own_values in self.by_trajectory.items():
-            for name, value in own_values.items():
-                known[_own_name(name, trajectory)] = value
+        for run, own_values in self.by_trajectory.items():
+            known |= {f"{name}[{run}]": value for name, value in own_values.items()}
         return {name: known[name] for name in self.names}
 
     @cached_property
@@ -190,10 +372,9 @@ class FitRecord(Identified):
         Of all ``names`` and of all parameters of the model; NaN for one that is fixed,
         that ended at a bound, or about which the data say nothing.
         """
-        std_errors = dict.fromkeys(self.model.entries, np.nan)
         found = np.sqrt(np.diag(self.covariance)).tolist()
-        std_errors.update(zip(self.names, found, strict=True))
-        return std_errors
+        by_name = dict(zip(self.names, found, strict=True))
+        return dict.fromkeys(self.model.entries, np.nan) | by_name
 
     @cached_property
     def parameter_units(self) -> dict[str, str]:
@@ -236,11 +417,11 @@ class FitRecord(Identified):
     def independent_share(self, names: Sequence[str]) -> float:
         """Share of the residuals that is independent, for what these parameters tell.
 
-        What white noise would leave of the variance of the parameters over the variance
-        that they have: the mean over their k directions,
-        ``k / trace(C_white^-1 C)``, at most one. A gain of the likelihood by them is
-        worth this share of it (Rotnitzky and Jewell, Biometrika 77, 1990). One for a
-        fit with ``model_error=True``, whose likelihood knows of it already.
+        The variance of the parameters from white noise alone over the variance that
+        they have: the mean over their k directions, ``k / trace(C_white^-1 C)``, at
+        most one. A gain of the likelihood by them is worth this share of it (Rotnitzky
+        and Jewell, Biometrika 77, 1990). One for a fit with ``model_error=True``, whose
+        likelihood knows of it already.
 
         Args:
             names: of estimated parameters.
@@ -253,15 +434,15 @@ class FitRecord(Identified):
         places = [self.names.index(name) for name in names if name in self.names]
         chosen = np.ix_(places, places)
         white = self.covariances[Source.NOISE][chosen]
-        honest = self.covariance[chosen]
-        if not places or not np.isfinite(white).all() or not np.isfinite(honest).all():
+        given = self.covariance[chosen]
+        if not places or not np.isfinite(white).all() or not np.isfinite(given).all():
             return float("nan")
-        ratio = np.trace(np.linalg.pinv(white, hermitian=True) @ honest) / len(places)
+        ratio = np.trace(np.linalg.pinv(white, hermitian=True) @ given) / len(places)
         return float(min(1 / max(ratio, TINY), 1.0))
 
     @property
     def model_error(self) -> "pd.DataFrame":
-        """What acts beside the model, as the record shows it.
+        """What acts besides the model, as the record shows it.
 
         Columns: where (equation or sensor), kind (force, function of a state, sensor
         error), size (standard deviation), time (correlation time), unit of the size,
@@ -300,13 +481,11 @@ class FitRecord(Identified):
         if not 0 < level < 1:
             raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
         quantiles = student_limit((1 - level) / 2, self.degrees_of_freedom)
-        rows = []
-        pairs = zip(self.estimates.items(), quantiles, strict=True)
-        for (name, value), quantile in pairs:
-            half_width = quantile * self.std_errors[name]
-            rows.append((value, value - half_width, value + half_width))
+        half = quantiles * np.sqrt(np.diag(self.covariance))
+        values = np.array(list(self.estimates.values()))
+        limits = np.column_stack([values, values - half, values + half])
         columns = ["value", "ci_lower", "ci_upper"]
-        return printed_table(rows, index=list(self.estimates), columns=columns)
+        return printed_table(limits, index=list(self.estimates), columns=columns)
 
     def model_of(self, trajectory: str | int) -> Model:
         """The model with the parameters of one trajectory.
@@ -327,9 +506,9 @@ class FitRecord(Identified):
 
     def _trajectory_name(self, trajectory: str | int) -> str:
         """Name of a trajectory; that of a number is "" where parameters are shared."""
+        names = list(self.by_trajectory)
         if isinstance(trajectory, str):
             return trajectory
-        names = list(self.by_trajectory)
         if not names:
             return ""
         if not -len(names) <= trajectory < len(names):
@@ -358,7 +537,7 @@ class FitRecord(Identified):
         """Values of one parameter of the model: one, or one per trajectory."""
         if not (entry.parameter.per_trajectory and self.by_trajectory):
             return super()._values_of(entry)
-        names = [_own_name(entry.name, run) for run in self.by_trajectory]
+        names = [f"{entry.name}[{run}]" for run in self.by_trajectory]
         return {name: self.estimates[name] for name in names}
 
     def simulate(
@@ -385,7 +564,7 @@ class FitRecord(Identified):
             SolveError: The simulation broke off before the last time.
         """
         if trajectory is None:
-            return simulate(self.model, t, x0, u, hold=self.hold)
+            return super().simulate(t, x0, u)
         if self._trajectory_name(trajectory) not in self.by_trajectory:
             known = ", ".join(self.by_trajectory) or "none: all parameters are shared"
             raise DataError(
@@ -393,11 +572,6 @@ class FitRecord(Identified):
                 f"known are {known}."
             )
         return simulate(self.model_of(trajectory), t, x0, u, hold=self.hold)
-
-
-def _own_name(name: str, trajectory: str) -> str:
-    """Name of a parameter in one trajectory, such as ``m[run 1]``."""
-    return f"{name}[{trajectory}]"
 
 
 def parameters_of(fit: FitRecord, data: Measurements) -> dict[str, dict[str, float]]:
@@ -411,13 +585,9 @@ def parameters_of(fit: FitRecord, data: Measurements) -> dict[str, dict[str, flo
         One new mapping per trajectory. A trajectory that the fit has not seen gets the
         means of the fit.
     """
-    values = fit.values
-    means = {name: values[name] for name in fit.model.free}
-    per_trajectory = {}
-    for trajectory in data.trajectories:
-        own_values = fit.by_trajectory.get(trajectory.name, {})
-        per_trajectory[trajectory.name] = {**means, **own_values}
-    return per_trajectory
+    means = {name: fit.values[name] for name in fit.model.free}
+    names = [run.name for run in data.trajectories]
+    return {name: means | dict(fit.by_trajectory.get(name, {})) for name in names}
 
 
 def parameter_matrix(
@@ -430,7 +600,17 @@ def parameter_matrix(
         per_trajectory: Values by name for every trajectory, as from `parameters_of`;
             their order is that of the columns.
     """
-    matrix = np.empty((len(model.free), len(per_trajectory)))
-    for column, values in enumerate(per_trajectory.values()):
-        matrix[:, column] = [values[name] for name in model.free]
-    return matrix
+    rows = [[one[name] for one in per_trajectory.values()] for name in model.free]
+    return np.array(rows, dtype=float).reshape(len(rows), len(per_trajectory))
+
+
+def lasting_noise(
+    rows: Sequence[ModelErrorRow], states: Sequence[str], longest: float
+) -> tuple[Process, ...]:
+    """The errors of sensors among the rows that last no longer than a time."""
+    found = []
+    for row in rows:
+        if row.kind == SENSOR_ERROR and row.time <= longest:
+            channel = list(states).index(row.where.removeprefix(OF_SENSOR))
+            found.append(Process(channel, row.size, row.time))
+    return tuple(found)

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
-from phsi_opt.estimation.disturbed_estimate import with_model_error
-from phsi_opt.estimation.estimate import Estimate
+from phsi_opt.estimation.estimate import Estimate, Loss, Progress, Task, silent
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.likelihood_estimate import with_model_error
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi_solve import by_defects
-from phsi_opt.estimation.problem import Loss, Progress, Task, silent
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.interrupts import interruptible
@@ -193,7 +193,7 @@ def estimate_by(loss: Loss, task: Task, start: Fit | None) -> Estimate:
             "together: the estimate with a model error has no L1 term; leave l1 out, "
             "or take it to choose terms, with pruning=Pruning()."
         )
-    estimate = by_likelihood(task, loss, start)
+    estimate = by_likelihood(LikelihoodProblem.of(task, loss), start)
     if not loss.model_error or not estimate.is_success:
         return estimate
     return with_model_error(estimate)

@@ -1,9 +1,9 @@
 """The likelihood of a task, and how it is maximised from a starting point.
 
-What would make it unsolvable is refused before any time is spent. Then full steps
-(`likelihood_steps`); where the start is not near, along a missing force that shrinks;
-where the steps do not settle, and where the program has slack variables, IPOPT
-(`likelihood_ipopt`). Where to start is the business of `likelihood_start`.
+What would make it unsolvable is refused before any time is spent. Then full steps;
+where the start is not near, along a missing force that shrinks; where the steps do not
+settle, and where the program has slack variables, IPOPT (`likelihood_steps`). Where to
+start is the business of `maximum_likelihood`.
 """
 
 from collections.abc import Sequence
@@ -11,20 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phsi_opt.data.noise import initial_noise
-from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_ipopt import by_ipopt
 from phsi_opt.estimation.likelihood_steps import (
     FORCE_SIZES,
     SMALL_FORCES,
+    by_ipopt,
     by_steps,
     continued,
 )
-from phsi_opt.estimation.noise_estimation import NoiseIteration
-from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.residual_scatter import is_at_scatter
+from phsi_opt.estimation.noise_estimation import NoiseIteration, NoiseLevels
+from phsi_opt.estimation.optimum_checks import is_at_scatter
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
@@ -33,26 +31,6 @@ from phsi_opt.transcription.defects import between_samples
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseLevels:
-    """Noise per state before the first solve.
-
-    Attributes:
-        sigma: (n_states,) standard deviations.
-        is_known: (n_states,) whether it was declared; the others are estimated.
-        least: (n_states,) below which none is estimated: that of quantisation.
-    """
-
-    sigma: np.ndarray
-    is_known: np.ndarray
-    least: np.ndarray
-
-    @classmethod
-    def known(cls, sigma: np.ndarray) -> "NoiseLevels":
-        """Noise that is known of every state."""
-        return cls(sigma, np.ones(len(sigma), dtype=bool), np.zeros(len(sigma)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,25 +96,30 @@ class LikelihoodProblem:
             DataError: if a sensor's state is not measured, the values are too few, the
                 declared noise is none, or nothing moves.
         """
-        _check_sensors(task)
-        _check_number_of_values(task)
-        declared = _declared_noise(task, loss)
-        sigma = initial_noise(task.data, declared)
-        least = quantisation_noise(task.data)
-        return cls(task, loss, NoiseLevels(sigma, np.isfinite(declared), least))
-
-    def with_noise_of(self, sigma: np.ndarray) -> "LikelihoodProblem":
-        """``sigma`` (n_states,) in place of the noise that was not declared."""
-        noise = self.noise
-        estimated = np.maximum(sigma, noise.least)
-        sigma = np.where(noise.is_known, noise.sigma, estimated)
-        return replace(self, noise=replace(noise, sigma=sigma))
+        for name in task.model.sensor:
+            if name not in task.data.measured:
+                raise DataError(
+                    f"the model has a sensor of {name!r}, but {name!r} was never "
+                    "measured; leave one of them out."
+                )
+        n_runs = task.data.n_trajectories
+        n_values = len(task.grid.channel)
+        n_theta = len(Theta.of(task.model, task.runs))
+        n_unknown = n_theta + n_runs * task.model.n_states
+        if n_values <= n_unknown:
+            raise DataError(
+                f"{n_values} measured values are too few for {n_unknown} unknowns "
+                f"({n_theta} parameters and the starting states of {n_runs} "
+                "trajectories); measure more, or fix parameters."
+            )
+        return cls(task, loss, NoiseLevels.of(task.data, loss))
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
         """The optimum of the whole record, however far off the start is.
 
-        Where steps from the start lead to an optimum that leaves more than the scatter
-        of the samples, the likelier of this and of the one along the missing force.
+        Where steps from the start lead to an optimum whose residuals are more than the
+        scatter of the samples, the likelier of this and of the one along the missing
+        force.
         """
         start = replace(start, steps=self._steps(start))
         settings = self.task.settings
@@ -177,7 +160,12 @@ class LikelihoodProblem:
         return replace(start, theta=unscaled["theta"], states=states, is_optimum=True)
 
     def _steps(self, start: StartingPoint) -> tuple[np.ndarray, ...]:
-        """Intervals in every gap between samples, fine where a memory fades."""
+        """Intervals in every gap between samples, fine where a memory fades.
+
+        The memory that a trajectory begins with is free; that of a short delay fades
+        within a few samples. With coarse steps there it could take values far off for
+        the sake of the first residuals, and a simulation from them would go astray.
+        """
         steps = start.steps
         if not steps:
             n_steps = self.loss.steps or 1
@@ -185,7 +173,7 @@ class LikelihoodProblem:
             steps = tuple(np.full(run.n_samples - 1, n_steps) for run in runs)
         if not start.model.memory:
             return steps
-        return tuple(_fine_at_start(of_run) for of_run in steps)
+        return tuple(np.r_[np.maximum(n[:4], 16), n[4:]] for n in steps)
 
     def solve(
         self,
@@ -220,8 +208,7 @@ class LikelihoodProblem:
             if most_steps is not None:
                 most = min(most_steps, settings.max_iterations)
                 settings = replace(settings, max_iterations=most)
-            z = values.point.scaled
-            optimum = by_steps(values, settings, noise, z, start.sigma)
+            optimum = by_steps(values, settings, noise, start.sigma)
         is_found = optimum is not None and optimum.solution.outcome.success
         if optimum is None or not (is_found or most_steps is not None):
             program = self.loss.program(values, l1, start.sigma)
@@ -261,55 +248,3 @@ class LikelihoodProblem:
 def likeliest(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
     """The optimum of the smallest deviance; one that is none comes last."""
     return min(estimates, key=lambda e: (not e.is_success, e.deviance))
-
-
-def _fine_at_start(steps: np.ndarray) -> np.ndarray:
-    """The steps of a trajectory, many in the first four gaps between samples.
-
-    The memory that it begins with is free; that of a short delay fades within a few
-    samples. With coarse steps there it could take values far off for the sake of the
-    first residuals, and a simulation from them would go astray.
-    """
-    is_fading = np.arange(len(steps)) < 4
-    return np.where(is_fading, np.maximum(steps, 16), steps)
-
-
-def _check_sensors(task: Task) -> None:
-    for name in task.model.sensor:
-        if name not in task.data.measured:
-            raise DataError(
-                f"the model has a sensor of {name!r}, but {name!r} was never measured; "
-                "leave one of them out."
-            )
-
-
-def _check_number_of_values(task: Task) -> None:
-    data = task.data
-    n_values = len(task.grid.channel)
-    n_theta = len(Theta.of(task.model, task.runs))
-    n_unknown = n_theta + data.n_trajectories * task.model.n_states
-    if n_values <= n_unknown:
-        raise DataError(
-            f"{n_values} measured values are too few for {n_unknown} unknowns "
-            f"({n_theta} parameters and the starting states of {data.n_trajectories} "
-            "trajectories); measure more, or fix parameters."
-        )
-
-
-def _declared_noise(task: Task, loss: MaximumLikelihood) -> np.ndarray:
-    """Noise per state as the loss or the measurements declare it, (n_states,).
-
-    NaN where it is to be estimated. A loss that declares noise declares that of every
-    measured state.
-    """
-    data = task.data
-    noise = loss.noise if loss.noise is not None else data.noise or {}
-    for name in data.measured:
-        is_missing = loss.noise is not None and name not in noise
-        is_wrong = name in noise and not (np.isfinite(noise[name]) and noise[name] > 0)
-        if is_missing or is_wrong:
-            raise DataError(
-                f"noise of the measured state {name!r} is {noise.get(name)!r}; "
-                "expected a number above zero."
-            )
-    return np.array([noise.get(name, np.nan) for name in data.states])

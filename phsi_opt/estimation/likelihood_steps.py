@@ -1,6 +1,6 @@
-"""A likelihood by full steps, its noise re-estimated, or along a force that shrinks.
+"""A likelihood's optimum by full steps or by IPOPT, its noise re-estimated.
 
-Both are one loop of steps (`model_error.joint_estimate`), which lower an objective::
+Full steps are one loop (`model_error.joint_estimate`), which lowers an objective::
 
     1/2 |(y - h(x, theta)) / sigma|^2 + 1/2 d' Q^-1 d   over theta and x
 
@@ -11,11 +11,15 @@ rates, nearly a linear problem whatever the start. As Q falls the states become 
 solution of the model, and each optimum is the start of the next: a homotopy, whose end
 is the likelihood. Only measured states have a force: one in the equations of the others
 could shrink with them, as from a position alone the scale of the momentum is open.
+
+IPOPT solves programs with slack variables (Huber's function, L1), where it is asked
+for, and where full steps do not settle: then with the exact Hessian, as a term is sharp
+or the residuals are large.
 """
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +27,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.noise_estimation import NOISE_TOLERANCE, NoiseIteration
 from phsi_opt.model_error.joint_estimate import (
     EXACTLY,
+    NEARLY_HELD,
     SETTLED_VIOLATION,
     STEPS_OF_A_PROBLEM,
     JointProblem,
@@ -36,9 +41,11 @@ from phsi_opt.optimization.ipopt import (
     STALLED,
     Outcome,
     Solution,
+    Solver,
     SolverSettings,
     names_at_bounds,
 )
+from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 
 # Length of a step, in standard deviations of what is unknown, that is short enough for
@@ -62,22 +69,21 @@ def by_steps(
     values: LikelihoodValues,
     settings: SolverSettings,
     noise: NoiseIteration,
-    z: np.ndarray,
     sigma: np.ndarray,
 ) -> Optimum:
-    """The optimum and its noise, or how far the steps went.
+    """The optimum and its noise, or how far full steps went.
 
     Args:
-        values: of the likelihood.
+        values: of the likelihood, whose point is the start.
         settings: limits.
         noise: re-estimates what is not given.
-        z: (n_variables,) scaled variables to start from.
         sigma: (n_states,) noise to start from.
     """
     began = time.perf_counter()
     most = min(STEPS_OF_A_PROBLEM, settings.max_iterations)
     target = FOR_THE_NOISE if noise.is_estimated.any() else EXACTLY
     linearizer = Linearizer(values)
+    z = values.point.scaled
     joint = None
     n_steps = 0
     is_found = False
@@ -91,9 +97,8 @@ def by_steps(
         is_late = time.perf_counter() - began > settings.max_seconds
         if not joint.has_converged or is_late:
             break
-        updated = noise.updated(
-            sigma, _mean_residual(joint.place.residual, sigma, values)
-        )
+        residual = _mean_residual(joint.place.residual, sigma, values)
+        updated = noise.updated(sigma, residual)
         change = noise.change(sigma, updated)
         sigma = updated
         has_settled = change < NOISE_TOLERANCE
@@ -103,8 +108,9 @@ def by_steps(
             break
         if has_settled:
             target = EXACTLY
-    z = z if joint is None else joint.point.z
-    is_found = is_found and joint is not None and joint.violation < SETTLED_VIOLATION
+    if joint is not None:
+        z = joint.point.z
+        is_found = is_found and joint.violation < SETTLED_VIOLATION
     known = values.at(z)
     solution = solution_of_steps(
         values,
@@ -128,7 +134,7 @@ def solution_of_steps(
     is_found: bool,
     began: float,
 ) -> Solution:
-    """Where steps ended, told as IPOPT's solutions are.
+    """Where steps ended, in the form of IPOPT's solutions.
 
     Args:
         values: of the likelihood.
@@ -139,6 +145,7 @@ def solution_of_steps(
         is_found: whether it is an optimum.
         began: when they began.
     """
+    bounds = (values.lower, values.upper)
     outcome = Outcome(
         success=is_found,
         status=DIRECT_STEPS,
@@ -148,9 +155,7 @@ def solution_of_steps(
         seconds=time.perf_counter() - began,
         objective=float(residual @ residual) / 2,
         infeasibility=violation,
-        at_bounds=names_at_bounds(
-            values.unknown.names, z, (values.lower, values.upper)
-        ),
+        at_bounds=names_at_bounds(values.unknown.names, z, bounds),
     )
     return Solution(values.point.unscaled(z), z, residual, outcome)
 
@@ -198,3 +203,77 @@ def _mean_residual(
     weights = np.sqrt(2 / len(misfit)) / sigma[values.grid.channel]
     residual: np.ndarray = misfit * weights
     return residual
+
+
+# ---- IPOPT ---------------------------------------------------------------------------
+
+
+def by_ipopt(
+    program: Program,
+    settings: SolverSettings,
+    noise: NoiseIteration,
+    sigma: np.ndarray,
+    by_steps: Optimum | None,
+) -> Optimum:
+    """The optimum and its noise, or how far IPOPT went.
+
+    Args:
+        program: of the likelihood.
+        settings: tolerance and limits.
+        noise: re-estimates what is not given.
+        sigma: (n_states,) noise to start from.
+        by_steps: where full steps ended that did not settle; None: there were none.
+    """
+    starts = [(False, program.start), (True, program.start)]  # whether it is exact
+    if by_steps is not None:
+        if by_steps.solution.outcome.infeasibility < NEARLY_HELD:
+            # Steps are Gauss-Newton's: where they stalled, IPOPT's creep.
+            starts = [(True, by_steps.solution.z), (False, program.start)]
+        if not settings.thorough:
+            starts = [start for start in starts if start[0]]
+    for is_exact, z in starts:
+        limits = settings
+        if not (is_exact and settings.thorough):
+            # Gauss-Newton's Hessian converges in a few iterations, or creeps (134 for a
+            # pendulum over the top without its friction): then the exact one is next.
+            most = min(25 if is_exact else 200, settings.max_iterations)
+            limits = replace(settings, max_iterations=most)
+        optimum = _settled(Solver(program, limits, exact=is_exact), noise, z, sigma)
+        if optimum.solution.outcome.success:
+            break
+    return optimum
+
+
+def _settled(
+    solver: Solver, noise: NoiseIteration, z: np.ndarray, sigma: np.ndarray
+) -> Optimum:
+    """Solved again and again with better noise."""
+    for _ in range(6):  # noises, at most
+        solution = _noise_free_is_success(solver.solve(z, sigma))
+        if not solution.outcome.success or not noise.is_estimated.any():
+            break
+        updated = noise.updated(sigma, solution.residual)
+        has_settled = noise.change(sigma, updated) < NOISE_TOLERANCE
+        z, sigma = solution.z, updated
+        if has_settled:
+            solution = solver.solution(z, sigma, solution.outcome)
+            break
+    return Optimum(solution, sigma)
+
+
+def _noise_free_is_success(solution: Solution) -> Solution:
+    """A stall where the residuals are far below the least noise is no failure.
+
+    The data are explained; there is nothing that could be made smaller.
+    """
+    outcome = solution.outcome
+    mean_square = float(np.sum(solution.residual**2)) / 2
+    is_noise_free = mean_square < 0.01**2  # of the noise that is assumed
+    holds = outcome.infeasibility <= 1e-8  # the solver's own tolerance
+    if outcome.success or not is_noise_free or not holds:
+        return solution
+    sentence = (
+        "the data are explained beyond the accuracy of numbers: they have no noise"
+    )
+    explained = replace(outcome, success=True, sentence=sentence, advice="")
+    return replace(solution, outcome=explained)

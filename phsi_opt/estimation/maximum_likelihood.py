@@ -1,52 +1,82 @@
-"""How `MaximumLikelihood` is solved.
+"""How `MaximumLikelihood` is solved: where it starts, and what follows the optimum.
 
-1. Start: states from the data and the model's kinematics, parameters as they are given.
+1. Start: at a fit, or at a crude start: states from the data and the model's own
+   kinematics, parameters as they are given. It need not be near.
 2. Full steps from there: where they leave no more than the scatter of neighbouring
    samples, 3 is not needed.
 3. A missing force that shrinks leads from the crude start near a solution of the model
    (`likelihood_steps`); from there again full steps, with the noise re-estimated until
    it stays; where these do not settle, IPOPT.
-4. More intervals between samples, where the integration error is visible in the
+4. The same from random points around the start, where the user asks for them as a check
+   on local optima (``starts``).
+5. More intervals between samples, where the integration error is visible in the
    estimates.
-5. Pruning, where it is asked for.
+6. Pruning, where it is asked for.
 """
 
+from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from phsi_opt.data.noise import LEAST_SIZE
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.estimate import Progress, pruned, silent
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
-from phsi_opt.estimation.likelihood_start import crude_start, from_fit
-from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.residual_scatter import resolution_notes, scatter_warnings
-from phsi_opt.estimation.several_starts import best_optimum
-from phsi_opt.estimation.step_refinement import finer_steps
-from phsi_opt.estimation.support_selection import pruned
+from phsi_opt.estimation.likelihood_problem import (
+    LikelihoodProblem,
+    StartingPoint,
+    likeliest,
+)
+from phsi_opt.estimation.missing_force import smoothed
+from phsi_opt.estimation.optimum_checks import finer_steps, residual_warnings
+from phsi_opt.estimation.phsi_solve import PHSISolver, best_of_starts
+from phsi_opt.initialization.convex_start import starting_values
+from phsi_opt.initialization.kinematic_states import kinematic_states
+from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
+from phsi_opt.initialization.scaling import theta_scale
 from phsi_opt.model.model import Model
+from phsi_opt.sweeps.sweep import Ahead
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import steps_per_gap
-from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.losses import PHSILoss
+from phsi_opt.transcription.parameter_vector import Theta
+
+# Difference of -2 log likelihood up to which two starts found the same optimum: far
+# below what one parameter more explains by chance, far above the solver's tolerance.
+SAME_DEVIANCE = 0.1
+# Standard deviation of the logarithm of the factor on a value: one value in three is
+# more than doubled or halved.
+LOG_FACTOR_SPREAD = 0.7
+# Standard deviation of what is added to a value of zero, in units of the parameter's
+# size.
+SHIFT_SPREAD = 0.3
 
 
-def by_likelihood(
-    task: Task, loss: MaximumLikelihood, start: Fit | None
-) -> LikelihoodEstimate:
+def by_likelihood(problem: LikelihoodProblem, start: Fit | None) -> LikelihoodEstimate:
     """The maximum of the likelihood from the best of the starting points.
 
     Refined where needed, and pruned.
-
-    Raises:
-        DataError: as `LikelihoodProblem.of`.
     """
-    problem = LikelihoodProblem.of(task, loss)
     first = crude_start(problem) if start is None else from_fit(problem, start)
     estimate = best_optimum(problem, first)
-    if loss.steps is None and task.settings.thorough:
+    if problem.loss.steps is None and problem.task.settings.thorough:
         estimate = _with_fine_steps(problem, estimate)
-    estimate = _with_few_terms(problem, estimate)
-    warnings = scatter_warnings(estimate, problem.noise.is_known)
-    warnings += resolution_notes(estimate, problem.noise.is_known, problem.noise.least)
+    steps = steps_per_gap(estimate.grid)
+
+    def resolve(
+        model: Model,
+        theta: np.ndarray,
+        l1: dict[str, float],
+        known: LikelihoodEstimate,
+    ) -> LikelihoodEstimate:
+        there = replace(StartingPoint.at(known, steps), model=model, theta=theta)
+        return problem.solve(there, l1=l1)
+
+    estimate = pruned(estimate, resolve)
+    warnings = residual_warnings(estimate, problem.noise)
     if not warnings:
         return estimate  # with all that has been worked out about it
     return replace(estimate, notes=estimate.notes + warnings)
@@ -63,7 +93,7 @@ def _with_fine_steps(
         steps = finer_steps(estimate) if estimate.is_success else None
         if steps is None:
             break
-        most = max(int(np.max(of_trajectory)) for of_trajectory in steps)
+        most = int(np.max(np.concatenate(steps)))
         problem.task.say(
             "integration error is visible in the estimates: "
             f"{most} steps per sample at most"
@@ -72,34 +102,208 @@ def _with_fine_steps(
         estimate.release()
         finer = problem.solve(there)
         if not finer.is_success:
-            return replace(estimate, notes=(*estimate.notes, _coarse(most)))
+            note = (
+                "the steps of integration are too long for these estimates, which "
+                f"shift with them; with up to {most} between two samples it could not "
+                "be solved. A rate of the model is far above those that the record "
+                "shows: bound its parameters, or find what the model lacks (diagnose)"
+            )
+            return replace(estimate, notes=(*estimate.notes, note))
         estimate = replace(finer, notes=estimate.notes)
     return estimate
 
 
-def _coarse(most: int) -> str:
-    return (
-        "the steps of integration are too long for these estimates, which shift with "
-        f"them; with up to {most} between two samples it could not be solved. A rate "
-        "of the model is far above those that the record shows: bound its parameters, "
-        "or find what the model lacks (diagnose)"
+# ---- where it starts -----------------------------------------------------------------
+
+
+def crude_start(problem: LikelihoodProblem) -> StartingPoint:
+    """States from the data and the model's kinematics, at the values that are given.
+
+    Nothing is solved for it but, where values are not given and the states follow from
+    the data, the PHSI loss. A state that follows from nothing begins at zero.
+    """
+    task = problem.task
+    grid = task.grid
+    dynamics = task.model.dynamics()
+    guessed = resolve_guesses(dynamics, grid, np.nan_to_num(grid.y))
+    x, is_complete = kinematic_states(guessed, grid)
+    dynamics = resolve_guesses(dynamics, grid, x)
+    notes: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    given = [dynamics.entries[name].parameter.value for name in dynamics.free]
+    if None in given and is_complete and not dynamics.memory:
+        # As if the states had been measured at every node; never pruned.
+        of_dynamics = replace(task, model=dynamics, pruning=None, say=silent)
+        known = replace(grid, y=x)
+        solver = PHSISolver(of_dynamics, PHSILoss(problem.loss.integrator), known)
+        estimates = []
+        for theta in starting_values(dynamics, known, task.l1):
+            estimates.append(solver.solve(dynamics, theta, task.l1))
+        # Success first, then the smaller objective.
+        found = best_of_starts(
+            estimates, lambda e: (not e.is_success, e.solution.outcome.objective)
+        )
+        dynamics = dynamics.with_values(found.values)
+        notes = found.notes
+        held = found.solution.outcome.at_bounds
+    # The values of the sensors stay as they are.
+    entries = task.model.entries
+    values = {name: v for name, v in dynamics.values.items() if name in entries}
+    model = resolve_guesses(task.model.with_values(values), grid, x)
+    unknown = Theta.of(model, task.runs)
+    theta = unknown.spread(model.theta)
+    n_memory = len(model.memory)
+    if n_memory and model.states[-n_memory:] == model.memory:
+        parameters = np.asarray(unknown.by_trajectory(theta))
+        x = with_memory(model, grid, x[:, :-n_memory], parameters)
+    sigma = problem.noise.sigma
+    return StartingPoint(model, theta, grid.split(x), sigma, notes, held=held)
+
+
+def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
+    """At a fit's values, and at its states where it has those of these data."""
+    task = problem.task
+    noise = problem.noise
+    fitted_noise = [start.noise.get(name, 1.0) for name in task.model.states]
+    at_least = np.maximum(fitted_noise, noise.least)
+    sigma = np.where(noise.is_known, noise.sigma, at_least)
+    grid = task.grid
+    lengths = [run.n_samples for run in task.data.trajectories]
+    has_states = [len(x) for x in start.states] == lengths
+    x = np.nan_to_num(grid.y)
+    if has_states:
+        # Those that the model has too.
+        fitted = start.model.states
+        common = [fitted.index(name) for name in task.model.states if name in fitted]
+        x = np.concatenate(start.states)[:, common]
+    model = resolve_guesses(task.model, grid, x)
+    unknown = Theta.of(task.model, task.runs)
+    theta = unknown.from_values(start.estimates, unknown.spread(model.theta))
+    if has_states:
+        # The memory of an effect that the fit did not have follows from its states.
+        parameters = np.asarray(unknown.by_trajectory(theta))
+        states = grid.split(with_memory(model, grid, x, parameters))
+    else:
+        states = states_at(problem, model, theta, sigma)
+    has_steps = [len(n) + 1 for n in start.steps] == lengths
+    keeps_steps = has_steps and problem.loss.steps is None
+    # What solved the fit will solve a model of the same corners.
+    has_corners = set(corner_widths(start.model)) <= set(task.model.entries)
+    is_related = has_states and start.outcome.success and has_corners
+    return StartingPoint(
+        model=model,
+        theta=theta,
+        states=states,
+        sigma=sigma,
+        steps=start.steps if keeps_steps else (),
+        held=start.outcome.at_bounds,
+        is_optimum=is_related and set(start.names) == set(unknown.names),
     )
 
 
-def _with_few_terms(
-    problem: LikelihoodProblem, estimate: LikelihoodEstimate
+def states_at(
+    problem: LikelihoodProblem, model: Model, theta: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """States at the samples for given parameters, (n_samples, n_states) per trajectory.
+
+    The data where they are complete, else smoothed with a missing force.
+
+    Args:
+        problem: the likelihood.
+        model: with its guesses resolved.
+        theta: (n_theta,) the parameters.
+        sigma: (n_states,) noise to begin with.
+
+    Raises:
+        SolveError: if the smoothing fails.
+    """
+    grid = problem.task.grid
+    if grid.measured.all() and not model.sensor:
+        return grid.split(grid.y)
+    found = smoothed(
+        model,
+        grid,
+        sigma,
+        Theta.of(model, problem.task.runs).by_trajectory(theta),
+        rounds=1,
+        known_noise=problem.noise.is_known,
+        integrator=problem.loss.integrator,
+        least_noise=problem.noise.least,
+    )
+    return grid.split(found.x)
+
+
+# ---- several starts ------------------------------------------------------------------
+
+
+def best_optimum(
+    problem: LikelihoodProblem, first: StartingPoint
 ) -> LikelihoodEstimate:
-    """Pruned, with the steps of the estimate."""
-    steps = steps_per_gap(estimate.grid)
+    """The optimum of least deviance, with notes on how it was found.
 
-    def resolve(
-        model: Model,
-        theta: np.ndarray,
-        l1: dict[str, float],
-        known: LikelihoodEstimate,
-    ) -> LikelihoodEstimate:
-        start = StartingPoint.at(known, steps)
-        start = replace(start, model=model, theta=theta)
-        return problem.solve(start, l1=l1)
+    From the first starting point and from random ones, in parallel if asked for.
 
-    return pruned(estimate, resolve)
+    Args:
+        problem: with the number of ``starts`` in its loss.
+        first: the first starting point.
+    """
+    task = problem.task
+    of_workers = replace(problem, task=replace(task, say=silent, executor=None))
+    values = [None, *_random_values(problem, first)]
+    cases = {f"start {number}": theta for number, theta in enumerate(values, 1)}
+    solve = partial(_optimum_at, of_workers, first)
+    with closing(Ahead(solve, cases, task.executor, task.say)) as ahead:
+        estimates = [replace(ahead.result(key), task=task) for key in cases]
+    best = likeliest(estimates)
+    notes = first.notes
+    if len(estimates) > 1:
+        limit = best.deviance + SAME_DEVIANCE
+        n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
+        agreement = f"{n_agreeing} of {len(estimates)} starting points"
+        notes = (*notes, f"{agreement} led to the best solution")
+    return replace(best, notes=notes) if notes else best
+
+
+def _optimum_at(
+    problem: LikelihoodProblem,
+    first: StartingPoint,
+    theta: np.ndarray | None,
+    say: Progress,
+) -> LikelihoodEstimate:
+    """The optimum from the first point, or from other values theta (n_theta,)."""
+    problem = replace(problem, task=replace(problem.task, say=say))
+    if theta is None:
+        return problem.solve_from(first)
+    states = first.states
+    # Far from the data there may be no states; then those of the first point.
+    with suppress(SolveError):
+        states = states_at(problem, first.model, theta, first.sigma)
+    moved = replace(first, theta=theta, states=states, is_optimum=False)
+    return problem.solve_from(moved)
+
+
+def _random_values(
+    problem: LikelihoodProblem, first: StartingPoint
+) -> list[np.ndarray]:
+    """Values (n_theta,) of the points besides the first, ``starts`` of the loss in all.
+
+    Those of the first times a log-normal factor; values of zero are moved by a share of
+    the parameter's size: the change that moves some equation by the size of its rate.
+    """
+    n_further = problem.loss.starts - 1
+    if not n_further:
+        return []
+    unknown = Theta.of(first.model, problem.task.runs)
+    x = np.concatenate(first.states)
+    x_spread = np.maximum(np.std(x, axis=0), LEAST_SIZE)
+    means = unknown.means(first.theta)
+    sizes = theta_scale(first.model, problem.task.grid, means, x, x_spread)
+    shift = SHIFT_SPREAD * unknown.spread(sizes)
+    rng = np.random.default_rng(0)  # the same points every time
+    found = []
+    for _ in range(n_further):
+        for_factor, for_shift = rng.normal(size=(2, len(first.theta)))
+        scaled = first.theta * np.exp(LOG_FACTOR_SPREAD * for_factor)
+        moved = np.where(first.theta != 0, scaled, shift * for_shift)
+        found.append(np.clip(moved, unknown.lower, unknown.upper))
+    return found

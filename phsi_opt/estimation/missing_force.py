@@ -9,11 +9,21 @@ until the sizes settle.
 
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import initial_noise
+from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_record import (
+    lasting_noise,
+    parameter_matrix,
+    parameters_of,
+)
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
@@ -37,6 +47,20 @@ Known = bool | np.ndarray  # whether the noise is known, of all states or of eac
 Forces = tuple[Process, ...]
 
 NO_PARAMETERS = np.zeros(0, dtype=int)  # that are free to move
+ROUNDER = (1.0, 4.0, 16.0, 64.0)  # factors on the width of corners that are too sharp
+# Estimated noise over the scatter of neighbouring samples from which a sensor is
+# doubted: it contradicts another one, which no force explains.
+DOUBTFUL_NOISE = 1.5
+# Correlation time of a sensor's noise, in sampling intervals, up to which it is noise:
+# neighbours with a correlation of 0.7 have 2.8. What lasts longer may be an effect.
+BRIEF_NOISE = 5.0
+# Factor on the size of the rates along the estimated states: from a force so large the
+# second search comes down.
+SIZE_OF_SECOND_SEARCH = 10.0
+# Least noise over what neighbouring samples scatter: a force in the equation of a
+# measured position can go through every sample, and the noise would come out as 1e-14.
+# Not more, as steps that are coarse for the motion scatter by its curvature.
+LEAST_NOISE_BESIDE_SCATTER = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +118,151 @@ class ForceEstimate:
         return self.posterior.log_evidence
 
 
+def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
+    """The force that a fitted model lacks along measurements, with states and noise.
+
+    The search for the sizes is local: begun too low, it can end with everything called
+    noise. And no force explains a sensor that contradicts another one, which would
+    count as noise as well. Where the noise of a channel comes out far beyond what
+    neighbouring samples scatter, the search is begun again from a larger force, and at
+    last with the noise taken from the scatter.
+
+    Args:
+        fit: the fitted model.
+        data: measurements with states and inputs in the model's order.
+        grid: the same, laid out with one interval between neighbouring samples.
+
+    Returns:
+        States (n_nodes, n_states), force (n_intervals, n_forced), noise per state.
+
+    Raises:
+        SolveError: no states were found with which a force explains the data.
+    """
+    given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
+    is_given = np.isfinite(given)
+    model = fit.model.frozen()
+    theta = None
+    if fit.by_trajectory:
+        model = fit.model
+        theta = parameter_matrix(model, parameters_of(fit, data))
+    guess = initial_noise(data, given)
+    scatter = np.where(is_given, given, initial_noise(data))
+    lasting = lasting_noise(fit.model_error_rows, model.states, longest_noise(grid))
+    search = partial(
+        smoothed,
+        model,
+        grid,
+        theta=theta,
+        known_noise=is_given,
+        sensors=tuple(error for error in lasting if not is_given[error.place]),
+        least_noise=np.maximum(
+            quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
+        ),
+    )
+    estimate = search(guess)
+    measured = grid.measured_states
+
+    def is_doubtful(found: ForceEstimate) -> bool:
+        return bool(np.any(measured & (found.white > DOUBTFUL_NOISE * scatter)))
+
+    if is_doubtful(estimate):
+        rates = np.sqrt(np.mean(grid.rates(estimate.x) ** 2, axis=0))
+        sizes = np.maximum(rates[list(estimate.rows)], estimate.size)
+        larger = tuple(
+            replace(force, size=float(SIZE_OF_SECOND_SEARCH * size))
+            for force, size in zip(estimate.disturbances.forces, sizes, strict=True)
+        )
+        with suppress(SolveError):
+            second = search(scatter, forces=larger)
+            estimate = max(estimate, second, key=lambda found: found.log_evidence)
+    contradiction_is_possible = measured.sum() > 1
+    if contradiction_is_possible and is_doubtful(estimate):
+        with suppress(SolveError):
+            return smoothed(model, grid, scatter, theta, known_noise=True)
+    return estimate
+
+
+def longest_noise(grid: Grid) -> float:
+    """Correlation time up to which an error of a sensor is noise."""
+    return BRIEF_NOISE * float(np.median(grid.h))
+
+
+def smoothed(
+    model: Model,
+    grid: Grid,
+    sigma: np.ndarray,
+    theta: np.ndarray | None = None,
+    *,
+    forces: Forces | None = None,
+    **options: Any,
+) -> ForceEstimate:
+    """States, also unmeasured ones, and missing force at given parameters.
+
+    Where a corner of dry friction is too sharp for the search, it is rounded, and the
+    estimate says so: with a sharp one a search may end anywhere between the force it
+    began with and the one that is missing.
+
+    Args:
+        model: The model; its present values are the parameters unless ``theta`` is
+            given.
+        grid: Nodes, intervals and measurements.
+        sigma: (n_states,) noise to begin with.
+        theta: Other values, (n_free, n_trajectories) where trajectories have parameters
+            of their own.
+        forces: to begin with; None: `generous_force`.
+        **options: Those of `estimate_force`.
+
+    Raises:
+        SolveError: No force was found, with rounded corners either.
+    """
+    point = first_point(model, grid)
+    if theta is not None:
+        point = replace(point, theta=theta)
+    usual = generous_force(model, grid, point) if forces is None else forces
+    widths = {name: model.values[name] for name in corner_widths(model)}
+
+    def first_found(is_patient: bool) -> tuple[tuple[float, Forces], ForceEstimate]:
+        """The first attempt whose search ended well, else the first of all."""
+        unfinished = None
+        for factor, begun in attempts:
+            rounded = {}
+            if factor != 1:
+                rounded = {name: factor * width for name, width in widths.items()}
+            try:
+                estimate = estimate_force(
+                    model.with_values(rounded),
+                    grid,
+                    point,
+                    sigma,
+                    forces=begun,
+                    is_patient=is_patient,
+                    **options,
+                )
+            except SolveError as error:
+                failure = error
+                continue
+            found = (factor, begun), replace(estimate, rounded=rounded)
+            if estimate.has_converged:
+                return found
+            unfinished = unfinished or found
+        if unfinished is None:
+            raise failure
+        return unfinished
+
+    # Factors on the width of corners, and the forces to begin with.
+    attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
+    # With a corner of the user's own, which is not known as one, a small force.
+    attempts.append((1.0, _scaled(usual, 0.01)))
+    if widths:
+        # With a corner that can be rounded, patience is for when all else fails.
+        with suppress(SolveError):
+            attempt, estimate = first_found(is_patient=False)
+            if estimate.has_converged:
+                return estimate
+            attempts = [attempt]
+    return first_found(is_patient=True)[1]
+
+
 def generous_force(model: Model, grid: Grid, point: Point) -> Forces:
     """A force in every equation that can lack one, as large as its state's rate.
 
@@ -147,16 +316,24 @@ def estimate_force(
     forces = generous_force(model, grid, point) if forces is None else forces
     noise = np.tile(sigma, (grid.n_trajectories, 1))
     disturbances = Disturbances(noise, forces, sensors)
-    unknown = grid.measured_states & ~np.broadcast_to(known_noise, len(sigma))
-    channels = tuple(np.flatnonzero(unknown).tolist())
-    linearizer = Linearizer(_values(model, grid, point, integrator))
+    is_open = grid.measured_states & ~np.broadcast_to(known_noise, len(sigma))
+    channels = tuple(np.flatnonzero(is_open).tolist())
+    # The likelihood at parameters that stay.
+    unknown = Theta.of(model, list(map(str, range(grid.n_trajectories))))
+    theta = point.theta
+    if theta.ndim == 2:
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = point.theta
+    point = replace(point, theta=theta, theta_scale=np.ones(len(unknown)))
+    values = LikelihoodValues(model, grid, integrator, point, unknown)
+    linearizer = Linearizer(values)
     last: JointPoint | None = None
 
     def solved(
         start: JointPoint | None, most_steps: int = STEPS_OF_A_PROBLEM
     ) -> JointEstimate:
         problem = JointProblem(linearizer, disturbances, NO_PARAMETERS)
-        z = linearizer.values.point.scaled if start is None else start.z
+        z = point.scaled if start is None else start.z
         return problem.optimum(z, most_steps, start)
 
     for n_left in reversed(range(rounds)):
@@ -188,29 +365,14 @@ def estimate_force(
         disturbances = coordinates.at(sized.vector)
         if sized.gain < SETTLED_EVIDENCE and found.has_converged:
             break
-    x = linearizer.values.point.unscaled(found.point.z)["x"]
     n_forces = len(forces) * grid.n_intervals
     return ForceEstimate(
-        x=x.reshape(point.x.shape),
+        x=point.unscaled(found.point.z)["x"].reshape(point.x.shape),
         w=found.point.processes[:n_forces].reshape(len(forces), -1).T,
         grid=grid,
         posterior=ForcePosterior(found.likelihood, disturbances),
         has_converged=found.has_converged,
     )
-
-
-def _values(
-    model: Model, grid: Grid, point: Point, integrator: str
-) -> LikelihoodValues:
-    """The likelihood at parameters that stay."""
-    runs = tuple(str(number) for number in range(grid.n_trajectories))
-    unknown = Theta.of(model, runs)
-    theta = point.theta
-    if theta.ndim == 2:
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = point.theta
-    point = replace(point, theta=theta, theta_scale=np.ones(len(unknown)))
-    return LikelihoodValues(model, grid, integrator, point, unknown)
 
 
 def _scaled(forces: Forces, factor: float) -> Forces:
@@ -219,84 +381,3 @@ def _scaled(forces: Forces, factor: float) -> Forces:
 
 def _is_lost(found: JointEstimate) -> bool:
     return not found.has_converged and found.violation > NEARLY_HELD
-
-
-# Factors on the width of corners that are too sharp.
-ROUNDER = (1.0, 4.0, 16.0, 64.0)
-
-
-def smoothed(
-    model: Model,
-    grid: Grid,
-    sigma: np.ndarray,
-    theta: np.ndarray | None = None,
-    *,
-    forces: Forces | None = None,
-    **options: Any,
-) -> ForceEstimate:
-    """States, also unmeasured ones, and missing force at given parameters.
-
-    Where a corner of dry friction is too sharp for the search, it is rounded, and the
-    estimate says so: beside one a search may end anywhere between the force it began
-    with and the one that is missing.
-
-    Args:
-        model: The model; its present values are the parameters unless ``theta`` is
-            given.
-        grid: Nodes, intervals and measurements.
-        sigma: (n_states,) noise to begin with.
-        theta: Other values, (n_free, n_trajectories) where trajectories have parameters
-            of their own.
-        forces: to begin with; None: `generous_force`.
-        **options: Those of `estimate_force`.
-
-    Raises:
-        SolveError: No force was found, with rounded corners either.
-    """
-    point = first_point(model, grid)
-    if theta is not None:
-        point = replace(point, theta=theta)
-    usual = generous_force(model, grid, point) if forces is None else forces
-    values = model.values
-    widths = {name: values[name] for name in corner_widths(model)}
-
-    def first_found(is_patient: bool) -> tuple[tuple[float, Forces], ForceEstimate]:
-        """The first attempt whose search ended well, else the first of all."""
-        unfinished = None
-        for factor, begun in attempts:
-            rounded = {}
-            if factor != 1:
-                rounded = {name: factor * width for name, width in widths.items()}
-            try:
-                estimate = estimate_force(
-                    model.with_values(rounded),
-                    grid,
-                    point,
-                    sigma,
-                    forces=begun,
-                    is_patient=is_patient,
-                    **options,
-                )
-            except SolveError as error:
-                failure = error
-                continue
-            found = (factor, begun), replace(estimate, rounded=rounded)
-            if estimate.has_converged:
-                return found
-            unfinished = unfinished or found
-        if unfinished is None:
-            raise failure
-        return unfinished
-
-    # Factors on the width of corners, and the forces to begin with.
-    attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
-    # Beside a corner of the user's own, which is not known as one, a small force.
-    attempts.append((1.0, _scaled(usual, 0.01)))
-    if widths:
-        # Beside a corner that can be rounded, patience is for when all else fails.
-        with suppress(SolveError):
-            attempt, estimate = first_found(is_patient=False)
-            if estimate.has_converged:
-                return estimate
-            attempts = [attempt]
-    return first_found(is_patient=True)[1]

@@ -1,4 +1,4 @@
-"""The measurement noise of a likelihood, estimated with the parameters.
+"""The measurement noise of a likelihood, known or estimated with the parameters.
 
 The program is solved for a noise that it takes as given; then the noise is set to what
 the residuals show, and the program solved again, until the noise stays. A first guess,
@@ -10,9 +10,13 @@ from functools import cached_property
 
 import numpy as np
 
-from phsi_opt.data.noise import least_noise
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import initial_noise, least_noise
+from phsi_opt.data.resolution import quantisation_noise
+from phsi_opt.errors import DataError
 from phsi_opt.statistics import normal_density, normal_tail
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.losses import MaximumLikelihood
 
 # Change of the logarithm of the noise at which its estimate stays: a tenth of its
 # standard error with 200 values.
@@ -20,6 +24,49 @@ NOISE_TOLERANCE = 0.005
 # Share of the measured values, at least, that counts: with fewer a variance would be
 # divided by what is nearly zero.
 LEAST_COUNTED = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevels:
+    """Noise per state before the first solve.
+
+    Attributes:
+        sigma: (n_states,) standard deviations.
+        is_known: (n_states,) whether it was declared; the others are estimated.
+        least: (n_states,) below which none is estimated: that of quantisation.
+    """
+
+    sigma: np.ndarray
+    is_known: np.ndarray
+    least: np.ndarray
+
+    @classmethod
+    def known(cls, sigma: np.ndarray) -> "NoiseLevels":
+        """Noise that is known of every state."""
+        return cls(sigma, np.ones(len(sigma), dtype=bool), np.zeros(len(sigma)))
+
+    @classmethod
+    def of(cls, data: Measurements, loss: MaximumLikelihood) -> "NoiseLevels":
+        """As the loss or the measurements declare it, else a guess from the data.
+
+        A loss that declares noise declares that of every measured state.
+
+        Raises:
+            DataError: the declared noise is none, or nothing moves.
+        """
+        noise = loss.noise if loss.noise is not None else data.noise or {}
+        for name in data.measured:
+            is_missing = loss.noise is not None and name not in noise
+            value = noise.get(name, np.nan)
+            is_wrong = name in noise and not (np.isfinite(value) and value > 0)
+            if is_missing or is_wrong:
+                raise DataError(
+                    f"noise of the measured state {name!r} is {noise.get(name)!r}; "
+                    "expected a number above zero."
+                )
+        declared = np.array([noise.get(name, np.nan) for name in data.states])
+        sigma = initial_noise(data, declared)
+        return cls(sigma, np.isfinite(declared), quantisation_noise(data))
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +120,9 @@ class NoiseIteration:
 
     def change(self, sigma: np.ndarray, updated: np.ndarray) -> float:
         """Of the logarithm of the noise, the largest that moves the estimates."""
-        is_measured = self.grid.measured_states
-        change = np.log(updated / sigma)[is_measured]
-        # One factor for all channels leaves the estimates where they are.
-        is_scale_free = (
-            self.is_estimated.all() and self.huber is None and not self.has_l1
-        )
+        change = np.log(updated / sigma)[self.grid.measured_states]
         largest = float(np.max(np.abs(change)))
-        return min(largest, float(np.ptp(change))) if is_scale_free else largest
+        if not self.is_estimated.all() or self.huber is not None or self.has_l1:
+            return largest
+        # One factor for all channels leaves the estimates where they are.
+        return min(largest, float(np.ptp(change)))

@@ -7,12 +7,9 @@ from typing import TypeVar
 import numpy as np
 
 from phsi_opt.errors import DataError
-from phsi_opt.estimation import uncertainty
-from phsi_opt.estimation.estimate import Estimate
+from phsi_opt.estimation.estimate import Estimate, Task, pruned
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.support_selection import pruned
-from phsi_opt.estimation.uncertainty import Uncertainty
+from phsi_opt.estimation.uncertainty import Uncertainty, of_defects
 from phsi_opt.initialization.convex_start import starting_values
 from phsi_opt.initialization.frequency_scan import frequency_scans, imitators
 from phsi_opt.initialization.relative_guesses import resolve_guesses
@@ -51,7 +48,7 @@ class PHSIEstimate(Estimate):
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Sandwich covariance: neighbouring defects share a noisy sample."""
-        return uncertainty.of_defects(
+        return of_defects(
             self.model,
             self._used,
             self.loss.integrator,
@@ -112,18 +109,15 @@ class PHSISolver:
         starts: Sequence[np.ndarray],
         removed: tuple[str, ...] = (),
     ) -> list[PHSIEstimate]:
-        """An estimate from each start (n_free,), beside what was removed before."""
-        estimates = []
-        for theta in starts:
-            first = self.solve(model, theta, self.task.l1)
-            estimates.append(pruned(replace(first, removed=removed), self.solve))
-        return estimates
+        """A pruned estimate from each start (n_free,), besides what is ``removed``."""
+        firsts = [self.solve(model, theta, self.task.l1) for theta in starts]
+        return [pruned(replace(one, removed=removed), self.solve) for one in firsts]
 
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     """The best of the solutions from several starts, each pruned.
 
-    Where terms that imitate a wave are left, the wave alone is tried as well.
+    Where terms that imitate a wave were kept, the wave alone is tried as well.
 
     Raises:
         DataError: every state is zero at every sample.
@@ -157,18 +151,17 @@ def _without_imitators(
     Over a short record polynomials in the time imitate a slow wave. L1 prefers them,
     because their coefficients are the smaller ones: a cubic of 0.01 is worth 10 at
     t = 10. The wave is then pruned before L1 goes, and no re-solve brings it back. So
-    the choice is left to the rule that compares starts. Nothing is tried where pruning
-    left waves alone.
+    the rule that compares starts decides. Nothing is tried where pruning kept waves
+    alone.
     """
     pruning = solver.task.pruning
     if pruning is None:
         return []
     removable = imitators(model) & set(pruning.candidates(model))
-    left = set(best.model.free)
-    waves: set[str] = set()
-    for scan in frequency_scans(model):
-        waves |= set(scan.amplitudes)
-    has_waves_alone = bool(left & waves) and not left & removable
+    kept = set(best.model.free)
+    scans = frequency_scans(model)
+    waves = {name for scan in scans for name in scan.amplitudes}
+    has_waves_alone = bool(kept & waves) and not kept & removable
     if not removable or has_waves_alone:
         return []
     smaller = model.without(removable)

@@ -2,38 +2,54 @@
 
 Aligning measurements with a model, laying them out, collecting the parameters of every
 trajectory and estimating the missing force (with it the noise) are the same for every
-question that is asked of a fit. They are done here, and the record is handed on.
+question that is asked of a fit. They are done here, and the record is handed on; so are
+the states from which a free run begins.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import (
+    SENSOR_ERROR,
     parameter_matrix,
     parameters_of,
 )
-from phsi_opt.estimation.force_search import longest_noise, missing_force_of
-from phsi_opt.estimation.missing_force import ForceEstimate
-from phsi_opt.estimation.model_error_table import SENSOR_ERROR
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
+from phsi_opt.estimation.missing_force import (
+    ForceEstimate,
+    longest_noise,
+    missing_force_of,
+)
+from phsi_opt.estimation.noise_estimation import NoiseLevels
+from phsi_opt.estimation.optimum_checks import finer_steps
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData, Grid
+from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.parameter_vector import Theta
+
+# The noise is known and the start is near, so a brief solve is enough.
+BRIEF_SOLVE = SolverSettings(max_iterations=60, thorough=False)
+STEP_REFINEMENTS = 2  # how often the steps along a record are made finer, at most
+FINER = 4  # factor on the steps where their error shows beside the residuals
+MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A fit beside one set of measurements.
+    """A fit and one set of measurements.
 
     Attributes:
         fit: the fit.
         aligned: the measurements in the model's order, laid out.
-        parameters: values of the free parameters by trajectory and name; for a
-            trajectory that the fit has not seen, the means of the fit. Where they are
-            `estimated_here` that is where the search for them begins.
         estimate: states, noise and missing force along the measurements. Of a candidate
             (see `refitted`) it is that of the base model: noise and starting states
             are then judged alike for all candidates.
@@ -41,7 +57,6 @@ class Record:
 
     fit: Fit
     aligned: AlignedData
-    parameters: Mapping[str, Mapping[str, float]]
     estimate: ForceEstimate
 
     @classmethod
@@ -62,20 +77,11 @@ class Record:
             SolveError: the missing force could not be estimated.
         """
         aligned = aligned.for_model(fit.model)
-        estimate = missing_force_of(fit, aligned.data, aligned.grid)
-        return cls.beside(fit, aligned, estimate)
-
-    @classmethod
-    def beside(
-        cls, fit: Fit, aligned: AlignedData, estimate: ForceEstimate
-    ) -> "Record":
-        """The record of a fit that begins at an estimate made before."""
-        aligned = aligned.for_model(fit.model)
-        return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
+        return cls(fit, aligned, missing_force_of(fit, aligned.data, aligned.grid))
 
     def refitted(self, fit: Fit) -> "Record":
-        """The same measurements beside the fit of a larger model."""
-        return Record.beside(fit, self.aligned, self.estimate)
+        """The same measurements with the fit of a larger model."""
+        return Record(fit, self.aligned.for_model(fit.model), self.estimate)
 
     @property
     def data(self) -> Measurements:
@@ -96,6 +102,15 @@ class Record:
     def trajectories(self) -> tuple[str, ...]:
         """Names of the trajectories."""
         return tuple(run.name for run in self.data.trajectories)
+
+    @cached_property
+    def parameters(self) -> Mapping[str, Mapping[str, float]]:
+        """Values of the free parameters by trajectory and name.
+
+        For a trajectory that the fit has not seen, the means of the fit. Where they are
+        `estimated_here` that is where the search for them begins.
+        """
+        return parameters_of(self.fit, self.data)
 
     @cached_property
     def theta(self) -> np.ndarray:
@@ -119,9 +134,9 @@ class Record:
 
     @property
     def has_correlated_noise(self) -> bool:
-        """Whether what is beside the model is noise of the sensors that lasts briefly.
+        """Whether all disturbances are errors of sensors that last for a few samples.
 
-        As the fit found it: for a few samples, and no force and no function of a state.
+        As the fit found it: no force and no function of a state.
         """
         rows = self.fit.model_error_rows
         if self.fit.has_model_error:
@@ -132,9 +147,9 @@ class Record:
 
     @property
     def shows_correlated_noise(self) -> bool:
-        """Whether noise of the sensors that lasts briefly is beside the model at all.
+        """Whether a disturbance is an error of a sensor that lasts for a few samples.
 
-        A force may be beside it too, or a function of a state.
+        There may be a force too, or a function of a state.
         """
         rows = self.fit.model_error_rows
         errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
@@ -167,8 +182,158 @@ class Record:
         Args:
             model: the fitted one, or a larger one.
         """
-        if self._was_fitted:
-            return set()
-        return {
-            name for name in model.free if model.entries[name].parameter.per_trajectory
-        }
+        entries = model.entries
+        own = {name for name in model.free if entries[name].parameter.per_trajectory}
+        return set() if self._was_fitted else own
+
+
+# ---- the states with which a fitted model explains a record best ---------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedStates:
+    """States at the samples, and the parameters that belong to them.
+
+    Attributes:
+        states: one (n_samples, n_states) per trajectory.
+        parameters: values of the free parameters by trajectory and name.
+    """
+
+    states: Sequence[np.ndarray]
+    parameters: Mapping[str, Mapping[str, float]]
+
+
+def smoothed_states(record: Record) -> SmoothedStates:
+    """The states of a model along a record, from which free runs begin.
+
+    The dynamics hold exactly (zero defects) and the shared parameters stay as they are.
+    On the measurements of the fit they are those of the fit. Elsewhere they are found
+    by maximum likelihood, and with them what every trajectory has of its own; where no
+    states obey the model along the whole record, those of the missing force are the
+    best to begin from.
+    """
+    fit = record.fit
+    if record.is_of_training:
+        return SmoothedStates(fit.states, record.parameters)
+    nodes = np.concatenate(record.start)
+    guess = record.grid.split(
+        with_memory(record.model, record.grid, nodes, record.theta)
+    )
+    sigma = record.sigma
+    if fit.huber is not None:
+        # Outliers that the fit set aside must not make up the noise.
+        by_state = zip(record.model.states, sigma, strict=True)
+        sigma = np.array([fit.noise.get(name, s) for name, s in by_state])
+    found = _most_likely_states(record, sigma, guess)
+    return found or SmoothedStates(guess, record.parameters)
+
+
+def _most_likely_states(
+    record: Record, sigma: np.ndarray, guess: Sequence[np.ndarray]
+) -> SmoothedStates | None:
+    """States by maximum likelihood, parameters per trajectory; None: not found."""
+    fit = record.fit
+    data = record.data
+    steps = steps_on(fit, data)
+    own_names = record.estimated_here(fit.model)
+    if not own_names and not fit.by_trajectory:
+        model = fit.model.frozen()
+        state = _accurate(fit, model, record.aligned, sigma, guess, steps)
+        if state is None:
+            return None
+        return SmoothedStates(state.states, record.parameters)
+    states: list[np.ndarray] = []
+    parameters: dict[str, Mapping[str, float]] = {}
+    for number, run in enumerate(data.trajectories):
+        known = record.parameters[run.name]
+        # Free is only what the trajectory has of its own, if unknown.
+        others = {name: v for name, v in known.items() if name not in own_names}
+        model = fit.model.with_values(known).with_fixed(others)
+        aligned = AlignedData.of(model, data[number])
+        own = slice(number, number + 1)
+        state = _accurate(fit, model, aligned, sigma, guess[own], steps[own])
+        if state is None:
+            return None
+        own_values = state.unknown.values_of(state.theta, run.name)
+        parameters[run.name] = {**known, **own_values}
+        states += state.states
+    return SmoothedStates(tuple(states), parameters)
+
+
+def _accurate(
+    fit: Fit,
+    model: Model,
+    aligned: AlignedData,
+    sigma: np.ndarray,
+    guess: Sequence[np.ndarray],
+    steps: Sequence[np.ndarray],
+) -> LikelihoodEstimate | None:
+    """The most likely states, with steps so fine that an accurate run agrees with them.
+
+    An accurate run from the first state would otherwise leave the others.
+    """
+    likely = partial(maximum_along, aligned, sigma, likelihood_of(fit), model)
+    state = likely(guess, steps)
+    for _ in range(STEP_REFINEMENTS):
+        if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:
+            break
+        # Beside large residuals an integration error does not show.
+        size = np.sqrt(max(state.solution.outcome.objective, 1.0))
+        if finer_steps(replace(state, sigma=size * state.sigma)) is None:
+            break
+        steps = [FINER * n for n in steps]
+        refined = likely(state.states, steps)
+        if refined is None:
+            break
+        state = refined
+    return state
+
+
+def maximum_along(
+    aligned: AlignedData,
+    sigma: np.ndarray,
+    loss: MaximumLikelihood,
+    model: Model,
+    states: Sequence[np.ndarray],
+    steps: Sequence[np.ndarray],
+) -> LikelihoodEstimate | None:
+    """The likelihood's maximum along a record whose noise is known; None: not found.
+
+    For what is asked of a fit afterwards: no windows, no finer steps, no pruning.
+
+    Args:
+        aligned: the record.
+        sigma: (n_states,) its noise.
+        loss: the likelihood.
+        model: with the values to start from; those that are free are estimated.
+        states: (n_samples, n_states) per trajectory, at the samples, to start from.
+        steps: intervals in every gap between samples, (n_samples - 1,) per trajectory.
+    """
+    task = Task(model, aligned, l1={}, pruning=None, settings=BRIEF_SOLVE)
+    start = StartingPoint(
+        model=model,
+        theta=Theta.of(model, task.runs).spread(model.theta),
+        states=tuple(states),
+        sigma=sigma,
+        steps=tuple(steps),
+    )
+    problem = LikelihoodProblem(task, loss, NoiseLevels.known(sigma))
+    estimate = problem.solve_from(start)
+    return estimate if estimate.is_success else None
+
+
+def likelihood_of(fit: Fit) -> MaximumLikelihood:
+    """The loss of the fit, for a record along which its parameters are known."""
+    return MaximumLikelihood(huber=fit.huber)
+
+
+def steps_on(fit: Fit, data: Measurements) -> tuple[np.ndarray, ...]:
+    """Intervals in every gap between samples, one (n_samples - 1,) per trajectory.
+
+    Those of the fit on its own record, else its median everywhere.
+    """
+    lengths = [run.n_samples for run in data.trajectories]
+    if [len(steps) + 1 for steps in fit.steps] == lengths:
+        return fit.steps
+    median = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
+    return tuple(np.full(n_samples - 1, median) for n_samples in lengths)

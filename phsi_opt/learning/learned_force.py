@@ -29,8 +29,8 @@ from phsi_opt.arguments import require_count, require_known
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_file import read_json
 from phsi_opt.estimation.identify import identify
-from phsi_opt.estimation.json_file import read_json
 from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
 from phsi_opt.learning.network import Network, range_of

@@ -27,7 +27,7 @@ from phsi_opt.data.noise import initial_noise
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.force_search import LEAST_NOISE_BESIDE_SCATTER
+from phsi_opt.estimation.missing_force import LEAST_NOISE_BESIDE_SCATTER
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model

@@ -9,8 +9,7 @@ import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_report import equation_lines
+from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.pictures import samples_of_each
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.presentation.content import (

@@ -14,8 +14,8 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
+from phsi_opt.estimation.estimate import silent
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.problem import silent
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given, effect_named
 from phsi_opt.model.effect import Effect

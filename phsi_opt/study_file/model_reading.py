@@ -14,7 +14,7 @@ import numpy as np
 from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import checked_names
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.estimation.model_content import GUESSES, KINDS
+from phsi_opt.estimation.fit_file import GUESSES, KINDS
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, names_of
 from phsi_opt.model.model import Model

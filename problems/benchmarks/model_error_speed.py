@@ -17,8 +17,8 @@ from collections.abc import Callable
 import pandas as pd
 
 import phsi_opt as ph
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
-from phsi_opt.estimation.problem import Task
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks.coverage_fits import SCENARIOS
 from problems.benchmarks.disturbed_oscillator import Layout, model

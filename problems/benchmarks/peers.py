@@ -19,9 +19,9 @@ import pandas as pd
 
 import phsi_opt as ph
 from phsi_opt.errors import SolveError
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.problem import Task
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood

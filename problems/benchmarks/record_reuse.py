@@ -31,7 +31,7 @@ NOW = {
     "aligned": "phsi_opt.transcription.grid.aligned",
     "laid out": "phsi_opt.transcription.grid.grid_of",
     "fingerprints": "phsi_opt.data.measurements.Measurements.digest",
-    "missing forces": "phsi_opt.estimation.force_search.missing_force_of",
+    "missing forces": "phsi_opt.estimation.missing_force.missing_force_of",
     "free runs": "phsi_opt.comparison.compare.compare_record",
     "force along the record": "phsi_opt.force_analysis.force_record.ForceRecord.of",
 }

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.checks import Hold
-from phsi_opt.estimation.identified import PARAMETER_COLUMNS
+from phsi_opt.estimation.fit_record import PARAMETER_COLUMNS
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.simulation.simulate import simulate_forced

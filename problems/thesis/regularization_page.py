@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.estimation.identified import Identified
+from phsi_opt.estimation.fit_record import Identified
 from problems.tools import markdown
 from problems.tools.pictures import plt, save
 

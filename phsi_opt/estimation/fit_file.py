@@ -1,0 +1,173 @@
+"""Fits and models in JSON files: every record is a mapping of its fields.
+
+Formulas stay text. Reading one goes through the whitelist of `expressions`, when the
+model checks its terms; nothing of a file is ever run as code.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from phsi_opt.errors import DataError, PhsiOptError
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.parameters import Scan, Share, Tried
+from phsi_opt.model.slots import BY_EQUATION
+from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.reading import file_text, why_not_read
+
+Result = TypeVar("Result")
+Content = dict[str, Any]
+
+KINDS: dict[str, type[Model]] = {
+    "PseudoHamiltonian": PseudoHamiltonian,
+    "FirstOrder": FirstOrder,
+}
+GUESSES: dict[str, type[Scan | Share | Tried]] = {
+    "Scan": Scan,
+    "Share": Share,
+    "Tried": Tried,
+}
+# What a damaged content can raise while an object is made of it.
+DAMAGE = (
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
+
+
+def encoded(value: Any) -> Any:
+    """What JSON holds of a value: mappings of fields, lists, numbers and text."""
+    if isinstance(value, Dictionary):
+        return encoded(value.terms)
+    if isinstance(value, Scan | Share | Tried):
+        return [type(value).__name__, *vars(value).values()]
+    if is_dataclass(value):
+        return {one.name: encoded(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): encoded(one) for name, one in value.items()}
+    if isinstance(value, tuple | list):
+        return list(map(encoded, value))
+    return value
+
+
+def decoded(kind: Any, value: Any) -> Any:
+    """A value of a type, from its content; a whole number passes for a float.
+
+    Fields that an older file lacks keep their defaults.
+
+    Raises:
+        LookupError, TypeError, ValueError, AttributeError: The content is damaged.
+    """
+    origin = get_origin(kind)
+    args = get_args(kind)
+    if kind is Any or (value is None and type(None) in args):
+        return value
+    if type(None) in args:
+        kind = args[0]
+    if kind is Scan:  # or another guess
+        name, *settings = value
+        return GUESSES[name](*settings)
+    if kind is Dictionary:
+        return Dictionary(decoded(tuple[Term, ...], value))
+    if kind is np.ndarray:
+        return np.array(value, dtype=float)
+    if origin is Mapping:
+        return {decoded(args[0], k): decoded(args[1], v) for k, v in value.items()}
+    if origin is tuple and isinstance(value, list):
+        return tuple(decoded(args[0], one) for one in value)
+    if isinstance(kind, type) and is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return kind(**{name: decoded(hints[name], v) for name, v in value.items()})
+    if kind is float and type(value) is int:
+        return float(value)
+    if issubclass(kind, StrEnum):
+        return kind(value)
+    if type(value) is not kind:
+        raise TypeError(f"{value!r} is not of type {kind.__name__}")
+    return value
+
+
+def model_content(model: Model) -> Content:
+    """The content of a model."""
+    content = {"kind": type(model).__name__, "kinds": dict(model.kind)}
+    for name in ("states", "inputs", "memory", "S", "H", *BY_EQUATION):
+        content[name] = encoded(getattr(model, name))
+    return content
+
+
+def model_from(content: Content) -> Model:
+    """The model of a content that `model_content` made.
+
+    Raises:
+        ModelError: A formula is not one, or the model contradicts itself.
+        LookupError, TypeError, ValueError, AttributeError: The content is damaged.
+    """
+    parts: Content = {
+        "states": content["states"],
+        "inputs": content["inputs"],
+        "memory": content.get("memory", []),
+        "kind": content.get("kinds", {}),
+    }
+    for slot in BY_EQUATION:
+        parts[slot] = decoded(Mapping[str, Dictionary], content.get(slot, {}))
+    kind = KINDS[content["kind"]]
+    if kind is PseudoHamiltonian:
+        parts["S"] = content["S"]
+        parts["H"] = decoded(Dictionary, content["H"])
+    return kind(**parts)
+
+
+def read_json(
+    path: str | Path,
+    expected: str,
+    what: str,
+    from_content: Callable[[Content], Result],
+) -> Result:
+    """Read a JSON file and make an object of its content.
+
+    Args:
+        path: Of the file.
+        expected: Value that ``format`` must have in the file.
+        what: What the file should hold, for messages: "a fit".
+        from_content: Makes the object.
+
+    Raises:
+        DataError: The file cannot be read, is of another format, or is damaged.
+    """
+    content = _content(path, what)
+    if not isinstance(content, dict) or content.get("format") != expected:
+        raise DataError(
+            f"{path} is not a file of the format {expected!r}; "
+            "write one with save(path)."
+        )
+    try:
+        return from_content(content)
+    except PhsiOptError as error:
+        raise DataError(f"{path} holds a model that is not valid: {error}") from None
+    except DAMAGE as error:
+        raise DataError(
+            f"{path} is damaged: {type(error).__name__} {error}. "
+            "Write it again with save."
+        ) from None
+
+
+def _content(path: str | Path, what: str) -> Any:
+    try:
+        return json.loads(file_text(path))
+    except OSError as error:
+        reason = why_not_read(error)
+    except RecursionError:
+        reason = "its lists or mappings lie too deep in each other"
+    except (TypeError, ValueError) as error:
+        reason = str(error)
+    raise DataError(f"{path} cannot be read as {what}: {reason}.")

@@ -1,0 +1,172 @@
+"""What is checked at an optimum: its residuals against the data, its integration error.
+
+Residuals that are far larger than the scatter of neighbouring samples say that the
+optimum is a wrong one, or that the model lacks something. The scatter needs no model:
+each sample against the cubic through its neighbours (`data.noise.difference_noise`).
+
+Quantisation is like noise, uniform and new in every sample, where a signal crosses
+several steps (Widrow 1956). Where it stays within one, the errors follow the motion.
+
+The integration error of each interval, against a finer integration, offsets its
+constraint; the linearised likelihood says what that does to parameters and states.
+Nothing is solved here.
+"""
+
+import numpy as np
+
+from phsi_opt.data.noise import LEAST_NOISE_SHARE, channel_spread, difference_noise
+from phsi_opt.data.resolution import DEVIATION_PER_STEP, unresolved_channels
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.noise_estimation import NoiseLevels
+from phsi_opt.optimization.bounded_step import regularized_inverse
+from phsi_opt.statistics import TINY
+from phsi_opt.transcription.defects import local_errors
+from phsi_opt.transcription.grid import steps_per_gap
+
+# Residuals over the scatter of neighbouring samples up to which they are no more than
+# it: that of a few hundred samples is known to about a tenth.
+AT_SCATTER = 1.25
+# Share of a channel's standard deviation that residuals reach, at least, in an optimum
+# that is far off. A motion out of step leaves its own size: 0.53 to 1 in ten wrong
+# optima of swinging machines. Forces of 1 to 5 % that a model lacked left up to 0.26 in
+# 74 right ones.
+FAR_OFF_SHARE = 0.3
+MOST_INTERVALS = 64  # between two samples
+# Integration error that is refined: share of a standard error, or of the noise.
+VISIBLE_ERROR = 0.1
+ORDER = 4  # the error of an interval's integration, per length, falls with h^ORDER
+
+
+# ---- residuals -----------------------------------------------------------------------
+
+
+def _worst_ratio(estimate: LikelihoodEstimate) -> tuple[float, str]:
+    """Largest rms residual over the scatter of neighbouring samples, and its state."""
+    is_measured = estimate.grid.measured_states
+    between_samples = np.nan_to_num(difference_noise(estimate.task.data))
+    spread = np.where(is_measured, channel_spread(estimate.task.data), 0.0)
+    # What data without noise scatter says nothing about it.
+    floor = 10 * LEAST_NOISE_SHARE * spread
+    scatter = np.maximum(between_samples, floor + TINY)
+    ratio = np.where(is_measured, _rms_residual(estimate) / scatter, 0.0)
+    worst = int(np.argmax(ratio))
+    return float(ratio[worst]), estimate.model.states[worst]
+
+
+def _rms_residual(estimate: LikelihoodEstimate) -> np.ndarray:
+    """Of every state, (n_states,)."""
+    rms: np.ndarray = estimate.grid.rms_by_channel(estimate.standardized)
+    return estimate.sigma * rms
+
+
+def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
+    """Whether it is an optimum whose residuals are what neighbouring samples scatter.
+
+    And a small share of the motion, so that it cannot be out of step with it.
+    """
+    if not estimate.is_success:
+        return False
+    is_measured = estimate.grid.measured_states
+    limit = FAR_OFF_SHARE * channel_spread(estimate.task.data)
+    is_small = np.all((_rms_residual(estimate) <= limit)[is_measured])
+    return bool(is_small) and _worst_ratio(estimate)[0] < AT_SCATTER
+
+
+def residual_warnings(
+    estimate: LikelihoodEstimate, noise: NoiseLevels
+) -> tuple[str, ...]:
+    """Where residuals are far beyond the scatter, or quantisation sets the noise.
+
+    Nothing is said of channels whose noise was declared, which judges them already.
+
+    Args:
+        estimate: with its noise.
+        noise: as it was before the first solve.
+    """
+    data = estimate.task.data
+    warnings = []
+    if estimate.is_success and not noise.is_known.any():
+        ratio, channel = _worst_ratio(estimate)
+        if ratio >= 2:
+            warnings.append(
+                f"the residuals of {channel} are {ratio:.1f} times what "
+                "neighbouring samples scatter: the model lacks something (diagnose), "
+                "outliers pull (let them count less: huber = 1.345 in [loss] of a "
+                "study file; in Python, ph.MaximumLikelihood(huber=1.345)), or there "
+                "are several optima (start the parameters elsewhere)"
+            )
+    unresolved = unresolved_channels(data)
+    for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():
+        least = noise.least[k]
+        name = estimate.model.states[k]
+        unit = data.units.get(name, "")
+        step = f"{least / DEVIATION_PER_STEP:.3g} {unit}".rstrip()
+        if estimate.sigma[k] <= (1 + 1e-9) * least:
+            at_least = f"{least:.2g} {unit}".rstrip()
+            warnings.append(
+                f"the values of {name} are quantised in steps of {step}: at least "
+                f"{at_least} counts as noise"
+            )
+        if name in unresolved:
+            warnings.append(
+                f"{name} moves by less than one of its steps of {step} (standard "
+                "deviation): the errors of its values follow the motion, so standard "
+                "errors are too small and a diagnosis names nothing"
+            )
+    return tuple(warnings)
+
+
+# ---- integration error ---------------------------------------------------------------
+
+
+def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
+    """More steps where the integration error moves the estimates, or residuals.
+
+    By more than `VISIBLE_ERROR`. The number of steps grows with the fourth root of an
+    interval's error (order four).
+
+    Returns:
+        Intervals in every gap between samples, (n_samples - 1,) per trajectory; None
+        where those of the estimate are enough, or as many as there may be.
+    """
+    parameters = np.asarray(estimate.unknown.by_trajectory(estimate.theta))
+    error = local_errors(estimate.model, estimate.grid, estimate.nodes, parameters)
+    error = error / estimate.point.x_scale
+    is_lost = ~np.isfinite(error).all(axis=1)
+    known_error = np.where(is_lost[:, None], 0.0, error)
+    visible = _visible_share(estimate, known_error)
+    if visible < VISIBLE_ERROR and not is_lost.any():
+        return None
+    # Factors on the intervals that bring the visible share down, a fifth more than is
+    # wanted; at most 16 at once, and 4 where the finer integration left the numbers.
+    size = np.linalg.norm(known_error, axis=1)
+    typical = np.sum(size**2) / max(np.sum(size), TINY)
+    fall = 1.2 * visible / VISIBLE_ERROR * size / max(typical, TINY)
+    factor = np.clip(np.ceil(fall ** (1 / ORDER)), 1, 16)
+    factor = np.where(is_lost, 4, factor).astype(int)
+    steps = steps_per_gap(estimate.grid)
+    old = np.concatenate(steps)
+    # Of a gap's intervals the largest factor counts.
+    largest = np.maximum.reduceat(factor, np.cumsum(old) - old)
+    new = np.minimum(old * largest, MOST_INTERVALS)
+    if np.array_equal(old, new):
+        return None
+    return np.split(new, np.cumsum(list(map(len, steps)))[:-1])
+
+
+def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
+    """What the errors do to the estimates: the larger of two shares.
+
+    Of a standard error, in the direction of theta in which it is largest (many small
+    shifts of one sign add up); and of the noise, root mean square over the measured
+    values.
+    """
+    reduced = estimate.reduced
+    information = reduced.information
+    covariance = regularized_inverse(information, estimate.held)
+    theta_shift, x_shift = reduced.respond(error.ravel(), covariance)
+    squared_shift = float(theta_shift @ information @ theta_shift)
+    in_std_errors = np.sqrt(max(squared_shift, 0.0))
+    x_shift = x_shift * estimate.point.x_scale
+    in_noise = (x_shift / estimate.sigma)[estimate.grid.measured]
+    return max(in_std_errors, float(np.sqrt(np.mean(in_noise**2))))
