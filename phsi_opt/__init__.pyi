@@ -9,10 +9,10 @@ from phsi_opt.comparison.profile_likelihood import profile as profile
 from phsi_opt.data.measurements import Measurements as Measurements
 from phsi_opt.data.trajectory import Trajectory as Trajectory
 from phsi_opt.diagnosis.candidate import Candidate as Candidate
+from phsi_opt.diagnosis.candidate import Finding as Finding
+from phsi_opt.diagnosis.candidate import Verdict as Verdict
 from phsi_opt.diagnosis.diagnose import diagnose as diagnose
-from phsi_opt.diagnosis.finding import Finding as Finding
 from phsi_opt.diagnosis.record import Diagnosis as Diagnosis
-from phsi_opt.diagnosis.verdict import Verdict as Verdict
 from phsi_opt.errors import Complaint as Complaint
 from phsi_opt.errors import DataError as DataError
 from phsi_opt.errors import ModelError as ModelError

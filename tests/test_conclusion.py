@@ -3,7 +3,7 @@
 from typing import Any
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.next_step import next_step
+from phsi_opt.diagnosis.record import next_step
 
 DELAY = ph.Effect("sensor delay", "sensor", "q", ph.formula("a", a=ph.Parameter()))
 FRICTION = ph.Effect("friction", "F", "p", ph.formula("b", b=ph.Parameter()))

@@ -9,8 +9,8 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis import friction_sharpening
 from phsi_opt.diagnosis.candidate import Grade
+from phsi_opt.diagnosis.refit import finer_at_corner
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
@@ -253,9 +253,7 @@ def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(n: int) -> N
         [T[:n]], [np.column_stack([v, v])], states=["q", "p"]
     )
     part = replace(fit, states=(np.column_stack([v, v]),))
-    (steps,) = friction_sharpening.finer_at_corner(
-        part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),)
-    )
+    (steps,) = finer_at_corner(part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),))
     assert steps.tolist() == [8, 8, 1, 1][: n - 1]
 
 

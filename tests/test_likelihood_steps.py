@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.refit_effort import BRIEF
+from phsi_opt.diagnosis.refit import BRIEF
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.maximum_likelihood import crude_start

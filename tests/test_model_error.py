@@ -15,8 +15,8 @@ from scipy.stats import t as student_t
 from phsi_opt.comparison.profile_likelihood import profile
 from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Verdict
 from phsi_opt.diagnosis.diagnose import diagnose
-from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation import identify as identify_module
 from phsi_opt.estimation.estimate import Estimate, Task

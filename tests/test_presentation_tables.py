@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.finding import Finding
+from phsi_opt.diagnosis.candidate import Finding
 from phsi_opt.presentation.printed_table import PrintedTable
 from phsi_opt.presentation.tables import (
     MOST_ROWS,

@@ -7,10 +7,9 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.comparison.compare import compare_record, deviance
-from phsi_opt.diagnosis import friction_sharpening
+from phsi_opt.diagnosis import refit as refits
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.refit import refit
+from phsi_opt.diagnosis.refit import DiagnosedModel, refit
 from phsi_opt.estimation import missing_force
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.transcription.grid import grid_of
@@ -45,12 +44,11 @@ def complete() -> DiagnosedModel:
 def test_corners_beside_a_memory_stay_as_they_are_where_the_states_are_many(
     complete: DiagnosedModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    aligned = complete.record.aligned
     delay = effect_named(complete.fit.model, "sensor delay", "q")
     fit = replace(complete.fit, model=complete.fit.model.add(delay))
-    monkeypatch.setattr(friction_sharpening, "MOST_SHARP_STATES", 100)
-    corners = friction_sharpening.CornerSharpening(complete, aligned)
-    assert fit.model.memory and corners.at_widths(fit, {}, 8) is None
+    monkeypatch.setattr(refits, "MOST_SHARP_STATES", 100)
+    late = refits.Refitting(complete, Candidate(delay, 0.0, np.nan))
+    assert fit.model.memory and late.at_widths(fit, {}, 8) is None
 
 
 def test_a_second_effect_is_refitted_beside_the_memory_of_the_first(

@@ -12,9 +12,9 @@ import pandas as pd
 from phsi_opt.command_line import job as kinds
 from phsi_opt.command_line.job import Answer, ExitCode, Finished, Job, Message
 from phsi_opt.comparison.compare import Comparison, compare
+from phsi_opt.diagnosis.candidate import Verdict
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.presentation.sentences import lines

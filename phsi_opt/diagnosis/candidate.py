@@ -1,5 +1,6 @@
-"""What a model may lack, with all that a diagnosis knows of it."""
+"""What a model may lack, what is known of it, and what is established."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -9,7 +10,23 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.laws import HYSTERESIS
+from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import Size
+
+MOST_FAMILIES = 2  # of effects, that the name of a class joins
+
+LOSS = "a loss of energy whose law the data do not tell"
+LOSS_SOMEWHERE = "a loss of energy whose place and law the data do not tell"
+
+
+class Verdict(StrEnum):
+    """Whether something is missing in a model, and whether it is known what."""
+
+    NOTHING_MISSING = "nothing missing"
+    NAMED = "missing: named"
+    PARTLY_NAMED = "missing: partly named"
+    UNEXPLAINED = "missing: unexplained"
 
 
 class Grade(StrEnum):
@@ -32,12 +49,12 @@ class Grade(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect, with what screening expects, what it weighs, and what a re-fit gave.
+    """One effect: what screening expects of it, its evidence, and its re-fit.
 
     Attributes:
         effect: what may be missing.
-        coefficient: its size in ``unit``: of the fit where it is named, else beside the
-            force that it leaves, else expected.
+        coefficient: its size in ``unit``: of the fit where it is named, else beside a
+            force, else expected.
         std_error: of the coefficient.
         values: of the model's parameters, from which a re-fit starts.
         states: (n_nodes, n_states) along the training record, likewise.
@@ -86,7 +103,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """The same in words."""
+        """The effect in words."""
         return str(self.effect)
 
     @property
@@ -104,3 +121,64 @@ class Candidate:
     def grade(self) -> Grade:
         """How clearly it is there."""
         return Grade.of(self.log_evidence) if self.was_weighed else Grade.NONE
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """An effect that is established, or a class whose members do as well.
+
+    Attributes:
+        effects: one is a name; several are those that the data cannot tell apart, the
+            one that was re-fitted first.
+        family: the class in words, such as "a loss that grows with speed".
+        coefficient: of the first one, in ``unit``.
+        std_error: of the coefficient; it accounts for model error.
+        share: of the squared error above the noise floor that is gone with all that is
+            found.
+        unit: of the coefficient; "" where it is not known.
+    """
+
+    effects: tuple[Effect, ...]
+    family: str
+    coefficient: float
+    std_error: float
+    share: float
+    unit: str = ""
+
+    @property
+    def is_name(self) -> bool:
+        """Whether it is one effect, and no class."""
+        return len(self.effects) == 1
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
+
+    def __str__(self) -> str:
+        size = f"{self.coefficient:.4g}"
+        if np.isfinite(self.std_error):
+            size += f" +- {self.std_error:.2g}"
+        size += spaced(self.unit)
+        first = self.effects[0]
+        if self.is_name:
+            return f"{first} ({size})"
+        others = ", ".join(map(str, self.effects[1:]))
+        name, where = str(first), ""
+        if all(effect.equation == first.equation for effect in self.effects):
+            name, where = first.name, f" in the equation of {first.equation}"
+        return (
+            f"{self.family}{where}: {name} ({size}), which the data do not tell from "
+            f"{others}"
+        )
+
+
+def class_of(effects: Sequence[Effect]) -> str:
+    """The name of a class of effects: their families, or a loss where these are many.
+
+    A loss takes energy from the motion by any law.
+    """
+    families = list(dict.fromkeys(effect.family for effect in effects))
+    are_losses = all(one.slot == "R" or one.name == HYSTERESIS for one in effects)
+    if len(families) > MOST_FAMILIES and are_losses:
+        places = {effect.equation for effect in effects}
+        return LOSS if len(places) == 1 else LOSS_SOMEWHERE
+    return " or ".join(families)

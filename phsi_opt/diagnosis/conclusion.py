@@ -7,15 +7,12 @@ the same. *Which law*: the effects that the evidence does not tell from it are a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
-from phsi_opt.comparison.compare import (
-    Comparison,
-    is_explained,
-    is_small_as_noise,
-)
+from phsi_opt.comparison.compare import is_explained, is_small_as_noise
 from phsi_opt.criteria import (
     DECISIVE_EVIDENCE,
     LEAST_ERROR_EXPLAINED,
@@ -25,12 +22,10 @@ from phsi_opt.criteria import (
     SURE_DEVIATIONS,
 )
 from phsi_opt.data.resolution import unresolved_channels
-from phsi_opt.diagnosis.candidate import Candidate, Grade
-from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.finding import Finding, class_of
-from phsi_opt.diagnosis.refit import Refit, refit, thorough_refit
-from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.diagnosis.weighed_round import weighed_round
+from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict, class_of
+from phsi_opt.diagnosis.ranking import ranked
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.refit import DiagnosedModel, refit, thorough_refit
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
@@ -39,85 +34,73 @@ from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
 
-@dataclass(frozen=True, eq=False)
-class Conclusion:
-    """What a diagnosis says.
-
-    Attributes:
-        verdict: in one phrase.
-        reason: a sentence or more with the errors before and after.
-        ranking: the candidates, with what re-fits gave and why the others lost.
-        findings: what is established.
-        effects: what is added next; ``fit``: the thorough re-fit with it.
-    """
-
-    verdict: Verdict
-    reason: str
-    ranking: tuple[Candidate, ...]
-    findings: tuple[Finding, ...] = ()
-    effects: tuple[Effect, ...] = ()
-    fit: Fit | None = None
-
-
-def conclusion(
+def concluded(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
-) -> Conclusion:
-    """The verdict on a model.
-
-    Args:
-        base: the model that is diagnosed.
-        record: beside which models are weighed.
-        effects: what may be missing.
-    """
-    record, ranking = weighed_round(base, record, effects)
+) -> Diagnosis:
+    """The diagnosis of a model, with evidence beside a record, by these effects."""
+    record, ranking = ranked(base, record, effects)
     return _Judge(base, record, effects, ranking).concluded()
 
 
-def without_weighing(base: DiagnosedModel, error: SolveError) -> Conclusion:
-    """The verdict on a model that could not be weighed: by its free runs alone."""
-    errors = _errors(base)
+def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
+    """The diagnosis by the free runs alone, where the evidence was not found."""
+    verdict, said = Verdict.UNEXPLAINED, str(error)
     if base.is_noise:
-        said = f"{errors}; residuals are noise"
-        return Conclusion(Verdict.NOTHING_MISSING, said, ())
-    return Conclusion(Verdict.UNEXPLAINED, f"{errors}; {error}", ())
+        verdict, said = Verdict.NOTHING_MISSING, "residuals are noise"
+    reason = f"{_errors(base)}; {said}"
+    return Diagnosis(base.record, base.judged, (), verdict, reason)
 
 
 @dataclass(eq=False)
 class _Judge:
-    """One diagnosis on the way to its verdict."""
+    """One diagnosis on the way to its verdict.
+
+    ``larger`` is the re-fit with the first effect of the ranking, ``is_complete``
+    whether no force is evident beside it; both once they are known.
+    """
 
     base: DiagnosedModel
     record: EvidenceRecord
     effects: Sequence[Effect]
     ranking: list[Candidate]
-    nothing_left: bool | None = None
-    done: Refit | None = None
+    larger: DiagnosedModel | None = None
+    is_complete: bool | None = None
 
-    def concluded(self) -> Conclusion:
-        done = self.first()
-        if done is None:
+    def concluded(self) -> Diagnosis:
+        larger = self.first()
+        if larger is None:
             return self.without_effect()
-        doubt = self.doubt(done)
+        doubt = self.doubt(larger)
         if not doubt:
-            return self.named(done)
-        beside = self.beside(done)
-        if beside is None:
-            return self.not_named(done, doubt)
-        return self.named(done, beside)
+            return self.named(larger)
+        second = self.second(larger)
+        if second is None:
+            return self.not_named(larger, doubt)
+        return self.named(larger, second)
 
-    def first(self) -> Refit | None:
-        """An effect that is decisive, re-fitted; it is put first.
+    # ---- effects ---------------------------------------------------------------------
+
+    def note(self, place: int, **known: Any) -> None:
+        """Replace a candidate of the ranking by one of which more is known."""
+        self.ranking[place] = replace(self.ranking[place], **known)
+
+    def first(self) -> DiagnosedModel | None:
+        """The base with an effect that is decisive; this is put first.
 
         Of those that the evidence does not tell from the likeliest the one with fewest
-        numbers, and that the catalogue has first.
+        unknowns, and that the catalogue has first.
         """
-        while self.tied():
-            chosen = min(self.tied(), key=self.size)
-            place = self.ranking.index(chosen)
-            done = self.refit(place)
-            if done is not None:
+
+        def size(one: Candidate) -> tuple[int, int]:
+            return one.effect.n_unknowns, self.effects.index(one.effect)
+
+        while tied := self.tied():
+            place = self.ranking.index(min(tied, key=size))
+            larger = self.refit(place)
+            if larger is not None:
                 self.ranking.insert(0, self.ranking.pop(place))
-                return done
+                self.larger = larger
+                return larger
         return None
 
     def tied(self) -> list[Candidate]:
@@ -128,119 +111,97 @@ class _Judge:
         """
         believed = [one for one in self.ranking if one.was_weighed and not one.lost]
         highest = max((one.log_evidence for one in believed), default=-np.inf)
-        tied = []
-        for one in believed:
-            if one.log_evidence > highest - STRONG_EVIDENCE:
-                tied.append(one)
+        least = highest - STRONG_EVIDENCE
+        tied = [one for one in believed if one.log_evidence > least]
         together = logsumexp([one.log_evidence for one in tied]) if tied else -np.inf
         return tied if together >= DECISIVE_EVIDENCE else []
 
-    def size(self, one: Candidate) -> tuple[int, int]:
-        """Number of its unknowns, then its place in the catalogue."""
-        return one.effect.n_unknowns, self.effects.index(one.effect)
+    def refit(self, place: int) -> DiagnosedModel | None:
+        """The base with a candidate; None where that rejects it."""
+        one = self.ranking[place]
+        if not one.size.z >= SURE_DEVIATIONS:
+            self.note(place, lost=f"its size, {one.size}, may as well be zero")
+            return None
+        larger = refit(self.base, one)
+        if larger is None:
+            self.note(place, lost="could not be re-fitted")
+            return None
+        new = new_names(self.base.fit.model, one.effect, larger.fit.names)
+        at_bound = [name for name in new if name in larger.fit.outcome.at_bounds]
+        if at_bound:
+            self.note(place, lost=f"{', '.join(at_bound)} ended at a bound")
+            return None
+        self.note_refit(place, larger)
+        return larger
 
-    def members(self) -> list[Candidate]:
-        """Those that the data do not tell from the first, the likeliest re-fitted.
+    def note_refit(self, place: int, larger: DiagnosedModel) -> None:
+        held_out = larger.judged.rmse if self.base.is_held_out else np.nan
+        self.note(
+            place,
+            fit=larger.fit,
+            trained=larger.trained,
+            comparison=larger.judged,
+            train_rmse=larger.trained.rmse,
+            held_out_rmse=held_out,
+            share=self.base.share_explained(larger),
+        )
 
-        One that a re-fit presses to a bound or to nothing is none of them.
-        """
-        names = [one.name for one in self.tied()]
-        places = []
-        for place, one in enumerate(self.ranking[1:], start=1):
-            if one.name in names:
-                places.append(place)
-        for place in places[: MOST_REFITTED - 1]:
-            self.refit(place)
-        return [self.ranking[place] for place in places if not self.ranking[place].lost]
-
-    def beside(self, done: Refit) -> "_Judge | None":
-        """What is missing beside the first, where both together explain enough."""
-        base = replace(self.base, trained=done.trained, judged=done.trained)
-        if self.base.is_held_out:
-            base = replace(base, judged=done.judged)
+    def second(self, larger: DiagnosedModel) -> "_Judge | None":
+        """The judge of a second effect, where both together explain enough."""
         others = [one.effect for one in self.ranking[1:]]
         try:
-            record = EvidenceRecord.of(base.record, base.judging_record)
-            record, ranking = weighed_round(base, record, others)
-            second = _Judge(base, record, others, ranking)
+            record, ranking = ranked(larger, larger.evidence_record(), others)
+            second = _Judge(larger, record, others, ranking)
         except SolveError as error:
-            base.say(str(error))
+            self.base.say(str(error))
             return None
         both = second.first()
         if both is None:
             return None
-        if not second.leaves_nothing(both) and self.doubt(both, second):
-            return None
-        second.done = both
-        return second
+        is_enough = second.explains_all(both) or not self.doubt(both, second)
+        return second if is_enough else None
 
-    def of_force(self, beside: "_Judge | None" = None) -> float:
-        """Share of the force (mean square) that the first takes over, or both."""
-        first = self.ranking[0]
-        left = first.force_left
-        if beside is not None:
-            second = beside.ranking[0]
-            is_one_force = second.effect.equation == first.effect.equation
-            of_second = second.force_left
-            left = left * of_second if is_one_force else max(left, of_second)
-        return max(1 - left**2, 0.0)
+    # ---- doubts ----------------------------------------------------------------------
 
-    def refit(self, place: int) -> Refit | None:
-        """Re-fit a candidate, and note what that gives."""
-        base = self.base
-        one = self.ranking[place]
-        if not one.size.z >= SURE_DEVIATIONS:
-            lost = f"its size, {one.size}, may as well be zero"
-            self.ranking[place] = replace(one, lost=lost)
-            return None
-        done = refit(base, one)
-        if done is None:
-            self.ranking[place] = replace(one, lost="could not be re-fitted")
-            return None
-        new = new_names(base.fit.model, one.effect, done.fit.names)
-        at_bound = [name for name in new if name in done.fit.outcome.at_bounds]
-        if at_bound:
-            lost = f"{', '.join(at_bound)} ended at a bound"
-            self.ranking[place] = replace(one, lost=lost)
-            return None
-        self.ranking[place] = self.refitted(one, done)
-        return done
-
-    def refitted(self, one: Candidate, done: Refit) -> Candidate:
-        """A candidate with what its re-fit gave."""
-        base = self.base
-        return replace(
-            one,
-            fit=done.fit,
-            trained=done.trained,
-            comparison=done.judged,
-            train_rmse=done.trained.rmse,
-            held_out_rmse=done.judged.rmse if base.is_held_out else one.held_out_rmse,
-            share=base.share_explained(done.judged.rmse),
-        )
-
-    def doubt(self, done: Refit, beside: "_Judge | None" = None) -> str:
+    def doubt(self, larger: DiagnosedModel, second: "_Judge | None" = None) -> str:
         """Why what is decisive is not named, alone or with another; empty: it is."""
-        base = self.base
         first = self.ranking[0]
-        told = [first] if beside is None else [first, beside.ranking[0]]
+        effects = [first.effect]
+        if second is not None:
+            effects.append(second.ranking[0].effect)
         steps = self.steps_in_words()
-        if steps and is_small_as_noise(done.trained):
+        if steps and is_small_as_noise(larger.trained):
             return f"so may {steps}"
-        if self.leaves_nothing(done):
+        if self.explains_all(larger):
             return ""
-        if done.trained.rmse > base.trained.rmse:
+        if larger.trained.rmse > self.base.trained.rmse:
             return "its free run is further off than without it"
-        if any(is_wave(one.effect) and one.effect.needs_clock for one in told):
+        if any(is_wave(effect) and effect.needs_clock for effect in effects):
             return "a force remains, and any force in time has waves like it in it"
-        of_force = self.of_force(beside)
-        share = base.share_explained(done.judged.rmse)
+        of_force = self.of_force(second)
+        share = self.base.share_explained(larger)
         if of_force < MOST_OF_IT and not share > LEAST_ERROR_EXPLAINED:
             return (
                 f"it explains only {100 * of_force:.0f} % of the force (mean square) "
                 f"and {100 * share:.0f} % of the error"
             )
         return self.rival(first)
+
+    def explains_all(self, larger: DiagnosedModel) -> bool:
+        """Whether no force is evident beside a re-fit; worked out once."""
+        if self.is_complete is None:
+            is_small = is_explained(self.base.judged, larger.trained, larger.judged)
+            gain = self.ranking[0].log_evidence + self.record.base.log_evidence
+            self.is_complete = is_small or not self.is_force_evident(gain, larger)
+        return self.is_complete
+
+    def is_force_evident(self, log_evidence: float, model: DiagnosedModel) -> bool:
+        """Whether a model is decisively likelier with a force than without."""
+        try:
+            alone = self.record.without_force(model.comparisons)
+        except SolveError:
+            return True
+        return log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
 
     def steps_in_words(self) -> str:
         """Steps of sensors that are coarser than the motion; empty: there are none."""
@@ -252,161 +213,164 @@ class _Judge:
             "them (standard deviation)"
         )
 
+    def of_force(self, second: "_Judge | None" = None) -> float:
+        """Share of the force (mean square) that the first takes over, or both."""
+        first = self.ranking[0]
+        remains = first.force_left
+        if second is not None:
+            other = second.ranking[0]
+            is_one_force = other.effect.equation == first.effect.equation
+            product = remains * other.force_left
+            remains = product if is_one_force else max(remains, other.force_left)
+        return max(1 - remains**2, 0.0)
+
     def rival(self, first: Candidate) -> str:
         """A law of no catalogue that is far likelier; empty where there is none."""
         model = self.base.fit.model
+        name = first.effect.equation
         if first.effect.slot == "sensor":
             return ""
-        equation = model.index(first.effect.equation)
-        forced = [force.place for force in self.record.base.disturbances.forces]
-        if equation not in forced:
+        equation = model.index(name)
+        alone = self.record.base
+        if equation not in [force.place for force in alone.disturbances.forces]:
             return ""
         function = self.record.with_functions(equation)
         if function is None:
             return ""
-        gain = function.log_evidence - self.record.base.log_evidence
+        gain = function.log_evidence - alone.log_evidence
         if not first.log_evidence < MOST_OF_IT * gain:
             return ""
         (kind,) = function.disturbances.functions
         return (
-            f"an unknown function of {model.states[kind.state]} in "
-            f"d{first.effect.equation}/dt is likelier (log evidence {gain:.1f} against "
-            f"{first.log_evidence:.1f})"
+            f"an unknown function of {model.states[kind.state]} in d{name}/dt is "
+            f"likelier (log evidence {gain:.1f} against {first.log_evidence:.1f})"
         )
 
-    def leaves_nothing(self, done: Refit) -> bool:
-        """Whether no force is evident beside a re-fit; worked out once."""
-        if self.nothing_left is None:
-            self.nothing_left = self._leaves_nothing(done)
-        return self.nothing_left
+    # ---- verdicts --------------------------------------------------------------------
 
-    def _leaves_nothing(self, done: Refit) -> bool:
-        base = self.base
-        if is_explained(base.judged, done.trained, done.judged):
-            return True
-        runs = [done.trained, done.judged] if base.is_held_out else [done.trained]
-        first = self.ranking[0]
-        gain = first.log_evidence + self.record.base.log_evidence
-        return not self.is_force_evident(gain, runs)
-
-    def is_force_evident(
-        self, log_evidence: float, comparisons: Sequence[Comparison]
-    ) -> bool:
-        """Whether a model is decisively likelier with a force than without."""
-        try:
-            alone = self.record.without_force(comparisons)
-        except SolveError:
-            return True
-        return log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
-
-    def named(self, done: Refit, beside: "_Judge | None" = None) -> Conclusion:
-        """The first, with what is missing beside it, or alone."""
-        if beside is None or beside.done is None:
-            last = thorough_refit(self.base, done)
+    def named(
+        self, larger: DiagnosedModel, second: "_Judge | None" = None
+    ) -> Diagnosis:
+        """The first effect, alone or with a second."""
+        judges = [self] if second is None else [self, second]
+        last = thorough_refit(judges[-1].larger or larger)
+        if second is None:
+            self.note_refit(0, last)
             size = fitted_size(self.base.fit, last.fit, self.ranking[0].effect)
-            self.ranking[0] = replace(
-                self.refitted(self.ranking[0], last),
-                coefficient=size.value,
-                std_error=size.std_error,
-            )
-        else:
-            last = thorough_refit(beside.base, beside.done)
-        first = self.ranking[0]
-        findings = [self.finding(last)]
-        leaves_nothing = self.leaves_nothing(done)
-        share, of_force = first.share, self.of_force(beside)
-        if beside is not None and beside.done is not None:
-            leaves_nothing = beside.leaves_nothing(beside.done)
-            share = self.base.share_explained(last.judged.rmse)
-            findings.append(beside.finding(last))
-            second = beside.ranking[0]
-            others = [one for one in self.ranking[1:] if one.effect != second.effect]
-            self.ranking = [first, second, *others]
-        names: list[str] = []
-        for finding in findings:
-            names += map(str, finding.effects[1:])
-        for place, one in enumerate(self.ranking):
-            if one.name in names:
-                lost = one.lost or "the data do not tell it from what is named"
-                self.ranking[place] = replace(one, lost=lost)
+            self.note(0, coefficient=size.value, std_error=size.std_error)
+        findings = tuple(judge.finding(last) for judge in judges)
+        is_complete = judges[-1].explains_all(larger)
+        if second is not None:
+            first, *others = self.ranking
+            other = second.ranking[0]
+            others = [one for one in others if one.effect != other.effect]
+            self.ranking = [first, other, *others]
         effects = tuple(finding.effects[0] for finding in findings)
-        self.tell_others(effects)
-        said = " and ".join(map(str, findings))
-        change = self.change(last)
+        tied = {name for found in findings for name in map(str, found.effects[1:])}
+        for place, one in enumerate(self.ranking):
+            if one.name in tied and not one.lost:
+                self.note(place, lost="the data do not tell it from what is named")
+        self.reject_others(effects)
         verdict = Verdict.NAMED
-        reason = f"{said}; {change}; {_grade_words(first)}"
-        if not leaves_nothing:
+        said = " and ".join(map(str, findings))
+        reason = f"{said}; {self.change(last)}; {_grade_words(self.ranking[0])}"
+        if not is_complete:
             verdict = Verdict.PARTLY_NAMED
-            reason = (
-                f"{said}; {change}; {_grade_words(first)}. It accounts for "
-                f"{100 * of_force:.0f} % of the missing force (mean square) and "
-                f"{100 * share:.0f} % of the squared error above the noise floor; a "
-                "force remains"
+            reason += (
+                f". It accounts for {100 * self.of_force(second):.0f} % of the missing "
+                f"force (mean square) and {100 * self.base.share_explained(last):.0f} %"
+                " of the squared error above the noise floor; a force remains"
             )
-        ranking = tuple(self.ranking)
-        return Conclusion(verdict, reason, ranking, tuple(findings), effects, last.fit)
+        return self.diagnosis(verdict, reason, findings, effects, last.fit)
 
-    def finding(self, last: Refit) -> Finding:
-        """The first with those that the data do not tell from it, and its size."""
-        first = self.ranking[0]
-        effects = (first.effect, *(one.effect for one in self.members()))
-        size = fitted_size(self.base.fit, last.fit, first.effect)
-        share = self.base.share_explained(last.judged.rmse)
+    def finding(self, last: DiagnosedModel) -> Finding:
+        """The first with those that the data do not tell from it, and its size.
+
+        The likeliest of these are re-fitted; one that a re-fit presses to a bound or to
+        nothing is none of them.
+        """
+        names = {one.name for one in self.tied()}
+        places = []
+        for place, one in enumerate(self.ranking):
+            if place > 0 and one.name in names:
+                places.append(place)
+        for place in places[: MOST_REFITTED - 1]:
+            self.refit(place)
+        members = [self.ranking[place] for place in (0, *places)]
+        effects = tuple(one.effect for one in members if not one.lost)
+        size = fitted_size(self.base.fit, last.fit, effects[0])
         return Finding(
-            effects, class_of(effects), size.value, size.std_error, share, size.unit
+            effects,
+            class_of(effects),
+            size.value,
+            size.std_error,
+            self.base.share_explained(last),
+            size.unit,
         )
 
-    def not_named(self, done: Refit, against: str) -> Conclusion:
-        first = replace(self.ranking[0], lost=against)
-        self.ranking[0] = first
-        self.tell_others((first.effect,))
+    def not_named(self, larger: DiagnosedModel, doubt: str) -> Diagnosis:
+        self.note(0, lost=doubt)
+        first = self.ranking[0]
+        self.reject_others((first.effect,))
         reason = (
             f"the nearest is {first.name} ({first.size}), with {_grade_words(first)}: "
-            f"{self.change(done)}. It is not named: {against}"
+            f"{self.change(larger)}. It is not named: {doubt}"
         )
-        return Conclusion(Verdict.UNEXPLAINED, reason, tuple(self.ranking))
+        return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
-    def without_effect(self) -> Conclusion:
+    def without_effect(self) -> Diagnosis:
         """Nothing is missing, or nothing known explains it."""
         base = self.base
-        self.tell_others(())
+        self.reject_others(())
         errors = _errors(base)
-        ranking = tuple(self.ranking)
         log_evidence = self.record.base.log_evidence
-        if base.is_noise or not self.is_force_evident(log_evidence, base.comparisons):
+        if base.is_noise or not self.is_force_evident(log_evidence, base):
             none = "no force is evident beside the model, and no effect is decisive"
-            return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}", ranking)
+            return self.diagnosis(Verdict.NOTHING_MISSING, f"{errors}; {none}")
         reason = f"{errors}: a force is evident, and no effect explains it"
         steps = self.steps_in_words()
         if steps:
             reason += f"; it may be {steps}"
-        nearest = [one for one in self.ranking if one.was_weighed]
-        if nearest and nearest[0].grade != Grade.NONE:
-            one = nearest[0]
-            reason += f"; the nearest, {one.name}, has {_grade_words(one)}"
-            if one.lost:
-                reason += f", but {one.lost}"
-        return Conclusion(Verdict.UNEXPLAINED, reason, ranking)
+        nearest = next((one for one in self.ranking if one.was_weighed), None)
+        if nearest is not None and nearest.grade != Grade.NONE:
+            reason += f"; the nearest, {nearest.name}, has {_grade_words(nearest)}"
+            if nearest.lost:
+                reason += f", but {nearest.lost}"
+        return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
-    def tell_others(self, told: Sequence[Effect]) -> None:
-        """Why the candidates that are not told of are not named."""
+    def reject_others(self, named: Sequence[Effect]) -> None:
+        """Why the other candidates are not named."""
+        first = self.ranking[0] if named else None
         for place, one in enumerate(self.ranking):
-            if one.lost or one.effect in told:
+            if one.lost or one.effect in named:
                 continue
             lost = f"its evidence is {one.grade} ({one.log_evidence:.1f})"
-            if told and one.log_evidence < self.ranking[0].log_evidence:
-                lost = f"{self.ranking[0].name} is likelier"
-            self.ranking[place] = replace(one, lost=lost)
+            if first is not None and one.log_evidence < first.log_evidence:
+                lost = f"{first.name} is likelier"
+            self.note(place, lost=lost)
 
-    def change(self, done: Refit) -> str:
+    def diagnosis(
+        self,
+        verdict: Verdict,
+        reason: str,
+        findings: tuple[Finding, ...] = (),
+        proposed: tuple[Effect, ...] = (),
+        fit: Fit | None = None,
+    ) -> Diagnosis:
+        base = self.base
+        ranking = tuple(self.ranking)
+        return Diagnosis(
+            base.record, base.judged, ranking, verdict, reason, findings, proposed, fit
+        )
+
+    def change(self, larger: DiagnosedModel) -> str:
         """The errors before and after."""
-        before = self.base.judged
-        after = done.judged
+        after = larger.judged
         where = "held-out" if self.base.is_held_out else "training"
         unit = spaced(after.error_unit)
         return (
-            f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g}{unit} "
-            f"(noise floor {after.noise_floor:.4g}{unit})"
+            f"the {where} error falls from {self.base.judged.rmse:.4g} to "
+            f"{after.rmse:.4g}{unit} (noise floor {after.noise_floor:.4g}{unit})"
         )
 
 

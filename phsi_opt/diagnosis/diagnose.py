@@ -8,35 +8,28 @@
    do not tell from it, and re-fitted; whether a force remains beside it is said.
 """
 
-from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 
-from phsi_opt.comparison.compare import Comparison, compare, compare_record
+from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.better_base import better_base
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.conclusion import Conclusion, conclusion, without_weighing
-from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.conclusion import concluded, without_evidence
+from phsi_opt.diagnosis.ranking import ranked
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.refit import refit
-from phsi_opt.diagnosis.weighed_round import weighed_round
+from phsi_opt.diagnosis.refit import DiagnosedModel, better_base, refit
 from phsi_opt.errors import ModelError, SolveError
-from phsi_opt.estimation.estimate import silent
+from phsi_opt.estimation.estimate import Progress, silent
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import fit_of, identify_aligned
-from phsi_opt.estimation.record import Record
+from phsi_opt.estimation.identify import fit_of
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given, catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.losses import MaximumLikelihood
-
-Progress = Callable[[str], None]
 
 
 @interruptible
@@ -130,51 +123,22 @@ def diagnose_comparison(
         ModelError: one of the ``effects`` does not fit the model, or has no free
             number.
     """
-    loss = _without_model_error(loss or MaximumLikelihood())
-    if trained.fit.has_model_error:
-        trained, judged = _without_force(trained, judged, loss)
-    base = DiagnosedModel(
-        trained=trained,
-        judged=judged or trained,
-        loss=loss,
-        say=progress or silent,
-        executor=executor,
-    )
-    listed = effects
-    if listed is None:
-        listed = catalogue(base.fit.model, base.record.data.units)
-    else:
-        _check_effects(listed, base.fit.model)
-    base, concluded = _concluded(base, listed)
-    return Diagnosis(
-        record=base.record,
-        base=base.judged,
-        ranking=concluded.ranking,
-        verdict=concluded.verdict,
-        reason=concluded.reason,
-        findings=concluded.findings,
-        proposed=concluded.effects,
-        proposed_fit=concluded.fit,
-    )
-
-
-def _concluded(
-    base: DiagnosedModel, effects: list[Effect]
-) -> tuple[DiagnosedModel, Conclusion]:
-    """The verdict, and the model that it is on: from a better optimum where one is."""
+    base = DiagnosedModel.of(trained, judged, loss, progress or silent, executor)
+    model = base.fit.model
+    listed = catalogue(model, base.record.data.units) if effects is None else effects
+    _check_effects(listed, model)
     base.say("the missing force beside the model")
     try:
-        record = EvidenceRecord.of(base.record, base.judging_record)
+        record = base.evidence_record()
     except SolveError as error:
-        return base, without_weighing(base, error)
-    concluded = conclusion(base, record, effects)
-    if concluded.findings or base.is_noise:
-        return base, concluded
+        return without_evidence(base, error)
+    found = concluded(base, record, listed)
+    if found.findings or base.is_noise:
+        return found
     better = better_base(base, record)
     if better is None:
-        return base, concluded
-    record = EvidenceRecord.of(better.record, better.judging_record)
-    return better, conclusion(better, record, effects)
+        return found
+    return concluded(better, better.evidence_record(), listed)
 
 
 def candidate_of(
@@ -194,34 +158,12 @@ def candidate_of(
         ModelError: the effect does not fit the model, or has no free number.
     """
     _check_effects([effect], trained.fit.model)
-    loss = _without_model_error(loss)
-    if trained.fit.has_model_error:
-        trained, _ = _without_force(trained, None, loss)
-    base = DiagnosedModel(trained=trained, judged=trained, loss=loss, say=silent)
-    record = EvidenceRecord.of(base.record, None)
-    _, found = weighed_round(base, record, [effect])
+    base = DiagnosedModel.of(trained, None, loss)
+    _, found = ranked(base, base.evidence_record(), [effect])
     if not found:
         return None
-    done = refit(base, found[0])
-    return found[0] if done is None else replace(found[0], fit=done.fit)
-
-
-def _without_model_error(loss: MaximumLikelihood) -> MaximumLikelihood:
-    """What is missing is looked for with the dynamics hard: a force would hide it."""
-    return replace(loss, model_error=False)
-
-
-def _without_force(
-    trained: Comparison, judged: Comparison | None, loss: MaximumLikelihood
-) -> tuple[Comparison, Comparison | None]:
-    """The comparisons of a fit with a random force, for one without."""
-    fit = identify_aligned(
-        trained.model, trained.record.aligned, loss, start=trained.fit
-    )
-    again = compare_record(Record.of_aligned(fit, trained.record.aligned))
-    if judged is None:
-        return again, None
-    return again, compare_record(Record.of_aligned(fit, judged.record.aligned))
+    larger = refit(base, found[0])
+    return found[0] if larger is None else replace(found[0], fit=larger.fit)
 
 
 def _check_effects(effects: list[Effect], model: Model) -> None:

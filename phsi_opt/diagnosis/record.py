@@ -1,22 +1,20 @@
 """The record of a diagnosis: where a model fails, the candidates, the verdict."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.candidate import Candidate, Grade
+from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.experiment_design import Separation, separating
-from phsi_opt.diagnosis.finding import Finding
-from phsi_opt.diagnosis.next_step import next_step
-from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import leading
+from phsi_opt.force_analysis.next_step import step_without_name
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.summary import (
@@ -136,26 +134,13 @@ class Diagnosis(Summarised):
         """
         rows = []
         for one in self.ranking:
-            rows.append(
-                (
-                    one.effect.name,
-                    one.effect.slot,
-                    one.effect.equation,
-                    one.coefficient,
-                    one.std_error,
-                    one.unit,
-                    one.log_bayes,
-                    one.log_predictive,
-                    one.probability,
-                    str(one.grade),
-                    one.force_left,
-                    one.share,
-                    one.train_rmse,
-                    one.held_out_rmse,
-                    ", ".join(one.confusable_with),
-                    one.lost,
-                )
-            )
+            row = {name: getattr(one, name, "") for name in CANDIDATE_COLUMNS}
+            row["effect"] = one.effect.name
+            row["slot"] = one.effect.slot
+            row["equation"] = one.effect.equation
+            row["grade"] = str(one.grade)
+            row["confusable_with"] = ", ".join(one.confusable_with)
+            rows.append(row)
         return printed_table(rows, columns=list(CANDIDATE_COLUMNS))
 
     @cached_property
@@ -169,19 +154,19 @@ class Diagnosis(Summarised):
         estimate = self.estimate
         grid = estimate.grid
         names = self.record.trajectories
-        numbers = grid.trajectory[grid.begin]
-        frame = printed_table(
-            {
-                "trajectory": [names[number] for number in numbers],
-                "t": grid.t[grid.begin] + grid.h / 2,
-            }
-        )
-        deviation = estimate.posterior.deviation
-        for column, row in enumerate(estimate.rows):
-            name = self.fit.model.states[row]
-            frame[name] = estimate.w[:, column]
-            frame[f"std_{name}"] = deviation[:, column]
-        return frame
+        columns: dict[str, Any] = {
+            "trajectory": [names[number] for number in grid.runs],
+            "t": grid.t[grid.begin] + grid.h / 2,
+        }
+        for column, name in enumerate(self._forced):
+            columns[name] = estimate.w[:, column]
+            columns[f"std_{name}"] = estimate.posterior.deviation[:, column]
+        return printed_table(columns)
+
+    @property
+    def _forced(self) -> list[str]:
+        """States in whose equations a force was estimated."""
+        return [self.fit.model.states[row] for row in self.estimate.rows]
 
     @cached_property
     def analysis(self) -> ForceAnalysis:
@@ -265,14 +250,11 @@ class Diagnosis(Summarised):
 
         equation = equation or str(self.where["equation"].iloc[0])
         if on is None:
-            on = self._leading_variables(equation)
+            best = leading(self.follows, equation)
+            on = self.fit.model.states
+            if best is not None:
+                on = str(best["variable"]).split(", ")
         return learned_force_of(self.record, equation=equation, on=list(on), seed=seed)
-
-    def _leading_variables(self, equation: str) -> Sequence[str]:
-        best = leading(self.follows, equation)
-        if best is None:
-            return self.fit.model.states
-        return str(best["variable"]).split(", ")
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw the missing force along one trajectory, with two standard deviations.
@@ -286,13 +268,10 @@ class Diagnosis(Summarised):
         """
         from phsi_opt.presentation.pictures import plot_missing_force
 
-        number = self.data.trajectory_number(trajectory)
-        name = self.record.trajectories[number]
-        rows = self.missing_force["trajectory"] == name
-        states = self.fit.model.states
-        equations = [states[row] for row in self.estimate.rows]
-        along_trajectory = self.missing_force[rows]
-        return plot_missing_force(along_trajectory, equations, self.data.units, ax)
+        name = self.record.trajectories[self.data.trajectory_number(trajectory)]
+        force = self.missing_force
+        along = force[force["trajectory"] == name]
+        return plot_missing_force(along, self._forced, self.data.units, ax)
 
     def figure(self, equation: str | None = None) -> "Figure":
         """Missing force over time and states, against what it follows, its spectrum.
@@ -330,3 +309,46 @@ class Diagnosis(Summarised):
         return text_of_summary(said, between="\n")
 
     __repr__ = __str__
+
+
+# ---- what to do next -----------------------------------------------------------------
+
+HOW_TO_ADD = (
+    "In Python, study.add or study.auto adds it; phsi-opt study --auto on the command "
+    "line."
+)
+PROPOSED_EXPERIMENT = "found.separation proposes one"
+
+
+def next_step(
+    verdict: Verdict,
+    findings: Sequence[Finding],
+    analysis: ForceAnalysis,
+    units: Mapping[str, str],
+) -> Answer:
+    """What to add, to measure, to try or to look at again.
+
+    A name is to be added, a class asks for an experiment; where nothing is named, the
+    missing force says what to measure or to look at again.
+    """
+    if verdict == Verdict.NOTHING_MISSING:
+        return Answer(
+            "Nothing: what is left looks like noise.",
+            "Check the model in other conditions of operation: these data confirm it "
+            "where they were taken.",
+        )
+    if not findings:
+        return step_without_name(analysis, units)
+    firsts = " and ".join(str(finding.effects[0]) for finding in findings)
+    again = ", then diagnose again" if verdict == Verdict.PARTLY_NAMED else ""
+    apart = []
+    for finding in findings:
+        first, *others = map(str, finding.effects)
+        if others:
+            apart.append(f"{first} from {', '.join(others)}")
+    if not apart:
+        return Answer(f"Add {firsts}{again}.", HOW_TO_ADD)
+    return Answer(
+        f"Tell {'; '.join(apart)} by an experiment; {PROPOSED_EXPERIMENT}.",
+        f"Until then, {firsts} may stand in the model{again}. {HOW_TO_ADD}",
+    )

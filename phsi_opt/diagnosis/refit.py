@@ -1,55 +1,204 @@
-"""A larger model re-fitted: begun where it was weighed, then run freely."""
+"""The model that is diagnosed, and larger models fitted beside it.
 
+A re-fit begins where the effect was weighed and ends with free runs on both records.
+
+The corner of dry friction is made sharper step by step: a solver needs it rounded at
+first, but beside a body that sticks the rounding shows, and the size of the friction
+comes out wrong. So the width w is made smaller on a finer grid as long as the
+likelihood asks for it: the deviance D is nearly linear in a small w, so that all
+sharper corners together let it fall by its slope dD / dlog w, which the multipliers of
+the dynamics tell.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 
-from phsi_opt.comparison.compare import Comparison, compare_record, deviance
+from phsi_opt.comparison.compare import (
+    Comparison,
+    compare_record,
+    deviance,
+    explained_share,
+    is_failing,
+    is_like_noise,
+)
 from phsi_opt.criteria import (
+    CORNER_WIDTHS,
+    MOST_SHARP_STATES,
     ONE_ATTEMPT_INTERVALS,
     OTHER_OPTIMUM_DEVIANCE,
+    REFIT_ITERATIONS,
+    REFIT_TOLERANCE,
+    SHARPER_CORNER_DEVIANCE,
+    STEPS_AT_CORNER,
     STRAYED_STATES,
+    THOROUGH_ITERATIONS,
 )
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel, n_intervals
-from phsi_opt.diagnosis.friction_sharpening import CornerSharpening
-from phsi_opt.diagnosis.refit_effort import ADDED, BRIEF, THOROUGH
 from phsi_opt.errors import PhsiOptError, SolveError
+from phsi_opt.estimation.estimate import Task, silent
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify_aligned
+from phsi_opt.estimation.identify import estimate_by, identify_aligned
+from phsi_opt.estimation.likelihood_estimate import (
+    DisturbedEstimate,
+    LikelihoodEstimate,
+)
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_scanned
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Share
+from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData
-from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.losses import MaximumLikelihood, l1_weights
 from phsi_opt.transcription.sensors import outputs_at_samples
+
+# All limits are counts: a loaded machine gives the same verdict.
+BRIEF = SolverSettings(
+    tolerance=REFIT_TOLERANCE, max_iterations=REFIT_ITERATIONS, thorough=False
+)
+# Share of the present width over which the slope of the deviance is taken.
+NEARBY_WIDTH = 0.99
 
 
 @dataclass(frozen=True, eq=False)
-class Refit:
-    """A larger model, fitted.
+class DiagnosedModel:
+    """A fit with its free runs, and how larger models are fitted.
 
     Attributes:
-        fit: of the larger model.
-        trained: its free run on the training record.
-        judged: its free run on the record that judges.
+        trained: the free run on the training record.
+        judged: the same on the record that judges; ``trained`` where none is held out.
+        loss: how larger models are fitted.
+        say: called with a line of text as the work goes on.
+        executor: where candidates are weighed side by side; None: here.
     """
 
-    fit: Fit
     trained: Comparison
     judged: Comparison
+    loss: MaximumLikelihood
+    say: Callable[[str], None] = silent
+    executor: Executor | None = None
+
+    @classmethod
+    def of(
+        cls,
+        trained: Comparison,
+        judged: Comparison | None,
+        loss: MaximumLikelihood | None,
+        say: Callable[[str], None] = silent,
+        executor: Executor | None = None,
+    ) -> "DiagnosedModel":
+        """Of a fit that was compared; with a random force, it is made again without.
+
+        Such a force would hide what is missing.
+        """
+        loss = replace(loss or MaximumLikelihood(), model_error=False)
+        base = cls(trained, judged or trained, loss, say, executor)
+        fit = base.fit
+        if not fit.has_model_error:
+            return base
+        aligned = base.record.aligned
+        return base.with_fit(identify_aligned(fit.model, aligned, loss, start=fit))
+
+    def with_fit(self, fit: Fit) -> "DiagnosedModel":
+        """Another fit of the same records, with missing forces of its own.
+
+        Raises:
+            SolveError: the missing force could not be estimated.
+        """
+
+        def compared(record: Record) -> Comparison:
+            return compare_record(Record.of_aligned(fit, record.aligned))
+
+        trained = judged = compared(self.record)
+        if self.is_held_out:
+            judged = compared(self.judged.record)
+        return replace(self, trained=trained, judged=judged)
+
+    @property
+    def fit(self) -> Fit:
+        """The fit."""
+        return self.trained.fit
+
+    @property
+    def record(self) -> Record:
+        """The fit along the training record."""
+        return self.trained.record
+
+    @property
+    def is_held_out(self) -> bool:
+        """Whether data that were not fitted judge."""
+        return self.judged is not self.trained
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the free runs are off by no more than noise."""
+        return is_like_noise(self.trained) and not is_failing(self.judged)
+
+    @property
+    def comparisons(self) -> list[Comparison]:
+        """The free runs on the training record, and on the one held out if any."""
+        return [self.trained, self.judged] if self.is_held_out else [self.trained]
+
+    def evidence_record(self) -> EvidenceRecord:
+        """The records, beside which larger models are weighed.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        held_out = self.judged.record if self.is_held_out else None
+        return EvidenceRecord.of(self.record, held_out)
+
+    def share_explained(self, larger: "DiagnosedModel") -> float:
+        """Share of the judging squared error above the noise floor that is gone.
+
+        NaN where there is none above it.
+        """
+        if not self.judged.rmse > self.judged.noise_floor:
+            return np.nan
+        return explained_share(self.judged, larger.judged)
 
 
-def refit(base: DiagnosedModel, candidate: Candidate) -> Refit | None:
+def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel | None:
+    """The model from a clearly better optimum; None where there is none.
+
+    A fit that began far off may have ended in the wrong optimum, with a parameter at
+    its bound. Beside a force (``record``) the model is not held to one course of its
+    states, and a re-fit from the values found there may be far likelier.
+    """
+    fit = base.fit
+    if not fit.model.free or not base.record.is_of_training:
+        return None
+    weighed = record.base
+    values = {name: weighed.model.values[name] for name in fit.model.free}
+    states = base.record.estimate.grid.split(weighed.states[: record.n_fitted_nodes])
+    start = replace(fit, model=fit.model.with_values(values), states=states)
+    base.say("re-fitting the model from where it was weighed")
+    aligned = base.record.aligned
+    try:
+        better = identify_aligned(start.model, aligned, base.loss, start=start)
+        if not deviance(better) < deviance(fit) - OTHER_OPTIMUM_DEVIANCE:
+            return None
+        return base.with_fit(better)
+    except PhsiOptError:
+        return None
+
+
+def refit(base: DiagnosedModel, candidate: Candidate) -> DiagnosedModel | None:
     """The base model with an effect more, fitted; None where that fails, which is said.
 
-    From where the effect was weighed.
+    Its free runs are judged beside the noise and the starting states of the base.
     """
     base.say(f"re-fitting with {candidate.name}")
     try:
-        return _Refitting(base, candidate).result()
+        return Refitting(base, candidate).result()
     except PhsiOptError as error:
         base.say(f"not re-fitted: {error}")
         return None
@@ -57,68 +206,78 @@ def refit(base: DiagnosedModel, candidate: Candidate) -> Refit | None:
 
 def thorough_fit(aligned: AlignedData, loss: MaximumLikelihood, brief: Fit) -> Fit:
     """A brief re-fit made thorough; itself where that fails or is worse."""
-    try:
+    settings = SolverSettings(max_iterations=THOROUGH_ITERATIONS)
+    with suppress(SolveError):
         thorough = identify_aligned(
-            brief.model, aligned, loss, start=brief, settings=ADDED
+            brief.model, aligned, loss, start=brief, settings=settings
         )
-    except SolveError:
-        return brief
-    if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
-        return thorough
+        if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
+            return thorough
     return brief
 
 
-def thorough_refit(base: DiagnosedModel, brief: Refit) -> Refit:
+def thorough_refit(brief: DiagnosedModel) -> DiagnosedModel:
     """A brief re-fit made thorough, with its free runs as a study has them."""
-    aligned = brief.trained.record.aligned
-    fit = thorough_fit(aligned, base.loss, brief.fit)
+    fit = thorough_fit(brief.record.aligned, brief.loss, brief.fit)
     try:
-        trained = judged = compare_record(Record.of_aligned(fit, aligned))
-        if base.is_held_out:
-            held_out = brief.judged.record.aligned
-            judged = compare_record(Record.of_aligned(fit, held_out))
+        return brief.with_fit(fit)
     except SolveError:
         return brief
-    return Refit(fit, trained, judged)
 
 
-class _Refitting:
+class Refitting:
     """One larger model on the way from its start to a fit with its free runs."""
 
     def __init__(self, base: DiagnosedModel, candidate: Candidate) -> None:
+        """The larger model, with the values beside which the effect was weighed."""
         self.base = base
         self.candidate = candidate
         estimate = base.record.estimate
         model = base.fit.model.add(candidate.effect)
         model = resolve_guesses(model, estimate.grid, estimate.x)
-        known = {}
-        for name, value in candidate.values.items():
-            if name in model.entries and not model.entries[name].parameter.fixed:
-                known[name] = value
+        free = {n for n, entry in model.entries.items() if not entry.parameter.fixed}
+        values = candidate.values.items()
+        known = {name: value for name, value in values if name in free}
         self.model = model.with_values(known)
         self.aligned = base.record.aligned.for_model(self.model)
-        self.sharpening = CornerSharpening(base, self.aligned)
-        # The fast part of a memory, that of a short delay, is not seen by steps as long
-        # as the samples.
-        self.refinement = 2 if candidate.effect.memory else 1
 
-    def result(self) -> Refit:
+    def result(self) -> DiagnosedModel:
         """The fit with its free runs.
 
         Raises:
             PhsiOptError: the model cannot be fitted.
         """
-        blunt = self.begun()
-        fit = self.sharpening.sharpened(blunt)
-        trained = self.with_steps_as_fine_as_its_run(fit)
-        judged = trained
+        fit = self.sharpened(self.begun())
+        trained = judged = self.with_steps_as_fine_as_its_run(fit)
         if self.base.is_held_out:
             judged = compare_record(self.base.judged.record.refitted(trained.fit))
-        return Refit(trained.fit, trained, judged)
+        return replace(self.base, trained=trained, judged=judged)
 
-    def compared(self, fit: Fit) -> Comparison:
-        """The free run of a fit on the training record."""
-        return compare_record(self.base.record.refitted(fit))
+    def begun(self) -> Fit:
+        """The brief re-fit from where the effect was weighed."""
+        base = self.base
+        estimate = base.record.estimate
+        model = base.fit.model
+        sigma = dict(zip(model.states, base.record.sigma.tolist(), strict=True))
+        measured = self.aligned.data.measured
+        states = self.candidate.states
+        if states is None:
+            states = with_memory(model, estimate.grid, estimate.x, base.record.theta)
+        values = self.candidate.values
+        known = {name: values[name] for name in model.free if name in values}
+        # The fast part of a memory, that of a short delay, is not seen by steps as long
+        # as the samples.
+        refinement = 2 if self.candidate.effect.memory else 1
+        start = replace(
+            base.fit,
+            model=model.with_values(known),
+            states=estimate.grid.split(states[:, : model.n_states]),
+            noise={name: sigma[name] for name in model.states if name in measured},
+            steps=tuple(refinement * steps for steps in base.fit.steps),
+        )
+        return identify_aligned(
+            self.model, self.aligned, base.loss, start=start, settings=BRIEF
+        )
 
     def with_steps_as_fine_as_its_run(self, fit: Fit) -> Comparison:
         """The fit's free run; with finer steps where the run leaves the fit's states.
@@ -126,54 +285,124 @@ class _Refitting:
         Steps as long as the samples are too long for a sharp corner, and for the fast
         part of a short memory.
         """
-        trained = self.compared(fit)
+        record = self.base.record
+        trained = compare_record(record.refitted(fit))
         has_corner = is_scanned(self.candidate.effect) or corner_widths(fit.model)
-        if not (has_corner or fit.model.memory):
-            return trained
-        if n_intervals(fit) > ONE_ATTEMPT_INTERVALS:
+        may_stray = has_corner or fit.model.memory
+        if not may_stray or _n_intervals(fit.steps) > ONE_ATTEMPT_INTERVALS:
             return trained
         if distance_from_states(trained) < STRAYED_STATES:
             return trained
+        settings = replace(BRIEF, thorough=True)
         with suppress(PhsiOptError):
             finer = identify_aligned(
-                fit.model,
-                self.aligned,
-                self.base.loss,
-                start=fit,
-                settings=THOROUGH,
+                fit.model, self.aligned, self.base.loss, start=fit, settings=settings
             )
-            again = self.compared(finer)
+            again = compare_record(record.refitted(finer))
             if again.rmse < trained.rmse:
                 return again
         return trained
 
-    def begun(self) -> Fit:
-        """The brief re-fit from where the effect was weighed."""
-        base = self.base
-        estimate = base.record.estimate
-        model = base.fit.model
-        noise = {}
-        for name, sigma in zip(model.states, base.record.sigma, strict=True):
-            if name in self.aligned.data.measured:
-                noise[name] = float(sigma)
-        states = self.candidate.states
-        if states is None:
-            states = with_memory(model, estimate.grid, estimate.x, base.record.theta)
-        start = replace(
-            base.fit,
-            model=model.with_values(self._base_values()),
-            states=estimate.grid.split(states[:, : model.n_states]),
-            noise=noise,
-            steps=tuple(self.refinement * steps for steps in base.fit.steps),
-        )
-        return identify_aligned(
-            self.model, self.aligned, base.loss, start=start, settings=BRIEF
-        )
+    # ---- sharper corners -------------------------------------------------------------
 
-    def _base_values(self) -> dict[str, float]:
-        """Values of the base's own free parameters beside the effect."""
-        values = self.candidate.values
-        return {n: values[n] for n in self.base.fit.model.free if n in values}
+    def corners(self, model: Model) -> dict[str, Share]:
+        """Widths of the corners that the base has not, with their guesses."""
+        widths = corner_widths(model)
+        known = self.base.fit.model.entries
+        return {name: guess for name, guess in widths.items() if name not in known}
+
+    def sharpened(self, fit: Fit) -> Fit:
+        """A fit with rounded corners, with these as sharp as the record asks for."""
+        blunt = fit.model.values
+        guesses = self.corners(fit.model)
+        n_stages = max((len(guess.sharper) for guess in guesses.values()), default=0)
+        estimate = None
+        for stage in range(1, n_stages + 1):
+            # The slope tells little on a grid on which no corner is resolved.
+            if estimate and self._fall(estimate) < SHARPER_CORNER_DEVIANCE:
+                break
+            widths = {}
+            for name, guess in guesses.items():
+                widths[name] = blunt[name] * prod(guess.sharper[:stage])
+            n_steps = STEPS_AT_CORNER * max(stage, 2) // 2
+            estimate = self.at_widths(fit, widths, n_steps)
+            if estimate is None:
+                break
+            sharper = estimate.fit()
+            if deviance(sharper) > deviance(fit) + SHARPER_CORNER_DEVIANCE:
+                break
+            fit = sharper
+        return fit
+
+    def _fall(self, estimate: LikelihoodEstimate | DisturbedEstimate) -> float:
+        """By how much the deviance would fall with corners sharp without end."""
+        model = estimate.model
+        values = model.values
+        widths = {name: NEARBY_WIDTH * values[name] for name in self.corners(model)}
+        change = estimate.deviance_change(model.with_values(widths))
+        return change / float(np.log(NEARBY_WIDTH))
+
+    def at_widths(
+        self, fit: Fit, widths: dict[str, float], n_steps: int
+    ) -> LikelihoodEstimate | DisturbedEstimate | None:
+        """The estimate with other widths of its corners, begun at a fit.
+
+        None where it fails, or where a model with a memory would have too many states.
+        Gaps between samples beside a corner have ``n_steps`` at least.
+        """
+        steps = fit.steps
+        for name, guess in self.corners(fit.model).items():
+            width = fit.model.values[name]
+            steps = finer_at_corner(
+                fit, self.aligned.data, guess.of, width, steps, n_steps
+            )
+        n_states = _n_intervals(steps) * fit.model.n_states
+        if fit.model.memory and n_states > MOST_SHARP_STATES:
+            return None
+        model = fit.model.with_values(widths)
+        task = Task(model, self.aligned, l1_weights(None), None, BRIEF)
+        with suppress(PhsiOptError):
+            found = estimate_by(self.base.loss, task, replace(fit, steps=steps))
+            assert isinstance(found, LikelihoodEstimate | DisturbedEstimate)
+            return found if found.is_success else None
+        return None
+
+
+def finer_at_corner(
+    fit: Fit,
+    data: Measurements,
+    of: str,
+    width: float,
+    steps: Sequence[np.ndarray],
+    n_steps: int = STEPS_AT_CORNER,
+) -> tuple[np.ndarray, ...]:
+    """More steps in gaps between samples in which a formula passes its corner.
+
+    Args:
+        fit: with states at the samples.
+        data: the measurements of the fit.
+        of: formula that is zero at the corner, such as a velocity.
+        width: of the corner, in the unit of the formula.
+        steps: at present, one (n_samples - 1,) per trajectory.
+        n_steps: in gaps beside a corner, at least.
+    """
+    formula = fit.model.function(of)
+    theta = fit.model.theta
+    refined = []
+    for run, x, n in zip(data.trajectories, fit.states, steps, strict=True):
+        at_samples = formula.map("v", "serial", len(x), [3], [])
+        v = np.array(at_samples(x.T, run.u.T, run.t[None, :], theta)).ravel()
+        passes_zero = v[1:] * v[:-1] < 0
+        is_within = np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < CORNER_WIDTHS * width
+        # The corner may move to the gap beside.
+        is_near = np.convolve(passes_zero | is_within, np.ones(3))[1:-1] > 0
+        refined.append(np.where(is_near, np.maximum(n, n_steps), n))
+    return tuple(refined)
+
+
+def _n_intervals(steps: Sequence[np.ndarray]) -> int:
+    """Number of intervals, over all gaps between samples."""
+    return sum(int(of_run.sum()) for of_run in steps)
 
 
 def distance_from_states(trained: Comparison) -> float:

@@ -11,11 +11,8 @@ import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison, is_failing
 from phsi_opt.criteria import CERTAIN_FORCE
-from phsi_opt.diagnosis.candidate import Candidate, Grade
-from phsi_opt.diagnosis.finding import Finding
-from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
-from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
+from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS
 from phsi_opt.force_analysis.next_step import likely_cause

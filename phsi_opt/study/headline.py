@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from phsi_opt.diagnosis.finding import Finding
-from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.diagnosis.candidate import Finding, Verdict
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.sentences import say

@@ -1,6 +1,7 @@
 """The candidates, screened and weighed, the likeliest first."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Progress
 from phsi_opt.model.effect import Effect
@@ -19,10 +20,8 @@ from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.sweep import Ahead
 
-FORCE_DOES = "it would explain no more than a force without a law"
 
-
-def weighed_round(
+def ranked(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
 ) -> tuple[EvidenceRecord, list[Candidate]]:
     """All candidates, the likeliest first.
@@ -30,16 +29,11 @@ def weighed_round(
     Screening tells which of them may gain anything; these are weighed. Where the base
     is likelier from where the likeliest of them ended, all begins again from there.
 
-    Args:
-        base: the model that is diagnosed.
-        record: beside which models are weighed.
-        effects: what may be missing.
-
     Returns:
         The record with the base where it is most likely, and the candidates.
     """
     while True:  # the evidence of the base rises each time
-        candidates, likeliest = _weighed_beside(base, record, effects)
+        candidates, likeliest = _ranked_beside(base, record, effects)
         better = None if likeliest is None else record.better_from(likeliest)
         if better is None:
             return record, candidates
@@ -47,51 +41,43 @@ def weighed_round(
         record = better
 
 
-def _weighed_beside(
+def _ranked_beside(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
 ) -> tuple[list[Candidate], Weighed | None]:
     """All candidates beside one weighing of the base, and the likeliest that gains."""
     base.say(f"screening {len(effects)} candidate effects")
     test = ScoreTest(LinearizedRecord.beside_force(record))
-    screened = []
-    for effect in effects:
-        found = test.screened(effect)
-        if found is not None:
-            screened.append(found)
-    screened.sort(key=lambda one: -one.gain)
+    tested = map(test.screened, effects)
+    screened = sorted(filter(None, tested), key=lambda one: -one.gain)
     n_gaining = sum(one.gain > 0 for one in screened)
     chosen = screened[: int(np.clip(n_gaining, FEWEST_WEIGHED, MOST_WEIGHED))]
     cases = {str(place): one for place, one in enumerate(chosen)}
-    weigh = partial(_weighed, record)
-    ahead = Ahead(weigh, cases, base.executor, base.say)
     candidates: list[Candidate] = []
     likeliest = None
     highest = 0.0
     worth = -np.inf
-    try:
-        for place, one in enumerate(chosen):
+    with closing(Ahead(partial(_weighed, record), cases, base.executor, base.say)) as w:
+        for place, one in cases.items():
             if one.gain < worth:
                 break
-            n_effects = len(screened)
-            candidate = _expected(base, one)
             try:
-                weighed = ahead.result(str(place))
+                weighed = w.result(place)
             except SolveError as error:
                 base.say(str(error))
-                lost = "it could not be weighed"
-                candidates.append(replace(candidate, log_bayes=np.nan, lost=lost))
+                failed = _expected(base, one, "it could not be weighed")
+                candidates.append(replace(failed, log_bayes=np.nan))
                 continue
-            candidate = _candidate(base, record, one, weighed, n_effects)
+            candidate = _candidate(base, record, one, weighed, len(screened))
             candidates.append(candidate)
             if candidate.log_evidence > highest:
                 highest = candidate.log_evidence
                 likeliest = weighed
                 worth = FAR_BEHIND * min(one.gain, candidate.log_evidence)
-    finally:
-        ahead.close()
     for one in screened[len(candidates) :]:
-        lost = FORCE_DOES if one.gain <= 0 else "it is expected to gain far less"
-        candidates.append(replace(_expected(base, one), lost=lost))
+        lost = "it is expected to gain far less"
+        if one.gain <= 0:
+            lost = "it would explain no more than a force without a law"
+        candidates.append(_expected(base, one, lost))
     return _in_order(candidates), likeliest
 
 
@@ -100,7 +86,7 @@ def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
     return record.weighed(one.model, one.values)
 
 
-def _expected(base: DiagnosedModel, one: Screened) -> Candidate:
+def _expected(base: DiagnosedModel, one: Screened, lost: str) -> Candidate:
     return Candidate(
         effect=one.effect,
         coefficient=one.coefficient,
@@ -108,6 +94,7 @@ def _expected(base: DiagnosedModel, one: Screened) -> Candidate:
         unit=size_unit(base.fit.model, one.effect, base.record.data.units),
         values=one.values,
         log_bayes=one.gain,
+        lost=lost,
     )
 
 
@@ -118,29 +105,29 @@ def _candidate(
     weighed: Weighed,
     n_effects: int,
 ) -> Candidate:
-    """An effect with what it weighs."""
+    """An effect with its evidence."""
     alone = record.base
+    model = base.fit.model
     # Those of its parameters that all trajectories share.
-    names = new_names(base.fit.model, one.effect, weighed.names)
+    names = new_names(model, one.effect, weighed.names)
     places = [weighed.names.index(name) for name in names]
-    size = size_of(
-        one.effect,
-        weighed.model,
-        names,
-        weighed.model.values,
-        weighed.covariance[np.ix_(places, places)],
-    )
+    covariance = weighed.covariance[np.ix_(places, places)]
+    size = size_of(one.effect, weighed.model, names, weighed.model.values, covariance)
     # What was tried is in the prior: values of inner numbers, and effects.
     tried = float(np.log(one.n_tried * n_effects))
-    if one.effect.needs_clock and not base.fit.model.inputs:
+    if one.effect.needs_clock and not model.inputs:
         # What nobody drives rarely knows the time; runs begun in phase only look so.
         tried += STRONG_EVIDENCE
-    place = base.fit.model.index(one.effect.equation)
-    held_out = np.nan
-    if base.is_held_out:
-        held_out = weighed.log_held_out - alone.log_held_out
+    equation = model.index(one.effect.equation)
+    forces = [found.force_share(equation) for found in (weighed, alone)]
+    held_out = weighed.log_held_out - alone.log_held_out if base.is_held_out else np.nan
+    # At a bound: no record tells it, or a smaller law does as well.
+    at_bound = [name for name in names if name in weighed.at_bounds]
+    lost = ""
+    if at_bound:
+        lost = f"its {at_bound[0].partition('.')[2] or 'size'} ended at a bound"
     return replace(
-        _expected(base, one),
+        _expected(base, one, lost),
         coefficient=size.value,
         std_error=size.std_error,
         values=weighed.model.values,
@@ -148,37 +135,23 @@ def _candidate(
         log_bayes=weighed.log_training - alone.log_training - tried,
         log_predictive=held_out,
         was_weighed=True,
-        force_left=weighed.force_share(place) / max(alone.force_share(place), TINY),
-        lost=_outside(weighed, names),
+        force_left=forces[0] / max(forces[1], TINY),
     )
-
-
-def _outside(weighed: Weighed, names: Sequence[str]) -> str:
-    """What ended at a bound: no record tells it, or a smaller law does as well."""
-    for name in names:
-        if name in weighed.at_bounds:
-            _, _, inner = name.partition(".")
-            return f"its {inner or 'size'} ended at a bound"
-    return ""
 
 
 def _in_order(candidates: Sequence[Candidate]) -> list[Candidate]:
     """By evidence, weighed ones first, with probabilities and what is alike."""
     gains = [one.log_evidence if one.was_weighed else -np.inf for one in candidates]
-    highest = max([0.0, *gains])
-    odds = np.exp(np.array([0.0, *gains]) - highest)
+    odds = np.exp(np.array([0.0, *gains]) - max([0.0, *gains]))
+    probabilities = (odds[1:] / np.sum(odds)).tolist()
     found = []
-    for one, gain, odd in zip(candidates, gains, odds[1:], strict=True):
+    for one, gain, probability in zip(candidates, gains, probabilities, strict=True):
         alike = []
         for other, of_other in zip(candidates, gains, strict=True):
             is_near = abs(of_other - gain) < STRONG_EVIDENCE
-            if other is not one and one.was_weighed and is_near and gain > 0:
+            if other is not one and is_near and gain > 0:
                 alike.append(other.name)
-        probability = float(odd / np.sum(odds))
-        if not one.was_weighed:
-            probability = 0.0
-        found.append(
-            replace(one, probability=probability, confusable_with=tuple(alike))
-        )
+        alike_names = tuple(alike)
+        found.append(replace(one, probability=probability, confusable_with=alike_names))
     order = np.argsort([-gain for gain in gains], kind="stable")
     return [found[place] for place in order]
