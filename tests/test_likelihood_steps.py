@@ -12,8 +12,7 @@ from phsi_opt.diagnosis.refit import BRIEF
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.maximum_likelihood import crude_start
-from phsi_opt.initialization.kinematic_states import kinematic_states
-from phsi_opt.initialization.scaling import point_at
+from phsi_opt.initialization.scaling import kinematic_states, point_at
 from phsi_opt.model.model import Model, built_of
 from phsi_opt.model_error import joint_estimate
 from phsi_opt.model_error.joint_estimate import JointProblem

@@ -18,7 +18,7 @@ from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi_solve import by_defects
 from phsi_opt.estimation.pruning import Pruning
-from phsi_opt.initialization.finite_rates import check_rates
+from phsi_opt.initialization.relative_guesses import check_rates
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units

@@ -33,10 +33,9 @@ from phsi_opt.estimation.likelihood_problem import (
 from phsi_opt.estimation.missing_force import smoothed
 from phsi_opt.estimation.optimum_checks import finer_steps, residual_warnings
 from phsi_opt.estimation.phsi_solve import PHSISolver, best_of_starts
-from phsi_opt.initialization.convex_start import starting_values
-from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
-from phsi_opt.initialization.scaling import theta_scale
+from phsi_opt.initialization.scaling import kinematic_states, theta_scale
+from phsi_opt.initialization.starting_values import starting_values
 from phsi_opt.model.model import Model
 from phsi_opt.sweeps.sweep import Ahead
 from phsi_opt.transcription.augmented_states import with_memory

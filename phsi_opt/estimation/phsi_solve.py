@@ -10,10 +10,13 @@ from phsi_opt.errors import DataError
 from phsi_opt.estimation.estimate import Estimate, Task, pruned
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.uncertainty import Uncertainty, of_defects
-from phsi_opt.initialization.convex_start import starting_values
-from phsi_opt.initialization.frequency_scan import frequency_scans, imitators
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.initialization.scaling import first_point
+from phsi_opt.initialization.starting_values import (
+    frequency_scans,
+    imitators,
+    starting_values,
+)
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY

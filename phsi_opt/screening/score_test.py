@@ -12,12 +12,12 @@ from itertools import product
 import numpy as np
 
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.initialization.frequency_scan import frequency_grid
 from phsi_opt.initialization.relative_guesses import (
     resolve_guesses,
     values_at,
     values_to_try,
 )
+from phsi_opt.initialization.starting_values import frequency_grid
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter, Scan, Tried

@@ -14,7 +14,7 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
-from phsi_opt.initialization.finite_rates import check_rates
+from phsi_opt.initialization.relative_guesses import check_rates
 from phsi_opt.model.catalogue import catalogue, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
