@@ -496,7 +496,7 @@ def test_importing_the_package_does_not_import_torch() -> None:
 
 def test_settings_are_made_without_torch() -> None:
     code = (
-        "import sys, phsi_opt.baselines.descent_settings, "
+        "import sys, phsi_opt.baselines.descent, "
         "problems.peers.joint_force, problems.peers.phnn_model; "
         "sys.exit('torch' in sys.modules)"
     )

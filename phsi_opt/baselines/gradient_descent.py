@@ -15,8 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Progress, descend
-from phsi_opt.baselines.descent_settings import Descent
+from phsi_opt.baselines.descent import Adam, Descent, Progress, descend
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from phsi_opt.arguments import is_count, require, require_size
-from phsi_opt.baselines.descent import Adam, Progress, descend
-from phsi_opt.baselines.descent_settings import check_descent
+from phsi_opt.baselines.descent import Adam, Progress, check_descent, descend
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible

@@ -23,8 +23,7 @@ from phsi_opt.arguments import (
     require_count,
     require_size,
 )
-from phsi_opt.baselines.descent import Adam, Progress, descend
-from phsi_opt.baselines.descent_settings import check_descent
+from phsi_opt.baselines.descent import Adam, Progress, check_descent, descend
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements

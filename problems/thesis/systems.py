@@ -64,7 +64,7 @@ class Descent:
 
     def settings(self, start: str = "thesis") -> tuple[Any, Any]:
         """Settings of `joint_descent` and its force (None without one)."""
-        from phsi_opt.baselines.descent_settings import Descent as Settings
+        from phsi_opt.baselines.descent import Descent as Settings
         from problems.peers.joint_force import JointForce
 
         scaled = {slot: weight * self.n_states for slot, weight in self.l1.items()}
