@@ -32,8 +32,7 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, damping, formula
-from phsi_opt.model_error import ascent, marginal_likelihood
-from phsi_opt.model_error.ascent import Trial, WhiteRecord, slopes
+from phsi_opt.model_error import ascent
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import (
     LENGTH,
@@ -43,11 +42,10 @@ from phsi_opt.model_error.disturbances import (
     Process,
     StateFunction,
     Whitener,
-    random_signs,
     smooth_functions,
 )
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
+from phsi_opt.model_error.marginal_likelihood import Border
 from phsi_opt.model_error.standard_errors import (
     FEWEST,
     MOST,
@@ -55,7 +53,6 @@ from phsi_opt.model_error.standard_errors import (
     Source,
     degrees_of_freedom,
 )
-from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -558,9 +555,9 @@ def test_the_steps_end_where_the_marginal_likelihood_says(
     d = estimate.disturbances
     assert d.structure == BESIDE[kind].structure
     search = estimate.search
-    likelihood = MarginalLikelihood(search.problem, d.structure, search.moving)
-    step = likelihood.smoothed(likelihood.eliminated(d), d)
-    std_error = np.sqrt(np.diag(likelihood.at(d).covariance))
+    system = search.likelihood(d).at(d)
+    step = system.smoothed()
+    std_error = np.sqrt(np.diag(system.covariance))
     limit = 0.1 if d.functions else 1e-3  # functions are those of the states before
     assert np.abs(step.theta / std_error).max() < limit
     largest = max(p.size for p in d.processes)
@@ -589,10 +586,6 @@ def test_pieces_of_a_long_record_show_what_the_whole_shows() -> None:
     assert found.log_evidence == pytest.approx(whole.log_evidence, abs=1.0)
     assert expected.size == pytest.approx(SIZE, rel=0.1)
     assert expected.time == pytest.approx(TIME, rel=0.3)
-
-
-def test_a_short_record_is_searched_whole() -> None:
-    assert search_of(0).pieces is None
 
 
 def test_cut_pieces_are_what_the_record_is_there() -> None:
@@ -676,10 +669,9 @@ def test_the_whitener_is_that_of_the_covariance(time: float) -> None:
     values = rng.normal(size=n)
     np.testing.assert_allclose(whitener.whitened(values), matrix @ values, atol=1e-12)
     precision = np.linalg.inv(covariance)
-    np.testing.assert_allclose(whitener.precision_diagonal, np.diag(precision))
-    np.testing.assert_allclose(
-        whitener.precision_below, np.diag(precision, -1), atol=1e-10
-    )
+    diagonal, below = whitener.precision
+    np.testing.assert_allclose(diagonal, np.diag(precision))
+    np.testing.assert_allclose(below, np.diag(precision, -1), atol=1e-10)
     log_det = np.linalg.slogdet(covariance)[1]
     assert whitener.log_det == pytest.approx(-log_det / 2, abs=1e-10)
     weights = rng.normal(size=(n, 3))
@@ -773,11 +765,11 @@ def test_clusters_of_borders_are_the_trajectories_beside_a_function() -> None:
     expected, slopes, values = regressions(rng, 12, 9, prior)
     borders = []
     for a, y in zip(slopes, values, strict=True):
-        border = Border(a.T @ a, a.T @ y, float(y @ y), 0.0, 2, np.array([0]))
+        border = Border(a.T @ a, a.T @ y, float(y @ y), 0.0, 2, np.array([0]), size)
         borders.append(border)
-    step = Border.sum(borders).marginal(size).border
+    step = Border.sum(borders).estimate
     np.testing.assert_allclose(step, least_squares(slopes, values, prior), rtol=1e-6)
-    found = Clusters.of_borders(borders, size, step)
+    found = Clusters.of_borders(borders, step)
     np.testing.assert_allclose(
         found.jackknife(), expected.jackknife()[:2, :2], rtol=1e-6
     )
@@ -991,150 +983,6 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
     assert not nothing.plain.search.is_promising
 
 
-def test_trials_that_are_asked_together_promise_what_each_does_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    search = search_of(0)
-    white = Disturbances(search.plain)
-    record = WhiteRecord(search.likelihood(white), white)
-    sensors = search._sensors(1.0, TIME)
-    forces = [Process(place, 1.0, TIME) for place in search.problem.forced]
-    trials = [
-        Trial(forces, sensors),
-        Trial([], []),
-        Trial([replace(one, time=3 * TIME) for one in forces], []),
-    ]
-    together = record.promised_gains(trials, search.channels)
-    for trial, gain in zip(trials, together, strict=True):
-        (alone,) = record.promised_gains([trial], search.channels)
-        assert gain.forces == pytest.approx(alone.forces, rel=1e-6)
-        assert gain.sensors == pytest.approx(alone.sensors, rel=1e-6)
-    n_felt = len(search.channels) + 2 * len(forces) + len(sensors)
-    solved: list[tuple[int, ...]] = []
-    solve = Banded.solve
-
-    def noted(banded: Banded, right: np.ndarray) -> np.ndarray:
-        solved.append(right.shape)
-        return solve(banded, right)
-
-    monkeypatch.setattr(Banded, "solve", noted)
-    record.promised_gains(trials, search.channels)
-    # What is felt, and the random signals of each trial that has any.
-    assert [shape[1] for shape in solved] == [n_felt, *[ascent.N_SIGNS] * 2]
-    assert together[0].forces > 0
-    assert together[1] == ascent.PromisedGain()
-
-
-def test_a_first_step_is_the_best_one_with_variances_that_are_not_negative() -> None:
-    rng = np.random.default_rng(0)
-    n_inside = 0
-    for _ in range(40):
-        factor = rng.normal(size=(3, 2))
-        information = factor.T @ factor
-        size = np.sqrt(np.diag(information))
-        information = information / np.outer(size, size)
-        slopes = rng.normal(size=2)
-        found = ascent._gain(slopes, information)
-        # Of two variances both, one, or none is above zero.
-        tried = [np.zeros(2), np.linalg.solve(information, slopes)]
-        tried += [np.array([slopes[0], 0.0]), np.array([0.0, slopes[1]])]
-        gains = []
-        for v in tried:
-            if np.all(v >= 0):
-                gains.append(slopes @ v - v @ information @ v / 2)
-        n_inside += bool(np.all(tried[1] > 0))
-        assert found == pytest.approx(max(gains), rel=1e-6, abs=1e-9)
-    assert 0 < n_inside < 40
-
-
-def test_nothing_more_is_worked_out_where_no_disturbance_is_promised(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    nothing = estimated(simulated(0, size=0.0), MaximumLikelihood())
-    assert isinstance(nothing, LikelihoodEstimate)
-    search = nothing.plain.search
-    assert search.found().disturbances.is_white
-
-    def never(*_: object) -> None:
-        raise AssertionError("the search went on")
-
-    monkeypatch.setattr(DisturbanceSearch, "found", never)
-    errors = nothing.standard_errors
-    assert errors is not None
-    assert errors.source == Source.NOISE
-
-
-def test_pieces_in_which_nothing_is_found_ask_nothing_of_the_whole(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    search = replace(search_of(0))  # a copy: what is worked out about it is kept
-    vars(search)["pieces"] = replace(search)
-    nothing = Evidence(Disturbances(search.plain), 0.0)
-    monkeypatch.setattr(DisturbanceSearch, "_found_directly", lambda _: nothing)
-    assert search.found().disturbances.is_white
-    assert "white" not in vars(search)
-
-
-def test_the_other_kind_is_searched_for_where_it_promised_something(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    beside: list[bool] = []
-    other = DisturbanceSearch._with_the_other_kind
-
-    def noted(search: DisturbanceSearch, found: Disturbances) -> list[Disturbances]:
-        beside.append(bool(found.forces))
-        return other(search, found)
-
-    monkeypatch.setattr(DisturbanceSearch, "_with_the_other_kind", noted)
-    for promised in (True, False):
-        search = replace(search_of(0))
-        promising = replace(search._promising, forces=True, sensors=promised)
-        vars(search)["_promising"] = promising
-        assert search.found().disturbances.forces
-        assert len(beside) == 1  # from the first of the two alone
-
-
-def test_random_signs_and_whiteners_are_made_once_for_a_place(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    signs = random_signs((5, 3), 4)
-    assert random_signs((5, 3), 4) is signs
-    assert [one.shape for one in signs] == [(5, 4), (3, 4)]
-    assert set(np.concatenate(signs).ravel()) == {-1.0, 1.0}
-    assert not any(one.flags.writeable for one in signs)
-    search = search_of(0)
-    start = search._force_starts()[0]
-    made: list[float] = []
-    whitener = marginal_likelihood.whitener_of_force
-
-    def counted(problem: Linearization, force: Process) -> Whitener:
-        made.append(force.time)
-        return whitener(problem, force)
-
-    monkeypatch.setattr(marginal_likelihood, "whitener_of_force", counted)
-    slopes(search.likelihood(start), start, search.channels)
-    assert len(made) == 2 * len(start.forces)  # at its time, and a little later
-
-
-def test_slopes_in_a_variance_are_those_of_the_evidence(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(ascent, "N_SIGNS", 2000)  # traces to 2 % of their spread
-    search = search_of(0)
-    white = Disturbances(search.plain)
-    record = WhiteRecord(search.likelihood(white), white)
-    (place,) = search.problem.forced[-1:]
-    force = Process(place, 1.0, TIME)
-    asked = record.asked(Trial([force], []))
-    asked.information = np.eye(1)
-    record.set_excess(asked)
-    (slope,) = asked.excess
-    small = 1e-3 * search.rates()[place]
-    beside = Disturbances(search.plain, (replace(force, size=small),))
-    rise = search.evidence(beside).log_evidence - search.evidence(white).log_evidence
-    assert slope * small**2 == pytest.approx(rise, rel=0.05)
-
-
 @cache
 def search_of_a_chain() -> DisturbanceSearch:
     """White noise alone, on twenty channels."""
@@ -1144,76 +992,69 @@ def search_of_a_chain() -> DisturbanceSearch:
     return estimate.plain.search
 
 
-def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(ascent, "N_SIGNS", 1000)
-    search = search_of_a_chain()
-    white = Disturbances(search.plain)
-    record = WhiteRecord(search.likelihood(white), white)
-    sensors = search._sensors(0.01, TIME)
-    trial = Trial([], sensors, is_tied=True)
-    asked = record.asked(trial)
-    asked.information = np.eye(1)
-    record.set_excess(asked)
-    (slope,) = asked.excess
-    rise = search.evidence(replace(white, sensors=sensors)).log_evidence
-    rise -= search.evidence(white).log_evidence
-    # It is the small difference of two traces, one of them by random signs.
-    assert slope == pytest.approx(rise, abs=0.01 * asked.seen[0])
-
-
-def test_many_channels_promise_nothing_by_their_number() -> None:
-    search = search_of_a_chain()
-    white = Disturbances(search.plain)
-    record = WhiteRecord(search.likelihood(white), white)
-    sensors = search._sensors(1.0, search.first_times()[0])
-    trials = [Trial([], sensors), Trial([], sensors, is_tied=True)]
-    gains = []
-    for trial in trials:
-        (gain,) = record.promised_gains([trial], search.channels)
-        gains.append(gain.sensors)
-    alone, tied = gains
-    assert alone > STRONG_EVIDENCE  # by chance, with a size for each
-    assert tied < STRONG_EVIDENCE / 2
-    assert search.found().disturbances.is_white
-
-
-def test_tied_sizes_are_searched_for_with_less_of_a_promise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    little = ascent.PromisedGain(forces=0.4 * STRONG_EVIDENCE)
-
-    def promised(
-        _: WhiteRecord, trials: list[Trial], channels: tuple[int, ...]
-    ) -> list[ascent.PromisedGain]:
-        return [little] * len(trials)
-
-    monkeypatch.setattr(WhiteRecord, "promised_gains", promised)
-    tied = search_of_a_chain()
-    alone = search_of(0)
-    for search, is_promising in ((tied, True), (alone, False)):
-        search.__dict__.pop("_promising", None)
-        assert search._promising.forces == is_promising
-        search.__dict__.pop("_promising")
-
-
 def test_a_function_gains_what_the_evidence_says() -> None:
     search = search_of(0)
-    with_all = Disturbances(search.plain).with_functions(search._function_candidates())
-    border = search.likelihood(with_all).border(with_all)
+    candidates = search._function_candidates()
+    with_all = Disturbances(search.plain, functions=candidates)
+    border = search.likelihood(with_all).at(with_all).border
     rates = search._rates_of(with_all.functions)
     absent = 1e-9 * rates
     sizes = np.zeros(len(rates))
     sizes[0] = 0.02 * rates[0]
     there = np.maximum(sizes, absent)
-    before = border.marginal(there).log_evidence
+    before = replace(border, sizes=there).log_evidence
     for number in range(1, len(rates)):
         tried = np.array([0.0, 0.01, 0.1]) * rates[number]
-        gains = border.gains_by_function(number, tried, sizes)
+        gains = replace(border, sizes=sizes).gains_by_function(number, tried)
         assert gains[0] == 0
         for size, gain in zip(tried[1:], gains[1:], strict=True):
             trial = there.copy()
             trial[number] = size
-            expected = border.marginal(trial).log_evidence - before
+            expected = replace(border, sizes=trial).log_evidence - before
             assert gain == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("kind", ["force", "tied sensors"])
+def test_slopes_at_size_zero_are_those_of_the_evidence(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ascent, "N_SIGNS", 2000)  # traces to 2 % of their spread
+    search = search_of(0) if kind == "force" else search_of_a_chain()
+    white = Disturbances(search.plain)
+    system = search.likelihood(white).at(white)
+    problem = system.problem
+    if kind == "force":
+        (place,) = problem.forced[-1:]
+        small: tuple[Process, ...] = (
+            Process(place, 1e-3 * float(search.rates()[place]), TIME),
+        )
+        there = replace(white, forces=small)
+        sites = [problem.site_of_force(place)]
+    else:
+        small = search._sensors(0.01, TIME)
+        there = replace(white, sensors=small)
+        sites = [problem.site_of_sensor(one.place) for one in small]
+    components = []
+    for one, site in zip(small, sites, strict=True):
+        components.append(ascent.Component.of(one, site, system.projected_data))
+    test = ascent.ScoreTest(system, search.channels, is_tied=True)
+    (slope,) = test.slopes([components], np.ones(1))
+    rise = search.evidence(there).log_evidence - search.evidence(white).log_evidence
+    # It is the small difference of two traces, one of them by random signs.
+    seen = sum(one.squares for one in components)
+    assert slope == pytest.approx(rise, rel=0.05, abs=0.01 * seen)
+
+
+def test_many_channels_promise_nothing_by_their_number() -> None:
+    search = search_of_a_chain()
+    white = Disturbances(search.plain)
+    system = search.likelihood(white).at(white)
+    sensors = search._sensors(1.0, search.first_times()[0])
+    gains = []
+    for is_tied in (False, True):
+        test = ascent.ScoreTest(system, search.channels, is_tied)
+        gains.append(test.gains([], sensors)[1])
+    alone, tied = gains
+    assert alone > STRONG_EVIDENCE  # by chance, with a size for each
+    assert tied < STRONG_EVIDENCE / 2
+    assert search.found().disturbances.is_white

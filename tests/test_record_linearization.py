@@ -1,6 +1,7 @@
 """The linearised likelihood of a record, against finite differences and dense algebra."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,8 +13,8 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.linearization import linearized
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, ReducedSystem
+from phsi_opt.model_error.linearization import Linearizer
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, white_system
 from phsi_opt.optimization.bounded_step import REGULAR, RIDGE, Room
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import Grid, aligned, grid_of
@@ -120,7 +121,7 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     sigma = np.r_[0.1, 0.2, np.ones(model.n_states - 2)]
     z = point.scaled
     there = likelihood.at(z)
-    linear = linearized(likelihood, z, there)
+    linear = Linearizer(likelihood).at(z)
     weights = 1 / sigma[linear.channel]
     dense = Dense(likelihood, sigma)
     np.testing.assert_allclose(there.g, dense.defects(z), atol=1e-10)
@@ -142,16 +143,15 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     def alike(found: np.ndarray, wanted: np.ndarray) -> None:
         close(found, wanted, atol=1e-6 * np.max(np.abs(wanted)))
 
-    eliminated = ReducedSystem(linear, sigma)
+    eliminated = white_system(linear, sigma)
     close(eliminated.information @ covariance, np.eye(n))
     e = rng.normal(size=len(J))
     theta, x = eliminated.respond(e, covariance)
     close(np.r_[theta, x.ravel()], (inverse @ np.r_[np.zeros(n_z), e])[:n_z])
     # Its variances are those of the parameters, carried along, and of the starts.
-    starts = grid.first[:, None] * model.n_states + np.arange(model.n_states)
     following = eliminated.following
     variances = np.einsum("aij,jk,aik->ai", following, covariance, following)
-    left = eliminated.start_covariances(starts, grid.trajectory)
+    left = eliminated.start_covariances()
     variances = variances + np.einsum("aii->ai", left)
     np.testing.assert_allclose(
         variances.ravel(), np.diag(inverse)[n:n_z], rtol=1e-5, atol=1e-9
@@ -160,8 +160,8 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     pull = C.T @ (weights * there.misfit)
     whole = np.linalg.solve(kkt, np.r_[pull, -there.g])
     noise = Disturbances(np.tile(sigma, (len(RUNS), 1)))
-    kernel = MarginalLikelihood(linear, noise.structure, np.arange(n))
-    found = kernel.smoothed(kernel.eliminated(noise, REGULAR), noise)
+    kernel = MarginalLikelihood(linear, noise, np.arange(n))
+    found = kernel.at(noise, REGULAR).smoothed()
     close(np.r_[found.theta, found.x.ravel()], whole[:n_z])
     alike(found.multipliers, whole[n_z:])
     # So it does where a state, or a parameter, does not move.
@@ -171,15 +171,14 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     kkt[0, :] = kkt[:, 0] = 0.0
     kkt[0, 0] = 1.0
     whole = np.linalg.solve(kkt, np.r_[0.0, pull[1:], -there.g])
-    found = kernel.smoothed(
-        kernel.eliminated(noise, REGULAR, np.array([1])), noise, room=room
-    )
+    found = kernel.at(noise, REGULAR, np.array([1])).smoothed(room=room)
     close(np.r_[found.theta, found.x.ravel()], whole[:n_z])
     alike(found.multipliers, whole[n_z:])
     # And beside a white force, whose variance softens the dynamics.
     softness = rng.uniform(0.1, 1.0, len(J))
-    soft = MarginalLikelihood(linear, noise.structure, np.arange(n), softness)
-    found = soft.smoothed(soft.eliminated(noise, REGULAR), noise)
+    linear = replace(linear, softness=softness)
+    soft = MarginalLikelihood(linear, noise, np.arange(n))
+    found = soft.at(noise, REGULAR).smoothed()
     H[range(n), range(n)] += RIDGE
     by_force = J.T / softness
     direct = np.linalg.solve(H + by_force @ J, pull - by_force @ there.g)

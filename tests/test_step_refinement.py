@@ -9,7 +9,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
-from phsi_opt.model_error.marginal_likelihood import ReducedSystem
+from phsi_opt.model_error.marginal_likelihood import OptimalitySystem
 
 T = np.linspace(0.0, 12.0, 25)  # some six samples a period
 STIFFNESS = 4.0
@@ -62,14 +62,14 @@ def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
 def test_finer_steps_have_the_room_of_the_factors_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    eliminate = ReducedSystem.__init__
+    eliminate = OptimalitySystem.__init__
     solve = LikelihoodProblem.solve
-    made: list[weakref.ref[ReducedSystem]] = []
+    made: list[weakref.ref[OptimalitySystem]] = []
     n_finer = []
 
-    def remembered(self: ReducedSystem, *parts: object) -> None:
+    def remembered(self: OptimalitySystem, *parts: object, **named: object) -> None:
         made.append(weakref.ref(self))
-        eliminate(self, *parts)  # type: ignore[arg-type]
+        eliminate(self, *parts, **named)  # type: ignore[arg-type]
 
     def with_room(
         self: LikelihoodProblem, start: StartingPoint, **options: object
@@ -79,7 +79,7 @@ def test_finer_steps_have_the_room_of_the_factors_before(
             assert all(before() is None for before in made)
         return solve(self, start, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(ReducedSystem, "__init__", remembered)
+    monkeypatch.setattr(OptimalitySystem, "__init__", remembered)
     monkeypatch.setattr(LikelihoodProblem, "solve", with_room)
     ph.identify(spring(3.0), coarse_record())
     assert n_finer

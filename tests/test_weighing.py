@@ -135,7 +135,7 @@ def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> Non
             held = replace(problem, moving=problem.moving[:0])
             beside = JointPoint(z, np.concatenate(base.processes), np.zeros(0))
             there = held.optimum(z, beside=beside).likelihood
-            likelihood = there.log_likelihood(base.disturbances)
+            likelihood = there.at(base.disturbances).log_likelihood
             assert likelihood < base.log_likelihood
 
 
@@ -325,7 +325,7 @@ def test_traces_are_the_slopes_of_the_residuals(name: str, equation: str) -> Non
             base.likelihood.problem, offset=moved.offset, residual=moved.residual
         )
         likelihood = MarginalLikelihood(
-            problem, base.disturbances.structure, base.likelihood.moving
+            problem, base.disturbances, base.likelihood.moving
         )
         left.append(replace(base, likelihood=likelihood).residual)
     slopes = (left[1] - left[0]) / (2 * step)

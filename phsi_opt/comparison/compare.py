@@ -29,8 +29,8 @@ from phsi_opt.initialization.scaling import point_at
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import Expressions, function_of
-from phsi_opt.model_error.linearization import linearized
-from phsi_opt.model_error.marginal_likelihood import ReducedSystem
+from phsi_opt.model_error.linearization import Linearizer
+from phsi_opt.model_error.marginal_likelihood import white_system
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.simulate import free_run
@@ -78,13 +78,11 @@ def prediction_bands(
     point = point_at(model, grid, unknown, theta, nodes)
     scheme = MaximumLikelihood().integrator
     likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
-    z = point.scaled
-    linear = linearized(likelihood, z, likelihood.at(z))
-    system = ReducedSystem(linear, record.sigma)
+    linear = Linearizer(likelihood).at(point.scaled)
+    system = white_system(linear, record.sigma)
     # What states follow parameters, and what is left open beside these.
-    starts = grid.first[:, None] * model.n_states + np.arange(model.n_states)
     by_theta = system.following * point.x_scale[:, None]
-    left_open = system.start_covariances(starts, grid.trajectory)
+    left_open = system.start_covariances()
     left_open = left_open * np.outer(point.x_scale, point.x_scale)
     if model.sensor:
         of_runs = unknown.by_trajectory(theta)

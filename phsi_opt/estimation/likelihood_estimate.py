@@ -31,16 +31,11 @@ from phsi_opt.model_error.ascent import SETTLED_EVIDENCE
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import LINEAR_SHARE, Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointProblem
-from phsi_opt.model_error.linearization import (
-    Linearization,
-    Linearizer,
-    between_samples,
-    linearized,
-)
+from phsi_opt.model_error.linearization import Linearization, Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
-    ReducedSystem,
-    noise_weights,
+    OptimalitySystem,
+    white_system,
 )
 from phsi_opt.model_error.standard_errors import (
     Clusters,
@@ -135,9 +130,9 @@ class LikelihoodEstimate(Estimate):
         return self.deviance + len(self.unknown) * float(np.log(self.n_values))
 
     @cached_property
-    def reduced(self) -> ReducedSystem:
+    def reduced(self) -> OptimalitySystem:
         """The likelihood at the solution, states eliminated."""
-        return ReducedSystem(self._counted, self.sigma)
+        return white_system(self._counted, self.sigma)
 
     def deviance_change(self, model: Model) -> float:
         """How the deviance would change if fixed numbers were those of ``model``.
@@ -160,7 +155,7 @@ class LikelihoodEstimate(Estimate):
 
     def linearized(self) -> Linearization:
         """Slopes of dynamics and sensors at the solution."""
-        return linearized(self.likelihood, self.z, self.likelihood.at(self.z))
+        return Linearizer(self.likelihood).at(self.z)
 
     def release(self) -> None:
         """Make room: factors of many states are large; they come again if asked for."""
@@ -218,7 +213,7 @@ class LikelihoodEstimate(Estimate):
     @property
     def plain(self) -> PlainEstimate:
         """The estimate as one that counts residuals as white noise."""
-        problem = between_samples(self._counted)
+        problem = self._counted.between_samples()
         following = self.reduced.following[self.grid.sample]
         following = following.reshape(problem.nodes.size, problem.n_theta)
         return PlainEstimate(
@@ -337,17 +332,16 @@ class DisturbedEstimate(Estimate):
         as functions of states; and from the scatter between trajectories where they are
         enough.
         """
-        response = self._likelihood.response(self.disturbances)
+        response = self._likelihood.at(self.disturbances).response
         problem = self.search.problem
         problem = replace(problem, linear_share=LINEAR_SHARE, tilt=None)
         counted = replace(self.search, problem=problem)
         found = under_disturbances(counted, response, counted.found())
         spreads = {Source.DISTURBANCES: found}
         if self.unknown.is_shared:
-            disturbances = self.disturbances
-            borders = self._likelihood.borders_by_run(disturbances)
-            step = self._likelihood.at(disturbances).border
-            clusters = Clusters.of_borders(borders, disturbances.function_sizes, step)
+            system = self._likelihood.at(self.disturbances)
+            borders = system.borders_by_trajectory()
+            clusters = Clusters.of_borders(borders, system.border.estimate)
             if clusters.is_enough:
                 of_clusters = clusters.spread(self.search.moving, len(self.unknown))
                 spreads[Source.TRAJECTORIES] = of_clusters
@@ -375,7 +369,7 @@ class DisturbedEstimate(Estimate):
     @property
     def deviance(self) -> float:
         """-2 log marginal likelihood, the disturbances integrated out."""
-        return -2 * self._likelihood.log_likelihood(self.disturbances)
+        return -2 * self._likelihood.at(self.disturbances).log_likelihood
 
     def fit(self) -> Fit:
         """The result record, with noise and model error.
@@ -412,7 +406,7 @@ class DisturbedEstimate(Estimate):
             model_error_rows=self.model_error_rows(
                 self.search.problem.nodes, self.disturbances
             ),
-            log_evidence=self._likelihood.log_model_evidence(self.disturbances),
+            log_evidence=self._likelihood.at(self.disturbances).log_model_evidence,
         )
 
 
@@ -449,7 +443,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         before = problem.optimum(z, 0) if joint is None else joint
         joint = problem.tilted(before).optimum(z, most_steps=100)
         z = joint.point.z
-        weights = noise_weights(joint.place.linear, disturbances.sigma)
+        weights = 1 / joint.place.linear.of_values(disturbances.sigma)
         solution = solution_of_steps(
             values,
             z,

@@ -1,20 +1,27 @@
-"""The slope of the log evidence in every size and time, and steps uphill.
+"""Slopes of the log evidence in the sizes and times of disturbances, and steps uphill.
 
-Slopes follow from the solution at given sizes, but for traces of an inverse, which are
-estimated by random signs from a fixed seed (Hutchinson 1990). The curvature is the
-average information, of which only solutions for further right-hand sides are needed
-(Gilmour, Thompson and Cullis, Biometrics 51, 1995). So a step costs about two
-evaluations of the evidence, however many sizes there are.
+With V the covariance of the data, V_i its slope in a size or time, y the data and P the
+inverse of V with unknown parameters and starting states projected out::
+
+    slope         y'P V_i P y / 2 - trace(P V_i) / 2
+    information   y'P V_i P V_j P y / 2
+
+the latter on average (Gilmour, Thompson and Cullis, Biometrics 51, 1995); traces are
+estimated by random signs from a fixed seed (Hutchinson 1990). Solutions for a few
+further right-hand sides are all that is needed, however many sizes there are: a step
+uphill costs about two evaluations of the evidence.
+
+For processes that are not there yet, the slopes at size zero and the Newton step that
+they promise say whether a search is worth its time (a score test of variance
+components: Lin, Biometrika 84, 1997).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.sparse import csc_matrix
 
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import (
@@ -24,20 +31,20 @@ from phsi_opt.model_error.disturbances import (
     Whitener,
     random_signs,
 )
+from phsi_opt.model_error.linearization import Site
 from phsi_opt.model_error.marginal_likelihood import (
-    Eliminated,
     MarginalLikelihood,
-    solve_border,
-    whitener_of_force,
-    whitener_of_sensor,
+    OptimalitySystem,
 )
-from phsi_opt.optimization.bounded_step import RIDGE
 from phsi_opt.statistics import TINY
 
 # Random vectors: as many as together look at 8000 values, within these limits.
 LEAST_PROBES = 6
 MOST_PROBES = 24
-LEAST_INFORMATION = 0.1  # of a coordinate: a size that nothing tells moves freely
+# Random vectors for the slopes at size zero: each is then known to about a third of its
+# standard deviation.
+N_SIGNS = 8
+LEAST_INFORMATION = 0.1  # of a coordinate: a size without information moves freely
 MOST_STEPS = 25
 # Gain of the log evidence by a step at which an ascent ends: far below what makes a
 # difference to a standard error, and about what the random signs leave open.
@@ -45,7 +52,10 @@ LEAST_GAIN = 0.03
 # Gain by better sizes, of a record linearised where others led, at which these stay: it
 # makes no difference to a verdict.
 SETTLED_EVIDENCE = 0.1
-PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
+PRIOR_STEP = 1e-4  # of the logarithm of a time, for slopes of priors
+
+
+# --- Slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +76,83 @@ class Slopes:
     information: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Component:
+    """A process as a component of the variance of data and dynamics.
+
+    Attributes:
+        process: with its size and time.
+        site: where it acts.
+        whitener: of its values at size one.
+        normals: F with F'F what its prior of size one makes of the projected data.
+    """
+
+    process: Process
+    site: Site
+    whitener: Whitener
+    normals: np.ndarray
+
+    @classmethod
+    def of(
+        cls, process: Process, site: Site, projected_data: np.ndarray
+    ) -> "Component":
+        """Of a process."""
+        whitener = site.whitener(process.time)
+        normals = whitener.factor_of(site.effects.T @ projected_data[:, None])
+        return cls(process, site, whitener, normals)
+
+    @property
+    def squares(self) -> float:
+        """y'P V P y with V the variance by the process."""
+        return float(self.process.size**2 * np.sum(self.normals**2))
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Its most likely values, (n,); of a small size, if it is not there yet."""
+        return self.process.size**2 * self.whitener.coloured(self.normals)[:, 0]
+
+    def signal(self, signs: np.ndarray) -> np.ndarray:
+        """What random values (signs, (n, k)) do to data and dynamics."""
+        values = self.process.size * self.whitener.coloured(signs)
+        return np.asarray(self.site.effects @ values)
+
+    def pulled(self, projected: np.ndarray) -> np.ndarray:
+        """What projected shifts ask of its whitened values, (n, k)."""
+        pull = self.whitener.factor_of(self.site.effects.T @ projected)
+        return self.process.size * pull
+
+    def slope_of_precision(self, values: np.ndarray) -> np.ndarray:
+        """Slope of the inverse covariance in the log time, times values (n, ...)."""
+        now, later = self.whitener.precision, self._later.precision
+        scale = self.process.size**2 * PRIOR_STEP
+        diagonal, below = ((b - a) / scale for a, b in zip(now, later, strict=True))
+        result: np.ndarray = (diagonal * values.T).T
+        result[1:] += (below * values[:-1].T).T
+        result[:-1] += (below * values[1:].T).T
+        return result
+
+    @property
+    def _later(self) -> Whitener:
+        """Of a time that is a little longer."""
+        return self.site.whitener(self.process.time * float(np.exp(PRIOR_STEP)))
+
+    @property
+    def moved_by_time(self) -> np.ndarray:
+        """Change of its most likely values with the log time, (n,)."""
+        normals = self.whitener.factor_of(self.slope_of_precision(self.mean))
+        return -(self.process.size**2) * self.whitener.coloured(normals)
+
+    def slope_in_time(self, signs: np.ndarray, pulled: np.ndarray) -> float:
+        """Of the log evidence, from what random values leave (n, k)."""
+        change = float(self.mean @ self.slope_of_precision(self.mean))
+        size = self.process.size
+        found = size * self.whitener.coloured(signs - pulled)
+        of_signs = self.slope_of_precision(self.whitener.coloured(signs) * size)
+        trace = float(np.mean(np.sum(found * of_signs, axis=0)))
+        d_log_det = (self._later.log_det - self.whitener.log_det) / PRIOR_STEP
+        return d_log_det - (change + trace) / 2
+
+
 def slopes(
     likelihood: MarginalLikelihood,
     disturbances: Disturbances,
@@ -83,7 +170,73 @@ def slopes(
     Raises:
         SolveError: the states do not follow from the data.
     """
-    return _Derivatives(likelihood, disturbances, channels).slopes(sums)
+    system = likelihood.at(disturbances)
+    problem = system.problem
+    log_evidence = system.log_evidence
+    components = []
+    for process, site in zip(disturbances.processes, likelihood.sites, strict=True):
+        components.append(Component.of(process, site, system.projected_data))
+    # Places of each function's coefficients in the border.
+    owner = np.r_[np.full(system.border.n_theta, -1), system.border.owner]
+    n_functions = len(disturbances.functions)
+    coefficients = [np.flatnonzero(owner == k) for k in range(n_functions)]
+    of_noise = _shifts_by_noise(system, [[channel] for channel in channels])
+    of_processes = [2 * one.mean for one in components]
+    of_processes += [one.moved_by_time for one in components]
+    effects = [one.site.effects for one in components] * 2
+    changes = [of_noise]
+    for effect, moved in zip(effects, of_processes, strict=True):
+        changes.append((effect @ moved)[:, None])
+    for places in coefficients:
+        step = likelihood.border_in_dynamics[:, places] @ system.border.estimate[places]
+        changes.append(np.concatenate([np.zeros(problem.n_values), 2 * step])[:, None])
+    columns = np.hstack(changes)
+    shifts = columns if sums is None else columns @ sums.T
+
+    n_probes = int(np.clip(8_000 // problem.n_values, LEAST_PROBES, MOST_PROBES))
+    lengths = (problem.n_values, *(len(one.normals) for one in components))
+    of_values, *of_components = random_signs(lengths, n_probes)
+    root = np.sqrt(system.weights)[:, None]
+    noises = np.zeros((len(columns), n_probes))
+    noises[: problem.n_values] = of_values / root
+    signals = np.zeros((len(columns), n_probes))
+    for one, signs in zip(components, of_components, strict=True):
+        signals += one.signal(signs)
+    left = system.projected(np.hstack([shifts, noises, signals]))
+    k = shifts.shape[1]
+    information = shifts.T @ left[:, :k] / 2
+
+    left_of_values = left[: problem.n_values, k : k + n_probes] / root
+    by_value = (root[:, 0] * system.residual) ** 2
+    by_value -= np.mean(of_values * left_of_values, axis=1)
+    gradient = [by_value[problem.channel == channel].sum() for channel in channels]
+    by_time = []
+    for one, signs in zip(components, of_components, strict=True):
+        pulled = one.pulled(left[:, k + n_probes :])
+        gradient.append(one.squares - np.mean(np.sum(signs * pulled, axis=0)))
+        by_time.append(one.slope_in_time(signs, pulled))
+    gradient += by_time
+    variance = np.diag(system.border.covariance)
+    for function, places in zip(disturbances.functions, coefficients, strict=True):
+        squares = np.sum(system.border.estimate[places] ** 2 + variance[places])
+        gradient.append(squares / function.size**2 - len(places))
+    total = np.array(gradient) if sums is None else sums @ np.array(gradient)
+    return Slopes(log_evidence, total, (information + information.T) / 2)
+
+
+def _shifts_by_noise(
+    system: OptimalitySystem, groups: Sequence[Sequence[int]]
+) -> np.ndarray:
+    """How the data would move with the log noise of each group of channels."""
+    problem = system.problem
+    shifts = np.zeros((problem.n_values + len(problem.offset), len(groups)))
+    for column, channels in zip(shifts.T, groups, strict=True):
+        is_in = np.isin(problem.channel, channels)
+        column[: problem.n_values] = np.where(is_in, 2 * system.residual, 0.0)
+    return shifts
+
+
+# --- Steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +277,19 @@ def climbed(
     """
     lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
     sums = coordinates.among_slopes()
+
+    def slopes_at(vector: np.ndarray) -> Slopes | None:
+        """None where the states do not follow from the data."""
+        try:
+            found = slopes(likelihood, coordinates.at(vector), channels, sums)
+        except SolveError:
+            return None
+        return found if np.isfinite(found.log_evidence) else None
+
     vector = np.zeros(len(lower))
     # Share of the information that is added to it (Levenberg 1944, Marquardt 1963).
     damping = 0.1
-    here = _slopes_at(likelihood, coordinates.at(vector), channels, sums)
+    here = slopes_at(vector)
     if here is None:
         return Climbed(vector, -np.inf, 0.0, np.zeros((len(vector), len(vector))))
     first = here.log_evidence
@@ -139,9 +301,9 @@ def climbed(
         hope = 3 * _promise(here, ~leads_out)
         if hope < least_gain or here.log_evidence + hope < worth:
             break
-        step = _newton_step(here.gradient, here.information, ~leads_out, damping)
+        step = _newton_step(here, ~leads_out, damping)
         trial = np.clip(vector + step, lower, upper)
-        there = _slopes_at(likelihood, coordinates.at(trial), channels, sums)
+        there = slopes_at(trial)
         if there is None or there.log_evidence < here.log_evidence:
             damping *= 10
             if damping > 1e4:
@@ -159,551 +321,116 @@ def climbed(
 
 def _promise(here: Slopes, moves: np.ndarray) -> float:
     """What the quadratic at a place rises by, where some coordinates may move."""
-    if not moves.any():
-        return 0.0
     inner = here.information[np.ix_(moves, moves)]
     curvature = inner + LEAST_INFORMATION * np.eye(len(inner))
     gradient = here.gradient[moves]
     return float(gradient @ np.linalg.solve(curvature, gradient)) / 2
 
 
-def _slopes_at(
-    likelihood: MarginalLikelihood,
-    there: Disturbances,
-    channels: tuple[int, ...],
-    sums: np.ndarray,
-) -> Slopes | None:
-    """Slopes, or None where the states do not follow from the data."""
-    try:
-        found = slopes(likelihood, there, channels, sums)
-    except SolveError:
-        return None
-    return found if np.isfinite(found.log_evidence) else None
-
-
-def _newton_step(
-    gradient: np.ndarray, information: np.ndarray, moves: np.ndarray, damping: float
-) -> np.ndarray:
+def _newton_step(here: Slopes, moves: np.ndarray, damping: float) -> np.ndarray:
     """A step uphill, no coordinate (a logarithm) by more than two."""
-    step = np.zeros(len(gradient))
-    inner = information[np.ix_(moves, moves)]
+    step = np.zeros(len(here.gradient))
+    inner = here.information[np.ix_(moves, moves)]
     diagonal = np.maximum(np.diag(inner), LEAST_INFORMATION)
     damped = inner + np.diag(damping * diagonal + LEAST_INFORMATION)
-    step[moves] = np.linalg.solve(damped, gradient[moves])
+    step[moves] = np.linalg.solve(damped, here.gradient[moves])
     longest = np.max(np.abs(step))
     return step * min(1.0, 2.0 / max(longest, TINY))
 
 
-@dataclass(frozen=True, eq=False)
-class _Prior:
-    """A process, its values, and how its prior changes with its time.
-
-    Attributes:
-        process: with its size.
-        whitener: of its values at size one.
-        later: the same for a time that is a little longer.
-        places: of the values among all unknowns.
-    """
-
-    process: Process
-    whitener: Whitener
-    later: Whitener
-    places: slice
-
-    @property
-    def n(self) -> int:
-        """Number of its values."""
-        return len(self.whitener.diagonal)
-
-    @cached_property
-    def _changes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes of the two diagonals of the inverse covariance, likewise."""
-        scale = self.process.size**2 * PRIOR_STEP
-        now, later = self.whitener, self.later
-        diagonal = (later.precision_diagonal - now.precision_diagonal) / scale
-        return diagonal, (later.precision_below - now.precision_below) / scale
-
-    def changed(self, values: np.ndarray) -> np.ndarray:
-        """Slope of the inverse covariance times values (n, ...)."""
-        diagonal, below = self._changes
-        result = (diagonal * values.T).T
-        result[1:] += (below * values[:-1].T).T
-        result[:-1] += (below * values[1:].T).T
-        return result
-
-
-class _Derivatives:
-    """What the slopes at given disturbances are worked out from."""
-
-    def __init__(
-        self,
-        likelihood: MarginalLikelihood,
-        disturbances: Disturbances,
-        channels: tuple[int, ...],
-    ) -> None:
-        self.likelihood = likelihood
-        self.channels = channels
-        self.problem = likelihood.problem
-        self.parts: Eliminated = likelihood.eliminated(disturbances)
-        self.sizes = disturbances.function_sizes
-        border = likelihood.border_of(self.parts)
-        self.information = border.with_priors(self.sizes)
-        marginal = border.marginal(self.sizes)
-        self.log_evidence = marginal.log_evidence
-        self.step = marginal.border
-        solved = self.parts.solved
-        self.unknowns = solved[:, -1] - solved[:, :-1] @ self.step
-        shown = likelihood.shown @ self.unknowns[: likelihood.n_unknowns]
-        in_border = likelihood.border_in_shown @ self.step
-        self.residual = self.problem.residual - shown - in_border
-        # Places of each function's coefficients in the border.
-        self.coefficients = []
-        for number in range(len(self.sizes)):
-            own = np.flatnonzero(border.owner == number)
-            self.coefficients.append(border.n_theta + own)
-        self.priors = self._priors(disturbances)
-
-    def _priors(self, disturbances: Disturbances) -> list[_Prior]:
-        factor = float(np.exp(PRIOR_STEP))
-
-        def later(processes: tuple[Process, ...]) -> tuple[Process, ...]:
-            return tuple(replace(one, time=one.time * factor) for one in processes)
-
-        moved = replace(
-            disturbances,
-            forces=later(disturbances.forces),
-            sensors=later(disturbances.sensors),
-        )
-        priors = []
-        for process, now, then, (first, n) in zip(
-            disturbances.processes,
-            self.parts.whiteners,
-            self.likelihood.whiteners(moved),
-            self.likelihood.places_of_processes(),
-            strict=True,
-        ):
-            priors.append(_Prior(process, now, then, slice(first, first + n)))
-        return priors
-
-    def slopes(self, sums: np.ndarray | None = None) -> Slopes:
-        """Gradient and average information."""
-        n_slopes = len(self.channels) + 2 * len(self.priors) + len(self.sizes)
-        changes, data = self._changes(np.eye(n_slopes) if sums is None else sums)
-        n_values = self.problem.n_values
-        n_probes = int(np.clip(8_000 // n_values, LEAST_PROBES, MOST_PROBES))
-        lengths = (n_values, *(prior.n for prior in self.priors))
-        signs = random_signs(lengths, n_probes)
-        probes = self._probes(signs)
-        inner = np.hstack([changes[0], probes[0]])
-        border = np.hstack([changes[1], probes[1]])
-        k = data.shape[1]
-        alone = self.parts.factors.solve(inner)
-        open_border = border - self.parts.right[:, :-1].T @ alone
-        of_border = solve_border(self.information, open_border)
-        # Half the change of the data, over the covariance that is left of them.
-        squares = data.T @ (self.parts.weights[:, None] * data)
-        explained = changes[0].T @ alone[:, :k]
-        explained = explained + open_border[:, :k].T @ of_border[:, :k]
-        information = (squares - explained) / 2
-        answer = alone[:, k:] - self.parts.solved[:, :-1] @ of_border[:, k:]
-        of_values = answer[:, :n_probes], of_border[:, k : k + n_probes]
-        gradient = np.concatenate(
-            [
-                self._in_noise(signs[0], *of_values),
-                *self._in_processes(signs[1:], answer[:, n_probes:]),
-                self._in_functions(),
-            ]
-        )
-        if sums is not None:
-            gradient = sums @ gradient
-        return Slopes(self.log_evidence, gradient, (information + information.T) / 2)
-
-    def _right(
-        self, values: np.ndarray, dynamics: np.ndarray | float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Right-hand sides in the unknowns, dynamics and border, of weighted values.
-
-        Args:
-            values: (n_values, k).
-            dynamics: (n_intervals * n_states, k).
-        """
-        likelihood = self.likelihood
-        n = likelihood.n_unknowns
-        inner = np.empty((len(self.parts.right), values.shape[1]), order="F")
-        inner[:n] = likelihood.shown_transposed @ values
-        inner[n:] = dynamics
-        return inner, likelihood.border_in_shown.T @ values
-
-    def _changes(
-        self, sums: np.ndarray
-    ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-        """How the data would move with sums of sizes and times, (n_values, k).
-
-        As right-hand sides, and as they are. What a force adds to the states, the data
-        would show; so it is taken from the dynamics where it is added to the data.
-
-        Args:
-            sums: (k, n_slopes).
-        """
-        likelihood = self.likelihood
-        n_channels = len(self.channels)
-        n_functions = len(self.sizes)
-        of_processes = slice(n_channels, sums.shape[1] - n_functions)
-        is_in = self.problem.channel[:, None] == np.array(self.channels, dtype=int)
-        of_noise = np.where(is_in, 2 * self.residual[:, None], 0.0)
-        shifts = of_noise @ sums[:, :n_channels].T
-        n_dynamics = len(self.parts.right) - likelihood.n_unknowns
-        offsets = np.zeros((n_dynamics, len(sums)))
-        if self.priors:
-            moved = self._moved_processes() @ sums[:, of_processes].T
-            shifts += likelihood.values_of_processes(moved)
-            offsets -= likelihood.dynamics_of_processes(moved)
-        if n_functions:
-            coefficients = np.zeros((len(self.step), n_functions))
-            for number, places in enumerate(self.coefficients):
-                coefficients[places, number] = 2 * self.step[places]
-            step = coefficients @ sums[:, of_processes.stop :].T
-            offsets += likelihood.border_in_dynamics @ step
-        return self._right(self.parts.weights[:, None] * shifts, offsets), shifts
-
-    def _moved_processes(self) -> np.ndarray:
-        """Values of all processes, as each size and then each time would move them.
-
-        (n_unknowns, 2 n_processes).
-        """
-        n_processes = len(self.priors)
-        moved = np.zeros((self.likelihood.n_unknowns, 2 * n_processes))
-        for number, prior in enumerate(self.priors):
-            values = self.unknowns[prior.places]
-            # The covariance of the values times how its inverse changes.
-            normals = prior.whitener.factor_of(prior.changed(values))
-            by_time = prior.whitener.coloured(normals)
-            moved[prior.places, number] = 2 * values
-            by_time = by_time * prior.process.size**2
-            moved[prior.places, n_processes + number] = -by_time
-        return moved
-
-    def _probes(self, signs: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Random signs: first of the measured values, then of the processes."""
-        n_probes = signs[0].shape[1]
-        weighted = np.sqrt(self.parts.weights)[:, None] * signs[0]
-        both = np.hstack([weighted, np.zeros_like(weighted)])
-        inner, border = self._right(both, 0.0)
-        for prior, own in zip(self.priors, signs[1:], strict=True):
-            transposed = prior.whitener.transposed(own) / prior.process.size
-            inner[prior.places, n_probes:] = transposed
-        return inner, border
-
-    def _in_noise(
-        self, signs: np.ndarray, answer: np.ndarray, of_border: np.ndarray
-    ) -> np.ndarray:
-        """From squared residuals in units of the noise, and leverages."""
-        likelihood = self.likelihood
-        root = np.sqrt(self.parts.weights)
-        shown = likelihood.shown @ answer[: likelihood.n_unknowns]
-        shown = root[:, None] * (shown + likelihood.border_in_shown @ of_border)
-        leverage = np.mean(signs * shown, axis=1)
-        left = (root * self.residual) ** 2 - 1 + leverage
-        return np.array([left[self.problem.channel == c].sum() for c in self.channels])
-
-    def _in_processes(
-        self, signs: tuple[np.ndarray, ...], answer: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """From squared innovations, and how many of them the data leave to priors."""
-        by_size = []
-        by_time = []
-        for prior, own in zip(self.priors, signs, strict=True):
-            whitener, size = prior.whitener, prior.process.size
-            values, found = self.unknowns[prior.places], answer[prior.places]
-            squares = float(np.sum((whitener.whitened(values) / size) ** 2))
-            left = np.mean(np.sum(own * (whitener.whitened(found) / size), axis=0))
-            by_size.append(squares - prior.n + float(left))
-            change = float(values @ prior.changed(values))
-            coloured = prior.changed(whitener.coloured(own) * size)
-            trace = float(np.mean(np.sum(found * coloured, axis=0)))
-            d_log_det = (prior.later.log_det - whitener.log_det) / PRIOR_STEP
-            by_time.append(d_log_det - (change + trace) / 2)
-        return np.array(by_size), np.array(by_time)
-
-    def _in_functions(self) -> np.ndarray:
-        covariance = solve_border(self.information, np.eye(len(self.information)))
-        variance = np.diag(covariance)
-        slopes = []
-        for places, size in zip(self.coefficients, self.sizes, strict=True):
-            squares = np.sum(self.step[places] ** 2) + np.sum(variance[places])
-            slopes.append(squares / size**2 - len(places))
-        return np.array(slopes)
-
-
-# Random vectors for every group of processes: a slope is then known to about a third of
-# its standard deviation.
-N_SIGNS = 8
-
-
-@dataclass(frozen=True)
-class PromisedGain:
-    """What the first step of a search promises, of the log evidence.
-
-    Attributes:
-        forces: by forces.
-        sensors: by processes of sensors.
-    """
-
-    forces: float = 0.0
-    sensors: float = 0.0
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Processes that could act together, each at its time.
-
-    Attributes:
-        forces: that could act.
-        sensors: processes that could add to what is shown.
-        is_tied: whether those of one kind share a factor, as in a search; otherwise
-            sizes do not matter.
-    """
-
-    forces: Sequence[Process]
-    sensors: Sequence[Process]
-    is_tied: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class _Component:
-    """A process that could act beside the model.
-
-    Attributes:
-        effects: what its values do to data and dynamics, sparse, of its own size.
-        whitener: of its values at size one.
-        felt: (n, 1) what it would take to bring down what is left of the data.
-    """
-
-    effects: csc_matrix
-    whitener: Whitener
-    felt: np.ndarray
-
-    @cached_property
-    def factor(self) -> np.ndarray:
-        """F'F is the variance that the prior gives what is felt, (n, 1)."""
-        return self.whitener.factor_of(self.felt)
+# --- Processes that are not there yet
 
 
 M = TypeVar("M")
-_Kind = list[_Component]  # whose variances share a factor: of small systems one alone
 
 
-class Asked:
-    """The processes of a trial, and what a record says of them.
-
-    Args:
-        kinds: those of forces first.
-        n_forces: number of kinds of forces.
-
-    Attributes:
-        information: (n, n) about the variances.
-        excess: (n,) slopes of the log evidence in the variances times their sizes.
-    """
-
-    def __init__(self, kinds: list[_Kind], n_forces: int) -> None:
-        self.kinds = kinds
-        self.n_forces = n_forces
-        self.information = np.zeros((0, 0))
-        self.excess = np.zeros(0)
-
-    @property
-    def size(self) -> np.ndarray:
-        """Root of the information about each variance, (n,)."""
-        return np.sqrt(np.maximum(np.diag(self.information), TINY))
-
-    @property
-    def seen(self) -> np.ndarray:
-        """What each kind feels, squared, as far as it could bring it down, (n,)."""
-        seen = np.zeros(len(self.kinds))
-        for number, kind in enumerate(self.kinds):
-            for one in kind:
-                seen[number] += np.sum(one.factor**2)
-        return seen
-
-    @property
-    def gain(self) -> PromisedGain:
-        """What the first step of a search promises."""
-        size = self.size
-        with np.errstate(over="ignore"):  # a component that leaves no trace
-            correlation = self.information / np.outer(size, size)
-        information = np.clip(correlation, -1.0, 1.0)
-        of_forces = slice(0, self.n_forces)
-        of_sensors = slice(self.n_forces, len(size))
-        return PromisedGain(
-            _gain(self.excess[of_forces], information[of_forces, of_forces]),
-            _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
-        )
-
-
-class WhiteRecord:
-    """A linearised record under white noise alone, ready to be asked.
+class ScoreTest:
+    """What the evidence would gain by processes, from white noise alone.
 
     Args:
-        likelihood: of a structure without processes; functions of states may be in it.
-        white: the noise, and functions of any size.
-
-    Attributes:
-        border: what is left for parameters and functions.
-        left: what states and parameters leave of the data, without any function.
-
-    Raises:
-        SolveError: the states do not follow from the data.
+        system: white noise, without processes or functions.
+        channels: states whose noise is estimated, and follows the processes.
+        is_tied: whether the sizes of one kind share a factor, as in a search over many.
     """
 
-    def __init__(self, likelihood: MarginalLikelihood, white: Disturbances) -> None:
-        self.problem = problem = likelihood.problem
-        self._likelihood = likelihood
-        self._parts = likelihood.eliminated(white)
-        self.border = likelihood.border_of(self._parts)
-        n_theta = self.border.n_theta
-        self._in_shown = likelihood.border_in_shown[:, :n_theta]
-        self._right = self._parts.right[:, :n_theta]
-        self._solved = self._parts.solved[:, :n_theta]
-        ridge = RIDGE * np.eye(n_theta)
-        self._information = self.border.information[:n_theta, :n_theta] + ridge
-        self._n_rows = problem.n_values + len(problem.offset)
-        data = np.concatenate([problem.residual, -problem.offset])[:, None]
-        self.left = self._answered(data, self._parts.solved[:, -1:].copy())
-        self._made: dict[tuple[bool, int], tuple[csc_matrix, np.ndarray]] = {}
+    def __init__(
+        self, system: OptimalitySystem, channels: Sequence[int], is_tied: bool
+    ) -> None:
+        self._system = system
+        self._is_tied = is_tied
+        self._noises = _shifts_by_noise(system, self._kinds(list(channels)))
 
-    def _left(self, shifts: np.ndarray) -> np.ndarray:
-        """What states and parameters leave of shifts, weighted by the noise.
+    def _kinds(self, members: list[M]) -> list[list[M]]:
+        """Members that share a factor together, else each by itself."""
+        if self._is_tied:
+            return [members] if members else []
+        return [[member] for member in members]
 
-        Of the values, and as multipliers of the dynamics, less than zero.
-        """
-        likelihood = self._likelihood
-        n = likelihood.n_unknowns
-        n_values = self.problem.n_values
-        inner = np.empty((len(self._right), shifts.shape[1]), order="F")
-        weighted = self._parts.weights[:, None] * shifts[:n_values]
-        inner[:n] = likelihood.shown_transposed @ weighted
-        inner[n:] = shifts[n_values:]
-        return self._answered(shifts, self._parts.factors.solve(inner))
-
-    def _answered(self, shifts: np.ndarray, answer: np.ndarray) -> np.ndarray:
-        """The same, once the states have answered; their answer is written over."""
-        n = self._likelihood.n_unknowns
-        values = shifts[: self.problem.n_values]
-        weights = self._parts.weights[:, None]
-        # The matrix is symmetric: what was solved for the parameters serves again.
-        in_theta = self._in_shown.T @ (weights * values) - self._right.T @ answer
-        theta = solve_border(self._information, in_theta)
-        answer -= self._solved @ theta
-        shown = self._likelihood.shown @ answer[:n] + self._in_shown @ theta
-        return np.concatenate([weights * (values - shown), -answer[n:]])
-
-    def promised_gains(
-        self, trials: Sequence[Trial], channels: Sequence[int]
-    ) -> list[PromisedGain]:
-        """Gains of the log evidence by the processes of each trial.
-
-        What few columns need is solved for together; the random signals of each trial
-        by themselves: fresh memory costs more than a further call.
+    def gains(
+        self, forces: Sequence[Process], sensors: Sequence[Process]
+    ) -> tuple[float, float]:
+        """Gain of the log evidence by the first step, by forces, and by sensors.
 
         Args:
-            trials: processes that could act.
-            channels: states whose noise is estimated, and would follow.
+            forces: that could act; sizes matter only beside each other, where tied.
+            sensors: processes that could add to what is shown.
         """
-        every = [self.asked(trial) for trial in trials]
-        together = [asked for asked in every if asked.kinds]
-        if together:
-            are_tied = any(trial.is_tied for trial in trials)
-            self._set_information(together, _kinds(list(channels), are_tied))
-            for asked in together:
-                self.set_excess(asked)
-        return [asked.gain for asked in every]
+        problem = self._system.problem
+        data = self._system.projected_data
+        of_forces, of_sensors = [], []
+        for one in forces:
+            of_forces.append(Component.of(one, problem.site_of_force(one.place), data))
+        for one in sensors:
+            site = problem.site_of_sensor(one.place)
+            of_sensors.append(Component.of(one, site, data))
+        kinds = self._kinds(of_forces) + self._kinds(of_sensors)
+        if not kinds:
+            return 0.0, 0.0
+        information = self.information(kinds)
+        sizes = np.sqrt(np.maximum(np.diag(information), TINY))
+        slopes = self.slopes(kinds, sizes)
+        with np.errstate(over="ignore"):  # a component that leaves no trace
+            correlation = np.clip(information / np.outer(sizes, sizes), -1.0, 1.0)
+        n = len(self._kinds(of_forces))
+        return (
+            _gain(slopes[:n], correlation[:n, :n]),
+            _gain(slopes[n:], correlation[n:, n:]),
+        )
 
-    def asked(self, trial: Trial) -> Asked:
-        """A trial, nothing worked out about it."""
-        forces = [self._component(one, is_force=True) for one in trial.forces]
-        sensors = [self._component(one, is_force=False) for one in trial.sensors]
-        of_forces = _kinds(forces, trial.is_tied)
-        return Asked(of_forces + _kinds(sensors, trial.is_tied), len(of_forces))
-
-    def _component(self, process: Process, *, is_force: bool) -> _Component:
-        """A process; what its place does is made once for all trials."""
-        key = (is_force, process.place)
-        if key not in self._made:
-            effects = self._effects(*key)
-            self._made[key] = (effects, effects.T @ self.left)
-        effects, felt = self._made[key]
-        whitener_of = whitener_of_force if is_force else whitener_of_sensor
-        whitener = whitener_of(self.problem, process)
-        return _Component(process.size * effects, whitener, process.size * felt)
-
-    def _effects(self, is_force: bool, place: int) -> csc_matrix:
-        """What values of a force, or of a sensor's error, do to data and dynamics."""
-        problem = self.problem
-        if is_force:
-            own = problem.dynamics_of_force(place).tocoo()
-            entries = (-own.data, (problem.n_values + own.row, own.col))
-            return csc_matrix(entries, shape=(self._n_rows, own.shape[1]))
-        row = problem.values_of(place)
-        ones = (np.ones(len(row)), (row, np.arange(len(row))))
-        return csc_matrix(ones, shape=(self._n_rows, len(row)))
-
-    def _set_information(
-        self, together: Sequence[Asked], groups: Sequence[Sequence[int]]
-    ) -> None:
-        """Average information about variances, while noises follow them."""
-        columns = []
-        n_values = self.problem.n_values
-        residual = self.left[:n_values, 0] / self._parts.weights
-        for channels in groups:
-            # How the data would move with the logarithm of the noise.
-            column = np.zeros(self._n_rows)
-            is_in = np.isin(self.problem.channel, channels)
-            column[:n_values] = np.where(is_in, 2 * residual, 0.0)
-            columns.append(column)
-        for asked in together:
-            for kind in asked.kinds:
-                # What they do to the data where they follow what they feel.
-                followed = [e.effects @ e.whitener.coloured(e.factor) for e in kind]
-                columns.append(np.sum(followed, axis=0)[:, 0])
-        shifts = np.array(columns).T
-        products = shifts.T @ self._left(shifts)
+    def information(self, kinds: list[list[Component]]) -> np.ndarray:
+        """Average information about the variance of each kind, noises following."""
+        shifts = [*self._noises.T]
+        for kind in kinds:
+            shifts.append(np.sum([one.site.effects @ one.mean for one in kind], axis=0))
+        columns = np.array(shifts).T
+        products = columns.T @ self._system.projected(columns)
         products = (products + products.T) / 4
-        n = len(groups)
+        n = self._noises.shape[1]
         of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
-        for asked in together:
-            own = slice(n, n + len(asked.kinds))
-            mixed = products[own, : len(groups)]
-            asked.information = products[own, own] - mixed @ of_noise @ mixed.T
-            n = own.stop
+        mixed = products[n:, :n]
+        information: np.ndarray = products[n:, n:] - mixed @ of_noise @ mixed.T
+        return information
 
-    def set_excess(self, asked: Asked) -> None:
-        """Slopes of the log evidence in the variances times their sizes."""
-        components = []
-        for kind, scale in zip(asked.kinds, asked.size, strict=True):
-            components += [(one, np.sqrt(scale)) for one in kind]
-        lengths = tuple(len(one.felt) for one, _ in components)
-        signs = random_signs(lengths, N_SIGNS)
-        shifts = np.zeros((self._n_rows, N_SIGNS), order="F")
-        signals = []
-        for (one, scale), own in zip(components, signs, strict=True):
-            signals.append(one.whitener.coloured(own) / scale)
-            shifts += one.effects @ signals[-1]
-        left = self._left(shifts)
-        products = []
-        for (one, _), signal in zip(components, signals, strict=True):
-            products.append(float(np.sum(signal * (one.effects.T @ left))))
-        ends = np.cumsum([0, *(len(kind) for kind in asked.kinds)])
-        by_chance = np.add.reduceat(products, ends[:-1]) / N_SIGNS
-        slopes = (asked.seen / asked.size - by_chance) / 2
+    def slopes(self, kinds: list[list[Component]], sizes: np.ndarray) -> np.ndarray:
+        """Slopes of the log evidence in the variance of each kind, over given sizes."""
+        lengths = tuple(len(one.normals) for kind in kinds for one in kind)
+        signs = iter(random_signs(lengths, N_SIGNS))
+        own = [[next(signs) for _ in kind] for kind in kinds]
+        signals = 0.0
+        for kind, drawn, size in zip(kinds, own, sizes, strict=True):
+            for one, signs_of_one in zip(kind, drawn, strict=True):
+                signals = signals + one.signal(signs_of_one) / np.sqrt(size)
+        projected = self._system.projected(np.asarray(signals))
+        found = []
+        for kind, drawn, size in zip(kinds, own, sizes, strict=True):
+            squares = sum(one.squares for one in kind)
+            by_chance = 0.0
+            for one, signs_of_one in zip(kind, drawn, strict=True):
+                products = signs_of_one * one.pulled(projected)
+                by_chance += float(np.sum(products)) / np.sqrt(size) / N_SIGNS
+            found.append((squares / size - by_chance) / 2)
         # That of a channel whose residuals are zero is beyond numbers.
-        asked.excess = np.maximum(slopes, -1e6)
-
-
-def _kinds(members: list[M], is_tied: bool) -> list[list[M]]:
-    """Members that share a factor together, else each by itself."""
-    if is_tied:
-        return [members] if members else []
-    return [[member] for member in members]
+        return np.maximum(found, -1e6)
 
 
 def _gain(slopes: np.ndarray, information: np.ndarray) -> float:

@@ -13,13 +13,7 @@ import numpy as np
 
 from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.errors import SolveError
-from phsi_opt.model_error.ascent import (
-    LEAST_GAIN,
-    MOST_STEPS,
-    Trial,
-    WhiteRecord,
-    climbed,
-)
+from phsi_opt.model_error.ascent import LEAST_GAIN, MOST_STEPS, ScoreTest, climbed
 from phsi_opt.model_error.disturbances import (
     MOST_SIZES,
     Coordinates,
@@ -28,11 +22,7 @@ from phsi_opt.model_error.disturbances import (
     StateFunction,
 )
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import (
-    Border,
-    MarginalLikelihood,
-    noise_weights,
-)
+from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.statistics import TINY
 
 # Sizes of a force to begin with, as shares of the typical rate of its state.
@@ -126,9 +116,8 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        likelihood = self.likelihood(disturbances)
-        marginal = likelihood.at(disturbances)
-        return Evidence(disturbances, marginal.log_evidence)
+        system = self.likelihood(disturbances).at(disturbances)
+        return Evidence(disturbances, system.log_evidence)
 
     @cached_property
     def is_promising(self) -> bool:
@@ -178,34 +167,31 @@ class DisturbanceSearch:
         """
         white = Disturbances(self.plain)
         if not self.is_brief:
-            white = white.with_functions(self._function_candidates())
-        record = WhiteRecord(self.likelihood(white), white)
-        trials = [self._trial(time) for time in self.first_times()]
-        gains = record.promised_gains(trials, self.channels)
-        is_tied = any(trial.is_tied for trial in trials)
+            white = replace(white, functions=self._function_candidates())
+        system = self.likelihood(white).at(white)
+        sensors = np.unique(self.problem.channel)
+        n_processes = max(len(self.problem.forced), len(sensors))
+        is_tied = len(self.channels) + n_processes > MOST_SIZES
+        test = ScoreTest(system.without_functions(), self.channels, is_tied)
+        gains = []
+        for time in self.first_times():
+            gains.append(test.gains(self._forces(1.0, time), self._sensors(1.0, time)))
+        by_forces, by_sensors = np.max(gains, axis=0)
         share = PROMISING_SHARE_TIED if is_tied else PROMISING_SHARE
         limit = share * STRONG_EVIDENCE
-        sizes = _chosen_sizes(record.border, self._rates_of(white.functions))
+        sizes = _chosen_sizes(system.border, self._rates_of(white.functions))
         return _Promising(
             noises=self.noise_differs and self._noise_by_run_promises(),
-            forces=max(gain.forces for gain in gains) > limit,
-            sensors=max(gain.sensors for gain in gains) > limit,
+            forces=by_forces > limit,
+            sensors=by_sensors > limit,
             functions=bool(np.any(sizes > 0)),
         )
-
-    def _trial(self, time: float) -> Trial:
-        """Of all processes at one correlation time, in the sizes of a search."""
-        forces = self._forces(1.0, time)
-        sensors = self._sensors(1.0, time)
-        n_processes = max(len(forces), len(sensors))
-        is_tied = len(self.channels) + n_processes > MOST_SIZES
-        return Trial(forces, sensors, is_tied)
 
     def _noise_by_run_promises(self) -> bool:
         """Whether noises in the ratios of the scatter may explain the residuals."""
         squares = self.problem.residual**2
         sigma = self.noises()[0]
-        weights = noise_weights(self.problem, sigma) ** 2
+        weights = self.problem.of_values(sigma) ** -2
         for channel in self.channels:
             own = self.problem.channel == channel
             sigma[:, channel] *= np.sqrt(np.mean((weights * squares)[own]))
@@ -252,7 +238,7 @@ class DisturbanceSearch:
         functions = self._chosen_functions(one.disturbances)
         if not functions:
             return one
-        return self._clearer(one, [one.disturbances.with_functions(functions)])
+        return self._clearer(one, [replace(one.disturbances, functions=functions)])
 
     def _clearer(
         self,
@@ -304,7 +290,7 @@ class DisturbanceSearch:
 
     def likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
         """The marginal likelihood for disturbances of this structure."""
-        return MarginalLikelihood(self.problem, disturbances.structure, self.moving)
+        return MarginalLikelihood(self.problem, disturbances, self.moving)
 
     @property
     def noise_differs(self) -> bool:
@@ -397,8 +383,8 @@ class DisturbanceSearch:
         candidates = self._function_candidates()
         if not candidates:
             return ()
-        with_all = beside.with_functions(candidates)
-        border = self.likelihood(with_all).border(with_all)
+        with_all = replace(beside, functions=candidates)
+        border = self.likelihood(with_all).at(with_all).border
         sizes = _chosen_sizes(border, self._rates_of(candidates))
         chosen = []
         for candidate, size in zip(candidates, sizes, strict=True):
@@ -454,7 +440,7 @@ def _chosen_sizes(border: Border, rates: np.ndarray) -> np.ndarray:
         for number, rate in enumerate(rates):
             shares = np.array([0.0, *FUNCTION_SHARES])
             tried = np.append(shares * rate, sizes[number])
-            gains = border.gains_by_function(number, tried, sizes)
+            gains = replace(border, sizes=sizes).gains_by_function(number, tried)
             best = int(np.argmax(gains))
             trials.append((gains[best] - gains[-1], number, tried[best]))
         gain, number, size = max(trials, key=lambda found: found[0])

@@ -1,21 +1,45 @@
-"""Processes that wander: first-order (Ornstein-Uhlenbeck) ones, sampled at some times.
+"""What acts on a machine and is not in its model: the disturbances, with their sizes.
 
-They stand for what a model does not know of the forces on a machine, and for errors of
-its sensors that outlast a sample. What they act on is said in `disturbances`.
+They differ in what they do to the residuals: white noise lasts one sample, a sensor
+error that lasts is seen as it is, a force is seen through the model's own dynamics, and
+a function of a state returns whenever the state does. `Coordinates` are their sizes and
+times as a vector, for a search.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from phsi_opt.statistics import TINY
 
+# Correlation length of a function, in standard deviations of the state. Shorter, a
+# parameter's slope is known too well in spite of an unknown function; longer, a curved
+# function is not found. On oscillators with a hidden cubic spring, 0.7 and 1.5 hold the
+# stiffness in 80 to 95 % and 65 to 95 % of the records.
+LENGTH = 1.0
+# Share of its size that the linear part of a function keeps. A machine's model has the
+# springs and dampers of its states already, which take what is straight over the
+# record; a share is kept for what is straight here and not elsewhere. It is a trade
+# between narrow and reliable intervals, measured in results/coverage.md (0.25 to 99).
+LINEAR_SHARE = 0.25
+# Logarithm of the factor on a size down to which a search goes: what is smaller than a
+# millionth of where it began is not there.
+SMALLEST_LOG = -14.0
+LARGEST_LOG = 7.0  # and up to which it goes
+# Sizes of noises and processes that are estimated one by one, at most: beyond, those of
+# one kind keep their ratios.
+MOST_SIZES = 27
+
+
+# --- Processes in time
+
 
 @dataclass(frozen=True)
 class Process:
-    """A process with a standard deviation and a correlation time.
+    """A first-order (Ornstein-Uhlenbeck) process.
 
     After a time dt it keeps the share exp(-dt/time) of its value; the rest is new and
     independent (Uhlenbeck and Ornstein, Physical Review 36, 1930).
@@ -34,14 +58,14 @@ class Process:
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """From the values of a process to independent standard normals.
+    """From the values of a process of size one to independent standard normals.
 
-    A matrix with two diagonals: the value at a time less what was kept of the one
-    before, over the standard deviation of what is new.
+    A matrix with two diagonals: the value at a time less what was kept of the previous
+    one, over the standard deviation of what is new.
 
     Attributes:
         diagonal: (n,).
-        below: (n - 1,), what multiplies the value before.
+        below: (n - 1,), what multiplies the previous value.
     """
 
     diagonal: np.ndarray
@@ -49,10 +73,10 @@ class Whitener:
 
     @classmethod
     def of(cls, t: np.ndarray, trajectory: np.ndarray, time: float) -> "Whitener":
-        """Of a process of size one.
+        """Of a process at some times.
 
         Args:
-            t: (n,) times at which it is looked at, trajectory after trajectory.
+            t: (n,) times, trajectory after trajectory.
             trajectory: (n,) numbers of the trajectories; each starts anew.
             time: correlation time; 0: white.
         """
@@ -70,17 +94,11 @@ class Whitener:
         return float(np.sum(np.log(self.diagonal)))
 
     @property
-    def precision_diagonal(self) -> np.ndarray:
-        """Diagonal of the inverse covariance of the values, (n,)."""
+    def precision(self) -> tuple[np.ndarray, np.ndarray]:
+        """Diagonals of the inverse covariance: the main one (n,), and the next one."""
         diagonal = self.diagonal**2
         diagonal[:-1] += self.below**2
-        return diagonal
-
-    @property
-    def precision_below(self) -> np.ndarray:
-        """The diagonal beside it, (n - 1,)."""
-        below: np.ndarray = self.below * self.diagonal[1:]
-        return below
+        return diagonal, self.below * self.diagonal[1:]
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
         """Standard normals of values (n, ...)."""
@@ -95,18 +113,14 @@ class Whitener:
         return result
 
     def factor_of(self, weights: np.ndarray) -> np.ndarray:
-        """F with F'F the covariance of weighted sums of the values, (n, k).
-
-        Args:
-            weights: (n, k), a column per sum.
-        """
-        return self._solved(weights, transposed=True)
+        """F with F'F the covariance of weighted sums of the values, weights (n, k)."""
+        return self._solved(weights, "T")
 
     def coloured(self, normals: np.ndarray) -> np.ndarray:
         """Values of the process from standard normals (n, ...)."""
-        return self._solved(normals, transposed=False)
+        return self._solved(normals, "N")
 
-    def _solved(self, right: np.ndarray, transposed: bool) -> np.ndarray:
+    def _solved(self, right: np.ndarray, trans: str) -> np.ndarray:
         """The inverse of the matrix, or of its transpose, times (n, ...)."""
         if not right.size:  # LAPACK writes beyond what has no column
             return np.zeros(right.shape)
@@ -114,7 +128,7 @@ class Whitener:
         lower[0] = self.diagonal
         lower[1, :-1] = self.below
         columns = right.reshape(len(self.diagonal), -1)
-        found, _ = dtbtrs(lower, columns, uplo="L", trans="T" if transposed else "N")
+        found, _ = dtbtrs(lower, columns, uplo="L", trans=trans)
         return np.asarray(found).reshape(right.shape)
 
 
@@ -135,31 +149,32 @@ def random_signs(lengths: tuple[int, ...], n: int) -> tuple[np.ndarray, ...]:
     return tuple(drawn)
 
 
-# Correlation length in standard deviations of the state. Shorter, the slope that a
-# parameter of the model would have is told too well beside an unknown function;
-# longer, a curved function is not found. Measured on oscillators with a hidden cubic
-# spring: 0.7 and 1.5 hold the stiffness in 80 to 95 % and 65 to 95 % of the records.
-LENGTH = 1.0
-# Share of its size that the linear part of a function keeps. A machine's model has the
-# springs and dampers of its states already, and what is straight over the record went
-# to them; a share is left for what is straight here and not elsewhere. Measured on
-# oscillators beside drawn nonlinearities (problems/benchmarks/coverage.py, development
-# seeds 0 to 59, for 0.25 to 99): intervals of the stiffness are wider than those of the
-# plain likelihood 14 times with 0.4 (four runs, all hold), 11 and 10 times with 0.3
-# (one run and four, 95 and 98 % hold), 8 and 9 times with 0.25 (95 and 98 %), 9 times
-# with 0.22 (one run, 93 %), 5 times with 0.16 (one run, 88 %).
-# It is a trade: beside a fixed cubic spring of 3 % (40 seeds, one run) the stiffness of
-# the simulation, less the linear part of the cubic force, is held by 10 % of the
-# intervals with 0.25, 40 % with 0.4, 70 % with 0.5, 92 % with 0.7 and 95 % with 1; the
-# value to which the estimates tend by 95 % of these with all, but on new seeds with
-# 0.25 by 82 % (results/coverage.md).
-LINEAR_SHARE = 0.25
+# --- Functions of a state
+
+
+@dataclass(frozen=True)
+class StateFunction:
+    """An unknown smooth function of one state, in one equation.
+
+    Attributes:
+        equation: number of the equation that it acts in.
+        state: number of the state that it is a function of.
+        size: its standard deviation, in the unit of the equation.
+    """
+
+    equation: int
+    state: int
+    size: float
 
 
 def smooth_functions(
     values: np.ndarray, linear_share: float = LINEAR_SHARE
 ) -> np.ndarray:
-    """Values of the functions along a state, (n, n_functions).
+    """Values of random smooth functions along a state, (n, n_functions).
+
+    A Gaussian process whose correlation falls as ``exp(-(a - b)^2 / (2 length^2))``,
+    as a sum of few functions with independent coefficients of one size (Rasmussen and
+    Williams, Gaussian Processes for Machine Learning, 2006, chapter 8).
 
     Args:
         values: (n,) of the state.
@@ -192,24 +207,12 @@ def _covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return covariance
 
 
-@dataclass(frozen=True)
-class StateFunction:
-    """An unknown smooth function of one state, in one equation.
-
-    Attributes:
-        equation: number of the equation that it acts in.
-        state: number of the state that it is a function of.
-        size: its standard deviation, in the unit of the equation.
-    """
-
-    equation: int
-    state: int
-    size: float
+# --- All of them, and their sizes as a vector
 
 
 @dataclass(frozen=True, eq=False)
 class Disturbances:
-    """Everything that acts beside a model, with its sizes.
+    """Everything that acts and is not in the model, with its sizes.
 
     Attributes:
         sigma: (n_trajectories, n_states) standard deviation of the white noise of every
@@ -229,52 +232,30 @@ class Disturbances:
         """All of them, forces first."""
         return (*self.forces, *self.sensors)
 
+    def with_processes(self, processes: Sequence[Process]) -> "Disturbances":
+        """The same with others in the place of each process, forces first."""
+        n = len(self.forces)
+        forces, sensors = tuple(processes[:n]), tuple(processes[n:])
+        return replace(self, forces=forces, sensors=sensors)
+
     @property
     def function_sizes(self) -> np.ndarray:
         """Size of every function, (n_functions,)."""
         return np.array([function.size for function in self.functions])
 
     @property
-    def structure(self) -> "Structure":
-        """Which there are, without their sizes."""
-        return Structure(
-            forces=tuple(process.place for process in self.forces),
-            sensors=tuple(process.place for process in self.sensors),
-            functions=tuple((f.equation, f.state) for f in self.functions),
+    def structure(self) -> tuple[tuple[object, ...], ...]:
+        """Which there are, without their sizes: forces, sensors and functions."""
+        return (
+            tuple(force.place for force in self.forces),
+            tuple(sensor.place for sensor in self.sensors),
+            tuple((f.equation, f.state) for f in self.functions),
         )
 
     @property
     def is_white(self) -> bool:
         """Whether there is white noise and nothing else."""
-        return self.structure == Structure()
-
-    def with_functions(self, functions: tuple[StateFunction, ...]) -> "Disturbances":
-        """Other functions of states."""
-        return replace(self, functions=functions)
-
-
-@dataclass(frozen=True)
-class Structure:
-    """Which disturbances there are.
-
-    Attributes:
-        forces: equation of every force.
-        sensors: channel of every sensor's process.
-        functions: equation and state of every function.
-    """
-
-    forces: tuple[int, ...] = ()
-    sensors: tuple[int, ...] = ()
-    functions: tuple[tuple[int, int], ...] = ()
-
-
-# Logarithm of the factor on a size down to which a search goes: what is smaller than a
-# millionth of where it began is not there.
-SMALLEST_LOG = -14.0
-LARGEST_LOG = 7.0  # and up to which it goes
-# Sizes of noises and processes that are estimated one by one, at most: beyond, those of
-# one kind keep their ratios.
-MOST_SIZES = 27
+        return not (self.processes or self.functions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,43 +289,64 @@ class Coordinates:
         """Whether sizes of one kind share a factor, as they do where there are many."""
         return len(self.channels) + len(self.origin.processes) > MOST_SIZES
 
-    def _groups(self, n: int) -> list[list[int]]:
+    @cached_property
+    def _members(self) -> list[tuple[list[int], float, float]]:
+        """Of every coordinate the slopes that move together, and its bounds.
+
+        Slopes are those of `ascent.Slopes`: noise of each channel, size of each
+        process, time of each process, size of each function.
+        """
+        origin = self.origin
+        n_channels, n_processes = len(self.channels), len(origin.processes)
+        lowest = [self._lowest_noise(channel) for channel in self.channels]
+        members = []
+        for group in self._groups(0, n_channels):
+            highest = max(lowest[place] for place in group)
+            members.append((group, min(highest, 0.0), LARGEST_LOG))
+        first = n_channels
+        for processes in (origin.forces, origin.sensors):
+            for group in self._groups(first, len(processes)):
+                members.append((group, SMALLEST_LOG, LARGEST_LOG))
+            lasting = []
+            for place, process in enumerate(processes, start=first + n_processes):
+                if process.time > self.shortest and not self.fixed_times:
+                    lasting.append((place, process.time))
+            if lasting:
+                times = np.array([self.shortest, self.longest]) / lasting[0][1]
+                lower, upper = np.log(times).tolist()
+                members.append(([place for place, _ in lasting], lower, upper))
+            first += len(processes)
+        first += n_processes
+        pairs = zip(origin.functions, self.largest_functions, strict=True)
+        for place, (function, largest) in enumerate(pairs, start=first):
+            upper = max(float(np.log(largest / function.size)), 0.0)
+            members.append(([place], SMALLEST_LOG, upper))
+        return members
+
+    def _groups(self, first: int, n: int) -> list[list[int]]:
         """Which of ``n`` sizes of one kind share a factor."""
+        places = list(range(first, first + n))
         if self.is_tied:
-            return [list(range(n))] if n else []
-        return [[place] for place in range(n)]
+            return [places] if n else []
+        return [[place] for place in places]
+
+    def _lowest_noise(self, channel: int) -> float:
+        """Coordinate of the least white noise of a channel.
+
+        White noise is what errors that last leave of the least noise, and not less than
+        a tenth of it: the weight of a value is one over its white noise.
+        """
+        least = self.least_noise[channel]
+        lasting = [one.size for one in self.origin.sensors if one.place == channel]
+        remaining = least**2 - sum(size**2 for size in lasting)
+        white = float(np.sqrt(max(remaining, (0.1 * least) ** 2)))
+        noise = float(np.mean(self.origin.sigma[:, channel]))
+        return max(float(np.log(max(white / noise, TINY))), SMALLEST_LOG)
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
         """Lower and upper bound of every coordinate."""
-        origin = self.origin
-        bounds = []
-        lowest = []
-        for channel in self.channels:
-            noise = float(np.mean(origin.sigma[:, channel]))
-            least = self._least_white(channel) / noise
-            lowest.append(max(float(np.log(max(least, TINY))), SMALLEST_LOG))
-        for group in self._groups(len(self.channels)):
-            highest = max(lowest[place] for place in group)
-            bounds.append((min(highest, 0.0), LARGEST_LOG))
-        bounds += self._bounds_of(origin.forces)
-        bounds += self._bounds_of(origin.sensors)
-        limits = zip(origin.functions, self.largest_functions, strict=True)
-        for function, largest in limits:
-            bounds.append(
-                (SMALLEST_LOG, max(float(np.log(largest / function.size)), 0.0))
-            )
-        return bounds
-
-    def _least_white(self, channel: int) -> float:
-        """White noise of a channel, at least: what errors that last leave of its noise.
-
-        Not less than a tenth of it: the weight of a value is one over its white noise.
-        """
-        least = self.least_noise[channel]
-        lasting = [one.size for one in self.origin.sensors if one.place == channel]
-        left = least**2 - sum(size**2 for size in lasting)
-        return float(np.sqrt(max(left, (0.1 * least) ** 2)))
+        return [(lower, upper) for _, lower, upper in self._members]
 
     def is_free(self, distance: float) -> np.ndarray:
         """Whether the origin is farther from both bounds, (n_coordinates,) of bool."""
@@ -358,37 +360,11 @@ class Coordinates:
         their slopes.
         """
         origin = self.origin
-        n_channels = len(self.channels)
-        n_processes = len(origin.forces) + len(origin.sensors)
-        n_functions = len(origin.functions)
-        units = np.eye(n_channels + 2 * n_processes + n_functions)
-        rows = self._sums(units[:n_channels])
-        first = n_channels
-        for processes in (origin.forces, origin.sensors):
-            last = first + len(processes)
-            rows += self._sums(units[first:last])
-            lasting = np.array([self._lasts(process) for process in processes])
-            if lasting.any() and not self.fixed_times:
-                times = units[first + n_processes : last + n_processes]
-                rows.append(times[lasting].sum(axis=0))
-            first = last
-        rows += [*units[n_channels + 2 * n_processes :]]
-        return np.array(rows).reshape(len(rows), len(units))
-
-    def _sums(self, units: np.ndarray) -> list[np.ndarray]:
-        """A row per group, (n_slopes,), of a row per size."""
-        return [units[group].sum(axis=0) for group in self._groups(len(units))]
-
-    def _bounds_of(self, processes: tuple[Process, ...]) -> list[tuple[float, float]]:
-        bounds = [(SMALLEST_LOG, LARGEST_LOG)] * len(self._groups(len(processes)))
-        times = [p.time for p in processes if self._lasts(p)]
-        if times and not self.fixed_times:
-            lower = np.log(self.shortest / times[0])
-            bounds.append((lower, np.log(self.longest / times[0])))
-        return bounds
-
-    def _lasts(self, process: Process) -> bool:
-        return process.time > self.shortest
+        n = len(self.channels) + 2 * len(origin.processes) + len(origin.functions)
+        rows = np.zeros((len(self._members), n))
+        for row, (places, _, _) in zip(rows, self._members, strict=True):
+            row[places] = 1.0
+        return rows
 
     def at(self, vector: np.ndarray) -> Disturbances:
         """The disturbances of a vector (n_coordinates,)."""
@@ -406,11 +382,5 @@ class Coordinates:
         functions = []
         for function, size in zip(origin.functions, of_functions, strict=True):
             functions.append(replace(function, size=function.size * float(size)))
-        n_forces = len(origin.forces)
-        return replace(
-            origin,
-            sigma=sigma,
-            forces=tuple(processes[:n_forces]),
-            sensors=tuple(processes[n_forces:]),
-            functions=tuple(functions),
-        )
+        moved_origin = origin.with_processes(processes)
+        return replace(moved_origin, sigma=sigma, functions=tuple(functions))

@@ -29,10 +29,9 @@ from phsi_opt.interrupts import solving
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Curvature, Linearization, Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
-    Eliminated,
     MarginalLikelihood,
+    OptimalitySystem,
     Smoothed,
-    noise_weights,
 )
 from phsi_opt.optimization.banded import FEWEST_STATES
 from phsi_opt.optimization.bounded_step import REGULAR, Room
@@ -236,6 +235,7 @@ class JointProblem:
             along=along,
             linear_share=0.0,
             curvature=curvature,
+            softness=self.softness,
             tilt=self.tilt,
         )
 
@@ -253,16 +253,13 @@ class JointProblem:
         """
         z = found.point.z
         likelihood = found.likelihood.with_moving(self.moving[:0])
-        volume = likelihood.log_volume_of_unknowns(self.disturbances)
-        moving = found.likelihood.with_moving(self.moving)
-        border = moving.border(self.disturbances)
-        told = np.diag(border.information)
-        covariance = border.marginal(self.disturbances.function_sizes).covariance
+        volume = self._log_volume(likelihood)
+        system = found.likelihood.with_moving(self.moving).at(self.disturbances)
+        known = np.diag(system.border.information)
         tilt = self.slope.copy()
-        moves = np.abs(tilt[self.moving]) * np.sqrt(np.diag(covariance))
-        is_new = self.tilt is None
-        for place, information, move in zip(self.moving, told, moves, strict=False):
-            if not is_new and move < UNMOVED:
+        moves = np.abs(tilt[self.moving]) * np.sqrt(np.diag(system.covariance))
+        for place, information, move in zip(self.moving, known, moves, strict=False):
+            if self.tilt is not None and move < UNMOVED:
                 continue
             step = SMALL_STEP / np.sqrt(information + 1)
             if z[place] + step > self.values.upper[place]:
@@ -272,13 +269,24 @@ class JointProblem:
             linear = self.linearized(
                 moved, self._at(moved), likelihood.problem.states_of_functions
             )
-            there = likelihood.relinearized(linear).log_volume_of_unknowns(
-                self.disturbances
-            )
+            there = self._log_volume(likelihood.relinearized(linear))
             # What the record says little of goes no further than by its own scale.
             slope = (there - volume) / step
             tilt[place] = np.clip(slope, -information, information)
         return replace(self, tilt=tilt)
+
+    def _log_volume(self, likelihood: MarginalLikelihood) -> float:
+        """What the log likelihood of given parameters has besides the squares.
+
+        It is the logarithm of the volume that disturbances have under these parameters.
+        Starting states are unknown numbers like the parameters, and not integrated out:
+        a flat prior of theirs would prefer parameters with less information about them
+        (Cox and Reid, Journal of the Royal Statistical Society B 49, 1987).
+        """
+        n = self.values.n_states
+        starts = self.values.grid.first[:, None] * n + np.arange(n)
+        border = likelihood.at(self.disturbances, held=starts.ravel()).border
+        return float(border.log_constant - np.linalg.slogdet(border.precision)[1] / 2)
 
     @np.errstate(all="ignore")
     def optimum(
@@ -305,8 +313,9 @@ class JointProblem:
         if before is None:
             place, contraction = _Place.of(self, z, beside), 1.0
         else:
-            likelihood = before.likelihood.with_softness(self.softness)
-            likelihood = likelihood.tilted(self.tilt)
+            linear = before.likelihood.problem
+            linear = replace(linear, softness=self.softness, tilt=self.tilt)
+            likelihood = before.likelihood.relinearized(linear)
             place = replace(before.place, problem=self, likelihood=likelihood)
             contraction = before.contraction
         n_steps = 0
@@ -367,7 +376,7 @@ class JointProblem:
             there = self._moved(place, place.point.towards(aim.point, share))
             if self._is_lower(there, place, aim, passed, share):
                 return replace(there.renewed(), multipliers=aim.multipliers)
-            again = there.corrected(place.eliminated)
+            again = there.corrected(place.system)
             if again is not None:
                 there = self._moved(there, again)
                 if self._is_lower(there, place, aim, passed, 1.0):
@@ -457,14 +466,10 @@ class _Place:
         """Of a start; arguments as those of `JointProblem.optimum`."""
         known = problem._at(z)
         linear = problem.linearized(z, known)
-        structure = problem.disturbances.structure
-        likelihood = MarginalLikelihood(
-            linear, structure, problem.moving, problem.softness
-        )
+        likelihood = MarginalLikelihood(linear, problem.disturbances, problem.moving)
         if beside is None:
-            n_x = linear.nodes.size
-            processes = np.zeros(likelihood.n_unknowns - n_x)
-            beside = JointPoint(z, processes, np.zeros(likelihood.n_coefficients))
+            processes = np.zeros(likelihood.effects.shape[1])
+            beside = JointPoint(z, processes, np.zeros(len(likelihood.owner)))
         return cls(problem, replace(beside, z=z), known, likelihood)
 
     def renewed(self) -> "_Place":
@@ -484,10 +489,7 @@ class _Place:
         curvature = problem.linearizer.curvature(z, self.multipliers)
         along = self.linear.states_of_functions
         linear = problem.linearized(z, self.known, along, curvature)
-        structure = problem.disturbances.structure
-        likelihood = MarginalLikelihood(
-            linear, structure, problem.moving, problem.softness
-        )
+        likelihood = MarginalLikelihood(linear, problem.disturbances, problem.moving)
         return replace(self, likelihood=likelihood)
 
     @property
@@ -496,25 +498,23 @@ class _Place:
         return self.likelihood.problem
 
     @cached_property
-    def _inner(self) -> np.ndarray:
-        """The values of the processes among all unknowns, (n_unknowns,)."""
-        still = np.zeros(self.linear.nodes.size)
-        return np.concatenate([still, self.point.processes])
+    def _remaining(self) -> np.ndarray:
+        """Of the data, and minus the defects below them, less all disturbances."""
+        data = np.concatenate([self.known.misfit, -self.known.g])
+        remaining: np.ndarray = data - self.likelihood.effects @ self.point.processes
+        of_functions = self.likelihood.border_in_dynamics[:, len(self.problem.moving) :]
+        remaining[self.linear.n_values :] -= of_functions @ self.point.coefficients
+        return remaining
 
-    @cached_property
+    @property
     def residual(self) -> np.ndarray:
         """Measured less shown, errors of sensors included, (n_values,)."""
-        residual: np.ndarray = self.known.misfit - self.likelihood.shown @ self._inner
-        return residual
+        return self._remaining[: self.linear.n_values]
 
-    @cached_property
+    @property
     def _excess(self) -> np.ndarray:
         """Defects less what the disturbances do to the dynamics, scaled."""
-        likelihood = self.likelihood
-        by_forces = likelihood.dynamics_of_processes(self._inner[:, None])[:, 0]
-        by_functions = likelihood.dynamics_of_functions(self.point.coefficients)
-        excess: np.ndarray = self.known.g + by_functions - by_forces
-        return excess
+        return -self._remaining[self.linear.n_values :]
 
     @property
     def _holds(self) -> np.ndarray:
@@ -563,13 +563,12 @@ class _Place:
         excess: np.ndarray,
     ) -> float:
         """Of values over their noise, and of disturbances in units of their priors."""
-        likelihood = self.likelihood
         disturbances = self.problem.disturbances
-        weighted = noise_weights(self.linear, disturbances.sigma) * shown
-        sizes = likelihood.coefficient_sizes(disturbances)
+        weighted = shown / self.linear.of_values(disturbances.sigma)
+        sizes = disturbances.function_sizes[self.likelihood.owner]
+        innovations = self.likelihood.innovations(processes, disturbances)
         total = np.sum(weighted**2) + np.sum((coefficients / sizes) ** 2)
-        for one in likelihood.innovations(processes, disturbances):
-            total += np.sum(one**2)
+        total += np.sum(innovations**2)
         gives = ~self._holds
         total += np.sum(excess[gives] ** 2 / self.problem.variance[gives])
         return float(total)
@@ -580,7 +579,7 @@ class _Place:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        found = self._within_bounds(self.eliminated, damping)
+        found = self._within_bounds(self.system, damping)
         point = self._moved_by(found)
         return _Aim(
             point=point,
@@ -589,15 +588,15 @@ class _Place:
         )
 
     @cached_property
-    def eliminated(self) -> Eliminated:
-        """States and processes of the record linearised here, none of them held.
+    def system(self) -> OptimalitySystem:
+        """Of the record linearised here, no state held.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        return self.likelihood.eliminated(self.problem.disturbances, REGULAR)
+        return self.likelihood.at(self.problem.disturbances, REGULAR)
 
-    def _within_bounds(self, eliminated: Eliminated, damping: float) -> Smoothed:
+    def _within_bounds(self, system: OptimalitySystem, damping: float) -> Smoothed:
         """The optimum within the bounds; states at one that lead out of it are held.
 
         Steps leave out the curvature of the dynamics, multipliers times violations at
@@ -607,39 +606,33 @@ class _Place:
         values = problem.values
         left_out = 0.0
         if problem.softness is None:
-            multipliers = eliminated.solved[self.likelihood.n_unknowns :, -1]
-            left_out = float(np.abs(multipliers) @ np.abs(self._excess))
+            left_out = float(np.abs(system.multipliers) @ np.abs(self._excess))
         z, x = self.point.z, values.point.of_x
         room = problem.room(z)
         is_low, is_high = z[x] <= values.lower[x], z[x] >= values.upper[x]
         is_held = np.zeros(len(is_low), dtype=bool)
         while True:
-            found = self.likelihood.smoothed(
-                eliminated, problem.disturbances, damping, room, CLEAR * left_out
-            )
+            found = system.smoothed(damping, room, CLEAR * left_out)
             step = found.x.ravel()
             leads_out = (is_low & (step < 0)) | (is_high & (step > 0))
             if not np.any(leads_out & ~is_held):
                 return found
             is_held |= leads_out
-            eliminated = self.likelihood.eliminated(
-                problem.disturbances, REGULAR, np.flatnonzero(is_held)
-            )
+            held = np.flatnonzero(is_held)
+            system = system.likelihood.at(problem.disturbances, REGULAR, held)
 
-    def corrected(self, eliminated: Eliminated) -> JointPoint | None:
+    def corrected(self, system: OptimalitySystem) -> JointPoint | None:
         """The optimum by the slopes of the place before: what curvature made is undone.
 
         None where a value is no number.
 
         Args:
-            eliminated: states and processes by those slopes.
+            system: of those slopes.
         """
         if not np.isfinite(self.violation):
             return None
-        known = self.known
-        likelihood = self.likelihood.at_values(known.misfit, known.g)
-        other = replace(self, likelihood=likelihood)
-        again = likelihood.solved_again(eliminated)
+        again = system.at_values(self.known.misfit, self.known.g)
+        other = replace(self, likelihood=again.likelihood)
         return self._moved_by(other._within_bounds(again, 0.0))
 
     def _moved_by(self, found: Smoothed) -> JointPoint:
@@ -654,8 +647,7 @@ class _Place:
         """Of a step, in standard deviations of what it changes."""
         processes = aim.processes - self.point.processes
         coefficients = aim.coefficients - self.point.coefficients
-        likelihood = self.likelihood
-        moved = likelihood.shown @ np.concatenate([found.x.ravel(), processes])
+        moved = self.likelihood.shown @ np.concatenate([found.x.ravel(), processes])
         moved = moved + self.linear.shown_in_theta @ found.theta
         excess = self.problem.variance * found.multipliers - self._excess
         return float(np.sqrt(self._squares(moved, processes, coefficients, excess)))

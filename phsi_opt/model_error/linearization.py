@@ -1,13 +1,16 @@
-"""An estimate's likelihood linearised at its solution: slopes of dynamics and sensors.
+"""A likelihood linearised at one point: slopes of dynamics and sensors.
 
 ::
 
-    shown residual   r - C x - C_theta theta
-    dynamics         J x + J_theta theta + offset = B w
+    residual of a value   r - C x - C_theta theta - v
+    dynamics              J x + J_theta theta + offset = B w
 
-for changes x of the states, theta of the parameters, and forces w that the model does
-not know. States and parameters are in the scale of the program that was solved, forces
-in the unit of a rate of their state.
+for changes x of the states and theta of the parameters, forces w that the model does
+not know, and errors v of sensors. States and parameters are in the scale of the program
+that was solved, forces in the unit of a rate of their state.
+
+Data and dynamics together are one set of linear equations: the data are r and, below
+them, -offset; so a force adds -B w to them where a sensor's error adds v.
 """
 
 from dataclasses import dataclass, replace
@@ -18,34 +21,31 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
 
 from phsi_opt.model.structure import forced_rows
-from phsi_opt.model_error.disturbances import LINEAR_SHARE, smooth_functions
+from phsi_opt.model_error.disturbances import LINEAR_SHARE, Whitener, smooth_functions
 from phsi_opt.optimization.banded import Banded, BandLayout, Passage, neighbours_first
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 
 @dataclass(frozen=True, eq=False)
-class ForceEffects:
-    """What a force of one in each equation does to the dynamics of its interval.
+class Site:
+    """Where a process acts, and what it does to data and dynamics.
 
     Attributes:
-        matrix: sparse, a column per (interval, equation).
-        n_states: number of states, and equations.
+        place: (n,) node of each of its values; half way between two for a force.
+        t: (n,) times.
+        trajectory: (n,) numbers of the trajectories.
+        effects: sparse, (n_values + n_intervals * n_states, n), on the data.
     """
 
-    matrix: csc_matrix
-    n_states: int
+    place: np.ndarray
+    t: np.ndarray
+    trajectory: np.ndarray
+    effects: csc_matrix
 
-    def of(self, equation: int) -> csc_matrix:
-        """B of one equation, (n_intervals * n_states, n_intervals)."""
-        if equation not in self._asked:
-            self._asked[equation] = self.matrix[:, equation :: self.n_states]
-        return self._asked[equation]
-
-    @cached_property
-    def _asked(self) -> dict[int, csc_matrix]:
-        """Those of the equations asked for: a search asks hundreds of times."""
-        return {}
+    def whitener(self, time: float) -> Whitener:
+        """Of a process with this correlation time."""
+        return Whitener.of(self.t, self.trajectory, time)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,18 +65,19 @@ class Curvature:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """A likelihood linearised at a solution.
+    """A likelihood linearised at a point.
 
     Attributes:
         grid: nodes and intervals.
         nodes: (n_nodes, n_states) states of the solution.
         dynamics_in_states: J, sparse, (n_intervals * n_states, n_nodes * n_states).
         dynamics_in_theta: J_theta, (n_intervals * n_states, n_theta).
-        shown_in_states: C, sparse, (n_values, n_nodes * n_states).
-        shown_in_theta: C_theta, (n_values, n_theta).
-        force_effects: what a force in each equation does to the dynamics.
+        force_effects: B, sparse, a column per (interval, equation): what a force of one
+            does to the dynamics.
         offset: of the dynamics at the solution, (n_intervals * n_states,); zero where
             it obeys the model.
+        shown_in_states: C, sparse, (n_values, n_nodes * n_states).
+        shown_in_theta: C_theta, (n_values, n_theta).
         residual: r, measured minus shown, (n_values,).
         node: (n_values,) node of every measured value.
         channel: (n_values,) its state.
@@ -87,15 +88,18 @@ class Linearization:
         along: (n_nodes, n_states) states along which functions of them are taken; None:
             those of the solution.
         linear_share: of their linear part that functions of states keep.
-        curvature: of the dynamics; None: it is left out, as by Gauss and Newton.
-        tilt: (n_theta,) slope of a log likelihood that acts beside; None: none does.
+        curvature: of the dynamics; None: it is left out (Gauss and Newton).
+        softness: (n_intervals * n_states,) variance by which the dynamics may fail to
+            hold, that of a white force; None: they hold.
+        tilt: (n_theta,) slope of a further term of the log likelihood; None: there is
+            none.
     """
 
     grid: Grid
     nodes: np.ndarray
     dynamics_in_states: Any
     dynamics_in_theta: np.ndarray
-    force_effects: ForceEffects
+    force_effects: csc_matrix
     offset: np.ndarray
     shown_in_states: Any
     shown_in_theta: np.ndarray
@@ -109,6 +113,7 @@ class Linearization:
     along: np.ndarray | None = None
     linear_share: float = LINEAR_SHARE
     curvature: Curvature | None = None
+    softness: np.ndarray | None = None
     tilt: np.ndarray | None = None
 
     @property
@@ -122,37 +127,36 @@ class Linearization:
         return len(self.theta_scale)
 
     @property
-    def slope(self) -> np.ndarray:
-        """`tilt`, (n_theta,)."""
-        return np.zeros(self.n_theta) if self.tilt is None else self.tilt
-
-    @property
     def n_values(self) -> int:
         """Number of measured values."""
         return len(self.residual)
-
-    @property
-    def noise_freedom(self) -> np.ndarray:
-        """Degrees of freedom where noise is all there is, (n_theta,)."""
-        return np.full(self.n_theta, max(float(self.n_values - self.n_theta), 1.0))
 
     @property
     def n_trajectories(self) -> int:
         """Number of trajectories."""
         return self.grid.n_trajectories
 
-    @cached_property
+    @property
+    def data(self) -> np.ndarray:
+        """Residuals, and minus the offsets of the dynamics below them."""
+        return np.concatenate([self.residual, -self.offset])
+
+    @property
     def middles(self) -> np.ndarray:
         """Times of the middles of the intervals, (n_intervals,)."""
         grid = self.grid
         middles: np.ndarray = grid.t[grid.begin] + grid.h / 2
         return middles
 
+    def of_values(self, sigma: np.ndarray) -> np.ndarray:
+        """Of noise (n_trajectories, n_states) that of every measured value."""
+        return np.asarray(sigma[self.grid.trajectory[self.node], self.channel])
+
     @cached_property
     def log_volume(self) -> float:
         """What slopes and scales of the states add to a log evidence.
 
-        States are integrated out behind dynamics that hold, d(x) = 0. They follow from
+        States are integrated out given dynamics that hold, d(x) = 0. They follow from
         the starting states, whose flat prior is in their own units, so the slopes of d
         in the states at the ends of the intervals have to be divided out.
 
@@ -173,20 +177,37 @@ class Linearization:
         log_slopes = Banded(layout, slopes.data[at_end]).log_abs_det
         return log_slopes + self.n_trajectories * float(np.sum(np.log(self.x_scale)))
 
+    # --- Disturbances
+
+    def site_of_force(self, equation: int) -> Site:
+        """Of a force in an equation: it is held over each interval."""
+        grid = self.grid
+        own = self.force_effects[:, equation :: self.n_states].tocoo()
+        row = self.n_values + own.row
+        effects = self._effects(-own.data, row, own.col, grid.n_intervals)
+        return Site(grid.begin + 0.5, self.middles, grid.runs, effects)
+
+    def site_of_sensor(self, channel: int) -> Site:
+        """Of errors of the sensor of one state: one for each of its values."""
+        grid = self.grid
+        values = np.flatnonzero(self.channel == channel)
+        node = self.node[values]
+        n = len(values)
+        effects = self._effects(np.ones(n), values, np.arange(n), n)
+        return Site(node.astype(float), grid.t[node], grid.trajectory[node], effects)
+
+    def _effects(
+        self, entries: np.ndarray, row: np.ndarray, column: np.ndarray, n: int
+    ) -> csc_matrix:
+        shape = (self.n_values + len(self.offset), n)
+        return csc_matrix((entries, (row, column)), shape=shape)
+
     def effect_of_force(self, equation: int) -> np.ndarray:
         """B: what a force of one does to the dynamics, (n_intervals, n_states)."""
-        effect = coo_matrix(self.dynamics_of_force(equation))
+        effect = self.force_effects[:, equation :: self.n_states].tocoo()
         dense = np.zeros((self.grid.n_intervals, self.n_states))
         dense[effect.col, effect.row % self.n_states] = effect.data
         return dense
-
-    def dynamics_of_force(self, equation: int) -> csc_matrix:
-        """B as a sparse matrix, (n_intervals * n_states, n_intervals)."""
-        return self.force_effects.of(equation)
-
-    def values_of(self, channel: int) -> np.ndarray:
-        """Places of the measured values of one state."""
-        return np.flatnonzero(self.channel == channel)
 
     @property
     def states_of_functions(self) -> np.ndarray:
@@ -210,6 +231,8 @@ class Linearization:
         effect = self.effect_of_force(equation)
         columns = -effect[:, :, None] * values[:, None, :]
         return columns.reshape(effect.size, -1)
+
+    # --- Parts of a record
 
     def piece_numbers(self, n_pieces: int) -> np.ndarray:
         """Number of the piece of every node when the record is cut evenly, (n_nodes,).
@@ -254,41 +277,80 @@ class Linearization:
         grid = self.grid
         same = piece[grid.begin] == piece[grid.begin + 1]
         intervals = np.flatnonzero(same & (piece[grid.begin] >= 0))
-        kept_nodes = np.flatnonzero(piece >= 0)
-        new_number = np.cumsum(piece >= 0) - 1
+        nodes = np.flatnonzero(piece >= 0)
+        number = np.cumsum(piece >= 0) - 1
         values = np.flatnonzero(piece[self.node] >= 0)
-        places = intervals[:, None] * self.n_states + np.arange(self.n_states)
-        rows = places.ravel()
-        columns = (
-            kept_nodes[:, None] * self.n_states + np.arange(self.n_states)
-        ).ravel()
-        _, trajectory = np.unique(piece[kept_nodes], return_inverse=True)
+        of_state = np.arange(self.n_states)
+        rows = (intervals[:, None] * self.n_states + of_state).ravel()
+        columns = (nodes[:, None] * self.n_states + of_state).ravel()
+        _, trajectory = np.unique(piece[nodes], return_inverse=True)
         shorter = grid.at_nodes(
-            kept_nodes,
-            begin=new_number[grid.begin[intervals]],
+            nodes,
+            begin=number[grid.begin[intervals]],
             h=grid.h[intervals],
             u0=grid.u0[intervals],
             u1=grid.u1[intervals],
         )
-        shorter = replace(shorter, trajectory=trajectory)
-        dynamics = csc_matrix(csr_matrix(self.dynamics_in_states)[rows][:, columns])
-        shown = csr_matrix(self.shown_in_states)[values][:, columns]
+        dynamics = csr_matrix(self.dynamics_in_states)[rows][:, columns]
         return replace(
             self,
-            grid=shorter,
-            nodes=self.nodes[kept_nodes],
-            along=None if self.along is None else self.along[kept_nodes],
-            dynamics_in_states=dynamics,
+            grid=replace(shorter, trajectory=trajectory),
+            nodes=self.nodes[nodes],
+            along=None if self.along is None else self.along[nodes],
+            dynamics_in_states=csc_matrix(dynamics),
             dynamics_in_theta=self.dynamics_in_theta[rows],
-            force_effects=ForceEffects(
-                self.force_effects.matrix[:, rows][rows], self.n_states
-            ),
+            force_effects=self.force_effects[:, rows][rows],
             offset=self.offset[rows],
-            shown_in_states=shown,
+            shown_in_states=csr_matrix(self.shown_in_states)[values][:, columns],
             shown_in_theta=self.shown_in_theta[values],
             residual=self.residual[values],
-            node=new_number[self.node[values]],
+            node=number[self.node[values]],
             channel=self.channel[values],
+        )
+
+    def between_samples(self) -> "Linearization":
+        """The record with one interval between samples, however many steps it had.
+
+        Steps between samples keep the integration accurate; disturbances are not
+        resolved by them. The linear dynamics of the steps in a gap follow one after the
+        other and make one step over the gap, in which a force is held.
+        """
+        grid = self.grid
+        if grid.sample.all():
+            return self
+        n = self.n_states
+        samples = np.flatnonzero(grid.sample)
+        number = np.cumsum(grid.sample) - 1  # of the last sample, for every node
+        is_first = grid.sample[grid.begin]
+        begin = number[grid.begin[is_first]]
+        coarse = grid.at_nodes(
+            samples,
+            begin=begin,
+            h=grid.t[samples][begin + 1] - grid.t[samples][begin],
+            u0=grid.u0[is_first],
+            u1=grid.u1[grid.sample[grid.begin + 1]],
+        )
+        slopes = csr_matrix(self.dynamics_in_states)
+        touching = slopes.tocoo()
+        order = neighbours_first(touching.row % n, touching.col % n, n)
+        passage = Passage(slopes, grid.begin, grid.sample, np.argsort(order))
+        effects = self.force_effects.tocoo()
+        gap = np.cumsum(is_first) - 1
+        interval, equation = np.divmod(effects.col, n)
+        held = csr_matrix(
+            (effects.data, (effects.row, gap[interval] * n + equation)),
+            shape=(effects.shape[0], coarse.n_intervals * n),
+        )
+        return replace(
+            self,
+            grid=coarse,
+            nodes=self.nodes[samples],
+            dynamics_in_states=csc_matrix(passage.slopes()),
+            dynamics_in_theta=passage.over(self.dynamics_in_theta),
+            force_effects=csc_matrix(passage.over_blocks(held)),
+            offset=passage.over(self.offset[:, None]).ravel(),
+            shown_in_states=csr_matrix(self.shown_in_states)[:, passage.samples],
+            node=number[self.node],
         )
 
 
@@ -306,28 +368,27 @@ class Linearizer:
         self._dynamics_in_theta = values.jacobian.part(point.of_theta)
         self._shown = values.shown.part(point.of_x)
         self._shown_in_theta = values.shown.part(point.of_theta)
-        self._measured = np.flatnonzero(grid.measured.ravel())
-        memory = model.memory
+        measured = np.flatnonzero(grid.measured.ravel())
+        self._node, self._channel = np.divmod(measured, values.n_states)
         states = enumerate(model.states)
-        self._observed = tuple(k for k, name in states if name not in memory)
+        self._observed = tuple(k for k, name in states if name not in model.memory)
         self._forced = forced_rows(model)
         # A force enters its own equation, times the length of the interval.
         lengths = grid.h[:, None] / point.x_scale
-        self._effects = ForceEffects(csc_matrix(diags(lengths.ravel())), model.n_states)
+        self._effects = csc_matrix(diags(lengths.ravel()))
 
-    def at(self, z: np.ndarray, known: PointValues) -> Linearization:
+    def at(self, z: np.ndarray, known: PointValues | None = None) -> Linearization:
         """The likelihood linearised at a point.
 
         Args:
             z: (n_variables,) scaled parameters and states.
-            known: what the values are there.
+            known: what the values are there; None: they are worked out.
         """
-        values = self.values
-        point = values.point
-        n_states = values.n_states
+        point = self.values.point
+        known = known or self.values.at(z)
         return Linearization(
-            grid=values.grid,
-            nodes=point.unscaled(z)["x"].reshape(-1, n_states),
+            grid=self.values.grid,
+            nodes=point.unscaled(z)["x"].reshape(-1, self.values.n_states),
             dynamics_in_states=self._dynamics.sparse(known.jacobian),
             dynamics_in_theta=self._dynamics_in_theta.dense(known.jacobian),
             force_effects=self._effects,
@@ -335,8 +396,8 @@ class Linearizer:
             shown_in_states=csr_matrix(self._shown.sparse(known.slopes)),
             shown_in_theta=self._shown_in_theta.dense(known.slopes),
             residual=known.misfit,
-            node=self._measured // n_states,
-            channel=self._measured % n_states,
+            node=self._node,
+            channel=self._channel,
             x_scale=point.x_scale,
             theta_scale=point.theta_scale,
             forced=self._forced,
@@ -360,69 +421,3 @@ class Linearizer:
             mixed=upper[:n, n:].toarray().T,
             of_theta=of_theta + np.triu(of_theta, 1).T,
         )
-
-
-def linearized(
-    values: LikelihoodValues, z: np.ndarray, known: PointValues
-) -> Linearization:
-    """A likelihood linearised at one point.
-
-    Args:
-        values: of the likelihood.
-        z: (n_variables,) scaled parameters and states.
-        known: what the values are there.
-    """
-    return Linearizer(values).at(z, known)
-
-
-def between_samples(problem: Linearization) -> Linearization:
-    """The record with its samples alone as nodes."""
-    grid = problem.grid
-    if grid.sample.all():
-        return problem
-    samples = np.flatnonzero(grid.sample)
-    number = np.cumsum(grid.sample) - 1  # of the last sample, for every node
-    is_first = grid.sample[grid.begin]
-    begin = number[grid.begin[is_first]]
-    coarse = grid.at_nodes(
-        samples,
-        begin=begin,
-        h=grid.t[samples][begin + 1] - grid.t[samples][begin],
-        u0=grid.u0[is_first],
-        u1=grid.u1[grid.sample[grid.begin + 1]],
-    )
-    passage = _passage(problem)
-    offset = passage.over(problem.offset[:, None])
-    effects = csc_matrix(passage.over_blocks(_held(problem)))
-    return replace(
-        problem,
-        grid=coarse,
-        nodes=problem.nodes[samples],
-        dynamics_in_states=csc_matrix(passage.slopes()),
-        dynamics_in_theta=passage.over(problem.dynamics_in_theta),
-        force_effects=ForceEffects(effects, problem.n_states),
-        offset=offset.ravel(),
-        shown_in_states=csr_matrix(problem.shown_in_states)[:, passage.samples],
-        node=number[problem.node],
-    )
-
-
-def _passage(problem: Linearization) -> Passage:
-    slopes = csr_matrix(problem.dynamics_in_states)
-    touching = slopes.tocoo()
-    n = problem.n_states
-    order = neighbours_first(touching.row % n, touching.col % n, n)
-    grid = problem.grid
-    return Passage(slopes, grid.begin, grid.sample, np.argsort(order))
-
-
-def _held(problem: Linearization) -> csr_matrix:
-    """What forces do that are held over each gap, (n_intervals * n_states, ...)."""
-    grid = problem.grid
-    n = problem.n_states
-    gap = np.cumsum(grid.sample[grid.begin]) - 1
-    effects = coo_matrix(problem.force_effects.matrix)
-    interval, equation = np.divmod(effects.col, n)
-    places = (effects.row, gap[interval] * n + equation)
-    shape = (effects.shape[0], (gap[-1] + 1) * n)
-    return csr_matrix((effects.data, places), shape=shape)

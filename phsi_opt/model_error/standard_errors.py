@@ -24,13 +24,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import (
-    Border,
-    Response,
-    noise_weights,
-    whitener_of_force,
-    whitener_of_sensor,
-)
+from phsi_opt.model_error.marginal_likelihood import Border
 from phsi_opt.optimization.bounded_step import RIDGE
 from phsi_opt.statistics import chi_square_tail
 
@@ -130,7 +124,7 @@ class Clusters:
                 estimate.
             score_variance: of scores over that information.
         """
-        weight = noise_weights(problem, sigma)
+        weight = 1 / problem.of_values(sigma)
         slopes = in_theta * weight[:, None]
         residual = problem.residual * weight
         run = problem.grid.trajectory[problem.node]
@@ -147,20 +141,17 @@ class Clusters:
         return cls(scores, information, prior, n_theta, score_variance)
 
     @classmethod
-    def of_borders(
-        cls, borders: Sequence[Border], sizes: np.ndarray, step: np.ndarray
-    ) -> "Clusters":
+    def of_borders(cls, borders: Sequence[Border], step: np.ndarray) -> "Clusters":
         """Of a likelihood with disturbances.
 
         Args:
             borders: of every trajectory.
-            sizes: (n_functions,) of the functions of states.
             step: (n_border,) to the optimum of all trajectories together.
         """
         scores = [border.gradient - border.information @ step for border in borders]
         information = [border.information for border in borders]
         first = borders[0]
-        prior = first.with_priors(sizes) - first.information
+        prior = first.precision - first.information
         return cls(np.array(scores), np.array(information), prior, first.n_theta)
 
     @property
@@ -279,14 +270,14 @@ class PlainEstimate:
     score_variance: float = 1.0
 
     @property
-    def response(self) -> Response:
+    def response(self) -> np.ndarray:
         """How it answers errors.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
         white = Disturbances(self.sigma)
-        return self.search.likelihood(white).response(white).over(self.within)
+        return self.search.likelihood(white).at(white).response / self.within
 
     @property
     def problem(self) -> Linearization:
@@ -326,9 +317,15 @@ class StandardErrors:
         return self.spreads[self.source]
 
 
+def noise_freedom(problem: Linearization) -> np.ndarray:
+    """Degrees of freedom where noise is the only disturbance, (n_theta,)."""
+    n_theta = problem.n_theta
+    return np.full(n_theta, max(float(problem.n_values - n_theta), 1.0))
+
+
 def standard_errors(plain: PlainEstimate) -> StandardErrors:
     """The standard errors of a plain estimate."""
-    of_noise = Spread(plain.covariance, plain.problem.noise_freedom)
+    of_noise = Spread(plain.covariance, noise_freedom(plain.problem))
     spreads = {Source.NOISE: of_noise}
     found = Disturbances(plain.sigma)
     # Beyond what numbers hold are slopes of 1e300, noise of 1e-14.
@@ -352,7 +349,7 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
         source = Source.DISTURBANCES
     log_evidence = np.nan
     with suppress(SolveError, np.linalg.LinAlgError):
-        log_evidence = plain.search.likelihood(found).log_model_evidence(found)
+        log_evidence = plain.search.likelihood(found).at(found).log_model_evidence
     return StandardErrors(source, spreads, found, log_evidence)
 
 
@@ -368,7 +365,7 @@ def _clusters(plain: PlainEstimate) -> Clusters | None:
 
 
 def under_disturbances(
-    search: DisturbanceSearch, response: Response, best: Evidence
+    search: DisturbanceSearch, response: np.ndarray, best: Evidence
 ) -> Spread:
     """Covariance of an estimate under the disturbances that were found.
 
@@ -379,7 +376,7 @@ def under_disturbances(
     """
     problem = search.problem
     coordinates = best.coordinates
-    freedom = problem.noise_freedom
+    freedom = noise_freedom(problem)
     if coordinates is None or best.information is None:
         covariance = covariance_under(problem, response, best.disturbances)
         return Spread(covariance, freedom)
@@ -398,7 +395,7 @@ def under_disturbances(
 
 
 def covariance_under(
-    problem: Linearization, response: Response, disturbances: Disturbances
+    problem: Linearization, response: np.ndarray, disturbances: Disturbances
 ) -> np.ndarray:
     """Covariance of the scaled plain estimate, (n_theta, n_theta).
 
@@ -414,29 +411,17 @@ def covariance_under(
         response: of the estimate to errors.
         disturbances: with their sizes.
     """
-    run = problem.grid.trajectory[problem.node]
-    sigma = disturbances.sigma[run, problem.channel]
-    of_noise = response.to_values * sigma
+    of_noise = response[:, : problem.n_values] * problem.of_values(disturbances.sigma)
     covariance = of_noise @ of_noise.T
-    for force in disturbances.forces:
-        weights = _weights_of_force(problem, response, force.place)
-        factor = whitener_of_force(problem, force).factor_of(weights)
-        covariance = covariance + force.size**2 * (factor.T @ factor)
-    for sensor in disturbances.sensors:
-        weights = response.to_values[:, problem.values_of(sensor.place)].T
-        factor = whitener_of_sensor(problem, sensor).factor_of(weights)
-        covariance = covariance + sensor.size**2 * (factor.T @ factor)
+    sites = [problem.site_of_force(force.place) for force in disturbances.forces]
+    sites += [problem.site_of_sensor(sensor.place) for sensor in disturbances.sensors]
+    for process, site in zip(disturbances.processes, sites, strict=True):
+        weights = site.effects.T @ response.T
+        factor = site.whitener(process.time).factor_of(weights)
+        covariance = covariance + process.size**2 * (factor.T @ factor)
     for function in disturbances.functions:
-        weights = _weights_of_force(problem, response, function.equation)
+        weights = problem.site_of_force(function.equation).effects.T @ response.T
         values = problem.function_values[function.state]
         answer = function.size * (values.T @ weights)
         covariance = covariance + answer.T @ answer
     return covariance
-
-
-def _weights_of_force(
-    problem: Linearization, response: Response, equation: int
-) -> np.ndarray:
-    """Answer to a force of one in each interval, (n_intervals, n_theta)."""
-    weights: np.ndarray = problem.dynamics_of_force(equation).T @ response.to_dynamics.T
-    return weights

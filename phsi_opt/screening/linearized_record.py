@@ -21,11 +21,10 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.linearization import linearized
+from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
-    Eliminated,
     MarginalLikelihood,
-    solve_border,
+    OptimalitySystem,
 )
 from phsi_opt.screening.weighing import SCHEME, EvidenceRecord
 from phsi_opt.transcription.grid import Grid
@@ -64,12 +63,11 @@ class LinearizedRecord:
         theta[unknown.table] = record.theta
         point = point_at(model, estimate.grid, unknown, theta, estimate.x)
         values = LikelihoodValues(model, estimate.grid, SCHEME, point, unknown)
-        z = point.scaled
-        linear = linearized(values, z, values.at(z))
+        linear = Linearizer(values).at(point.scaled)
         sigma = np.tile(estimate.sigma, (len(record.trajectories), 1))
         noise = Disturbances(sigma)
         moving = np.arange(len(theta))
-        likelihood = MarginalLikelihood(linear, noise.structure, moving)
+        likelihood = MarginalLikelihood(linear, noise, moving)
         return cls(model, unknown, theta, estimate.x, likelihood, noise)
 
     @classmethod
@@ -92,16 +90,16 @@ class LinearizedRecord:
         if spread is None:
             return self
         problem, runs = spread
-        likelihood = self.likelihood
-        sizes = self.disturbances
+        noise = self.disturbances.sigma[runs]
+        disturbances = replace(self.disturbances, sigma=noise)
         return replace(
             self,
             unknown=replace(self.unknown, table=self.unknown.table[:, runs]),
             states=problem.nodes,
             likelihood=MarginalLikelihood(
-                problem, likelihood.structure, likelihood.moving
+                problem, disturbances, self.likelihood.moving
             ),
-            disturbances=replace(sizes, sigma=sizes.sigma[runs]),
+            disturbances=disturbances,
         )
 
     @property
@@ -139,105 +137,60 @@ class LinearizedRecord:
         return np.asarray((self.grid.h[:, None] / problem.x_scale).ravel())
 
     @cached_property
-    def _eliminated(self) -> Eliminated:
-        return self.likelihood.eliminated(self.disturbances)
-
-    @cached_property
-    def _information(self) -> np.ndarray:
-        """Of the scaled parameters, (n_theta, n_theta)."""
-        border = self.likelihood.border_of(self._eliminated)
-        return border.with_priors(np.zeros(0))
-
-    @cached_property
-    def _optimum(self) -> np.ndarray:
-        """States, forces, errors of sensors and multipliers at the optimum."""
-        border = self.likelihood.border_of(self._eliminated).marginal(np.zeros(0))
-        solved = self._eliminated.solved
-        return np.asarray(solved[:, -1] - solved[:, :-1] @ border.border)
-
-    @cached_property
-    def _step(self) -> np.ndarray:
-        """Of the scaled parameters to the optimum, (n_theta,)."""
-        border = self.likelihood.border_of(self._eliminated)
-        return border.marginal(np.zeros(0)).border
+    def _system(self) -> OptimalitySystem:
+        return self.likelihood.at(self.disturbances)
 
     @cached_property
     def residual(self) -> np.ndarray:
-        """What is left at the optimum, (n_values + n_process_values,).
+        """What remains at the optimum, (n_values + n_process_values,).
 
         Residuals in units of the noise, then forces and errors of sensors, whitened,
         with the opposite sign.
         """
-        likelihood = self.likelihood
-        unknowns = self._optimum[: likelihood.n_unknowns, None]
-        shown = likelihood.shown @ unknowns[:, 0]
-        shown = shown + likelihood.border_in_shown @ self._step
-        weights = np.sqrt(self._eliminated.weights)
-        left = weights * (likelihood.problem.residual - shown)
-        return np.concatenate([left, -self._whitened(unknowns)[:, 0]])
+        system = self._system
+        in_noise = np.sqrt(system.weights) * system.residual
+        return np.concatenate([in_noise, -self._whitened(system.optimum)])
 
     @cached_property
     def misfit(self) -> float:
         """Sum of its squares."""
         return float(self.residual @ self.residual)
 
-    def _whitened(self, unknowns: np.ndarray) -> np.ndarray:
-        """Processes among unknowns (n_unknowns, k) as standard normals."""
-        processes = unknowns[self.likelihood.problem.nodes.size :]
-        parts = self.likelihood.innovations(processes, self.disturbances)
-        return np.concatenate([np.zeros((0, unknowns.shape[1])), *parts])
+    def _whitened(self, answer: np.ndarray) -> np.ndarray:
+        """Processes among unknowns as standard normals, (n_process_values, ...)."""
+        likelihood = self.likelihood
+        processes = answer[likelihood.problem.nodes.size : likelihood.n_unknowns]
+        return likelihood.innovations(processes, self.disturbances)
 
     def traces(self, of_defects: np.ndarray, of_outputs: np.ndarray) -> np.ndarray:
-        """What is left of changes in `residual` when all that may move has followed.
+        """What changes leave in `residual` when all that may move has followed.
 
         Args:
             of_defects: D, (n_intervals * n_states, k), in units of rates.
             of_outputs: Y, (n_nodes * n_states, k), in those of the states.
 
         Returns:
-            (n_values + n_process_values, k); a residual less a trace is left.
+            (n_values + n_process_values, k); a residual less a trace remains.
         """
-        likelihood = self.likelihood
-        direct = self._measured(of_outputs)
-        parts = self._eliminated
-        right, border = self._driven(of_defects, direct)
-        answer = parts.factors.solve(right) - parts.solved[:, :-1] @ border
-        unknowns = answer[: likelihood.n_unknowns]
-        shown = direct + likelihood.shown @ unknowns
-        shown += likelihood.border_in_shown @ border
-        weights = np.sqrt(parts.weights)[:, None]
-        return np.concatenate([weights * shown, self._whitened(unknowns)])
+        direct, answer, of_border = self._answered(of_defects, of_outputs)
+        shown = direct + self._system.shown(answer, of_border)
+        in_noise = np.sqrt(self._system.weights)[:, None] * shown
+        return np.concatenate([in_noise, self._whitened(answer)])
 
-    def _measured(self, of_outputs: np.ndarray) -> np.ndarray:
-        """Of changes at all nodes those of measured values, (n_values, k)."""
-        return np.asarray(of_outputs[self.grid.measured.ravel()])
-
-    def _driven(
-        self, of_defects: np.ndarray, direct: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Right-hand sides of some changes, and scaled parameters that follow them.
-
-        Args:
-            of_defects: (n_intervals * n_states, k), in units of rates.
-            direct: (n_values, k), what they do to measured values.
-        """
-        likelihood = self.likelihood
-        parts = self._eliminated
-        n = likelihood.n_unknowns
-        weighted = -parts.weights[:, None] * direct
-        right = np.empty((len(parts.right), direct.shape[1]), order="F")
-        right[:n] = likelihood.shown_transposed @ weighted
-        right[n:] = -self._per_rate[:, None] * of_defects
-        in_theta = likelihood.border_in_shown.T @ weighted
-        pull = in_theta - parts.solved[:, :-1].T @ right
-        return right, solve_border(self._information, pull)
+    def _answered(
+        self, of_defects: np.ndarray, of_outputs: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Changes of measured values, and how unknowns and parameters follow them."""
+        direct = np.asarray(of_outputs[self.grid.measured.ravel()])
+        dynamics = -self._per_rate[:, None] * of_defects
+        return direct, *self._system.solve(-direct, dynamics)
 
     def adjoint(self) -> np.ndarray:
         """Multipliers of the defects, (n_intervals * n_states,).
 
         Minus the product of the residual with the trace of each defect.
         """
-        multipliers = self._optimum[self.likelihood.n_unknowns :]
+        multipliers = self._system.optimum[self.likelihood.n_unknowns :]
         return np.asarray(self._per_rate * multipliers)
 
     def parameters_with(
@@ -252,10 +205,9 @@ class LinearizedRecord:
         further.
         """
         c = coefficients[:, None]
-        direct = self._measured(of_outputs @ c)
-        by_effect = self._driven(of_defects @ c, direct)[1][:, 0]
+        _, _, by_effect = self._answered(of_defects @ c, of_outputs @ c)
         scale = self.likelihood.problem.theta_scale
-        moved = self.theta + scale * (self._step + by_effect)
+        moved = self.theta + scale * (self._system.theta + by_effect[:, 0])
         half_way_down = (self.unknown.lower + self.theta) / 2
         half_way_up = (self.unknown.upper + self.theta) / 2
         moved = np.clip(moved, half_way_down, half_way_up)

@@ -288,7 +288,8 @@ class Weighing:
         means = unknown.means(theta).tolist()
         price = self._price(states)
         likelihood, sizes = found.likelihood, found.sizes
-        borders = likelihood.borders_by_run(sizes)
+        system = likelihood.at(sizes)
+        borders = system.borders_by_trajectory()
         fitted = Border.sum(borders[: self.n_fitted])
         n_fitted_values = self._n_values(self.n_fitted)
         share = n_fitted_values / self._n_values(len(borders))
@@ -298,15 +299,16 @@ class Weighing:
         n = whole.n_theta
         missed = solve_border(whole.information[:n, :n] + np.eye(n), whole.gradient[:n])
         pull = fitted.gradient[:n] - fitted.information[:n, :n] @ missed
-        training = _log_likelihood(fitted, sizes, pull)
+        training = _log_likelihood(fitted, pull)
         training -= k * np.log(n_fitted_values) / 2 + price * share
         evidence = found.evidence
         evidence -= k * np.log(self._n_values(len(borders))) / 2 + price
         covariance = np.full((k, k), np.nan)
         scale = point.theta_scale[likelihood.moving]
-        within = likelihood.at(sizes).covariance * np.outer(scale, scale)
+        within = system.covariance * np.outer(scale, scale)
         covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
-        processes = likelihood.by_process(found.joint.point.processes)
+        ends = np.cumsum([len(site.t) for site in likelihood.sites], dtype=int)
+        processes = np.split(found.joint.point.processes, ends)[:-1]
         rates = likelihood.problem.grid.rates(states)
         shares = {}
         for force, acting in zip(sizes.forces, processes, strict=False):
@@ -357,9 +359,8 @@ class _Found:
         """Log likelihood, states and forces integrated out."""
         problem = self.likelihood.problem
         n_free = problem.n_values - problem.n_trajectories * problem.n_states
-        border = self.likelihood.border(self.sizes)
-        still = np.zeros(border.n_theta)
-        found = _log_likelihood(border, self.sizes, still)
+        border = self.likelihood.at(self.sizes).border
+        found = _log_likelihood(border, np.zeros(border.n_theta))
         return found - n_free * np.log(2 * np.pi) / 2
 
     @property
@@ -388,27 +389,25 @@ def _names_at_bounds(unknown: Theta, theta: np.ndarray) -> tuple[str, ...]:
     return tuple(np.array(unknown.names)[is_met].tolist())
 
 
-def _log_likelihood(border: Border, sizes: Disturbances, pull: np.ndarray) -> float:
+def _log_likelihood(border: Border, pull: np.ndarray) -> float:
     """Log likelihood of a record, or a part of it, at its own best parameters.
 
     Args:
         border: what the record says of parameters and coefficients.
-        sizes: of the disturbances.
         pull: (n_theta,) slope in the parameters; zero: they stay.
     """
     n = border.n_theta
-    of_functions = sizes.function_sizes
-    information = border.with_priors(of_functions)
-    log_det = np.linalg.slogdet(information[n:, n:])[1]
+    precision = border.precision.copy()
+    log_det = np.linalg.slogdet(precision[n:, n:])[1]
     # Parameters move by their slope alone, whatever the functions do; and what the
     # record says little of goes no further than by its own scale.
-    information[:n, n:] = 0.0
-    information[n:, :n] = 0.0
-    information[:n, :n] += np.eye(n)
+    precision[:n, n:] = 0.0
+    precision[n:, :n] = 0.0
+    precision[:n, :n] += np.eye(n)
     gradient = np.concatenate([pull, border.gradient[n:]])
-    gain = gradient @ solve_border(information, gradient)
-    log_prior = -float(np.sum(np.log(of_functions[border.owner])))
-    return border.log_evidence - (border.constant - gain + log_det) / 2 + log_prior
+    gain = gradient @ solve_border(precision, gradient)
+    misfit = border.constant - gain
+    return float(border.log_constant - (misfit + log_det) / 2 + border.log_prior)
 
 
 def _beside(
@@ -572,7 +571,7 @@ class EvidenceRecord:
             if name in memory:
                 continue
             function = StateFunction(equation, state, size)
-            sizes = base.disturbances.with_functions((function,))
+            sizes = replace(base.disturbances, functions=(function,))
             start = replace(base.start, disturbances=sizes)
             try:
                 found = self.weighing.weighed(start)

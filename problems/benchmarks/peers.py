@@ -131,12 +131,12 @@ def _iteration(estimate: LikelihoodEstimate) -> float:
     z = estimate.solution.z
     linear = linearizer.at(z, values.at(z))
     noise = problem.disturbances
-    kernel = MarginalLikelihood(linear, noise.structure, problem.moving)
+    kernel = MarginalLikelihood(linear, noise, problem.moving)
 
     def work() -> None:
         there = linearizer.at(z, values.at(z))
         moved = kernel.relinearized(there)
-        moved.smoothed(moved.eliminated(noise), noise, room=problem.room(z))
+        moved.at(noise).smoothed(room=problem.room(z))
 
     seconds = []
     for _ in range(N_TIMED):
