@@ -37,80 +37,67 @@ SECOND_STORAGE = "a storage that nobody measures"
 
 # ---- parameters inside the bodies ----------------------------------------------------
 
-# Rims and clipping limits to try, as shares of the largest level or value; closer to
-# each other near the largest one, where a limit is passed briefly.
-LIMITS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)
-# Lags and delays to try, in times between samples: from a share of one sample on, each
-# about 1.6 times the last one.
-DELAYS = (
-    *(0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0),
-    *(13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0),
-)
 # Dry friction turns over within this share of the typical (root mean square) velocity:
 # sharp beside the motion, smooth for the solver. The fourth powers make its plateau
 # flat, so that the share costs no friction at the velocities beyond it.
 FRICTION_TURNOVER = 0.06
-# Factors by which the turnover is then made sharper, where that fits better. By a
-# quarter at once, the steps of fits of 10 000 samples went to and fro 20 times.
-SHARPER_TURNOVERS = (0.5,) * 6
-# Stribeck speeds to try, as shares of the largest velocity.
-STRIBECK_SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.45)
-# Levels at which a saturating leak has half its conductance, to try, as shares of the
-# largest level.
-HALF_LEVELS = (0.03, 0.1, 0.3, 1.0)
-# Free plays of a gap to try, as shares of the largest position.
-PLAYS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
-# Half widths of a dead zone to try, as shares of the largest input.
-DEAD_ZONES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)
-# Limits of a saturation to try, as shares of the largest input.
-SATURATIONS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98)
-# Displacements over which a hysteresis yields, to try, as shares of the largest
-# position.
-YIELD_WIDTHS = (0.05, 0.1, 0.2, 0.4)
-# Times in which a second storage follows, to try, as shares of the longest record; what
-# takes longer than the record is told from a constant by nothing. A re-fit begins at
-# the one in the middle: a second storage that follows soon is hardly different from the
-# first, and a solver finds its way from there (a house and a cell: from 0.002 and 0.01;
-# from 0.05 and 0.2, where the exchange begins at zero, the cell's ended there).
-FOLLOWING_TIMES = (0.002, 0.003, 0.005, 0.01, 0.03, 0.1, 0.3)
+# Limits to try, as shares of the largest level or value; closer to each other near the
+# largest one, where a limit is passed briefly.
+LIMITS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)
 
 
-def _tried(
-    of: str, shares: tuple[float, ...], most: float = np.inf, unit: str = ""
-) -> Parameter:
+def _tried(of: str, *shares: float, most: float = np.inf, unit: str = "") -> Parameter:
     """A positive parameter that starts at the best of several values."""
     return Parameter(lower=0.0, unit=unit, guess=Tried(of, shares, most))
 
 
-def _width(of: str, share: float, sharper: tuple[float, ...] = ()) -> Parameter:
+def _width(of: str, share: float, *sharper: float) -> Parameter:
     """A width within which a corner is rounded: known, as a share of a typical size."""
     return Parameter(lower=0.0, fixed=True, guess=Share(of, share, sharper))
 
 
-LAG = _tried("dt", DELAYS, unit="s")
-# No rim, play or limit beyond the largest value does anything: most is 1 there.
+# In times between samples: from a share of one on, each about 1.6 times the last.
+DELAY = _tried(
+    *("dt", 0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0),
+    *(13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0),
+    unit="s",
+)
+# No limit or play beyond the largest value does anything: most is 1 there.
 INNER_PARAMETERS = {
-    "v0": _width("{e}", FRICTION_TURNOVER, SHARPER_TURNOVERS),
-    # A friction that falls over a longer range of velocities is Coulomb's.
-    "v_s": _tried("{e}", STRIBECK_SPEEDS, most=3.0),
+    # The corner is then halved while that fits better. By a quarter at once, the steps
+    # of fits of 10 000 samples went to and fro 20 times.
+    "v0": _width("{e}", FRICTION_TURNOVER, *(0.5,) * 6),
+    # The Stribeck speed. A friction that falls over a longer range is Coulomb's.
+    "v_s": _tried("{e}", 0.05, 0.1, 0.2, 0.3, 0.45, most=3.0),
     # A turbulent leak turns laminar below this share of the typical level, where its
     # square root would be steep without end.
-    "e0": _width("{e}", share=0.01),
-    "half": _tried("{e}", HALF_LEVELS),
-    "limit": _tried("{level}", LIMITS, most=1.0),
+    "e0": _width("{e}", 0.01),
+    # The level at which a saturating leak has half of its conductance.
+    "half": _tried("{e}", 0.03, 0.1, 0.3, 1.0),
+    "limit": _tried("{level}", *LIMITS, most=1.0),
     "{omega}": Parameter(lower=0.0, unit="rad/s", guess=Scan("t")),
-    "dead_zone_{u}_{x}": _tried("{u}", DEAD_ZONES, most=1.0),
-    "saturation_{u}_{x}": _tried("{u}", SATURATIONS, most=1.0),
-    "lag_{u}_{x}": LAG,
-    "delay_{u}_{x}": LAG,
-    "play": _tried("{q}", PLAYS, most=1.0),
-    "following_time_{x}": _tried("t", FOLLOWING_TIMES, most=1.0, unit="s"),
-    "hysteresis_width_{x}": _tried("{q}", YIELD_WIDTHS),
+    "dead_zone_{u}_{x}": _tried(
+        *("{u}", 0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8), most=1.0
+    ),
+    "saturation_{u}_{x}": _tried(
+        *("{u}", 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98), most=1.0
+    ),
+    "lag_{u}_{x}": DELAY,
+    "delay_{u}_{x}": DELAY,
+    "play": _tried("{q}", 0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, most=1.0),
+    # Shares of the longest record; what takes longer is told from a constant by
+    # nothing. A re-fit begins at the one in the middle: a second storage that follows
+    # soon is hardly different from the first, and a solver finds its way from there.
+    "following_time_{x}": _tried(
+        *("t", 0.002, 0.003, 0.005, 0.01, 0.03, 0.1, 0.3), most=1.0, unit="s"
+    ),
+    # The displacement over which a hysteresis yields.
+    "hysteresis_width_{x}": _tried("{q}", 0.05, 0.1, 0.2, 0.4),
     # Within this share of the typical velocity its absolute value is rounded; that of
     # the hysteresis' state, which stays within -1 and 1, within 0.05.
-    "hysteresis_slow_{x}": _width("{e}", share=0.02),
-    "clipping_{x}": _tried("{x}", LIMITS, most=1.0),
-    "sensor_delay_{x}": LAG,
+    "hysteresis_slow_{x}": _width("{e}", 0.02),
+    "clipping_{x}": _tried("{x}", *LIMITS, most=1.0),
+    "sensor_delay_{x}": DELAY,
 }
 
 # ---- memory: further states, each with its rate --------------------------------------

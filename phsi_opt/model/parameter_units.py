@@ -1,15 +1,18 @@
 """Units of parameters and hidden states, from those of what is measured.
 
-Every term of an equation has the unit of the state over that of the time, terms of a
-sum are of like things, and what stands in an exponential has no unit. The powers of the
-units solve these linear equations, one system for each unit. Where they leave a unit
-open (a momentum that nobody measures) there is none; where they contradict each other
-(a formula with numbers in place of constants of physics, mm beside m), units are put
-into base units, and then each equation is asked by itself.
+A unit is a product of powers, so that its logarithm is linear: each part of a formula
+has a *form*, the sum of its names' dimensions with their powers. Terms of a sum have
+like forms, each term of an equation has the unit of the state over that of the time,
+and what stands in an exponential has none. `_Equations` collects this while formulas
+are evaluated in `_Quantity`, as they are in CasADi's symbols; the powers of each unit
+then solve linear equations. Where these leave a unit open (a momentum that nobody
+measures) there is none. Where they contradict each other (a formula with numbers in
+place of constants of physics, mm and m), units are put into base units, and then each
+equation is asked by itself.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,25 +31,97 @@ from phsi_opt.presentation.units import (
     rate_unit,
 )
 
-# Power of each quantity in a dimension, by the quantity's name.
-Form = Mapping[str, float]
-
+MOMENTUM = "kg m/s"  # as people write it, not N s
 # A number beyond this one, or one that is no multiple of a quarter, may be a constant
 # of physics with a unit of its own, such as 9.81.
 LARGEST_PURE_NUMBER = 8
 # Rounding errors of powers, which are halves and quarters of whole numbers.
 POWER_ROUNDING = 1e-8
 
+# Power of each quantity in a dimension, by the quantity's name.
+Form = Mapping[str, float]
 
-@dataclass(frozen=True)
-class Likeness:
-    """A form that has no dimension.
+
+def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
+    """The unit of every parameter, "" where it is not known.
+
+    A unit that the model states is kept.
 
     Args:
-        form: the powers of the quantities in it.
-        is_angle: whether it may have the dimension of the radian.
-        is_number: whether a number stands beside it in a sum, as in 1 - q; the number
-            may then have a unit of its own.
+        model: the model.
+        units: by state, input and time, as `Measurements.units`.
+    """
+    known = {name: unit for name, unit in units.items() if unit}
+    found = _solved(model, known)
+    time = known.get("t", "")
+    told = {}
+    for name, entry in model.entries.items():
+        parameter = entry.parameter
+        guess = parameter.guess
+        told[name] = parameter.unit
+        if _is_stated(parameter):
+            continue
+        if isinstance(guess, Tried) and guess.of in ("t", "dt"):
+            told[name] = time or parameter.unit
+        if name not in found:
+            continue
+        if isinstance(guess, Scan) and guess.variable == "t":
+            told[name] = f"{RADIAN}/{time}" if time else parameter.unit
+        else:
+            equation = known.get(entry.equation, "")
+            named = (equation, rate_unit(equation, time))
+            told[name] = coefficient_unit(found[name], named)
+    return told
+
+
+def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
+    """The unit of every state: as given, or as the equations ask for; "" if unknown.
+
+    Args:
+        model: the model.
+        units: by state, input and time, as `Measurements.units`.
+    """
+    known = {name: unit for name, unit in units.items() if unit}
+    found = _solved(model, known)
+    told = {}
+    for state in model.states:
+        told[state] = known.get(state, "")
+        if not told[state] and found.get(state):
+            told[state] = coefficient_unit(found[state], (MOMENTUM,))
+    return told
+
+
+def _is_stated(parameter: Parameter) -> bool:
+    """Whether a person gave the unit; the catalogue's times are in seconds."""
+    return bool(parameter.unit) and parameter.guess is None
+
+
+def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
+    """The powers of the units by parameter and state, as far as they are determined."""
+    whole = _Equations(model)
+    whole.say_structure()
+    for placed in model.placed():
+        whole.say_term(placed)
+    for numbers_are_pure in (True, False):
+        for split in (powers_as_written, powers_in_base_units):
+            powers = whole.solution(units, split, numbers_are_pure)
+            if powers is not None:
+                return powers
+    found: dict[str, Powers] = {}
+    for placed in model.placed():
+        if placed.slot != "H":
+            alone = _Equations(model)
+            alone.say_term(placed)
+            found = (alone.solution(units, powers_as_written) or {}) | found
+    return found
+
+
+@dataclass(frozen=True)
+class _Likeness:
+    """A form that has no dimension.
+
+    ``is_angle``: it may have the dimension of the radian; ``is_number``: a number
+    stands beside it in a sum, as in 1 - q, which may have a unit of its own.
     """
 
     form: Form
@@ -54,108 +129,157 @@ class Likeness:
     is_number: bool = False
 
 
-@dataclass
-class Likenesses:
-    """All that formulas say; `said` grows with each formula that is evaluated."""
+class _Equations:
+    """What a model's structure and terms say of dimensions."""
 
-    said: list[Likeness] = field(default_factory=list)
-    n_numbers: int = 0
+    def __init__(self, model: BaseModel) -> None:
+        self._model = model
+        self._n_numbers = 0
+        self.said: list[_Likeness] = []
 
     def alike(self, first: Form, second: Form) -> None:
         """Says that two forms have one dimension."""
-        self.said.append(Likeness(product(first, second, -1.0)))
-
-    def form_of(self, text: str, names: Mapping[str, Form]) -> Form:
-        """The dimension of a formula.
-
-        Args:
-            text: the formula.
-            names: the forms of the names in it.
-        """
-        quantities = {name: Quantity(self, form) for name, form in names.items()}
-        functions = {name: self._function(name) for name in FUNCTIONS}
-        constants = dict.fromkeys(CONSTANTS, Quantity(self, {}))
-        backend = Backend(functions, self._number, constants)
-        value: Quantity = evaluate(text, quantities, backend)
-        return value.form
+        self.said.append(_Likeness(product(first, second, -1.0)))
 
     def unknown(self) -> Form:
         """A dimension of which nothing is known."""
-        self.n_numbers += 1
-        return {f"number {self.n_numbers}": 1.0}
+        self._n_numbers += 1
+        return {f"number {self._n_numbers}": 1.0}
 
-    def _number(self, number: float) -> "Quantity":
+    def say_structure(self) -> None:
+        """dx_i/dt = dH/dx_j; without an energy efforts are the states."""
+        if not self._model.has_energy:
+            return
+        states = self._model.states
+        for state, couplings in zip(states, self._model.S, strict=True):
+            self.alike(self._effort(state), _quotient("H", state))
+            for other, coupling in zip(states, couplings, strict=True):
+                if abs(coupling) == 1.0:
+                    self.alike(self._effort(other), _quotient(state, "t"))
+
+    def say_term(self, placed: PlacedTerm) -> None:
+        """A term has the unit of its slot."""
+        slot, equation, term = placed
+        place = place_of(slot, equation)
+        rate = _quotient(equation, "t")
+        names = self._variables(rate)
+        for inner in term.inner:
+            names[inner] = {_parameter(term.inner_name(inner, place)): 1.0}
+        quantities = {name: _Quantity(self, form) for name, form in names.items()}
+        functions = {name: self._function(name) for name in FUNCTIONS}
+        constants = dict.fromkeys(CONSTANTS, _Quantity(self, {}))
+        backend = Backend(functions, self._number, constants)
+        form = evaluate(term.body, quantities, backend).form
+        if not term.is_formula:
+            name = _parameter(term.coefficient_name(place))
+            form = product(form, {name: 1.0})
+        if slot == "R":
+            rate = product(rate, self._effort(equation), -1.0)
+        self.alike(form, {"H": {"H": 1.0}, "sensor": {equation: 1.0}}.get(slot, rate))
+
+    def _variables(self, rate: Form) -> dict[str, Form]:
+        """The forms of all names but the parameters in an equation of that rate."""
+        model = self._model
+        names: dict[str, Form] = {
+            name: {name: 1.0} for name in (*model.states, *model.inputs, "t")
+        }
+        for effort, state in zip(model.efforts, model.states, strict=True):
+            names[effort] = self._effort(state)
+        for slope, of in zip(model.slopes, model.inputs, strict=True):
+            names[slope] = product(rate, {of: 1.0}, -1.0)
+        return names
+
+    def _effort(self, state: str) -> Form:
+        return {f"effort {state}" if self._model.has_energy else state: 1.0}
+
+    def _number(self, number: float) -> "_Quantity":
         is_simple = float(4 * number).is_integer() and 0 < number <= LARGEST_PURE_NUMBER
-        return Quantity(self, {} if is_simple else self.unknown(), number)
+        return _Quantity(self, {} if is_simple else self.unknown(), number)
 
-    def _function(self, name: str) -> Callable[..., "Quantity"]:
-        def called(first: "Quantity", *others: "Quantity") -> "Quantity":
+    def _function(self, name: str) -> Callable[..., "_Quantity"]:
+        def called(first: "_Quantity", *others: "_Quantity") -> "_Quantity":
             if name in ("abs", "min", "max"):
                 for other in others:
                     self.alike(first.form, other.form)
                 return replace(first, value=None)
             if name == "sqrt":
-                return Quantity(self, product({}, first.form, 0.5))
+                return _Quantity(self, product({}, first.form, 0.5))
             if name != "sign":
                 is_angle = name in ("sin", "cos", "tan")
-                self.said.append(Likeness(first.form, is_angle))
-            return Quantity(self, {})
+                self.said.append(_Likeness(first.form, is_angle))
+            return _Quantity(self, {})
 
         return called
 
+    def solution(
+        self,
+        units: Mapping[str, str],
+        split: Callable[[str], Powers | None],
+        numbers_are_pure: bool = True,
+    ) -> dict[str, Powers] | None:
+        """Powers of the units by parameter and state; None for a contradiction."""
+        entries = self._model.entries
+        told = dict(units)
+        for name, entry in entries.items():
+            if _is_stated(entry.parameter):
+                told[_parameter(name)] = entry.parameter.unit
+        split_units = {name: split(unit) for name, unit in told.items()}
+        known = {name: one for name, one in split_units.items() if one is not None}
+        said = [one for one in self.said if numbers_are_pure or not one.is_number]
+        found = _solved_dimensions(said, known)
+        if found is None:
+            return None
+        names = {state: state for state in self._model.states}
+        names |= {name: _parameter(name) for name in entries}
+        return {name: found[one] for name, one in names.items() if one in found}
+
 
 @dataclass(frozen=True)
-class Quantity:
+class _Quantity:
     """A part of a formula by its dimension; what is added to it must be alike.
 
     ``value`` is that of a number, also of a quotient of two, such as -1/4.
     """
 
-    said: Likenesses
+    equations: _Equations
     form: Form
     value: float | None = None
 
-    def __add__(self, other: "Quantity") -> "Quantity":
+    def __add__(self, other: "_Quantity") -> "_Quantity":
         is_number = self.value is not None or other.value is not None
         difference = product(self.form, other.form, -1.0)
-        self.said.said.append(Likeness(difference, is_number=is_number))
+        self.equations.said.append(_Likeness(difference, is_number=is_number))
         return replace(self if self.value is None else other, value=None)
 
     __sub__ = __add__
 
-    def __neg__(self) -> "Quantity":
+    def __neg__(self) -> "_Quantity":
         return replace(self, value=None if self.value is None else -self.value)
 
-    def __mul__(self, other: "Quantity") -> "Quantity":
-        return Quantity(self.said, product(self.form, other.form))
+    def __mul__(self, other: "_Quantity") -> "_Quantity":
+        return _Quantity(self.equations, product(self.form, other.form))
 
-    def __truediv__(self, other: "Quantity") -> "Quantity":
+    def __truediv__(self, other: "_Quantity") -> "_Quantity":
         value = None
         if self.value is not None and other.value:
             value = self.value / other.value
-        return Quantity(self.said, product(self.form, other.form, -1.0), value)
+        return _Quantity(self.equations, product(self.form, other.form, -1.0), value)
 
-    def __pow__(self, other: "Quantity") -> "Quantity":
+    def __pow__(self, other: "_Quantity") -> "_Quantity":
         if other.value is not None:
-            return Quantity(self.said, product({}, self.form, other.value))
-        self.said.alike(other.form, {})
-        return Quantity(self.said, self.said.unknown() if self.form else {})
+            return _Quantity(self.equations, product({}, self.form, other.value))
+        self.equations.alike(other.form, {})
+        return _Quantity(self.equations, self.equations.unknown() if self.form else {})
 
 
-def solved_dimensions(
-    said: Sequence[Likeness], known: Mapping[str, Powers]
+def _solved_dimensions(
+    said: Sequence[_Likeness], known: Mapping[str, Powers]
 ) -> dict[str, Powers] | None:
     """The powers of the units in each quantity that the likenesses determine.
 
     Radians come and go in physics (a torque is N m, an arc is a length): where they
-    contradict each other or are left open, there are none.
-
-    Args:
-        said: what is known of the quantities' forms.
-        known: the powers of the units in some of them, by name.
-
-    Returns:
-        The powers by name; None where the likenesses contradict each other.
+    contradict each other or are left open, there are none. None where the likenesses
+    contradict each other.
     """
     names = dict.fromkeys(name for likeness in said for name in likeness.form)
     unknown = [name for name in names if name not in known]
@@ -184,12 +308,10 @@ def solved_dimensions(
     return found
 
 
-def _rows(said: Sequence[Likeness], names: Sequence[str]) -> np.ndarray:
+def _rows(said: Sequence[_Likeness], names: Sequence[str]) -> np.ndarray:
     """The power of each name in each likeness, (n_likenesses, n_names)."""
-    rows = np.zeros((len(said), len(names)))
-    for row, likeness in zip(rows, said, strict=True):
-        row[:] = [likeness.form.get(name, 0.0) for name in names]
-    return rows
+    rows = [[likeness.form.get(name, 0.0) for name in names] for likeness in said]
+    return np.array(rows).reshape(len(said), len(names))
 
 
 def _least_squares(
@@ -201,166 +323,8 @@ def _least_squares(
     return inverse @ right, np.abs(resolution - 1.0) < POWER_ROUNDING
 
 
-MOMENTUM = "kg m/s"  # as people write it, not N s
-
-
-def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
-    """The unit of every parameter, "" where it is not known.
-
-    A unit that the model states is kept.
-
-    Args:
-        model: the model.
-        units: by state, input and time, as `Measurements.units`.
-    """
-    known = {name: unit for name, unit in units.items() if unit}
-    found = _solved(model, known)
-    told = {}
-    for name, entry in model.entries.items():
-        parameter = entry.parameter
-        told[name] = parameter.unit
-        if _is_stated(parameter):
-            continue
-        time = known.get("t", "")
-        if isinstance(parameter.guess, Tried) and parameter.guess.of in ("t", "dt"):
-            told[name] = time or parameter.unit
-        if name in found:
-            if isinstance(parameter.guess, Scan) and parameter.guess.variable == "t":
-                told[name] = f"{RADIAN}/{time}" if time else parameter.unit
-            else:
-                equation = known.get(entry.equation, "")
-                rate = rate_unit(equation, time)
-                told[name] = coefficient_unit(found[name], (equation, rate))
-    return told
-
-
-def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
-    """The unit of every state: as given, or as the equations ask for; "" if unknown.
-
-    Args:
-        model: the model.
-        units: by state, input and time, as `Measurements.units`.
-    """
-    known = {name: unit for name, unit in units.items() if unit}
-    found = _solved(model, known)
-    told = {}
-    for state in model.states:
-        told[state] = known.get(state, "")
-        if not told[state] and found.get(state):
-            told[state] = coefficient_unit(found[state], (MOMENTUM,))
-    return told
-
-
-def _is_stated(parameter: Parameter) -> bool:
-    """Whether a person gave the unit; the catalogue's times are in seconds."""
-    return bool(parameter.unit) and parameter.guess is None
-
-
-def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
-    whole = _Equations(model)
-    whole.say_structure()
-    for placed in model.placed():
-        whole.say_term(placed)
-    for numbers_are_pure in (True, False):
-        for split in (powers_as_written, powers_in_base_units):
-            powers = whole.solution(units, split, numbers_are_pure)
-            if powers is not None:
-                return powers
-    found: dict[str, Powers] = {}
-    for placed in model.placed():
-        if placed.slot != "H":
-            alone = _Equations(model)
-            alone.say_term(placed)
-            for name, one in (alone.solution(units, powers_as_written) or {}).items():
-                found.setdefault(name, one)
-    return found
-
-
-class _Equations:
-    """What a model's structure and terms say of dimensions."""
-
-    def __init__(self, model: BaseModel) -> None:
-        self._model = model
-        self._said = Likenesses()
-
-    def say_structure(self) -> None:
-        """dx_i/dt = dH/dx_j; without an energy efforts are the states."""
-        if not self._model.has_energy:
-            return
-        states = self._model.states
-        for state, couplings in zip(states, self._model.S, strict=True):
-            self._said.alike(self._effort(state), _quotient("H", state))
-            for other, coupling in zip(states, couplings, strict=True):
-                if abs(coupling) == 1.0:
-                    self._said.alike(self._effort(other), _quotient(state, "t"))
-
-    def say_term(self, placed: PlacedTerm) -> None:
-        """A term has the unit of its slot."""
-        slot, equation, term = placed
-        place = place_of(slot, equation)
-        names = self._variables(equation)
-        for inner in term.inner:
-            names[inner] = _one(_parameter(term.inner_name(inner, place)))
-        form = self._said.form_of(term.body, names)
-        if not term.is_formula:
-            name = _parameter(term.coefficient_name(place))
-            form = product(form, _one(name))
-        self._said.alike(form, self._slot(slot, equation))
-
-    def _slot(self, slot: str, equation: str) -> Form:
-        if slot == "H":
-            return _one("H")
-        if slot == "sensor":
-            return _one(equation)
-        rate = _quotient(equation, "t")
-        return rate if slot == "F" else product(rate, self._effort(equation), -1.0)
-
-    def _variables(self, equation: str) -> dict[str, Form]:
-        model = self._model
-        names = {name: _one(name) for name in (*model.states, *model.inputs, "t")}
-        for effort, state in zip(model.efforts, model.states, strict=True):
-            names[effort] = self._effort(state)
-        rate = _quotient(equation, "t")
-        for slope, of in zip(model.slopes, model.inputs, strict=True):
-            names[slope] = product(rate, _one(of), -1.0)
-        return names
-
-    def _effort(self, state: str) -> Form:
-        return _one(f"effort {state}" if self._model.has_energy else state)
-
-    def solution(
-        self,
-        units: Mapping[str, str],
-        split: Callable[[str], Powers | None],
-        numbers_are_pure: bool = True,
-    ) -> dict[str, Powers] | None:
-        """Powers of the units by parameter and state; None for a contradiction."""
-        told = dict(units)
-        for name, entry in self._model.entries.items():
-            if _is_stated(entry.parameter):
-                told[_parameter(name)] = entry.parameter.unit
-        known = {}
-        for name, unit in told.items():
-            powers = split(unit)
-            if powers is not None:
-                known[name] = powers
-        said = self._said.said
-        if not numbers_are_pure:
-            said = [likeness for likeness in said if not likeness.is_number]
-        found = solved_dimensions(said, known)
-        if found is None:
-            return None
-        names = {state: state for state in self._model.states}
-        names |= {name: _parameter(name) for name in self._model.entries}
-        return {name: found[one] for name, one in names.items() if one in found}
-
-
-def _one(name: str) -> Form:
-    return {name: 1.0}
-
-
 def _quotient(above: str, below: str) -> Form:
-    return product(_one(above), _one(below), -1.0)
+    return product({above: 1.0}, {below: 1.0}, -1.0)
 
 
 def _parameter(name: str) -> str:
