@@ -87,3 +87,9 @@ def test_the_example_prints_what_it_shows(
     runner = doctest.DocTestRunner(checker=Checker(), verbose=False)
     runner.run(example, out=report.append)
     assert not report, "".join(report)
+
+
+def test_every_public_function_has_an_example() -> None:
+    functions = [name for name in ph.__all__ if inspect.isfunction(getattr(ph, name))]
+    assert len(functions) > 10
+    assert [name for name in functions if name not in EXAMPLES] == []

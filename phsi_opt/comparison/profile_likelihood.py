@@ -129,6 +129,11 @@ def profile(
         ModelError: the fit has no likelihood, or no such parameter with a standard
             error; or the level is not between 0 and 1.
         SolveError: the fit could not be repeated, or a re-fit failed.
+
+    Examples:
+        >>> found = ph.profile(fit, train, "k")
+        >>> found.ci_lower < fit.values["k"] < found.ci_upper
+        True
     """
     check_likelihood(fit, "profile")
     shared = [one for one in fit.names if one in fit.model.free]
@@ -373,6 +378,11 @@ def bootstrap(
         DataError: The fit has no states, the measurements are not those of the fit, or
             a number cannot be used.
         SolveError: Fewer than two draws could be fitted.
+
+    Examples:
+        >>> draws = ph.bootstrap(fit, train, n_draws=2)
+        >>> list(draws.estimates.columns)
+        ['k', 'R_p', 'coulomb_friction_p']
     """
     check_likelihood(fit, "bootstrap")
     if not fit.states:

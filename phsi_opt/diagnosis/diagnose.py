@@ -74,6 +74,13 @@ def diagnose(
             fit the model, or has no free number; or a model with free parameters was
             given instead of a fit.
         SolveError: the missing force could not be estimated.
+
+    Examples:
+        >>> found = ph.diagnose(ph.identify(model, train), train, held_out=test)
+        >>> print(found.verdict)
+        missing: named
+        >>> print(found.findings[0])
+        coulomb friction on p (1.982 +- 0.14 N)
     """
     check_executor(executor)
     say = progress or silent

@@ -72,6 +72,11 @@ def identify(
         DataError: if model and data do not match, or the executor cannot compute.
         ModelError: for a model that cannot be solved.
         SolveError: if the solver fails.
+
+    Examples:
+        >>> fit = ph.identify(model.add("coulomb friction", "p"), train)
+        >>> print(f"k = {fit.values['k']:.1f} +- {fit.std_errors['k']:.1f} N/m")
+        k = 40.1 +- 0.2 N/m
     """
     return identify_aligned(
         model,

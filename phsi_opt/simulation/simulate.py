@@ -71,6 +71,11 @@ def simulate(
     Raises:
         DataError: wrong shapes, times or numbers.
         SolveError: the solution cannot be continued.
+
+    Examples:
+        >>> decay = ph.FirstOrder(["x"], {"x": ph.formula("-x")})
+        >>> ph.simulate(decay, [0.0, 1.0, 2.0], [1.0]).ravel().round(3)
+        array([1.   , 0.368, 0.135])
     """
     added = None if force is None else (lambda at, x, u: force(at, x))
     return simulate_forced(model, t, x0, u, added, hold=hold, method=method)

@@ -175,6 +175,14 @@ def sweep(
         DataError: The function, a key, the executor, the number in flight or the folder
             cannot be used.
         SolveError: A worker ended before its case was done.
+
+    Examples:
+        >>> from concurrent.futures import ThreadPoolExecutor
+        >>> cases = {"first": -1, "second": -2}
+        >>> with ThreadPoolExecutor(2) as threads:
+        ...     done = list(ph.sweep(abs, cases, executor=threads))
+        >>> sorted((one.key, one.result) for one in done)
+        [('first', 1), ('second', 2)]
     """
     _check(function, cases, in_flight)
     check_executor(executor)
