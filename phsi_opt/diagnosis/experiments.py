@@ -1,19 +1,44 @@
-"""The experiments that a record suggests: what could be done otherwise than in it.
+"""Which experiment would tell two fitted models apart that the record does not.
 
-Other starts, other inputs, a longer record and further sensors, each of one change and
-of a size that the record itself gives. Which of them is worth the effort is judged
-elsewhere (`experiment_design`).
+The first model is taken for the truth. It is simulated in experiments that the record
+suggests: other starts, other inputs, a longer record and further sensors, each of one
+change and of a size that the record itself gives; inputs are not optimised. The second
+model imitates it as well as it can: it is fitted to the simulated record and the
+experiment together. Its residual, over the noise, is the separation: a difference that
+re-fitting removes does not count. Where the second model imitates the first everywhere
+(it may contain it), the two change places.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from phsi_opt.comparison.compare import compare
+from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import DataError, PhsiOptError, SolveError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_rows
+from phsi_opt.presentation.summary import printed_table
+from phsi_opt.presentation.tables import text_of_table
+from phsi_opt.presentation.units import spaced
+from phsi_opt.simulation.simulate import Runs, rates
 from phsi_opt.statistics import TINY
+from phsi_opt.transcription.losses import MaximumLikelihood
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Standard deviations of the whole experiment from which two models count as told apart.
+SEPARATED_MODELS = 5.0
+# Standard deviations per value below which two predictions are the same.
+SAME_PREDICTION = 1e-3
+MOST_SAMPLES = 1000  # of the record that are looked at
 
 # Starts, in distances of the record's start from its mean.
 START_STRETCHES = (0.25, 0.5, 2.0, 3.0)
@@ -27,46 +52,167 @@ SINE_FREQUENCIES = (0.3, 1.0, 3.0)  # in dominant frequencies of the record
 SAMPLES_PER_PERIOD = 4
 N_REPEATS = 3  # of the record's inputs, in a longer record
 
+# Steps of an imitation, in those of the fit, whose errors are a tenth of the noise: of
+# order four, they are then far below what an experiment could show.
+FINER_STEPS = 4
+# Change by twice the steps, in standard deviations of each state, that what a model
+# shows may have.
+SHOWN_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """The experiments that were tried, best first.
+
+    Attributes:
+        table: a row per experiment. Columns: experiment (in words), separation (root
+            mean square of the residual after re-fitting, in standard deviations of the
+            noise, per value measured), separates (whether the models count as told
+            apart).
+        in_record: the separation in the record itself.
+        alike: whether the two predict the same in every experiment.
+    """
+
+    table: "pd.DataFrame" = field(repr=False)
+    in_record: float
+    alike: bool
+
+    @property
+    def sentence(self) -> str:
+        """The best experiment in words."""
+        if self.table.empty:
+            return "no experiment could be simulated with both models"
+        none = "no experiment of those tried separates them"
+        if self.alike:
+            return f"{none}: they are the same model in other words"
+        best = self.table.iloc[0]
+        size = f"{best['separation']:.2g} noise standard deviations"
+        if not best["separates"]:
+            return f"{none}; the best is {best['experiment']}, by {size}"
+        return (
+            f"{best['experiment']}: the two predictions then differ by {size}; "
+            f"in this record by {self.in_record:.2g}."
+        )
+
+    def __str__(self) -> str:
+        return f"{self.sentence}\n{text_of_table(self.table)}"
+
+    __repr__ = __str__
+
+
+def separating(
+    first: Fit, second: Fit, data: Measurements, noise: np.ndarray
+) -> Separation:
+    """Look for an experiment that tells one fitted model from another.
+
+    Args:
+        first: the fit that is taken for the truth.
+        second: the fit that imitates it.
+        data: the measurements that both were fitted to; their longest trajectory (its
+            first `MOST_SAMPLES` samples) is what the experiments are derived from.
+            States of a model that they do not hold count as not measured.
+        noise: (n_states,) standard deviation of the measurement noise per state, in the
+            order of the first model's states.
+
+    Returns:
+        The experiments, best first.
+
+    Raises:
+        DataError: the noise of a measured state is not positive.
+        SolveError: the record itself cannot be simulated with both models.
+    """
+    number = int(np.argmax([run.n_samples for run in data.trajectories]))
+    values = np.asarray(noise, dtype=float).tolist()
+    # A model with memory has more states than its noise names.
+    by_state = dict(zip(first.model.states, values, strict=False))
+    for name in data.measured:
+        if not 0 < by_state.get(name, np.nan) < np.inf:
+            raise DataError(
+                f"noise of {name!r} is {by_state.get(name)!r}; "
+                "expected a positive standard deviation per measured state, "
+                "such as `Comparison.sigma`."
+            )
+    one = _FittedModel(first, data, number)
+    other = _FittedModel(second, data, number)
+    found = _separation(one, other, by_state)
+    return _separation(other, one, by_state) if found.alike else found
+
+
+def _separation(
+    truth: "_FittedModel", imitator: "_FittedModel", noise: Mapping[str, float]
+) -> Separation:
+    """How well every experiment tells the imitator from the truth."""
+    data = truth.data
+    run = data.trajectories[truth.number]
+    t, u = run.t[:MOST_SAMPLES], run.u[:MOST_SAMPLES]
+    record = Experiment("the record", t, u, data.measured, truth.x0)
+    shown = truth.shown(record, data.states)
+    if shown is None:
+        raise SolveError(_not_simulated(run.name, truth.model))
+    simulated = SimulatedRecord(record, data, truth.model, shown)
+    spread = simulated.spread
+    sigma = {name: noise[name] for name in data.measured}
+    # A further sensor would have the same share of the spread as those there are.
+    shares = [sigma[name] / max(spread[name], TINY) for name in sigma]
+    for name in data.states:
+        if spread[name] > 0:
+            sigma.setdefault(name, float(np.mean(shares)) * spread[name])
+
+    def misfit(experiments: Sequence[Experiment]) -> float | None:
+        measured = truth.measurements(experiments)
+        return None if measured is None else imitator.misfit(measured, sigma)
+
+    in_record = misfit([record])
+    if in_record is None:
+        raise SolveError(_not_simulated(run.name, imitator.model))
+    rows = []
+    for experiment in experiments(simulated):
+        in_both = misfit([record, experiment])
+        if in_both is not None:
+            added = max(in_both - in_record, 0.0)
+            size = np.sqrt(added / experiment.n_values)
+            rows.append((experiment.name, size, bool(added >= SEPARATED_MODELS**2)))
+    table = printed_table(rows, columns=["experiment", "separation", "separates"])
+    table = table.sort_values(
+        "separation", ascending=False, kind="stable", ignore_index=True
+    )
+    alike = bool((table["separation"] < SAME_PREDICTION).all())
+    return Separation(table, float(np.sqrt(in_record / record.n_values)), alike)
+
+
+def _not_simulated(trajectory: str, model: Model) -> str:
+    return (
+        f"trajectory {trajectory!r} cannot be simulated with the model of "
+        f"{', '.join(model.free)}, or not be imitated by it: it is stiff, or its "
+        "solution ends; look for the experiment by `simulate` instead."
+    )
+
+
+# ---- experiments ---------------------------------------------------------------------
+
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One experiment, derived from a record.
-
-    The start of the record becomes centre + stretch (start - centre) + shift, for the
-    states that ``centre`` and ``shift`` name.
 
     Attributes:
         name: in words.
         t: (n_samples,) times.
         u: (n_samples, n_inputs) inputs, in the order of the measurements.
         measured: names of the measured states.
-        stretch: factor on the distance of the start from ``centre``.
-        centre: by state.
-        shift: by state, in its unit.
+        x0: (n_states,) starting state of the model that is simulated.
     """
 
     name: str
     t: np.ndarray
     u: np.ndarray
     measured: tuple[str, ...]
-    stretch: float = 1.0
-    centre: Mapping[str, float] = field(default_factory=dict)
-    shift: Mapping[str, float] = field(default_factory=dict)
+    x0: np.ndarray
 
     @property
     def n_values(self) -> int:
         """Number of measured values."""
         return len(self.t) * len(self.measured)
-
-    def start(self, model: Model, x0: np.ndarray) -> np.ndarray:
-        """A model's starting state (n_states,), from that in the record."""
-        moved = x0.copy()
-        for name, centre in self.centre.items():
-            k = model.index(name)
-            moved[k] = centre + self.stretch * (x0[k] - centre)
-        for name, shift in self.shift.items():
-            moved[model.index(name)] += shift
-        return moved
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +223,6 @@ class SimulatedRecord:
         experiment: the record itself.
         data: the measurements it is taken from, for names and units.
         model: the fitted model.
-        x0: (n_states,) its start in the record.
         shown: (n_samples, n_data_states) what sensors of all states of the measurements
             show.
     """
@@ -85,145 +230,97 @@ class SimulatedRecord:
     experiment: Experiment
     data: Measurements
     model: Model
-    x0: np.ndarray
     shown: np.ndarray
 
-    @property
-    def mean(self) -> dict[str, float]:
-        """By state of the measurements, along the run."""
-        means = np.mean(self.shown, axis=0)
-        return dict(zip(self.data.states, means.tolist(), strict=True))
-
-    @property
+    @cached_property
     def spread(self) -> dict[str, float]:
         """Standard deviation by state of the measurements, along the run."""
-        deviations = np.std(self.shown, axis=0)
-        return dict(zip(self.data.states, deviations.tolist(), strict=True))
+        deviations = np.std(self.shown, axis=0).tolist()
+        return dict(zip(self.data.states, deviations, strict=True))
 
-    @property
-    def sampling_time(self) -> float:
-        """The usual one."""
-        return float(np.median(np.diff(self.experiment.t)))
+    def words(self, value: float, name: str) -> str:
+        """A value with the unit of a state, an input or the time."""
+        return f"{value:.3g}{spaced(self.data.units.get(name, ''))}"
 
 
 def experiments(record: SimulatedRecord) -> Iterator[Experiment]:
     """The experiments that a record suggests, each with one change."""
-    yield from _stretched_starts(record)
-    yield from _shifted_starts(record)
-    yield from _other_inputs(record)
-    yield _longer(record)
-    yield from _further_sensors(record)
-
-
-def _stretched_starts(record: SimulatedRecord) -> Iterator[Experiment]:
-    mean = record.mean
-    spread = record.spread
-    distances = []
-    for name in record.data.states:
-        start = record.x0[record.model.index(name)]
-        distances.append(abs(start - mean[name]) / max(spread[name], TINY))
-    if max(distances) <= LEAST_START_DISTANCE:
-        return
-    for stretch in START_STRETCHES:
-        name = f"start {stretch:g} times as far out"
-        yield replace(record.experiment, name=name, stretch=stretch, centre=mean)
-
-
-def _shifted_starts(record: SimulatedRecord) -> Iterator[Experiment]:
-    """Each position moved; each state where the model has no positions."""
-    spread = record.spread
-    for row in position_rows(record.model) or range(len(record.data.states)):
-        state = record.model.states[row]
-        shift = START_SHIFT * spread[state]
-        name = f"start with {state} higher by {_with_unit(shift, record.data, state)}"
-        yield replace(record.experiment, name=name, shift={state: shift})
-
-
-def _other_inputs(record: SimulatedRecord) -> Iterator[Experiment]:
+    itself = record.experiment
+    yield from _other_starts(record)
     frequency = dominant_frequency(record)
     for column in range(len(record.data.inputs)):
-        yield from _other_input(record, column, frequency)
+        yield from _other_inputs(record, column, frequency)
+    t = itself.t
+    duration = t[-1] - t[0] + np.median(np.diff(t))
+    times = np.concatenate([t + k * duration for k in range(N_REPEATS)])
+    inputs = np.tile(itself.u, (N_REPEATS, 1))
+    name = f"a record {N_REPEATS} times as long"
+    yield replace(itself, name=name, t=times, u=inputs)
+    for state, spread in record.spread.items():
+        if state not in record.data.measured and spread > 0:
+            measured = (*itself.measured, state)
+            yield replace(itself, name=f"measuring {state} too", measured=measured)
 
 
-def _other_input(
+def _other_starts(record: SimulatedRecord) -> Iterator[Experiment]:
+    """Further out from the mean; each position moved, or each state without any."""
+    itself = record.experiment
+    model = record.model
+    x0 = itself.x0
+    spread = record.spread
+    places = list(map(model.index, record.data.states))
+    mean = np.mean(record.shown, axis=0)
+    distance = np.abs(x0[places] - mean) / np.maximum(list(spread.values()), TINY)
+    if np.max(distance) > LEAST_START_DISTANCE:
+        for stretch in START_STRETCHES:
+            moved = x0.copy()
+            moved[places] = mean + stretch * (x0[places] - mean)
+            yield replace(itself, name=f"start {stretch:g} times as far out", x0=moved)
+    for row in position_rows(model) or range(len(places)):
+        state = model.states[row]
+        shift = START_SHIFT * spread[state]
+        moved = x0.copy()
+        moved[row] += shift
+        name = f"start with {state} higher by {record.words(shift, state)}"
+        yield replace(itself, name=name, x0=moved)
+
+
+def _other_inputs(
     record: SimulatedRecord, column: int, frequency: float
 ) -> Iterator[Experiment]:
     """One input, louder and softer, as sines, and as a sweep of their frequencies."""
-    experiment = record.experiment
-    values = experiment.u[:, column]
+    itself = record.experiment
+    name = record.data.inputs[column]
+    values = itself.u[:, column]
     size = float(np.std(values) or abs(np.mean(values)))
     if size == 0:
         return
-    name = record.data.inputs[column]
+
+    def driven(words: str, values: np.ndarray) -> Experiment:
+        u = itself.u.copy()
+        u[:, column] = values
+        return replace(itself, name=f"{name} {words}", u=u)
+
     for gain in INPUT_GAINS:
-        louder = _with_input(experiment, column, gain * values)
-        yield replace(louder, name=f"{name} times {gain:g}")
-    yield from _waves(record, column, frequency, np.sqrt(2) * size)
-
-
-def _waves(
-    record: SimulatedRecord, column: int, frequency: float, amplitude: float
-) -> Iterator[Experiment]:
-    """One input as a sine about its mean, and as a sweep."""
-    data = record.data
-    experiment = record.experiment
-    name = data.inputs[column]
-    mean = float(np.mean(experiment.u[:, column]))
-    since_start = experiment.t - experiment.t[0]
-    highest = 1 / SAMPLES_PER_PERIOD / record.sampling_time
+        yield driven(f"times {gain:g}", gain * values)
+    mean = float(np.mean(values))
+    amplitude = np.sqrt(2) * size
+    t = itself.t - itself.t[0]
+    highest = 1 / SAMPLES_PER_PERIOD / float(np.median(np.diff(itself.t)))
     for factor in SINE_FREQUENCIES:
         f = factor * frequency
         if f < highest:
-            sine = np.sin(2 * np.pi * f * since_start)
-            driven = _with_input(experiment, column, mean + amplitude * sine)
-            period = _with_unit(1 / f, data, "t")
-            words = f"{name} a sine of period {period} and the same rms"
-            yield replace(driven, name=words)
-
+            period = record.words(1 / f, "t")
+            sine = np.sin(2 * np.pi * f * t)
+            words = f"a sine of period {period} and the same rms"
+            yield driven(words, mean + amplitude * sine)
     low = SINE_FREQUENCIES[0] * frequency
     high = SINE_FREQUENCIES[-1] * frequency
-    sweep = _sweep(since_start, low, high)
-    driven = _with_input(experiment, column, mean + amplitude * sweep)
-    shortest = _with_unit(1 / high, data, "t")
-    words = f"{name} a sweep of periods {1 / low:.3g} to {shortest} and the same rms"
-    yield replace(driven, name=words)
-
-
-def _sweep(t: np.ndarray, low: float, high: float) -> np.ndarray:
-    """A sine whose frequency rises evenly, over times (n_samples,) from zero."""
     rise = (high - low) * t**2 / (2 * t[-1])
-    cycles = low * t + rise
-    return np.asarray(np.sin(2 * np.pi * cycles))
-
-
-def _with_input(experiment: Experiment, column: int, values: np.ndarray) -> Experiment:
-    u = experiment.u.copy()
-    u[:, column] = values
-    return replace(experiment, u=u)
-
-
-def _longer(record: SimulatedRecord) -> Experiment:
-    """The inputs of the record, repeated."""
-    t = record.experiment.t
-    duration = t[-1] - t[0] + record.sampling_time
-    times = np.concatenate([t + k * duration for k in range(N_REPEATS)])
-    inputs = np.tile(record.experiment.u, (N_REPEATS, 1))
-    name = f"a record {N_REPEATS} times as long"
-    return replace(record.experiment, name=name, t=times, u=inputs)
-
-
-def _further_sensors(record: SimulatedRecord) -> Iterator[Experiment]:
-    """A sensor of each state that nobody measured and that moves."""
-    experiment = record.experiment
-    for state, spread in record.spread.items():
-        if state not in record.data.measured and spread > 0:
-            measured = (*experiment.measured, state)
-            name = f"measuring {state} too"
-            yield replace(experiment, name=name, measured=measured)
-
-
-def _with_unit(value: float, data: Measurements, name: str) -> str:
-    return f"{value:.3g} {data.units.get(name, '')}".rstrip()
+    sweep = np.sin(2 * np.pi * (low * t + rise))
+    periods = f"{1 / low:.3g} to {record.words(1 / high, 't')}"
+    words = f"a sweep of periods {periods} and the same rms"
+    yield driven(words, mean + amplitude * sweep)
 
 
 def dominant_frequency(record: SimulatedRecord) -> float:
@@ -240,5 +337,90 @@ def dominant_frequency(record: SimulatedRecord) -> float:
         y = (y - y.mean()) / max(float(y.std()), TINY)
         power += np.abs(np.fft.rfft(y * np.hanning(len(y)))) ** 2
     frequencies = np.fft.rfftfreq(len(even), even[1] - even[0])
-    strongest = 1 + int(np.argmax(power[1:]))
-    return float(frequencies[strongest])
+    return float(frequencies[1 + np.argmax(power[1:])])
+
+
+# ---- imitation -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedModel:
+    """A fitted model in one trajectory, a number, of its measurements."""
+
+    fit: Fit
+    data: Measurements
+    number: int
+
+    @cached_property
+    def model(self) -> Model:
+        """With the parameters of the trajectory, of which none is its own."""
+        own = self.fit.model_of(self.data.trajectories[self.number].name)
+        shared = own.with_fixed({name: own.values[name] for name in own.free})
+        return shared.with_free(own.free)
+
+    @cached_property
+    def x0(self) -> np.ndarray:
+        """(n_states,) its start there."""
+        runs = self.fit.states
+        if len(runs) != self.data.n_trajectories:
+            runs = compare(self.fit, self.data).simulated
+        return np.asarray(runs[self.number][0])
+
+    @cached_property
+    def _runs(self) -> Runs:
+        return Runs(rates(self.model))
+
+    def shown(self, experiment: Experiment, names: Sequence[str]) -> np.ndarray | None:
+        """What sensors of the named states show in an experiment, (n_samples, n_names).
+
+        None where the model cannot be simulated.
+        """
+        model = self.model
+        inputs = list(map(self.data.inputs.index, model.inputs))
+        hold = hold_of_each(self.data.hold, self.data.inputs)[inputs]
+        u = experiment.u[:, inputs]
+        x = self._runs.run(experiment.t, experiment.x0, u, hold, SHOWN_TOLERANCE)
+        if x is None:
+            return None
+        theta = np.tile(model.theta[:, None], len(x))
+        y = model.output().map(len(x))(x.T, u.T, experiment.t[None], theta)
+        return np.asarray(y.full().T[:, list(map(model.index, names))])
+
+    def measurements(self, experiments: Sequence[Experiment]) -> Measurements | None:
+        """The model's course through experiments, as if it were measured without noise.
+
+        None where the model cannot be simulated.
+        """
+        data = self.data
+        runs = []
+        for experiment in experiments:
+            shown = self.shown(experiment, experiment.measured)
+            if shown is None:
+                return None
+            x = np.full((len(shown), len(data.states)), np.nan)
+            x[:, list(map(data.states.index, experiment.measured))] = shown
+            runs.append(x)
+        return Measurements.from_arrays(
+            [experiment.t for experiment in experiments],
+            runs,
+            [experiment.u for experiment in experiments] if data.inputs else None,
+            states=data.states,
+            inputs=data.inputs,
+            names=[experiment.name for experiment in experiments],
+            units=data.units,
+            hold=data.hold,
+        )
+
+    def misfit(self, shown: Measurements, noise: Mapping[str, float]) -> float | None:
+        """Squared residuals of the best imitation, in noise variances; None for none.
+
+        Each run of what is imitated has a start of its own; the noise is by state.
+        """
+        most = max((int(np.max(steps)) for steps in self.fit.steps), default=1)
+        known = {name: noise[name] for name in shown.measured}
+        loss = MaximumLikelihood(noise=known, steps=FINER_STEPS * most)
+        try:
+            found = identify(self.model, shown, loss)
+        except PhsiOptError:
+            return None
+        return float(found.loss_value * found.n_values)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
-from phsi_opt.diagnosis.experiment_design import Separation, separating
+from phsi_opt.diagnosis.experiments import Separation, separating
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
