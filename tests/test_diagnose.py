@@ -17,8 +17,8 @@ from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import aligned
-from problems.hidden_effects.cases import draw
-from problems.hidden_effects.rows import ROWS, Case
+from problems.battery.draw import ROWS, draw
+from problems.battery.records import Case
 
 T = np.linspace(0.0, 14.0, 141)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])

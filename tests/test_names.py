@@ -12,10 +12,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from problems.field_machines.cases import draw
-from problems.field_machines.findings import Finding, findings_of
-from problems.field_machines.kinds import KINDS
-from problems.field_machines.records import Case
+from problems.battery.ask import Finding, findings_of
+from problems.battery.draw import KINDS, draw
+from problems.battery.records import Case
 from tests.pushed_mass import pushed_mass
 
 Force = Callable[[float, float], float]  # of position and velocity, at unit mass

@@ -5,8 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 import phsi_opt as ph
-from problems.hidden_effects.cases import draw
-from problems.hidden_effects.rows import ROWS
+from problems.battery.draw import ROWS, draw
 
 
 def stood_in(seed: int, *effects: str) -> ph.Diagnosis:

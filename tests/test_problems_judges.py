@@ -2,27 +2,16 @@
 
 import copy
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from problems.field_machines.examination import CLASS, FALSE, NAME, SILENT
-from problems.field_machines.kinds import KINDS
-from problems.hidden_effects.rows import ROWS
+from problems.battery.ask import CLASS, FALSE, NAME, SILENT, Task
+from problems.battery.draw import FIRST_REPORTED, FIRST_VERDICT, KINDS, ROWS
+from problems.battery.records import FIELD, HIDDEN
 from problems.judges import battery, fits, verdicts
-from problems.judges.cases import (
-    FIELD,
-    FIRST_REPORTED,
-    FIRST_VERDICT,
-    HIDDEN,
-    IN_ROUND,
-    IN_VERDICTS,
-    Task,
-    one_round,
-    rounds,
-)
+from problems.judges.cases import IN_ROUND, IN_VERDICTS, one_round, rounds
 from problems.judges.fit_cases import PROBLEMS
 from problems.tools import provenance
 
@@ -148,14 +137,13 @@ def test_a_changed_verdict_is_told_with_its_interval() -> None:
 def test_right_is_what_holds_a_true_effect_or_silence_where_nothing_has_a_name() -> (
     None
 ):
-    case = verdicts.posed(Task(HIDDEN, "gap_0.01", DEVELOPED))
-    assert case.names == {"gap on p"} or len(case.names) == 1
-    assert verdicts.is_right(case, CLASS, "missing: named")
-    assert not verdicts.is_right(case, SILENT, "missing: unexplained")
-    quiet = replace(case, names=set(), silence="nothing missing")
-    assert verdicts.is_right(quiet, SILENT, "nothing missing")
-    assert not verdicts.is_right(quiet, SILENT, "missing: unexplained")
-    assert not verdicts.is_right(quiet, FALSE, "missing: named")
+    names = {"gap on p"}
+    assert verdicts.is_right(names, "", CLASS, "missing: named")
+    assert not verdicts.is_right(names, "", SILENT, "missing: unexplained")
+    quiet = "nothing missing"
+    assert verdicts.is_right(set(), quiet, SILENT, quiet)
+    assert not verdicts.is_right(set(), quiet, SILENT, "missing: unexplained")
+    assert not verdicts.is_right(set(), quiet, FALSE, "missing: named")
 
 
 def test_an_interrupted_battery_goes_on_and_tells_its_shares(

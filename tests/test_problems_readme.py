@@ -132,9 +132,10 @@ def test_the_chaotic_systems(readme: str) -> None:
 
 
 def test_the_hidden_effects(readme: str) -> None:
-    from problems.hidden_effects.page import of_new_seeds
-    from problems.hidden_effects.rows import ONE, ROWS
-    from problems.hidden_effects.scores import scored
+    from problems.battery.draw import ROWS
+    from problems.battery.effects import ONE
+    from problems.battery.pages import of_new_seeds
+    from problems.battery.score import scored
 
     found = {}
     n_new = 0

@@ -3,8 +3,7 @@
 import pytest
 
 import phsi_opt as ph
-from problems.field_machines.cases import draw
-from problems.field_machines.kinds import KINDS
+from problems.battery.draw import KINDS, draw
 
 STIFFNESSES = ("linear stiffness", "gravity torque", "cubic stiffness")
 OTHERS = (

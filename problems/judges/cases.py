@@ -1,25 +1,22 @@
-"""Which cases of both batteries are examined: lists that are balanced and reproducible.
+"""Which cases of the battery the judges examine, and the records that they keep.
 
-Seeds 20000 to 20999 are those of the frozen verdicts and of nothing else. Those from
-30000 on are reported (`battery`): nobody looks at one while the package is developed,
-and a page names its first. Development of the judges used 10000 to 10999. Before,
-`problems.hidden_effects` used seeds below 50, 1000 to 1049 and 3000 to 3149, and
-`problems.field_machines` seeds below 600 and 8000 to 8899.
+The lists are balanced and reproducible (`problems.battery.draw` says which seeds are
+for what). Records are results of the code of one day, as JSON in results/judges.
 """
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import count, islice
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from problems.field_machines.kinds import KINDS
-from problems.field_machines.sizes import MODEL_ERROR
-from problems.hidden_effects.rows import ROWS
+from phsi_opt.writing import write_whole
+from problems.battery.ask import Task
+from problems.battery.draw import KINDS, TABLES
+from problems.tools import provenance
 
-HIDDEN, FIELD = "hidden_effects", "field_machines"
-FIRST_VERDICT = 20_000
-FIRST_REPORTED = 30_000
 # Cases by the kind of row of hidden effects, and of machines of the field (with
 # something to name, with nothing). Multiples of three meet all noises of the field.
 IN_ROUND = {
@@ -43,17 +40,7 @@ IN_VERDICTS = {
     "complete": 18,
 }
 
-
-@dataclass(frozen=True)
-class Task:
-    """A case: its battery, the row or kind of machine, the seed."""
-
-    battery: str
-    row: str
-    seed: int
-
-    def __str__(self) -> str:
-        return f"{self.battery} {self.row} {self.seed}"
+Record = dict[str, Any]
 
 
 def rounds(first: int, numbers: Mapping[str, int], n_tasks: int) -> list[Task]:
@@ -68,17 +55,32 @@ def rounds(first: int, numbers: Mapping[str, int], n_tasks: int) -> list[Task]:
 def one_round(first: int, numbers: Mapping[str, int], k: int = 0) -> list[Task]:
     """The tasks of the round ``k``."""
     tasks = []
-    for (battery, row), n in _numbers_of_rows(numbers).items():
-        seeds = range(first + k * n, first + (k + 1) * n)
-        tasks += [Task(battery, row, seed) for seed in seeds]
+    for battery, rows in TABLES.items():
+        for row in rows.values():
+            if row != KINDS["nothing_10"]:
+                n = numbers[row.kind]
+                seeds = range(first + k * n, first + (k + 1) * n)
+                tasks += [Task(battery, row.name, seed) for seed in seeds]
     order = np.random.default_rng([first, k]).permutation(len(tasks))
     return [tasks[place] for place in order]
 
 
-def _numbers_of_rows(numbers: Mapping[str, int]) -> dict[tuple[str, str], int]:
-    found = {(HIDDEN, row.name): numbers[row.kind] for row in ROWS.values()}
-    for kind in KINDS.values():
-        if kind.model_error == MODEL_ERROR:
-            said = "complete" if kind.is_complete else "machine"
-            found[FIELD, kind.name] = numbers[said]
-    return found
+def path_of(name: str) -> Path:
+    """The file of a judge; it may not exist."""
+    return provenance.RESULTS / "judges" / name
+
+
+def keep(name: str, records: Mapping[str, Record]) -> None:
+    """Write records by name, with command, commit and machine."""
+    path = path_of(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = {"provenance": provenance.provenance(), "records": records}
+    write_whole(path, json.dumps(content, indent=1) + "\n")
+
+
+def kept(name: str) -> dict[str, Record]:
+    """Records by name; none where nothing was kept."""
+    path = path_of(name)
+    if not path.exists():
+        return {}
+    return dict(json.loads(path.read_text(encoding="utf-8"))["records"])

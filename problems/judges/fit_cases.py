@@ -3,13 +3,15 @@ the README promises. Every problem is the same whenever it is made.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 import phsi_opt as ph
+from problems.battery.draw import KINDS, ROWS, draw
+from problems.battery.records import Case
 from problems.benchmarks import scaling, state_growth
 from problems.benchmarks.basin_machines import draw_case
 from problems.benchmarks.chaos import EXPERIMENTS
@@ -19,11 +21,6 @@ from problems.benchmarks.efficiency import cases as efficient
 from problems.benchmarks.oscillator_records import records
 from problems.examples import demo
 from problems.examples.friction_spring import table
-from problems.field_machines.cases import draw as draw_machine
-from problems.field_machines.kinds import KINDS
-from problems.hidden_effects.cases import draw as draw_hidden
-from problems.hidden_effects.examination import places
-from problems.hidden_effects.rows import ROWS
 from problems.thesis.systems import SYSTEMS, known_leak, tank_model
 
 SEED = 5  # of what is drawn here
@@ -185,21 +182,20 @@ def far_off(kind: str, seed: int) -> Problem:
 
 
 def hidden(row: str, seed: int, **starts: float) -> Problem:
-    """A machine of `problems.hidden_effects` with its effect in the model."""
-    case = draw_hidden(ROWS[row], seed)
-    model = _completed(case.model, places(case.truths[0]))
-    return Problem(model.with_values(starts), case.train)
+    """A machine with a hidden effect, which the model has."""
+    case = _completed(draw(ROWS[row], seed))
+    return replace(case, model=case.model.with_values(starts))
 
 
 def machine(kind: str, seed: int) -> Problem:
-    """A machine of `problems.field_machines` with its effect in the model."""
-    case = draw_machine(KINDS[kind], seed)
-    return Problem(_completed(case.model, case.places), case.train)
+    """A machine of the field with its effect in the model."""
+    return _completed(draw(KINDS[kind], seed))
 
 
-def _completed(model: ph.Model, names: set[str]) -> ph.Model:
-    known = [effect for effect in ph.catalogue(model) if str(effect) in names]
-    return model.add(known[0])
+def _completed(case: Case) -> Problem:
+    effects = ph.catalogue(case.model)
+    added = next(effect for effect in effects if str(effect) in case.places)
+    return Problem(case.model.add(added), case.train)
 
 
 L1 = {"H": 0.01, "F": 0.01}

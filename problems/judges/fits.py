@@ -26,8 +26,8 @@ from dataclasses import replace
 import numpy as np
 
 import phsi_opt as ph
+from problems.judges.cases import Record, keep, kept
 from problems.judges.fit_cases import PROBLEMS, Problem
-from problems.judges.frozen import Record, keep, kept
 from problems.tools import markdown
 from problems.tools.command_line import chosen, flag
 from problems.tools.provenance import write

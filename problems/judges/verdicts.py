@@ -12,7 +12,7 @@ to `battery`.
 
 Right: where the catalogue has the hidden effect, every finding holds a true one ("right
 name": and nothing else; "class": beside others). Where it has not, nothing is found;
-and with nothing hidden in a machine of `problems.hidden_effects` the verdict is
+and with nothing hidden in a machine of hidden effects the verdict is
 "nothing missing", with a force of no catalogue "unexplained". (A force of no catalogue
 that an effect imitates counts as wrong here; `battery` leaves it out.)
 """
@@ -25,20 +25,22 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
 
 import phsi_opt as ph
 from phsi_opt.sweeps.sweep import sweep
-from problems.field_machines.cases import draw as draw_machine
-from problems.field_machines.examination import CLASS, NAME, SILENT, answer
-from problems.field_machines.findings import as_text, findings_of
-from problems.field_machines.kinds import KINDS
-from problems.hidden_effects.cases import draw as draw_hidden
-from problems.hidden_effects.examination import places
-from problems.hidden_effects.rows import ROWS
-from problems.judges.cases import FIRST_VERDICT, HIDDEN, IN_VERDICTS, Task, rounds
-from problems.judges.frozen import Record, keep, kept
+from problems.battery.ask import (
+    CLASS,
+    NAME,
+    REASON_LENGTH,
+    SILENT,
+    Task,
+    answer,
+    as_text,
+    findings_of,
+)
+from problems.battery.draw import FIRST_VERDICT, ROWS, TABLES, draw
+from problems.battery.records import HIDDEN
+from problems.judges.cases import IN_VERDICTS, Record, keep, kept, rounds
 from problems.tools import markdown
 from problems.tools.command_line import flag, option
 from problems.tools.intervals import share
@@ -49,7 +51,7 @@ FILE = "verdicts.json"
 CHECK = "check_"  # begins the name of the file of a check, which is not committed
 N_CASES = 200
 NO_ANSWER, NOT_DRAWN = "failed", "not drawn"
-# What silence has to say in these rows.
+# What silence has to say in these rows of hidden effects.
 SILENCE = {
     "nothing": ph.Verdict.NOTHING_MISSING,
     "outside": ph.Verdict.UNEXPLAINED,
@@ -59,70 +61,40 @@ MOVED = 0.1  # standard errors by which a size has moved
 Records = Mapping[str, Record]
 
 
-@dataclass(frozen=True, eq=False)
-class Posed:
-    """A case without its battery.
-
-    ``names``: the right ones that the catalogue has; ``silence``: the verdict that is
-    right where it has none ("": any without a finding).
-    """
-
-    model: ph.Model
-    train: ph.Measurements
-    test: ph.Measurements
-    names: set[str]
-    hidden: str
-    noise: float
-    silence: str = ""
-
-
-def posed(task: Task) -> Posed:
-    """The case of a task."""
-    case: Any
-    if task.battery == HIDDEN:
-        row = ROWS[task.row]
-        case = draw_hidden(row, task.seed)
-        true = set().union(*(places(truth) for truth in case.truths))
-        hidden = " + ".join(truth.effect for truth in case.truths) or "nothing"
-        silence = str(SILENCE.get(row.kind, ""))
-    else:
-        case = draw_machine(KINDS[task.row], task.seed)
-        true, hidden, silence = case.places, case.hidden, ""
-    names = true & {str(effect) for effect in ph.catalogue(case.model)}
-    return Posed(case.model, case.train, case.test, names, hidden, case.noise, silence)
-
-
 def examined(task: Task) -> Record:
-    """What the diagnosis says of a task."""
+    """What the first diagnosis says of a task."""
+    row = TABLES[task.battery][task.row]
     began = time.process_time()
     try:
-        case = posed(task)
+        case = draw(row, task.seed)
     except (ArithmeticError, ValueError) as error:
         return {"answer": NOT_DRAWN, "verdict": str(error), "commit": commit()}
+    names = case.listed
     record: Record = {
         "battery": task.battery,
         "row": task.row,
         "hidden": case.hidden,
         "noise": case.noise,
-        "names": sorted(case.names),
+        "names": sorted(names),
         "commit": commit(),
     }
     drawn = time.process_time()
     try:
         fit = ph.identify(case.model, case.train)
-        record |= told(case, ph.diagnose(fit, case.train, held_out=case.test))
+        diagnosis = ph.diagnose(fit, case.train, held_out=case.test)
+        record |= told(names, SILENCE.get(row.kind, ""), diagnosis)
     # Whatever goes wrong is a case without an answer.
     except Exception as error:
-        said = f"{type(error).__name__}: {str(error)[:200]}"
+        said = f"{type(error).__name__}: {str(error)[:REASON_LENGTH]}"
         record |= {"verdict": said, "findings": "", "answer": NO_ANSWER, "right": False}
     seconds = time.process_time() - drawn
     return record | {"drawing": round(drawn - began, 2), "seconds": round(seconds, 2)}
 
 
-def told(case: Posed, diagnosis: ph.Diagnosis) -> Record:
+def told(names: set[str], silence: str, diagnosis: ph.Diagnosis) -> Record:
     """Verdict, names, sizes, ties, and whether they are right."""
     found = findings_of(diagnosis)
-    said = answer(case.names, found)
+    said = answer(names, found)
     sizes = {}
     for finding in diagnosis.findings:
         sizes[str(finding.effects[0])] = [finding.coefficient, finding.std_error]
@@ -133,15 +105,20 @@ def told(case: Posed, diagnosis: ph.Diagnosis) -> Record:
         "sizes": sizes,
         "ties": "" if table.empty else str(table.iloc[0].confusable_with),
         "answer": said,
-        "right": is_right(case, said, diagnosis.verdict),
+        "right": is_right(names, silence, said, diagnosis.verdict),
     }
 
 
-def is_right(case: Posed, said: str, verdict: str) -> bool:
-    """Whether an answer is right, by what the catalogue has."""
-    if case.names:
+def is_right(names: set[str], silence: str, said: str, verdict: str) -> bool:
+    """Whether an answer is right.
+
+    Args:
+        names: The right ones that the catalogue has.
+        silence: The verdict that is right where it has none; "": any without a finding.
+    """
+    if names:
         return said in (NAME, CLASS)
-    return said == SILENT and case.silence in ("", verdict)
+    return said == SILENT and silence in ("", verdict)
 
 
 def report(old: Records, new: Records) -> str:

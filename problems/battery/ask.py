@@ -1,0 +1,363 @@
+"""One case examined: what the diagnosis says, beside what was hidden.
+
+With hidden effects the first diagnosis answers (of two effects a study), with machines
+of the field a study that goes on by itself. Whatever fails is recorded, and counts as
+wrong or silent.
+"""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+import phsi_opt as ph
+from problems.battery.draw import TABLES, HiddenRow, draw
+from problems.battery.records import FIELD, HIDDEN, Array, Case, Truth
+from problems.tools.intervals import HALF_WIDTH
+from problems.tools.provenance import commit
+
+# Fall of the misfit, in noise variances, that a test at 1 % takes for real (chi-squared
+# with one degree of freedom).
+DETECTED = 6.63
+MOST_STEPS = {HIDDEN: 4, FIELD: 3}  # of a study
+REASON_LENGTH = 200  # characters kept of an error's message
+NAME, CLASS, FALSE, SILENT = "right name", "class", "false name", "silent"
+LATEST = 5.0  # lengths of a run by which shifted clocks begin late
+PREPARED = ("as_drawn", "shifted", "thinned", "exchanged")
+ROW = {HIDDEN: "row", FIELD: "kind"}  # the column that names a case's row
+
+Found = dict[str, object]  # columns of the kept tables
+Finding = frozenset[str]  # "viscous damping on p", ...: all that do equally well
+Split = tuple[ph.Measurements, ph.Measurements]  # training runs and those held out
+
+
+@dataclass(frozen=True)
+class Task:
+    """A case: its table of machines, its row, the seed.
+
+    ``is_prepared``: asked from records that are prepared in several ways.
+    """
+
+    battery: str
+    row: str
+    seed: int
+    is_prepared: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.battery} {self.row} {self.seed}"
+
+
+def examined(task: Task) -> Found:
+    """The record of a task: what was hidden, what was named."""
+    row = TABLES[task.battery][task.row]
+    record: Found = {ROW[task.battery]: row.name, "seed": task.seed, "commit": commit()}
+    record["outcome"] = "examined"
+    if isinstance(row, HiddenRow):
+        record |= {"right": False, "tie": False}
+    before = time.process_time()
+    began = time.perf_counter()
+    try:
+        case = draw(row, task.seed)
+    except (ArithmeticError, ValueError) as error:
+        return record | {"outcome": f"not drawn: {str(error)[:REASON_LENGTH]}"}
+    if not task.is_prepared:
+        record |= described(case)
+    record["drawing"] = time.perf_counter() - began
+    began = time.perf_counter()
+    try:
+        if task.is_prepared:
+            record |= _prepared_answers(case, task.seed)
+        elif isinstance(row, HiddenRow):
+            record |= _two(case) if row.kind == "two" else _one(case, row.kind)
+        else:
+            record |= _field_answer(case)
+    # Whatever goes wrong is a case that was not examined, and names nothing.
+    except Exception as error:
+        reason = f"{type(error).__name__}: {str(error)[:REASON_LENGTH]}"
+        record |= {"outcome": reason, "answer": SILENT}
+    record["seconds"] = time.perf_counter() - began
+    return record | {"processor": time.process_time() - before}
+
+
+def described(case: Case) -> Found:
+    """What was hidden, in which setting, and how it shows."""
+    truths = case.truths
+    listed = case.listed
+    coefficient = case.size * truths[0].coefficient if truths else np.nan
+    found: Found = {"noise": case.noise, **case.settings}
+    if case.clean is None:
+        names = " or ".join(sorted(case.places))
+        found |= {"hidden": case.hidden, "truth": names, "listed": bool(listed)}
+        return found | {"coefficient": coefficient}
+    return found | {
+        "truth": " + ".join(truth.effect for truth in truths),
+        "equation": " + ".join("|".join(truth.equations) for truth in truths),
+        "value": coefficient if len(truths) == 1 else np.nan,
+        "listed": all(truth.places & listed for truth in truths),
+    }
+
+
+# --- hidden effects: at most one is hidden
+
+
+def _one(case: Case, kind: str) -> Found:
+    """The first diagnosis."""
+    fit = ph.identify(case.model, case.train)
+    diagnosis = ph.diagnose(fit, case.train, held_out=case.test)
+    verdict = diagnosis.verdict
+    table = diagnosis.candidates
+    found: Found = {"base_error": diagnosis.base.rmse / floor(case), "verdict": verdict}
+    if kind == "nothing":
+        found["right"] = verdict == ph.Verdict.NOTHING_MISSING
+    elif kind == "outside":
+        found["right"] = verdict == ph.Verdict.UNEXPLAINED
+    if table.empty:
+        return found
+    first = table.iloc[0]
+    found |= {
+        "first": first.effect,
+        "first_equation": first.equation,
+        "confusable_with": first.confusable_with,
+        "coefficient": first.coefficient,
+        "std_error": first.std_error,
+        "after": first.held_out_rmse / floor(case),
+    }
+    is_named = verdict == ph.Verdict.NAMED
+    if case.truths and kind != "outside":
+        found |= _beside_the_truth(case.truths[0], table, is_named)
+    if is_named and not found.get("right", False):
+        named = fit.model.add(diagnosis.effects[0])
+        found["misfit"] = misfit(case, named, diagnosis.proposed_fit)
+    return found
+
+
+def _beside_the_truth(truth: Truth, table: pd.DataFrame, is_named: bool) -> Found:
+    """Whether the first candidate is the truth, or a tie with it, and its interval."""
+    hits = (table["effect"] + " on " + table["equation"]).isin(truth.places).tolist()
+    found: Found = {
+        "rank": hits.index(True) + 1 if any(hits) else np.nan,
+        "right": is_named and hits[0],
+    }
+    first = table.iloc[0]
+    if is_named and hits[0]:
+        found["covered"] = covered(
+            truth.coefficient, first.coefficient, first.std_error
+        )
+    elif is_named:
+        found["tie"] = bool(truth.places & set(str(first.confusable_with).split(", ")))
+    return found
+
+
+def covered(truth: float, estimate: float, error: float) -> float:
+    """1 or 0: whether the 95 % interval holds the truth (without a standard error it
+    does not); NaN: not comparable.
+    """
+    if not np.isfinite(truth):
+        return np.nan
+    return float(abs(estimate - truth) <= HALF_WIDTH * error)
+
+
+# --- hidden effects: two are hidden
+
+
+def _two(case: Case) -> Found:
+    """The study adds by itself, a step at a time, until it stops."""
+    study = ph.Study(case.model, case.train, held_out=case.test)
+    before = study.history["held_out_rmse"].iloc[0]
+    alike = _added(study)
+    right = matches(case.truths, [{text} for text in alike])
+    found: Found = {
+        "base_error": before / floor(case),
+        "verdict": study.diagnose().verdict,
+        "added": "; ".join(alike),
+        "right": right,
+        "tie": matches(case.truths, list(alike.values())) and not right,
+        "after": study.history["held_out_rmse"].iloc[-1] / floor(case),
+    }
+    if alike and not right:
+        found["misfit"] = misfit(case, study.model, study.fit)
+    return found
+
+
+def _added(study: ph.Study) -> dict[str, set[str]]:
+    """Each effect that the study added, with what it could not be told from."""
+    alike: dict[str, set[str]] = {}
+    for _ in range(MOST_STEPS[HIDDEN]):
+        table = study.diagnose().candidates
+        n_steps = len(study.steps)
+        study.auto(max_steps=1)
+        if len(study.steps) == n_steps:
+            break
+        names = table["effect"] + " on " + table["equation"]
+        ties = dict(zip(names, table["confusable_with"], strict=True))
+        present = {}
+        for effect in study.added:
+            text = str(effect)
+            known = {text, *ties.get(text, "").split(", ")}
+            present[text] = alike.get(text, known)
+        alike = present
+    return alike
+
+
+def matches(truths: tuple[Truth, ...], found: list[set[str]]) -> bool:
+    """Whether each truth has an effect of its own among those found, and none is left
+    over.
+    """
+    if len(truths) != len(found):
+        return False
+    if not truths:
+        return True
+    first, *others = truths
+    for k, names in enumerate(found):
+        rest = found[:k] + found[k + 1 :]
+        if first.places & names and matches(tuple(others), rest):
+            return True
+    return False
+
+
+# --- hidden effects: errors beside the noise that is known here
+
+
+def floor(case: Case) -> float:
+    """Root mean square of the noise that is in the held-out samples, on the scale of
+    `Comparison.rmse`.
+    """
+    y = np.concatenate([run.x for run in case.test.trajectories])
+    noise = np.concatenate(list(case.test_noise))
+    seen = np.flatnonzero(np.isfinite(y).any(axis=0))
+    scale = y[:, seen].std(axis=0) if len(seen) > 1 else np.ones(1)
+    return float(np.sqrt(np.mean((noise[:, seen] / scale) ** 2)))
+
+
+def misfit(case: Case, model: ph.Model, start: ph.Fit | None = None) -> float:
+    """How far a model stays from the noise-free training data, in noise variances.
+
+    The truth itself is at zero; below `DETECTED` the data cannot tell a model from it.
+    Infinite where it could not be fitted, from ``start``.
+    """
+    assert case.clean is not None
+    try:
+        fit = ph.identify(model, case.clean, start=start)
+        residuals = ph.compare(fit, case.clean).residuals
+    except ph.PhsiOptError:
+        return np.inf
+    n_states = len(case.sigma)
+    total = 0.0
+    for residual, run in zip(residuals, case.clean.trajectories, strict=True):
+        seen = np.where(np.isfinite(run.x), residual[:, :n_states], np.nan)
+        total += np.nansum((seen / case.sigma) ** 2)
+    return float(total)
+
+
+# --- machines of the field: all that a study finds
+
+
+def findings_of(diagnosis: ph.Diagnosis) -> set[Finding]:
+    """What is established to be missing."""
+    return {frozenset(map(str, finding.effects)) for finding in diagnosis.findings}
+
+
+def as_text(found: set[Finding]) -> str:
+    """Findings by semicolons, members of a class by "or"; sorted."""
+    return "; ".join(sorted(" or ".join(sorted(each)) for each in found))
+
+
+def of_text(text: str) -> set[Finding]:
+    """The findings that `as_text` wrote."""
+    return {frozenset(each.split(" or ")) for each in text.split("; ") if each}
+
+
+def answer(places: set[str], found: set[Finding]) -> str:
+    """Whether all findings hold a true effect; ``places``: the names that are right."""
+    if not found:
+        return SILENT
+    if not all(places & each for each in found):
+        return FALSE
+    return NAME if all(len(each) == 1 for each in found) else CLASS
+
+
+def agree(one: set[Finding], other: set[Finding]) -> bool:
+    """Whether two say nothing that the other does not bear out.
+
+    Every finding of each shares an effect with one of the other; both may be silent. A
+    class and a name from within it agree.
+    """
+    if not one or not other:
+        return not one and not other
+    pairs = ((one, other), (other, one))
+    return all(any(each & known for known in by) for said, by in pairs for each in said)
+
+
+def asked(model: ph.Model, split: Split) -> tuple[set[Finding], list[str], ph.Study]:
+    """What a study finds that goes on by itself, all its diagnoses together, with the
+    verdict of each.
+    """
+    train, test = split
+    study = ph.Study(model, train, held_out=test)
+    found: set[Finding] = set()
+    verdicts = []
+    for _ in range(MOST_STEPS[FIELD]):
+        diagnosis = study.diagnose()
+        found |= findings_of(diagnosis)
+        verdicts.append(str(diagnosis.verdict))
+        n_steps = len(study.steps)
+        study.auto(max_steps=1)
+        if len(study.steps) == n_steps:
+            break
+    return found, verdicts, study
+
+
+def _field_answer(case: Case) -> Found:
+    found, verdicts, study = asked(case.model, (case.train, case.test))
+    last = study.history.iloc[-1]
+    return {
+        "answer": answer(case.places, found),
+        "findings": as_text(found),
+        "verdicts": "; ".join(verdicts),
+        "added": "; ".join(str(effect) for effect in study.added),
+        "after": last["held_out_rmse"] / last["noise_floor"],
+    }
+
+
+# --- the same case from a record that was prepared in another way
+
+
+def _prepared_answers(case: Case, seed: int) -> Found:
+    """What a study finds in each preparation, and whether it is the same."""
+    said = {}
+    for name, split in prepared((case.train, case.test), seed).items():
+        said[name] = as_text(asked(case.model, split)[0])
+    return {**said, "same": len(set(said.values())) == 1}
+
+
+def prepared(split: Split, seed: int) -> dict[str, Split]:
+    """The preparations of a case: other clocks, every other sample, another run held
+    out.
+    """
+    rng = np.random.default_rng(seed)
+    train, test = split
+    first, *others = train.trajectories
+    held_out, *further = test.trajectories
+    exchanged = (
+        replace(train, trajectories=(held_out, *others)),
+        replace(test, trajectories=(first, *further)),
+    )
+    shifted = (_changed(train, rng=rng), _changed(test, rng=rng))
+    thinned = (_changed(train, thin=2), _changed(test, thin=2))
+    return dict(zip(PREPARED, (split, shifted, thinned, exchanged), strict=True))
+
+
+def _changed(
+    data: ph.Measurements, thin: int = 1, rng: np.random.Generator | None = None
+) -> ph.Measurements:
+    """Every ``thin``-th sample, and clocks that begin at random times where there is a
+    generator.
+    """
+    runs = []
+    for run in data.trajectories:
+        t: Array = run.t[::thin]
+        if rng is not None:
+            t = t + rng.uniform(0.0, LATEST) * (run.t[-1] - run.t[0])
+        runs.append(replace(run, t=t, x=run.x[::thin], u=run.u[::thin]))
+    return replace(data, trajectories=tuple(runs))
