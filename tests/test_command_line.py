@@ -30,10 +30,10 @@ from phsi_opt.command_line.job import (
     Job,
     Message,
     Reach,
+    answer_to,
 )
 from phsi_opt.command_line.jobs import plain
 from phsi_opt.command_line.jobs import run as run_job
-from phsi_opt.command_line.supervision import answer_to
 from phsi_opt.presentation.forecast import (
     ADDING,
     FITTING,
@@ -932,8 +932,9 @@ def test_the_reach_of_the_command_is_that_of_the_study(
         found = ph.diagnose(study.fit, study.train, study.held_out, effects=effects)
         open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
         silent = replace(open_, verdict=ph.Verdict.NOTHING_MISSING, ranking=())
-        choice = study._choice
-        study._diagnoses |= {0: (choice, open_), 1: (choice, silent)}
+        study._considered |= dict.fromkeys((0, 1), study._choice)
+        diagnoses = {0: open_, 1: silent}
+        study.record = replace(study.record, diagnoses=diagnoses)
         study.add(open_.ranking[0].effect)
         return ""
 

@@ -17,7 +17,7 @@ from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt import reading
-from phsi_opt.command_line.file_commands import first_study
+from phsi_opt.command_line.jobs import first_study
 from phsi_opt.data import excel_tables, matlab_tables
 from phsi_opt.errors import DataError
 from phsi_opt.study_file.study_file import StudyFile

@@ -9,7 +9,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.page.drafts import StudyDraft
-from phsi_opt.page.table_look import look_at
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.study_file.study_file import section_of, write_table
 from phsi_opt.study_file.toml_text import toml_tables
@@ -211,7 +210,7 @@ def test_a_study_file_says_it_beside_the_column(study_path: Path) -> None:
 
 def test_the_page_keeps_it(study_path: Path) -> None:
     table = study_path.with_name("tank.csv")
-    draft = StudyDraft.of(toml_tables(STUDY), look_at({table.name: table}))
+    draft = StudyDraft.of(toml_tables(STUDY), {table.name: table})
     assert draft.content()["data"]["inputs"] == {
         "push": {"column": "push"},
         "valve": {"column": "valve", "hold": "zero"},

@@ -15,10 +15,10 @@ import pytest
 
 import phsi_opt as ph
 import phsi_opt.page
+from phsi_opt.page.drafts import MOST_FILES
 from phsi_opt.page.guards import is_own_origin
 from phsi_opt.page.serve import MOST_SESSIONS, Sessions
 from phsi_opt.page.session import Session
-from phsi_opt.page.table_look import MOST_FILES
 from tests.page_tools import (
     loaded_table,
     served,

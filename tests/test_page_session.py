@@ -20,16 +20,23 @@ import phsi_opt as ph
 from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.errors import Complaint
 from phsi_opt.force_analysis.localization import Window
-from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
+from phsi_opt.page.draft_views import unknown_names
+from phsi_opt.page.drafts import (
+    INPUT,
+    MOST_UPLOADED,
+    RUN,
+    STATE,
+    TIME,
+    ColumnDraft,
+    DataDraft,
+)
 from phsi_opt.page.gallery import GALLERY, BaseModel, match_states
 from phsi_opt.page.guards import UploadLimit
-from phsi_opt.page.model_view import unknown_names
 from phsi_opt.page.parts import complaint_words
 from phsi_opt.page.serve import MOST_SESSIONS, Sessions, is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import words
-from phsi_opt.page.table_look import MOST_UPLOADED
 from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
 from phsi_opt.presentation.charts import force_chart, plotly, run_chart
 from phsi_opt.presentation.content import (
@@ -40,8 +47,8 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.durations import Scale
-from phsi_opt.study.force_content import worst_channel, worst_moment
+from phsi_opt.presentation.units import Scale
+from phsi_opt.study.content import worst_moment
 from tests.page_tools import bad_table, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
@@ -201,7 +208,7 @@ def test_every_base_model_of_the_gallery_is_a_model(
     path = tmp_path / "study.toml"
     path.write_text(
         "[data]\nfiles = 'a.csv'\ntime = { column = 't' }\n"
-        f"[data.states]\n{states}{driving}{session.draft.text()}"
+        f"[data.states]\n{states}{driving}{session.draft.as_it_is().text}"
     )
     model = ph.StudyFile.read(path).model()
     assert list(model.states) == list(base.units)
@@ -340,7 +347,7 @@ huber = 1.5
     )
     session = Session(tmp_path / "session", path)
     assert session.complaints == ()
-    (tmp_path / "again.toml").write_text(session.draft.text())
+    (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     again = ph.StudyFile.read(tmp_path / "again.toml")
     first = ph.StudyFile.read(path)
     assert again.text() == first.text()
@@ -371,7 +378,7 @@ a = { start = 1.0 }
     assert session.draft.data is not None
     assert session.draft.data.time["step"] == 0.5
     assert [one.column for one in session.draft.data.with_role(STATE)] == [1]
-    (tmp_path / "again.toml").write_text(session.draft.text())
+    (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.text() == ph.StudyFile.read(path).text()
 
@@ -402,7 +409,7 @@ added = "constant force on level"
     session = Session(tmp_path / "session", path)
     assert session.complaints == ()
     assert session.draft.model.names("states") == ["level"]
-    (tmp_path / "again.toml").write_text(session.draft.text())
+    (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.text() == ph.StudyFile.read(path).text()
 
@@ -486,7 +493,7 @@ def test_the_charts_open_on_the_channel_that_is_farthest_off() -> None:
     t = np.linspace(0.0, 10.0, 101)
     q = Channel("q", "rad", 0.01, t, t, (t,), (0.1,), movement=0.7)
     v = replace(q, name="v", errors=(1.4,), movement=3.5)
-    assert worst_channel(Run("run 1", "training", (q, v)), 0) is v
+    assert Run("run 1", "training", (q, v)).worst(0) is v
 
 
 def test_the_worst_moment_is_where_the_model_is_off_while_the_force_is_sure() -> None:

@@ -13,9 +13,9 @@ from rich.console import Console
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.candidate import Finding
-from phsi_opt.presentation.printed_table import PrintedTable
 from phsi_opt.presentation.tables import (
     MOST_ROWS,
+    PrintedTable,
     html_of_table,
     text_of_cell,
     text_of_table,

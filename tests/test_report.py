@@ -27,7 +27,7 @@ from phsi_opt.force_analysis.next_step import (
     step_without_name,
 )
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.presentation.charts import glance_chart, svg
+from phsi_opt.presentation.charts import glance_chart, rounded, svg
 from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
@@ -37,8 +37,8 @@ from phsi_opt.presentation.content import (
     Ranked,
     Run,
     StudyContent,
+    thinned,
 )
-from phsi_opt.presentation.durations import Scale, date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import (
     html_report,
     markdown_report,
@@ -55,12 +55,15 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
-from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import (
+    Scale,
+    date_words,
+    dates_words,
     frequency_words,
     rate_unit,
     scale_of_errors,
     scale_of_rate,
+    times_words,
 )
 from phsi_opt.study.answers import (
     _comes_and_goes,
@@ -75,10 +78,10 @@ from phsi_opt.study.answers import (
 from phsi_opt.study.content import (
     _errors,
     ends_within,
+    glance_of,
     is_just_below,
     study_content,
 )
-from phsi_opt.study.force_content import glance_of
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 
@@ -789,9 +792,7 @@ def test_a_severity_is_said_in_a_word(page: str, content: StudyContent) -> None:
 
 
 def test_the_same_study_gives_the_same_file(page: str, study: ph.Study) -> None:
-    again = html_report(
-        study_content(study.record, study._fitting.laws(study.fit, study.added))
-    )
+    again = html_report(study_content(study.record, study.record.laws()))
     assert again == page
 
 

@@ -14,9 +14,17 @@ from typing import Annotated
 
 import typer
 
-from phsi_opt.command_line import job as kinds
-from phsi_opt.command_line.job import MEANINGS, ExitCode, Job, Reach
-from phsi_opt.command_line.output import do, finish, told_errors
+from phsi_opt.command_line.job import (
+    COMPARE,
+    DIAGNOSE,
+    FIT,
+    GO_THROUGH,
+    MEANINGS,
+    ExitCode,
+    Job,
+    Reach,
+)
+from phsi_opt.command_line.process import do, finish, told_errors
 
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
 REPORT_NAME = "report.html"  # written by --report without a name
@@ -87,7 +95,7 @@ def init(
 ) -> None:
     """Look at a table and write a study file for it, to be filled in."""
     with told_errors(as_json):
-        from phsi_opt.command_line.file_commands import first_study
+        from phsi_opt.command_line.jobs import first_study
 
         finish(first_study(data, study, force), as_json)
 
@@ -96,7 +104,7 @@ def init(
 def check(study: StudyPath = Path(STUDY_NAME), as_json: AsJson = False) -> None:
     """Check a study file, its data and its model; say everything that is wrong."""
     with told_errors(as_json):
-        from phsi_opt.command_line.file_commands import checked
+        from phsi_opt.command_line.jobs import checked
 
         finish(checked(study), as_json)
 
@@ -106,7 +114,7 @@ def fit(
     study: StudyPath = Path(STUDY_NAME), save: Save = None, as_json: AsJson = False
 ) -> None:
     """Estimate the parameters, with the effects added so far."""
-    do(Job(kinds.FIT, study, save=save), as_json)
+    do(Job(FIT, study, save=save), as_json)
 
 
 @app.command()
@@ -114,7 +122,7 @@ def compare(
     study: StudyPath = Path(STUDY_NAME), saved: Saved = None, as_json: AsJson = False
 ) -> None:
     """Run the fitted model beside the measurements held out."""
-    do(Job(kinds.COMPARE, study, fit=saved), as_json)
+    do(Job(COMPARE, study, fit=saved), as_json)
 
 
 @app.command()
@@ -125,7 +133,7 @@ def diagnose(
     as_json: AsJson = False,
 ) -> None:
     """Say where the model fails, and which effect would explain it."""
-    do(Job(kinds.DIAGNOSE, study, fit=saved, exit_code=exit_code), as_json)
+    do(Job(DIAGNOSE, study, fit=saved, exit_code=exit_code), as_json)
 
 
 @app.command()
@@ -140,7 +148,7 @@ def add(
 ) -> None:
     """Write an effect into the study file; its text and comments stay."""
     with told_errors(as_json):
-        from phsi_opt.command_line.file_commands import add_effect
+        from phsi_opt.command_line.jobs import add_effect
 
         finish(add_effect(study, effect, equation), as_json)
 
@@ -173,7 +181,7 @@ def study_(
     as_json: AsJson = False,
 ) -> None:
     """Go through the steps of a study: the base model, then each effect."""
-    job = Job(kinds.GO_THROUGH, study, None, auto, max_steps, save, report)
+    job = Job(GO_THROUGH, study, None, auto, max_steps, save, report)
     job = replace(job, exit_code=exit_code, write=write, reach=reach)
     do(job, as_json)
 
@@ -203,12 +211,12 @@ def demo(
 ) -> None:
     """A damped spring with a hidden friction: the whole loop, in a minute."""
     with told_errors(as_json):
-        from phsi_opt.command_line.file_commands import written_demonstration
+        from phsi_opt.command_line.jobs import written_demonstration
 
         study = written_demonstration(folder)
     typer.echo(f"the study file: {study}", err=True)
     report = folder / REPORT_NAME
-    do(Job(kinds.GO_THROUGH, study, is_auto=True, report=report), as_json)
+    do(Job(GO_THROUGH, study, is_auto=True, report=report), as_json)
 
 
 def with_report_name(arguments: list[str]) -> list[str]:

@@ -1,14 +1,16 @@
-"""What the working process is asked to do, what it tells, and how a command ends.
+"""What a command asks of the working process, what that answers, and the exit codes.
 
 Records of texts and numbers alone: the process that waits needs none of the libraries
 of the one that works.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Any
+
+from phsi_opt.errors import PhsiOptError, SolveError, StudyFileError
 
 FIT = "fit"
 COMPARE = "compare"
@@ -52,8 +54,7 @@ class Job:
         fit: a saved fit to take in place of a new one; None: fit anew.
         is_auto: whether effects are looked for and added.
         max_steps: how many are added at most; None: what the study file says.
-        save: where the fit is saved; None: nowhere.
-        report: where the report is written; None: nowhere.
+        save: where the fit is saved; ``report``: where the report is written; or None.
         exit_code: whether something missing shows in the exit code.
         write: whether effects that were found are written into the study file.
         reach: how clear an effect has to be that is added.
@@ -81,14 +82,13 @@ class Finished:
     """A step was finished: what is kept if the work stops now.
 
     Attributes:
-        text: the steps as a table.
-        content: the same for ``--json``.
+        text: the steps as a table; ``content``: the same for ``--json``.
         files: that were written.
         found: names of the effects added beyond those of the study file.
     """
 
-    text: str
-    content: Mapping[str, Any]
+    text: str = ""
+    content: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
     found: tuple[str, ...] = ()
 
@@ -103,3 +103,13 @@ class Answer:
 
 
 Message = str | Finished | Answer  # a text is a line about what is being done
+
+
+def answer_to(error: PhsiOptError) -> Answer:
+    """What is said where the input cannot be used, or no solution was found."""
+    content: dict[str, object] = {"error": str(error)}
+    if isinstance(error, StudyFileError):
+        content["complaints"] = [vars(one) for one in error.complaints]
+    is_failure = isinstance(error, SolveError)
+    code = ExitCode.FAILED if is_failure else ExitCode.BAD_INPUT
+    return Answer(str(error), content, code)

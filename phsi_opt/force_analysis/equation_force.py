@@ -23,9 +23,14 @@ from phsi_opt.force_analysis.localization import (
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.presentation.axes import label
-from phsi_opt.presentation.durations import Scale, dates_words, times_words
-from phsi_opt.presentation.units import force_unit, scale_of_rate
+from phsi_opt.presentation.numbers import label
+from phsi_opt.presentation.units import (
+    Scale,
+    dates_words,
+    force_unit,
+    scale_of_rate,
+    times_words,
+)
 from phsi_opt.statistics import rms
 
 if TYPE_CHECKING:

@@ -17,11 +17,15 @@ from phsi_opt.force_analysis.pace import is_mostly_constant
 from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
-from phsi_opt.presentation.axes import MEASURED, MODEL
-from phsi_opt.presentation.content import TRAINING, Follows, Force, ForceMap, ForceRun
-from phsi_opt.presentation.durations import Scale, scale_of_time
-from phsi_opt.presentation.thinning import thinned
-from phsi_opt.presentation.units import frequency_unit
+from phsi_opt.presentation.content import (
+    TRAINING,
+    Follows,
+    Force,
+    ForceMap,
+    ForceRun,
+    thinned,
+)
+from phsi_opt.presentation.units import Scale, frequency_unit, scale_of_time
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -187,7 +191,15 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     """
     from scipy.ndimage import uniform_filter1d
 
-    from phsi_opt.presentation.charts import FROM_ZERO, Chart, Curve, Panel, draw
+    from phsi_opt.presentation.charts import (
+        FROM_ZERO,
+        MEASURED,
+        MODEL,
+        Chart,
+        Curve,
+        Panel,
+        draw,
+    )
 
     record = force.record
     found = spectrum(record.t, record.run, force.w - force.w.mean())

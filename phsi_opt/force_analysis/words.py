@@ -21,9 +21,8 @@ from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.kinds import TURN, plain_unit
 from phsi_opt.model.structure import exchange_partners, position_rows
 from phsi_opt.presentation.content import Answer
-from phsi_opt.presentation.durations import time_words
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import spaced
+from phsi_opt.presentation.units import spaced, time_words
 from phsi_opt.statistics import TINY
 
 # Mean power over rms force times rms effort (-1: linear damping) below which a force

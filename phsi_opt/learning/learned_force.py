@@ -42,7 +42,6 @@ from phsi_opt.learning.orthogonal_network import (
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.presentation.axes import BASELINE, MEASURED, MODEL, axes_of
 from phsi_opt.presentation.content import ForceMap
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole
@@ -117,7 +116,17 @@ class LearnedForce:
         Beside it the missing force; on a map the places of the data, other variables at
         their means.
         """
-        from phsi_opt.presentation.charts import POINTS, Chart, Curve, Panel, draw
+        from phsi_opt.presentation.charts import (
+            BASELINE,
+            MEASURED,
+            MODEL,
+            POINTS,
+            Chart,
+            Curve,
+            Panel,
+            axes_of,
+            draw,
+        )
 
         name = f"force in d{self.equation}/dt"
         ax = axes_of(ax, (7.0, 3.8))

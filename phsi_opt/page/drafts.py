@@ -10,11 +10,17 @@ the only records of the package that change.
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
+from phsi_opt.data.file_opening import NamedFile
+from phsi_opt.data.tables import numbers_in
+from phsi_opt.errors import DataError
+from phsi_opt.presentation.numbers import shortened
+from phsi_opt.study_file.columns import UNUSED
 from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.study_text import text_of
+from phsi_opt.study_file.survey import check_alike, survey
 from phsi_opt.study_file.toml_text import toml_tables, toml_value
 
 Content = dict[str, Any]
@@ -39,6 +45,12 @@ ENERGY = "PseudoHamiltonian"
 FIRST_ORDER = "FirstOrder"
 KEPT = ("effects", "study", "loss")  # sections that the page does not show
 
+# Bytes of one uploaded file. A table of a million numbers takes about 10 MB.
+MOST_UPLOADED = 20_000_000
+MOST_FILES = 50  # of one study; each is a run
+# What the name of an uploaded table may end in; the ending tells how it is read.
+TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
+
 
 # ---- texts of fields, and what a study file has for them -----------------------------
 
@@ -50,17 +62,12 @@ class Kind(NamedTuple):
     value: Callable[[str], Any]
 
 
-def number_in(text: str, kind: type[float] = float) -> Any:
+def _number_in(text: str, kind: type[float] = float) -> Any:
     """The number; the text itself where it is none, so that reading refuses it."""
     try:
         return kind(text.strip())
     except ValueError:
         return text
-
-
-def names_in(text: str) -> list[str]:
-    """Names of a text that are separated by commas or spaces, each once."""
-    return list(dict.fromkeys(text.replace(",", " ").split()))
 
 
 def _pairs_in(text: str) -> list[list[str]]:
@@ -79,18 +86,22 @@ def _terms_in(text: str) -> Any:
         return text
 
 
-def _as_text(value: Any) -> str:
+def value_text(value: Any) -> str:
+    """A value as a field shows it."""
     if isinstance(value, str):
         return value
     return f"{value:.12g}" if isinstance(value, float) else toml_value(value)
 
 
 TEXT = Kind(str, str)
-REAL = Kind(_as_text, number_in)
-WHOLE = Kind(_as_text, lambda text: number_in(text, int))
-NAMES = Kind(lambda names: ", ".join(listed(names)), names_in)
+REAL = Kind(value_text, _number_in)
+WHOLE = Kind(value_text, lambda text: _number_in(text, int))
+NAMES = Kind(
+    lambda names: ", ".join(listed(names)),
+    lambda text: list(dict.fromkeys(text.replace(",", " ").split())),
+)
 PAIRS = Kind(lambda pairs: ", ".join(map("-".join, pairs)), _pairs_in)
-TERMS = Kind(_as_text, _terms_in)
+TERMS = Kind(value_text, _terms_in)
 
 
 def _without(table: Mapping[str, Any], *keys: str) -> Content:
@@ -110,8 +121,8 @@ class ColumnDraft:
         table: that of the study file without the column, and with the name.
         examples: its first cells.
         is_numeric: whether it holds numbers; else it can only name runs.
-        fits_no_state: a state to the user, which the base model that was chosen last
-            has no place for.
+        fits_no_state: a state to the user, for which the base model that was chosen
+            last has no place.
     """
 
     column: str | int
@@ -168,6 +179,44 @@ class DataDraft:
     time: Content = field(default_factory=dict)
     unmeasured: dict[str, str] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, content: Mapping[str, Any], places: dict[str, Path]) -> "DataDraft":
+        """That of a study file that has been read without complaint.
+
+        Columns are those of its tables; where no look helps (no header, or MATLAB's
+        variables), those that it names.
+        """
+        try:
+            draft = look_at(places)
+        except DataError:
+            draft = cls(places)
+        data = content["data"]
+        by_column = {column.column: column for column in draft.columns}
+        for column in draft.columns:
+            column.role = NOT_USED
+        draft.settings = _without(data, *KEYS_OF_COLUMNS)
+        draft.time = {}
+        for role, name, table in _told_columns(data):
+            if "column" in table:
+                column = table["column"]
+                if column not in by_column:
+                    by_column[column] = ColumnDraft(column)
+                    draft.columns.append(by_column[column])
+                by_column[column].role = role
+                told = {"name": name, **_without(table, "column")}
+                by_column[column].table = told
+            elif role == TIME:
+                draft.time = dict(table)
+            else:
+                draft.unmeasured[name] = table.get("unit", "")
+        draft.way = NOTHING
+        held_out = content.get("held_out", {})
+        for way, key in HELD_OUT_KEYS.items():
+            if key in held_out:
+                draft.way = way
+                draft.held_out = dict(held_out)
+        return draft
+
     @property
     def files(self) -> list[str]:
         """The names of the files, as their owner gave them."""
@@ -207,29 +256,21 @@ class DataDraft:
             content["states"].setdefault(name, lacking)
         return content
 
-    def take(self, content: Mapping[str, Any], held_out: Mapping[str, Any]) -> None:
-        """Be what the sections [data] and [held_out] say of these columns."""
-        by_column = {column.column: column for column in self.columns}
-        for column in self.columns:
-            column.role = NOT_USED
-        self.settings = _without(content, *KEYS_OF_COLUMNS)
-        self.way = NOTHING
-        for way, key in HELD_OUT_KEYS.items():
-            if key in held_out:
-                self.way = way
-                self.held_out = dict(held_out)
-        for role, name, table in told_columns(content):
-            if "column" in table:
-                found = by_column[table["column"]]
-                found.role = role
-                found.table = {"name": name, **_without(table, "column")}
-            elif role == TIME:
-                self.time = dict(table)
-            else:
-                self.unmeasured[name] = table.get("unit", "")
+    def look_again(self, places: dict[str, Path]) -> None:
+        """Take other files with the same columns, which stay as they are.
+
+        Raises:
+            DataError: a file cannot be read.
+        """
+        found = look_at(places)
+        self.places = places
+        self.runs = found.runs
+        self.n_samples = found.n_samples
+        runs = listed(self.held_out.get("runs", ()))
+        self.held_out["runs"] = [run for run in runs if run in found.runs]
 
 
-def told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Content]]:
+def _told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Content]]:
     """What a section [data] says of columns: role, name, and table of each."""
     if "trajectory" in content:
         yield RUN, "", {"column": content["trajectory"]}
@@ -237,6 +278,66 @@ def told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Content
     for role, section in CHANNELS.items():
         for name, table in content.get(section, {}).items():
             yield role, name, table
+
+
+def look_at(places: Mapping[str, Path]) -> DataDraft:
+    """The columns of the files, with a guess of what each is.
+
+    A column is numeric where most of its cells are numbers; then a cell that is none is
+    refused with its line, since it is a mistake and not a name.
+
+    Args:
+        places: tables with the same columns, a run each; where they lie, by name.
+
+    Raises:
+        DataError: a file cannot be read, or has other columns than the first.
+    """
+    draft = DataDraft(dict(places))
+    seen = [survey(NamedFile(place, name)) for name, place in places.items()]
+    for one in seen:
+        for column in one.columns:
+            if column.is_numeric:
+                numbers_in(one.table, column.column, may_be_missing=True)
+        check_alike(seen[0].columns, one.columns, one.table.title)
+        draft.n_samples += one.n_lines
+        draft.runs += one.run.cells.tolist() if one.run else [one.table.run]
+        if one.step is not None:
+            draft.time = {"step": one.step}
+    draft.runs = list(dict.fromkeys(draft.runs))
+    for column in seen[0].columns:  # parts have the same words here except for one
+        role = NOT_USED if column.part == UNUSED else column.part
+        told = {"name": column.name, "unit": column.unit}
+        examples = tuple(column.cells[:3])
+        found = ColumnDraft(column.column, role, told, examples, column.is_numeric)
+        draft.columns.append(found)
+    return draft
+
+
+def in_megabytes(size: int) -> str:
+    """A number of bytes in words: '20 MB'."""
+    return f"{size / 1e6:.3g} MB"
+
+
+def suffix_of(name: str) -> str:
+    """What a name ends in, in lower case, such as ".csv"."""
+    return PurePosixPath(name).suffix.lower()
+
+
+def refusal_of(name: str, n_bytes: int) -> str:
+    """Why a file is not even looked at, in a sentence; "" where it is."""
+    shown = repr(shortened(name, 40))
+    if not name.isprintable():
+        return f"the name {shown} has control characters; expected letters."
+    if suffix_of(name) not in TABLE_KINDS:
+        kinds = ", ".join(TABLE_KINDS)
+        return f"{shown} does not end as a table does; expected {kinds}."
+    if n_bytes > MOST_UPLOADED:
+        return (
+            f"{name} has {in_megabytes(n_bytes)}; at most "
+            f"{in_megabytes(MOST_UPLOADED)} are taken. Keep every tenth sample, or "
+            "work on the file from Python."
+        )
+    return ""
 
 
 # ---- the model -----------------------------------------------------------------------
@@ -274,7 +375,7 @@ class ParameterDraft:
     @property
     def words(self) -> str:
         """Such as "m = 1 kg"."""
-        value = _as_text(self.table.get("value", ""))
+        value = value_text(self.table.get("value", ""))
         return f"{self.name} = {value} {self.table.get('unit', '')}".rstrip()
 
     def let_be_known(self, is_known: bool) -> None:
@@ -303,12 +404,12 @@ class ModelDraft:
 
     @classmethod
     def of(
-        cls, content: Mapping[str, Any], parameters: Mapping[str, Any]
+        cls, content: Mapping[str, Any], parameters: Mapping[str, Any], title: str = ""
     ) -> "ModelDraft":
         """That of the sections [model] and [parameters]."""
-        table = {**content, "R": dict(content.get("R", {}))}
-        table["F"] = dict(content.get("F", {}))
-        return cls(table, [ParameterDraft.of(*one) for one in parameters.items()])
+        slots = {slot: dict(content.get(slot, {})) for slot in "RF"}
+        rows = [ParameterDraft.of(*one) for one in parameters.items()]
+        return cls({**content, **slots}, rows, title)
 
     @property
     def type(self) -> str:
@@ -340,11 +441,9 @@ class ModelDraft:
 
 
 class Drafted(NamedTuple):
-    """A draft as it was at one time, such as that of a fit.
+    """A draft as it was at one time: the study file, and where its data files lie.
 
-    Attributes:
-        text: the study file.
-        places: where its data files lie, by name. No two uploads have one place.
+    No two uploads have one place.
     """
 
     text: str
@@ -366,30 +465,25 @@ class StudyDraft:
     kept: Content = field(default_factory=dict)
 
     @classmethod
-    def of(cls, content: Mapping[str, Any], data: DataDraft) -> "StudyDraft":
+    def of(cls, content: Mapping[str, Any], places: dict[str, Path]) -> "StudyDraft":
         """The drafts of a study file that has been read without complaint.
 
         Args:
             content: its tables.
-            data: its files, looked at.
+            places: where its data files lie, by name.
         """
-        data.take(content["data"], content.get("held_out", {}))
         kept = {name: content[name] for name in KEPT if name in content}
         model = ModelDraft.of(content["model"], content.get("parameters", {}))
-        return cls(data, model, kept)
-
-    def as_it_is(self) -> Drafted:
-        """What is filled in now."""
-        return Drafted(self.text(), self.places)
+        return cls(DataDraft.of(content, places), model, kept)
 
     @property
     def places(self) -> dict[str, Path]:
         """Where each file of the data lies, by its name."""
         return {} if self.data is None else dict(self.data.places)
 
-    def text(self) -> str:
-        """The study file; it calls its data files as their owner does."""
-        return text_of(self.content())
+    def as_it_is(self) -> Drafted:
+        """What is filled in now."""
+        return Drafted(text_of(self.content()), self.places)
 
     def content(self) -> Content:
         """The tables of the study file."""

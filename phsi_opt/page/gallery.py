@@ -1,7 +1,7 @@
 """The gallery: base models to begin with, as drafts that a user goes on to change."""
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
@@ -15,8 +15,7 @@ class BaseModel:
     """One entry of the gallery (see ``gallery.toml``).
 
     Attributes:
-        title: such as "Spring".
-        about: what it is, in a sentence.
+        title: such as "Spring"; ``about``: what it is, in a sentence.
         units: of its states.
         model: sections of a study file, as are the ``parameters``.
         driven: the equations in which an input acts, and how: ``{u}`` is its name.
@@ -35,8 +34,7 @@ class BaseModel:
         """A fresh draft; the first of the inputs acts in the driven equations."""
         parameters = {**self.parameters, **(self.driven_parameters if inputs else {})}
         content = {**self.model, "states": list(self.units), "inputs": list(inputs)}
-        draft = ModelDraft.of(content, parameters)
-        draft.title = self.title
+        draft = ModelDraft.of(content, parameters, self.title)
         for one in draft.parameters:
             one.is_assumed = one.is_known
         for state, formula in self.driven.items() if inputs else ():
@@ -48,9 +46,6 @@ class BaseModel:
 
 _TEXT = (files("phsi_opt.page") / "gallery.toml").read_text(encoding="utf-8")
 GALLERY = {name: BaseModel(name, **one) for name, one in tomllib.loads(_TEXT).items()}
-
-
-# ---- which column is which state -----------------------------------------------------
 
 
 def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
@@ -70,7 +65,7 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
         column.fits_no_state = False
     free = dict(units)
     left = data.with_role(STATE)
-    for agrees in (is_same_unit, _is_open):
+    for agrees in (_is_same_unit, lambda one, other: not one or not other):
         for column in list(left):
             names = (name for name in free if agrees(column.unit, free[name]))
             name = next(names, None)
@@ -86,29 +81,24 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
 
 def left_over(data: DataDraft, title: str, units: Mapping[str, str]) -> str:
     """Which columns fit no state of a model, in a sentence; "" where all do."""
-    left = [one for one in data.columns if one.fits_no_state]
+    left = [(str(one.column), one.unit) for one in data.columns if one.fits_no_state]
     if not left:
         return ""
-    columns = [_with_unit(str(one.column), one.unit) for one in left]
-    states = [_with_unit(name, unit) for name, unit in units.items()]
     verb = "fits" if len(left) == 1 else "fit"
+    columns, states = map(_with_units, (left, units.items()))
     return (
-        f"{', '.join(columns)} {verb} no state of {title} ({', '.join(states)}) by "
-        "its unit and is not used; part 1 can say otherwise."
+        f"{columns} {verb} no state of {title} ({states}) by its unit and is not used; "
+        "part 1 can say otherwise."
     )
 
 
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} in {unit}" if unit else name
+def _with_units(pairs: Iterable[tuple[str, str]]) -> str:
+    return ", ".join(f"{name} in {unit}" if unit else name for name, unit in pairs)
 
 
-def is_same_unit(one: str, other: str) -> bool:
+def _is_same_unit(one: str, other: str) -> bool:
     """Whether two units are of one quantity: m and mm are."""
     if not one or not other:
         return False
     are_lengths = one in LENGTHS and other in LENGTHS
     return are_lengths or plain_unit(one) == plain_unit(other)
-
-
-def _is_open(one: str, other: str) -> bool:
-    return not one or not other

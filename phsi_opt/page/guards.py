@@ -23,7 +23,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from phsi_opt.page.table_look import MOST_UPLOADED, in_megabytes
+from phsi_opt.page.drafts import MOST_UPLOADED, in_megabytes
 
 READING = ("GET", "HEAD")
 SOCKET = "/_nicegui_ws"

@@ -25,6 +25,11 @@ def card() -> ui.element:
     return ui.column().classes("card gap-3")
 
 
+def field_row() -> ui.element:
+    """Fields side by side, below a line."""
+    return ui.element("div").classes("fields candidate")
+
+
 class Field(NamedTuple):
     """A text of a table of a draft: its key, its label, its width, what shows it empty.
 
@@ -98,15 +103,13 @@ def alert(text: str) -> None:
 def complaints(listed: Iterable[Complaint], fine: str) -> None:
     """What is to correct, or a word that nothing is."""
     found = list(listed)
-    if not found:
-        with ui.element("div").classes("fine").props('role="status"'):
-            ui.label(fine)
-        return
     is_begun = any(one.value for one in found)
-    with ui.element("div").classes("alert" if is_begun else "open") as box:
-        box.props('role="status"')
+    look = "fine" if not found else "alert" if is_begun else "open"
+    with ui.element("div").classes(look).props('role="status"'):
         begin = "To correct" if is_begun else "Still to give"
-        ui.label(f"{begin}: {len(found)}").style("font-weight: 600")
+        said = ui.label(f"{begin}: {len(found)}" if found else fine)
+        if found:
+            said.style("font-weight: 600")
         for one in found:
             ui.label(complaint_words(one))
 
@@ -169,10 +172,10 @@ def complaint_words(complaint: Complaint) -> str:
     value = complaint.value
     is_field = bool(value) and not value.startswith("{")  # a section's text is no field
     written = f" ({value})" if is_field else ""
-    return f"{place_words(complaint.key)}{written}: {said}"
+    return f"{_place_words(complaint.key)}{written}: {said}"
 
 
-def place_words(key: str) -> str:
+def _place_words(key: str) -> str:
     """What the page calls the field of a key."""
     for pattern, words in FIELD_NAMES:
         if re.fullmatch(pattern, key):

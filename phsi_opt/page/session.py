@@ -8,10 +8,10 @@ the disk are its own; a user's name for a file is shown, and is no path.
 """
 
 import os
+import re
 import shutil
 import threading
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,38 +19,17 @@ from typing import Any
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.drafts import (
     INPUT,
-    ColumnDraft,
-    DataDraft,
+    MOST_FILES,
     Drafted,
     StudyDraft,
-    told_columns,
+    look_at,
+    refusal_of,
+    suffix_of,
 )
 from phsi_opt.page.gallery import GALLERY, BaseModel, left_over, match_states
-from phsi_opt.page.table_look import (
-    MOST_FILES,
-    MOST_UPLOADED,
-    in_megabytes,
-    look_at,
-    name_refusal,
-    suffix_of,
-    without_path,
-)
-from phsi_opt.page.worker import (
-    ADD,
-    AUTO,
-    DIAGNOSE,
-    FIT,
-    REPORT,
-    UNDO,
-    Done,
-    Order,
-    Refused,
-    Shown,
-    WorkerHandle,
-)
+from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
-from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.writing import write_whole
@@ -65,12 +44,7 @@ NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
 @dataclass
 class Look:
-    """What the charts show, so that a page that is loaded again shows it too.
-
-    Attributes:
-        run: its number among those of the study; ``channel``: that of its channel.
-        t: the time that is marked; None: none is.
-    """
+    """The run, channel and time that the charts show, by numbers; None: no time."""
 
     run: int = 0
     channel: int = 0
@@ -169,7 +143,6 @@ class Session:
         self._n_uploads = 0
         self._study: bytes | None = None  # as the worker sent it, for the next one
         self.draft = StudyDraft()
-        self.complaints: tuple[Complaint, ...] = ()
         self.upload_error = ""
         self.job: Job | None = None
         self.message = ""
@@ -190,8 +163,7 @@ class Session:
         self._taking = threading.Lock()
         if study_file is not None:
             self._open(study_file)
-        else:
-            self.complaints = self._checked()
+        self.complaints = self._checked()
         self._begun = self.draft.as_it_is()
 
     # ---- drafts ----------------------------------------------------------------------
@@ -202,11 +174,10 @@ class Session:
         listed = [files] if isinstance(files, str) else files
         places = {file: path.parent.absolute() / file for file in listed}
         measured = StudyFile.read(path, places).measurements()
-        data = DataDraft(places, n_samples=measured.n_samples)
-        data.runs = [run.name for run in measured.trajectories]
-        data.columns = _columns_of(data, content["data"])
-        self.draft = StudyDraft.of(content, data)
-        self.check()
+        self.draft = StudyDraft.of(content, places)
+        assert self.draft.data is not None
+        self.draft.data.n_samples = measured.n_samples
+        self.draft.data.runs = [run.name for run in measured.trajectories]
 
     def upload(self, name: str, content: bytes) -> bool:
         """Take a table; whether it could be used.
@@ -215,18 +186,31 @@ class Session:
         takes its place. ``upload_error`` says why one was refused, and the files before
         it stay.
         """
+        name = re.split(r"[/\\]", name)[-1]  # without folders that a browser may tell
         with self._taking:  # a browser sends several at once
-            self.upload_error = self._take(without_path(name), content)
+            self.upload_error = self._refusal(name, content)
+            if not self.upload_error:
+                self._take(name, content)
             if not self.upload_error:
                 self._ready_worker()
             self.shape += 1  # at last: a page may look at any time
             return not self.upload_error
 
-    def _take(self, name: str, content: bytes) -> str:
-        """Store a table under a name of the page's own; why not, or ""."""
-        refusal = self._refusal(name, content)
-        if refusal:
-            return refusal
+    def _refusal(self, name: str, content: bytes) -> str:
+        """Why a file is not even looked at; "" where it is."""
+        if self.is_closed:
+            return "this study has ended; load the page again."
+        n_known = len(self.draft.places)
+        refusal = refusal_of(name, len(content))
+        if not refusal and n_known >= MOST_FILES:
+            return f"there are {n_known} files already, at most {MOST_FILES}."
+        return refusal
+
+    def _take(self, name: str, content: bytes) -> None:
+        """Store a table under a name of the page's own, and look at all files.
+
+        Columns that are known keep what was said of them.
+        """
         self._n_uploads += 1
         place = self._uploads / f"table_{self._n_uploads}{suffix_of(name)}"
         place.write_bytes(content)
@@ -234,61 +218,38 @@ class Session:
             self._take_file(name, place)
         except DataError as error:
             place.unlink()
-            return str(error)
-        self._remove_unused()
-        return ""
-
-    def _refusal(self, name: str, content: bytes) -> str:
-        """Why a file is not even looked at; "" where it is."""
-        if self.is_closed:
-            return "this study has ended; load the page again."
-        refusal = name_refusal(name)
-        if refusal:
-            return refusal
-        if len(content) > MOST_UPLOADED:
-            return (
-                f"{name} has {in_megabytes(len(content))}; at most "
-                f"{in_megabytes(MOST_UPLOADED)} are taken. Keep every tenth sample, or "
-                "work on the file from Python."
-            )
-        n_known = len(self.draft.places)
-        if n_known >= MOST_FILES:
-            return f"there are {n_known} files already, at most {MOST_FILES}."
-        return ""
+            self.upload_error = str(error)
+            return
+        # Uploads that neither the draft nor a fit names any more are removed.
+        used = set(self.draft.places.values())
+        for drafted in (self.fitted, self._fitting):
+            used.update(drafted.places.values() if drafted else ())
+        for path in self._uploads.iterdir():
+            if path not in used:
+                path.unlink()
 
     def _take_file(self, name: str, place: Path) -> None:
-        """Look at all files; columns that are known keep what was said of them."""
         known = self.draft.data
         data = look_at({name: place})
         self.message = ""
-        headers = [column.column for column in data.columns]
-        if known is None:
-            self.draft.data = data
-        else:
-            folders = {at.parent for at in known.places.values()}
-            why = ""
-            if headers != [column.column for column in known.columns]:
+        why = ""
+        if known is not None:
+            headers = [
+                [column.column for column in one.columns] for one in (known, data)
+            ]
+            if headers[0] != headers[1]:
                 why = "has other columns"
-            elif folders != {self._uploads}:  # those known are a study file's
-                why = "is a table of its own"
-            if why:
-                self.draft.data = data
-                replaced = ", ".join(known.files)
-                self.message = f"{name} {why}: it takes the place of {replaced}."
-            else:
-                others = {one: at for one, at in known.places.items() if one != name}
-                _look_again(known, {**others, name: place})
+            elif {at.parent for at in known.places.values()} != {self._uploads}:
+                why = "is a table of its own"  # those known are a study file's
+        if known is not None and not why:
+            others = {one: at for one, at in known.places.items() if one != name}
+            known.look_again({**others, name: place})
+        else:
+            self.draft.data = data
+        if known is not None and why:
+            replaced = ", ".join(known.files)
+            self.message = f"{name} {why}: it takes the place of {replaced}."
         self.check()
-
-    def _remove_unused(self) -> None:
-        """Remove uploads that neither the draft nor a fit names any more."""
-        used = set(self.draft.places.values())
-        for drafted in (self.fitted, self._fitting):
-            if drafted is not None:
-                used.update(drafted.places.values())
-        for place in self._uploads.iterdir():
-            if place not in used:
-                place.unlink()
 
     def remove_file(self, name: str) -> None:
         """Take a table away; with the last one its columns go."""
@@ -301,7 +262,7 @@ class Session:
             self.message = ""
             try:
                 if left:
-                    _look_again(data, left)
+                    data.look_again(left)
                 else:
                     self.draft.data = None
             except DataError as error:  # a file has changed, or is gone
@@ -377,7 +338,7 @@ class Session:
             return
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
-        order = Order(FIT, str(path), self._fitting.places)
+        order = Order(Verb.FIT, str(path), self._fitting.places)
         self._order("Fitting the base model", order, "Fitted")
 
     def average(self, n: int) -> None:
@@ -392,25 +353,25 @@ class Session:
 
     def diagnose(self) -> None:
         """Ask what the present model lacks."""
-        self._order("Looking for what is missing", Order(DIAGNOSE))
+        self._order("Looking for what is missing", Order(Verb.DIAGNOSE))
 
     def add(self, effect: str) -> None:
         """Add an effect of the ranking, re-fit, and ask again."""
-        self._order(f"Adding {effect}", Order(ADD, effect), f"Added {effect}")
+        self._order(f"Adding {effect}", Order(Verb.ADD, effect), f"Added {effect}")
 
     def undo(self) -> None:
         """Take back the last step."""
-        self._order("Taking back the last step", Order(UNDO))
+        self._order("Taking back the last step", Order(Verb.UNDO))
 
     def auto(self) -> None:
         """Add while an effect is decisive."""
-        self._order("Adding until nothing is left", Order(AUTO), n_diagnoses=2)
+        self._order("Adding until nothing is left", Order(Verb.AUTO), n_diagnoses=2)
 
     def report(self) -> None:
         """Write the report; ``report_path`` is set when it is there."""
         self.report_path = None
-        path = self._state / REPORT_FILE
-        self._order("Writing the report", Order(REPORT, str(path)), n_diagnoses=0)
+        order = Order(Verb.REPORT, str(self._state / REPORT_FILE))
+        self._order("Writing the report", order, n_diagnoses=0)
 
     def cancel(self) -> None:
         """End the work that goes on, within two seconds; what was found stays."""
@@ -431,7 +392,7 @@ class Session:
             return
         self.message = ""
         self.failure = ""
-        compares = order.verb in (ADD, AUTO, UNDO)
+        compares = order.verb in (Verb.ADD, Verb.AUTO, Verb.UNDO)
         forecast = Forecast(n_diagnoses)
         self.job = Job(label, done=done, compares=compares, forecast=forecast)
         self._ready_worker().tell(order)
@@ -483,8 +444,7 @@ class Session:
         elif isinstance(message, Path):
             self.report_path = message
         elif isinstance(message, Refused):
-            self.message = message.message
-            self.failure = message.message
+            self.message = self.failure = message.message
             self.complaints = message.complaints or self.complaints
         elif isinstance(message, Done):
             self.job = None
@@ -530,27 +490,3 @@ class Session:
         self.is_closed = True
         self._end_worker()
         shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def _look_again(data: DataDraft, places: dict[str, Path]) -> None:
-    """Take other files with the same columns, which stay as they are."""
-    found = look_at(places)
-    data.places = places
-    data.runs = found.runs
-    data.n_samples = found.n_samples
-    runs = listed(data.held_out.get("runs", ()))
-    data.held_out["runs"] = [run for run in runs if run in found.runs]
-
-
-def _columns_of(data: DataDraft, told: Mapping[str, Any]) -> list[ColumnDraft]:
-    """The columns of a study file's tables; those that it names where no look helps."""
-    try:
-        columns = look_at(data.places).columns
-    except DataError:  # no header, or MATLAB's variables
-        columns = []
-    known = {column.column for column in columns}
-    for _, _, table in told_columns(told):
-        if "column" in table and table["column"] not in known:
-            columns.append(ColumnDraft(table["column"]))
-            known.add(table["column"])
-    return columns

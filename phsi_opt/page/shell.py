@@ -10,8 +10,7 @@ from pathlib import Path
 
 from nicegui import run, ui
 
-from phsi_opt.page.data_view import DataView
-from phsi_opt.page.model_view import ModelView
+from phsi_opt.page.draft_views import DataView, ModelView
 from phsi_opt.page.parts import button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
@@ -69,39 +68,44 @@ class Shell:
         ui.colors(primary=PRIMARY, onprimary=ON_PRIMARY)
         ui.add_css(Path(str(files("phsi_opt.page") / "page.css")))
         self._dark = ui.dark_mode(value=None)
-        self._header()
-        first = STUDY_PART if _has_begun(self._session) else DATA_PART
+        parts: dict[str, Callable[[], object]] = {
+            DATA_PART: self._data.build,
+            MODEL_PART: self._model.build,
+            STUDY_PART: self._study.build,
+        }
+        with ui.header().classes("items-center justify-between q-py-xs"):
+            ui.link("Skip to the content", "#content").classes("skip")
+            heading("phsi_opt", 1)
+            with ui.tabs().props("dense no-caps") as self._tabs:
+                for name in parts:
+                    ui.tab(name)
+            self._menu()
+        session = self._session
+        # Whether there is more to see than fields to fill in.
+        has_begun = session.content is not None or session.job is not None
+        is_filled = session.draft.data is not None and not session.complaints
+        first = STUDY_PART if has_begun or is_filled else DATA_PART
         with (
             ui.element("div").classes("page").props('id="content" tabindex="-1"'),
             ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
         ):
-            for name, build in (
-                (DATA_PART, self._data.build),
-                (MODEL_PART, self._model.build),
-                (STUDY_PART, self._study.build),
-            ):
+            for name, build in parts.items():
                 with ui.tab_panel(name), ui.column().classes("w-full gap-3"):
                     build()
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
         self._asking = ui.timer(0.25, self._keep_up)  # s: no reader waits
 
-    def _header(self) -> None:
-        with ui.header().classes("items-center justify-between q-py-xs"):
-            ui.link("Skip to the content", "#content").classes("skip")
-            heading("phsi_opt", 1)
-            with ui.tabs().props("dense no-caps") as self._tabs:
-                for name in (DATA_PART, MODEL_PART, STUDY_PART):
-                    ui.tab(name)
-            with ui.button("Menu").props("flat color=primary"), ui.menu() as menu:
-                menu.on("keydown", js_handler=BY_ARROWS)
-                for value, name in THEMES.items():
-                    ui.menu_item(
-                        f"Colours: {name}",
-                        on_click=lambda value=value: self._dark.set_value(value),
-                    )
-                ui.separator()
-                ui.menu_item("Begin again: forget this study", self._ask_to_begin_again)
+    def _menu(self) -> None:
+        with ui.button("Menu").props("flat color=primary"), ui.menu() as menu:
+            menu.on("keydown", js_handler=BY_ARROWS)
+            for value, name in THEMES.items():
+                ui.menu_item(
+                    f"Colours: {name}",
+                    on_click=lambda value=value: self._dark.set_value(value),
+                )
+            ui.separator()
+            ui.menu_item("Begin again: forget this study", self._ask_to_begin_again)
 
     def _ask_to_begin_again(self) -> None:
         """Ask first: there is no way back."""
@@ -118,11 +122,6 @@ class Shell:
         self._tabs.set_value(part)
         ui.run_javascript(FOCUS_CONTENT)
 
-    def _fit(self) -> None:
-        self._session.fit()
-        if self._session.job is not None:
-            self._go(STUDY_PART)
-
     async def _checked(self) -> None:
         await run.io_bound(self._session.check)
 
@@ -133,18 +132,24 @@ class Shell:
 
         Its parts stay and are changed, so that the button keeps the focus.
         """
+
+        def end_job() -> None:
+            self._session.cancel()
+            self._keep_up()
+
+        def fit() -> None:
+            self._session.fit()
+            if self._session.job is not None:
+                self._go(STUDY_PART)
+
         with ui.row().classes("w-full items-center gap-3 page no-wrap"):
             self._spinner = ui.spinner(size="22px").props('aria-hidden="true"')
             self._line = ui.label().style("flex: 1; min-width: 0")
             self._line.props('role="status" aria-live="polite"')
             self._times = ui.label().style("white-space: nowrap")
-            self._cancel = button("Cancel", self._end_job)
-            self._begin = button("Fit", self._fit)
+            self._cancel = button("Cancel", end_job)
+            self._begin = button("Fit", fit)
         self._show_status()
-
-    def _end_job(self) -> None:
-        self._session.cancel()
-        self._keep_up()
 
     def _show_status(self) -> None:
         job = self._session.job
@@ -152,14 +157,12 @@ class Shell:
         self._begin.set_enabled(not self._session.complaints)
         for part in (self._spinner, self._times, self._cancel):
             part.set_visibility(job is not None)
-        if job is None:
-            said = self._session.message or _standing(self._session)
-            self._line.set_text(said)
-            self._footer.set_value(said != READY)  # it would only cover what is below
-            return
-        self._footer.set_value(True)
-        self._line.set_text(job.words)
-        self._times.set_text(job.forecast.words)
+        said = self._session.message or _what_next(self._session)
+        if job is not None:
+            said = job.words
+            self._times.set_text(job.forecast.words)
+        self._line.set_text(said)
+        self._footer.set_value(said != READY)  # it would only cover what is below
 
     def _keep_up(self) -> None:
         """Draw anew what has changed since the last look."""
@@ -201,13 +204,6 @@ class Shell:
         return session.content, session.is_stale, session.failure
 
 
-def _has_begun(session: Session) -> bool:
-    """Whether there is more to see than fields to fill in."""
-    if session.content is not None or session.job is not None:
-        return True
-    return session.draft.data is not None and not session.complaints
-
-
 def _can_begin(session: Session) -> bool:
     """Whether there is a draft that was not fitted as it is."""
     if session.job is not None or session.draft.data is None:
@@ -216,7 +212,7 @@ def _can_begin(session: Session) -> bool:
     return is_new and bool(session.draft.model.names("states"))
 
 
-def _standing(session: Session) -> str:
+def _what_next(session: Session) -> str:
     """What to do next, where nothing goes on."""
     if session.content is not None:
         return READY

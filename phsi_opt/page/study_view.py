@@ -23,12 +23,7 @@ from phsi_opt.presentation.charts import (
     plotly,
     run_chart,
 )
-from phsi_opt.presentation.content import (
-    Diagnosed,
-    Ranked,
-    Run,
-    StudyContent,
-)
+from phsi_opt.presentation.content import Diagnosed, Ranked, Run, StudyContent
 from phsi_opt.presentation.numbers import number, proper_names
 from phsi_opt.presentation.sentences import environment
 
@@ -122,16 +117,16 @@ class StudyView:
                     self._ranking(content, content.present)
 
     def _nothing_yet(self) -> None:
+        said = "Data and model can be used: press Fit, below."
+        if self._session.job is not None:
+            said = "The first results come in a moment."
+        elif self._session.complaints:
+            said = "Give the measurements and the model first: parts 1 and 2."
         with card():
             heading("Nothing is fitted yet")
             if self._session.message:
                 alert(self._session.message)
-            if self._session.job is not None:
-                ui.label("The first results come in a moment.")
-            elif self._session.complaints:
-                ui.label("Give the measurements and the model first: parts 1 and 2.")
-            else:
-                ui.label("Data and model can be used: press Fit, below.")
+            ui.label(said)
 
     def _verdict(self, content: StudyContent) -> None:
         diagnosed = content.present
@@ -202,10 +197,15 @@ class StudyView:
         self.overlay.refresh()
         self.force.refresh()
 
-    def _click(self, e: events.GenericEventArguments) -> None:
-        points = e.args.get("points") or []
-        if points:
-            self._field.set_value(float(points[0]["x"]))
+    def _plotted(self, chart: Chart, told: str, height: int) -> None:
+        """A chart whose clicks mark a time."""
+
+        def click(e: events.GenericEventArguments) -> None:
+            points = e.args.get("points") or []
+            if points:
+                self._field.set_value(float(points[0]["x"]))
+
+        plotted(chart, told, height).on("plotly_click", click)
 
     def _mark(self, run: Run) -> tuple[float, str] | None:
         """The time that is marked with its words, where the run has it."""
@@ -225,7 +225,7 @@ class StudyView:
         chart = run_chart(content, run, self._look.channel, self._mark(run))
         name = run.channels[self._look.channel].name
         label = f"Chart: {name} of {run.title}, measured and model"
-        plotted(chart, label, 360).on("plotly_click", self._click)
+        self._plotted(chart, label, 360)
         t = self._look.t
         if t is None:
             return
@@ -243,8 +243,7 @@ class StudyView:
         forces = content.forces_along(run)
         if forces:
             chart = force_chart(forces, content.time.unit, self._mark(run))
-            label = "Chart: the missing force over time"
-            plotted(chart, label, 260).on("plotly_click", self._click)
+            self._plotted(chart, "Chart: the missing force over time", 260)
 
     # ---- errors, ranking and exports -------------------------------------------------
 
@@ -276,21 +275,19 @@ class StudyView:
                         self._candidate(content, row, row.effect in diagnosed.proposed)
 
     def _candidate(self, content: StudyContent, row: Ranked, is_proposed: bool) -> None:
+        """A candidate with its button, flat where something speaks against it."""
         with ui.column().classes("candidate gap-1"):
             with ui.row().classes("w-full items-center no-wrap justify-between"):
                 said_by("ranked", row, is_proposed)
                 if not self._session.is_stale:
-                    self._add_of_ranking(row, is_proposed)
+                    label = "Add" if is_proposed else "Add anyway"
+                    then = partial(self._session.add, row.effect)
+                    add = self._begins(label, then, quiet=True)
+                    named = f"{label} {proper_names(row.effect)}, of the ranking"
+                    add.props("dense").props["aria-label"] = named
+                    if not is_proposed:
+                        add.props("flat").props(remove="outline")
             said_by("candidate", row, content.steps[-1], content.unit, FAILING_ERROR)
-
-    def _add_of_ranking(self, row: Ranked, is_proposed: bool) -> None:
-        """The button of a candidate; flat where something speaks against it."""
-        label = "Add" if is_proposed else "Add anyway"
-        add = self._begins(label, lambda: self._session.add(row.effect), quiet=True)
-        named = proper_names(row.effect)
-        add.props("dense").props["aria-label"] = f"{label} {named}, of the ranking"
-        if not is_proposed:
-            add.props("flat").props(remove="outline")
 
     def _exports(self) -> None:
         with card().classes("last"):

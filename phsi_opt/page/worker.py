@@ -12,6 +12,7 @@ import signal
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -24,38 +25,37 @@ from phsi_opt.study import Study
 from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
 
-FIT = "fit"
-DIAGNOSE = "diagnose"
-ADD = "add"
-UNDO = "undo"
-AUTO = "auto"
-REPORT = "report"
 Receiver = Callable[["WorkerHandle", Any], None]
+
+
+class Verb(StrEnum):
+    """What a worker can do."""
+
+    FIT = "fit"
+    DIAGNOSE = "diagnose"
+    ADD = "add"
+    UNDO = "undo"
+    AUTO = "auto"
+    REPORT = "report"
 
 
 @dataclass(frozen=True)
 class Order:
-    """What the worker is told: one of the verbs, and what it needs.
+    """What the worker is told: a verb, and what it needs.
 
     Attributes:
-        verb: such as ``ADD``.
         what: a path for ``FIT`` and ``REPORT``; for ``ADD`` the name of an effect.
         places: for ``FIT``: where the data files lie, by their names.
     """
 
-    verb: str
+    verb: Verb
     what: str = ""
     places: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """The study as it stands now.
-
-    Attributes:
-        content: what the page shows of it.
-        study: the study itself as bytes, for the next worker alone.
-    """
+    """The study as it stands: its content, and itself in bytes for the next worker."""
 
     content: StudyContent
     study: bytes
@@ -132,10 +132,7 @@ class WorkerHandle:
     def _write(self, study: bytes | None) -> None:
         """Send the study, which a worker that starts takes late, then the orders."""
         try:
-            if study is None:
-                self._connection.send(None)
-            else:
-                self._connection.send_bytes(study)
+            self._connection.send_bytes(study or ForkingPickler.dumps(None))
             while (order := self._orders.get()) is not None:
                 self._connection.send(order)
         except OSError:  # the process has ended; the other thread tells
@@ -173,7 +170,7 @@ def work(connection: Connection) -> None:
     while True:
         order = orders.get()
         try:
-            if order.verb == FIT:
+            if order.verb == Verb.FIT:
                 study = StudyFile.read(order.what, order.places).study(tell)
             if study is None:
                 answer: Any = Refused("Nothing has been fitted yet; press Fit first.")
@@ -200,13 +197,13 @@ def _listen(connection: Connection, orders: "SimpleQueue[Any]") -> None:
 
 def _carried_out(study: Study, order: Order, send: Callable[[Shown], None]) -> Any:
     """Do it, sending what there is on the way; return the last message."""
-    if order.verb == REPORT:
+    if order.verb == Verb.REPORT:
         return study.report(order.what)
-    if order.verb == ADD:
+    if order.verb == Verb.ADD:
         study.add(order.what)
-    elif order.verb == UNDO:
+    elif order.verb == Verb.UNDO:
         study.undo()
-    elif order.verb == AUTO:
+    elif order.verb == Verb.AUTO:
         for _ in range(DEFAULT_MAX_STEPS):  # shown after each step
             n_steps = len(study.steps)
             study.auto(max_steps=1)

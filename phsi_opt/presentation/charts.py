@@ -2,13 +2,13 @@
 
 A `Chart` says what is drawn; the page and the report's browser draw it by plotly
 (`plotly`), paper, notebooks and browsers without scripts by matplotlib (`svg`, `draw`).
-Names are never read as formulas or markup. Colours stand out 3:1 from white and from a
-dark ground.
+Names are never read as formulas or markup. Nothing here calls ``plt.show``.
 """
 
 import datetime as dt
 import io
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -22,16 +22,6 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from phsi_opt.presentation.axes import (
-    ATTENTION,
-    BASELINE,
-    FLOOR,
-    FORCE,
-    MARK,
-    MEASURED,
-    MODEL,
-    label,
-)
 from phsi_opt.presentation.content import (
     Channel,
     ErrorStep,
@@ -41,10 +31,17 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.durations import date_words
-from phsi_opt.presentation.numbers import number, proper_names, shortened
-from phsi_opt.presentation.thinning import rounded
+from phsi_opt.presentation.numbers import label, number, proper_names, shortened
+from phsi_opt.presentation.units import date_words
 
+# Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
+MEASURED = "#7a828c"  # grey: what was measured, and what stands for comparison
+MODEL = "#2f7fd6"  # blue: the model, and what was estimated
+FLOOR = "#3b8f5a"  # green: a limit set by the noise
+ATTENTION = "#c8611a"  # orange: what a reader should look at first
+FORCE = "#9a5fd0"  # violet: what is missing
+MARK = "#b5459e"  # a place that somebody points at
+BASELINE = "0.3"  # dark grey: the line at zero
 FORCE_COLORS = (FORCE, ATTENTION, FLOOR, MODEL)
 # Of one model; of base and present model; of base, first step and present model.
 MODEL_LOOKS = (
@@ -84,8 +81,7 @@ class Curve:
     Attributes:
         name: for the legend; "" keeps it out.
         look: ``POINTS``, ``STEPS`` (line and markers), or a kind of line.
-        std: (n,) half the width of a band around it; None: there is none.
-        band: what the band is called.
+        std: (n,) half the width of a band around it, called ``band``; None: no band.
         texts: beside the points, on one ``side``: "top" or "bottom".
         is_shown: whether it is drawn before somebody asks for it.
     """
@@ -108,7 +104,7 @@ class Panel:
 
     Attributes:
         noise: half the width of the band that noise fills; None: no band.
-        height: beside that of the other panels.
+        height: relative to the other panels.
         scale: of the axis: ``FROM_ZERO``, ``LOG``, or "": as the curves ask.
     """
 
@@ -121,13 +117,11 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels one below the other, or a map.
+    """Panels one below the other, or a ``map`` in place of them.
 
     Attributes:
         ticks: lines of text on the first axis, in place of numbers.
-        mark: a place on it.
-        window: a part of it to look at.
-        map: in place of panels.
+        mark: a place on it; ``window``: a part of it to look at.
     """
 
     x_label: str
@@ -176,33 +170,25 @@ def _steps(name: str, x: np.ndarray, y: np.ndarray, color: str) -> Curve:
 def run_chart(
     content: StudyContent, run: Run, channel: int, mark: Mark | None = None
 ) -> Chart:
-    """One channel measured and simulated, with the residuals below.
-
-    Args:
-        content: that the run is of; ``channel``: number of its channel.
-        run: that is drawn.
-        mark: a time, with what it is called.
-    """
+    """The channel of a number measured and simulated, with the residuals below."""
     one = run.channels[channel]
     residuals = [one.measured - model for model in one.models]
     curves = _of_models(("",) * len(residuals), one.t, residuals)
     noise = None if one.noise is None else 2 * one.noise
     below = Panel(label("residual", one.unit), curves, noise=noise, height=0.5)
-    above = _measured_panel(content, one)
     x_label = time_label(content.time.unit, run.origin)
-    return Chart(x_label, (above, below), run.title, mark=mark)
+    return Chart(x_label, (_measured_panel(content, one), below), run.title, mark=mark)
 
 
 def _of_models(
     names: Sequence[str], t: np.ndarray, values: Sequence[np.ndarray]
 ) -> list[Curve]:
     """A curve for each model; the first and the last are shown."""
-    looks = MODEL_LOOKS[len(values) - 1]
-    ends = (0, len(values) - 1)
+    last = len(values) - 1
     curves = []
-    for k, (color, look) in enumerate(looks):
-        curve = Curve(names[k], t, values[k], color, look, is_shown=k in ends)
-        curves.append(curve)
+    for k, (color, look) in enumerate(MODEL_LOOKS[last]):
+        is_shown = k in (0, last)
+        curves.append(Curve(names[k], t, values[k], color, look, is_shown=is_shown))
     return curves
 
 
@@ -230,14 +216,14 @@ def force_chart(
 ) -> Chart:
     """The missing forces of one run with two standard deviations each."""
     units = {one.unit for one in forces}
-    unit = units.pop() if len(units) == 1 else ""
-    panel = _force_panel(forces, label("missing force", unit), 1.0)
-    first = forces[0]
-    x_label = time_label(unit_of_time, first.origin)
-    return Chart(x_label, (panel,), first.run, mark=mark)
+    y_label = label("missing force", units.pop() if len(units) == 1 else "")
+    x_label = time_label(unit_of_time, forces[0].origin)
+    return Chart(x_label, (_force_panel(forces, y_label),), forces[0].run, mark=mark)
 
 
-def _force_panel(forces: Sequence[ForceRun], y_label: str, height: float) -> Panel:
+def _force_panel(
+    forces: Sequence[ForceRun], y_label: str, height: float = 1.0
+) -> Panel:
     curves = []
     for k, one in enumerate(forces):
         color = FORCE_COLORS[k % len(FORCE_COLORS)]
@@ -279,44 +265,40 @@ def plotly(chart: Chart) -> dict[str, Any]:
     notes: list[dict[str, Any]] = []
     bottom = f"y{len(chart.panels) or 1}"
     x_axis = {**_plotly_axis(chart.x_label), "anchor": bottom, "zeroline": False}
-    axes = {"xaxis": x_axis}
+    layout = {**look["layout"], "xaxis": x_axis, "shapes": shapes, "annotations": notes}
     if chart.map is not None:
-        axes["yaxis1"] = _plotly_axis(chart.map.y_label)
+        layout["yaxis1"] = _plotly_axis(chart.map.y_label)
         data.append(_plotly_map(chart.map))
     top = 1.0
     gap = 0.1  # of the height, between two panels
     room = 1 - gap * (len(chart.panels) - 1)
     heights = sum(panel.height for panel in chart.panels)
-    for k, panel in enumerate(chart.panels):
+    for k, panel in enumerate(chart.panels, start=1):
         end = top - room * panel.height / heights
-        axis = {**_plotly_axis(panel.label), "domain": [max(end, 0.0), top]}
-        axis |= look.get(panel.scale, {})
-        name = f"y{k + 1}"
-        axes[f"yaxis{k + 1}"] = axis
+        domain = {"domain": [max(end, 0.0), top]}
+        axis = {**_plotly_axis(panel.label), **domain, **look.get(panel.scale, {})}
+        layout[f"yaxis{k}"] = axis
         for curve in panel.curves:
-            data += _plotly_curve(curve, name)
+            data += _plotly_curve(curve, f"y{k}")
         if panel.noise is not None:
-            band = {"yref": name, "y0": -panel.noise, "y1": panel.noise}
+            band = {"yref": f"y{k}", "y0": -panel.noise, "y1": panel.noise}
             shapes.append({**look["noise band"], **band, "fillcolor": _faint(FLOOR)})
             notes.append({**look["noise"], "y": top})
         top = end - gap
     if chart.ticks:
-        lines = []
-        for one in chart.ticks:
-            lines.append("<br>".join(escape(line, quote=False) for line in one))
-        x_axis["ticktext"] = lines
-        x_axis["tickvals"] = list(range(len(lines)))
-        x_axis["range"] = [-0.5, len(lines) - 0.5]
+        escaped = [[escape(one, quote=False) for one in lines] for lines in chart.ticks]
+        x_axis["ticktext"] = list(map("<br>".join, escaped))
+        x_axis["tickvals"] = list(range(len(escaped)))
+        x_axis["range"] = [-0.5, len(escaped) - 0.5]
     if chart.window is not None:
         begin, end = chart.window
-        place = {**look["along"], "x0": begin, "x1": end}
-        shapes.append({**place, "fillcolor": _faint(ATTENTION)})
+        place = {"x0": begin, "x1": end, "fillcolor": _faint(ATTENTION)}
+        shapes.append({**look["along"], **place})
     if chart.mark is not None:
         t, text = chart.mark
         line = {"color": MARK, "width": 2, "dash": "dash"}
         shapes.append({**look["along"], "type": "line", "x0": t, "x1": t, "line": line})
         notes.append({**look["mark"], "text": escape(text, quote=False), "x": t})
-    layout = {**look["layout"], **axes, "shapes": shapes, "annotations": notes}
     return {"data": data, "layout": layout}
 
 
@@ -380,6 +362,19 @@ def _faint(color: str) -> str:
     return f"rgba({red},{green},{blue},0.2)"
 
 
+def rounded(curve: np.ndarray, digits: int = 4) -> list[float | None]:
+    """Values (n,) with as many digits of their range as can be seen; None for NaN."""
+    known = curve[np.isfinite(curve)]
+    extent = float(np.ptp(known)) if len(known) else 0.0
+    size = extent or (abs(float(known[0])) if len(known) else 1.0) or 1.0
+    n_decimals = digits - math.floor(math.log10(size))
+    values: list[float | None] = []
+    for value in curve.tolist():
+        is_known = math.isfinite(value)
+        values.append(round(value, n_decimals) if is_known else None)
+    return values
+
+
 # ---- by matplotlib -------------------------------------------------------------------
 
 
@@ -400,8 +395,25 @@ def svg(chart: Chart) -> str:
     return text.getvalue()
 
 
+def axes_of(ax: Axes | None, size: tuple[float, float]) -> Axes:
+    """The axes; None: those of a new figure, whose size is in inches."""
+    import matplotlib.pyplot as plt
+
+    return ax or plt.subplots(figsize=size, layout="constrained")[1]
+
+
+def drawn(
+    chart: Chart, title: str, ax: Axes | None, size: tuple[float, float] = (7.0, 3.8)
+) -> Axes:
+    """A chart of one panel under a title, on axes or on those of a new figure."""
+    ax = axes_of(ax, size)
+    draw(ax, chart)
+    ax.set_title(title)
+    return ax
+
+
 def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
-    """Draw one panel of a chart, the first unless another is given, or its map."""
+    """Draw the panel of a number, or the map."""
     ax.set_xlabel(_short(chart.x_label))
     if chart.map is not None:
         _draw_map(ax, chart.map)

@@ -1,4 +1,4 @@
-"""What is told of a study: numbers, arrays and words, apart from how they are drawn.
+"""All that is said of a study: numbers, arrays and words, apart from how it is drawn.
 
 Terminal, notebooks, Markdown, the HTML report, ``--json`` and the page are made of
 these records. Nothing here knows of fits or diagnoses; they travel between processes.
@@ -6,12 +6,13 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 """
 
 import datetime as dt
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.presentation.durations import Scale
 from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.units import Scale
 
 Number = float | None
 
@@ -24,9 +25,12 @@ BAD = "bad"
 SEVERITY_WORDS = {GOOD: "In order", LOOK: "Worth a look", BAD: "Not in order"}
 
 
+# ---- the verdict ---------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Answer:
-    """What is to be understood at once, and what stands behind it; "" for nothing.
+    """What is to be understood at once, and its details; "" for nothing.
 
     ``question`` is what it answers, such as "Since when", where it is asked.
     """
@@ -47,7 +51,7 @@ class Headline:
         status: in a phrase; ``severity``: how bad that is.
         sentence: what was found and what it changed.
         answers: what is wrong, where, since when, what to add.
-        beside: what stands beside the status, such as "fast disturbance"; "": nothing.
+        beside: a remark on the status, such as "fast disturbance"; "": none.
         certainty: how sure it is that something is missing, and whether why is known.
         caution: what else to know before anything is believed; "" for nothing.
     """
@@ -59,6 +63,20 @@ class Headline:
     beside: str = ""
     certainty: str = ""
     caution: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """A check of the residuals or the fit: its subject, severity, and finding."""
+
+    subject: str
+    severity: str
+    said: str
+
+    @property
+    def word(self) -> str:
+        """The severity in words."""
+        return SEVERITY_WORDS[self.severity]
 
 
 @dataclass(frozen=True)
@@ -82,11 +100,14 @@ class ErrorStep:
         return f"+ {self.label}" if is_addition else self.label
 
 
+# ---- models and free runs ------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class ParameterRow:
-    """A parameter with its 95 % interval; ``remark`` says what is odd about it.
+    """A parameter with its 95 % interval, whose ends are None where not known.
 
-    The ends of the interval are None where they are not known.
+    ``remark`` says what is odd about it.
     """
 
     name: str
@@ -122,7 +143,7 @@ class Channel:
         name: of the state; ``unit``: its unit, or "".
         noise: standard deviation of the measurements; None: not known.
         t: (n,) times; ``measured``: (n,) values.
-        models: (n,) what each model shows, in the order of `StudyContent.names`.
+        models: (n,) simulated values of each model, as `StudyContent.names`.
         errors: root mean square of the residual of each model, of all samples.
         movement: standard deviation of all that was measured.
     """
@@ -163,6 +184,13 @@ class Run:
         times = self.channels[0].t
         return bool(times[0] <= t <= times[-1])
 
+    def worst(self, model: int) -> Channel:
+        """The channel in which a model is off most, as a share of its movement."""
+        return max(self.channels, key=lambda one: one.share_off(model))
+
+
+# ---- what is missing -----------------------------------------------------------------
+
 
 @dataclass(frozen=True, eq=False)
 class ForceRun:
@@ -185,7 +213,7 @@ class ForceRun:
     origin: dt.datetime | None = None
 
     def near(self, t: float) -> tuple[float, float]:
-        """Force and standard deviation at the time nearest to one."""
+        """Force and standard deviation at the nearest time."""
         place = int(np.argmin(np.abs(self.t - t)))
         return float(self.force[place]), float(self.std[place])
 
@@ -226,10 +254,9 @@ class Follows:
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """The missing force of one equation.
+    """The missing force of one equation, such as "dp/dt", and a sentence on it.
 
     Attributes:
-        equation: such as "dp/dt"; ``sentence``: what is said of the force.
         runs: along the training runs; ``shown``: number of the one shown first.
         map: over the states; None where there is only one.
         follows: against what predicts it best.
@@ -252,10 +279,9 @@ class Ranked:
         coefficient: its size, with its standard error and unit.
         evidence: how clearly it is there, such as "decisive, log evidence 95".
         share: of the squared error above the noise that it explains; None: not known.
-        train: the training error with it; ``held_out``: on data held out. None where
-            they are not known.
+        train: the training error with it; ``held_out``: on data held out.
         confused_with: effects that the data cannot tell from it.
-        lost: why it is not named; "" where nothing speaks against it.
+        lost: why it is rejected; "" where nothing speaks against it.
     """
 
     effect: str
@@ -321,10 +347,9 @@ class Glance:
     """Where it shows: one channel of one run, and the force that is missing there.
 
     Attributes:
-        run: number of the trajectory in `StudyContent.runs`; ``channel``: of its
-            channel.
+        run: number in `StudyContent.runs`; ``channel``: number of its channel.
         sentence: what to see.
-        force: the force along that trajectory; None where it was not estimated there.
+        force: the force along that run; None where it was not estimated there.
         window: from when to when the force is strongest; None: at no time.
         t: when the model is off most while the force is sure; None: not known.
     """
@@ -337,18 +362,7 @@ class Glance:
     t: float | None = None
 
 
-@dataclass(frozen=True)
-class Check:
-    """A check of what remains: ``subject``, ``severity``, and what is said of it."""
-
-    subject: str
-    severity: str
-    said: str
-
-    @property
-    def word(self) -> str:
-        """The severity in words."""
-        return SEVERITY_WORDS[self.severity]
+# ---- all of it -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,17 +373,17 @@ class StudyContent:
         title: such as "Study of q".
         headline: the verdict on the present model.
         steps: the errors step by step, in ``unit``; ``errors``: where they have got.
-        glance: where it shows best what the verdict tells of; None: nowhere.
+        glance: where it shows best what the verdict says; None: nowhere.
         models: base model and present model.
-        time: the unit in which all times are told.
+        time: the unit of all times.
         names: of the models whose free runs are shown; the last is the present one.
-        runs: measurements beside the free runs; ``shown``: number of the one to begin
-            with; ``runs_told``: what to see, and which are left out.
+        runs: measurements and free runs; ``shown``: number of the first one to show;
+            ``runs_told``: what to see, and which are left out.
         forces: of the present model along all runs; empty unless they were asked for.
         laws: of the effects that were added; empty unless they were asked for.
         diagnoses: each of one step's model, the oldest first.
         is_diagnosed: whether the last of these looks at the present model.
-        checks: of what remains.
+        checks: of the residuals and the fit.
         settings: names and values that reproduce the study; ``code``: the calls.
         added: the effects that the present model has beyond the base model.
         stopped: why the automatic study stopped; "" where it did not run.
@@ -412,6 +426,29 @@ class StudyContent:
         return [one for one in self.forces if (one.run, one.part) == place]
 
 
-def unestablished_words(names: tuple[str, ...]) -> str:
+def unestablished_words(names: Sequence[str]) -> str:
     """What was added that no diagnosis established; "" for nothing."""
     return f"added, but not established: {', '.join(names)}" if names else ""
+
+
+def thinned(curves: Sequence[np.ndarray], most: int) -> np.ndarray:
+    """Samples to draw, (n_drawn,) increasing: first, last, and extremes of each bin.
+
+    Args:
+        curves: (n_samples,) each, NaN where not known; of each, the least and the
+            largest value of every bin are kept, and one NaN, for a gap.
+        most: samples to draw at most, but for the first and the last one.
+    """
+    n_samples = len(curves[0])
+    if n_samples <= most:
+        return np.arange(n_samples)
+    kept = {0, n_samples - 1}
+    for part in np.array_split(np.arange(n_samples), max(most // (2 * len(curves)), 1)):
+        for curve in curves:
+            is_known = np.isfinite(curve[part])
+            known = part[is_known]
+            if len(known):
+                kept |= {known[np.argmin(curve[known])], known[np.argmax(curve[known])]}
+            if len(known) < len(part):
+                kept.add(part[np.argmin(is_known)])
+    return np.array(sorted(kept))

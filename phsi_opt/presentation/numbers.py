@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
+LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -75,6 +76,11 @@ def typeset(text: str) -> str:
     """A sentence of a terminal as it is printed: ± for +-, rad/s² for rad/s^2."""
     signed = text.replace("+-", "\N{PLUS-MINUS SIGN}")
     return UNIT_POWER.sub(lambda found: found[1].translate(RAISED), signed)
+
+
+def label(name: str, unit: str) -> str:
+    """The label of an axis, such as "t (s)"; the name alone where there is no unit."""
+    return f"{name} ({typeset(unit)})" if unit else name
 
 
 def said(text: str) -> str:

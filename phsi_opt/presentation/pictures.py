@@ -18,24 +18,23 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
-from phsi_opt.presentation.axes import (
+from phsi_opt.presentation.charts import (
     ATTENTION,
     BASELINE,
     FLOOR,
     MEASURED,
     MODEL,
-    axes_of,
-    label,
-)
-from phsi_opt.presentation.charts import (
     POINTS,
     Chart,
     Curve,
     Panel,
+    axes_of,
     draw,
+    drawn,
     force_chart,
 )
 from phsi_opt.presentation.content import TRAINING, ForceRun
+from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import rate_unit
 
 BAND = "run, two standard deviations"
@@ -134,16 +133,14 @@ def plot_missing_force(
         units: Units by name, of the states and of ``t``.
         ax: Axes to draw on; None: a new figure.
     """
-    ax = axes_of(ax, (8.0, 3.6))
     t_unit = units.get("t", "")
     forces = []
     for state in equations:
         unit = rate_unit(units.get(state, ""), t_unit)
         t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
         forces.append(ForceRun("", TRAINING, state, unit, t, w, std))
-    draw(ax, force_chart(forces, t_unit))
-    ax.set_title("Where the band leaves zero, a force is surely missing")
-    return ax
+    title = "Where the band leaves zero, a force is surely missing"
+    return drawn(force_chart(forces, t_unit), title, ax, (8.0, 3.6))
 
 
 def plot_profile(

@@ -10,7 +10,6 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.presentation.content import Answer, unestablished_words
-from phsi_opt.presentation.durations import date_words
 from phsi_opt.presentation.numbers import (
     capitalised,
     listed,
@@ -22,7 +21,12 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
-from phsi_opt.presentation.units import frequency_words, scale_of_errors, spaced
+from phsi_opt.presentation.units import (
+    date_words,
+    frequency_words,
+    scale_of_errors,
+    spaced,
+)
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template

@@ -1,38 +1,23 @@
 """What a result says of itself, once, for the terminal, for rich and for notebooks.
 
-A result describes itself by a `Summary` of texts and tables; the forms are made here,
-the same for all. Whatever stands in a name is shown as it is: in HTML it is escaped,
-and rich's markup has no meaning in it.
+A result describes itself by a `Summary` of texts and tables. Whatever stands in a name
+is shown as it is: in HTML it is escaped, and rich's markup has no meaning in it.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from phsi_opt.presentation.tables import (
-    html_of_table,
-    html_shown,
-    rich_of_table,
-    text_of_table,
-)
-
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console, ConsoleOptions, RenderableType
 
-    from phsi_opt.presentation.printed_table import PrintedTable
+    from phsi_opt.presentation.tables import PrintedTable
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of a summary.
-
-    Attributes:
-        heading: "" for none.
-        text: Sentences.
-        code: Lines whose blanks matter, such as equations.
-        table: None for none.
-    """
+    """A heading, sentences, lines of ``code`` whose blanks matter, and a table."""
 
     heading: str = ""
     text: str = ""
@@ -42,12 +27,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What a result says of itself.
-
-    Attributes:
-        title: In one line.
-        parts: What follows.
-    """
+    """A title of one line, and what follows."""
 
     title: str
     parts: tuple[Part, ...] = ()
@@ -66,6 +46,8 @@ class Summarised:
         return text_of_summary(self._summary(), self._between)
 
     def _repr_html_(self) -> str:
+        from phsi_opt.presentation.tables import html_of_table, html_shown
+
         return html_shown("summary", self._summary(), html_of_table)
 
     def __rich_console__(
@@ -73,6 +55,8 @@ class Summarised:
     ) -> "Iterator[RenderableType]":
         """What rich prints."""
         from rich.text import Text
+
+        from phsi_opt.presentation.tables import rich_of_table
 
         summary = self._summary()
         yield Text(summary.title, style="bold")
@@ -95,18 +79,15 @@ def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
     for part in summary.parts:
         lines = [text for text in (part.heading, part.text, part.code) if text]
         if part.table is not None:
+            from phsi_opt.presentation.tables import text_of_table
+
             lines.append(text_of_table(part.table, most_rows=len(part.table)))
         blocks.append("\n".join(lines))
     return between.join(block for block in blocks if block)
 
 
 def printed_table(*args: Any, **kwargs: Any) -> "PrintedTable":
-    """A data frame that prints itself whole; pandas is imported for the first one.
-
-    Args:
-        *args: As those of `pandas.DataFrame`.
-        **kwargs: Likewise.
-    """
-    from phsi_opt.presentation.printed_table import PrintedTable
+    """A data frame that prints itself whole, from the arguments of `DataFrame`."""
+    from phsi_opt.presentation.tables import PrintedTable
 
     return PrintedTable(*args, **kwargs)

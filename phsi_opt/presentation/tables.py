@@ -2,33 +2,57 @@
 
 Rich lays them out. A table that is too wide for its lines first gets headers and texts
 of several lines, and is then cut into blocks, one below the other, in which the first
-columns come again. No column is left out.
+columns come again. This module imports pandas: it is imported where a table is made.
 """
 
 import io
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
+from phsi_opt.presentation.numbers import LINE_WIDTH
 from phsi_opt.presentation.sentences import environment
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from rich.console import Console, ConsoleOptions
     from rich.table import Table
     from rich.text import Text
 
-LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
 COLUMN_GAP = 2  # characters between columns
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
 
 
-class Column(NamedTuple):
-    """A column as it is shown: its name, a text per row, and whether it is numbers.
+class PrintedTable(pd.DataFrame):
+    """A data frame that prints and shows itself with all of its columns.
 
-    Numbers stand at the right.
+    In all else it is a `pandas.DataFrame`; numbers keep all digits, four are shown.
     """
+
+    @property
+    def _constructor(self) -> "type[PrintedTable]":
+        return PrintedTable
+
+    def __repr__(self) -> str:
+        """All columns within 80 characters, in several blocks if need be."""
+        return text_of_table(self)
+
+    def _repr_html_(self) -> str:
+        return html_of_table(self)
+
+    def __rich_console__(
+        self, console: "Console", options: "ConsoleOptions"
+    ) -> "Iterator[Table | Text]":
+        """What rich prints."""
+        yield from rich_of_table(self, options.max_width)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column as it is shown: a header, a text per row; numbers at the right."""
 
     header: str
     cells: tuple[str, ...]
@@ -48,10 +72,8 @@ class Column(NamedTuple):
         return COLUMN_GAP + max(longest, 1, *map(len, self.broken_header.split()))
 
 
-def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column]:
+def columns_of(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> list[Column]:
     """The columns of a table as texts, the index first where it holds names."""
-    import pandas as pd
-
     half = most_rows // 2
     columns = []
     series = [values for _, values in table.items()]
@@ -68,10 +90,7 @@ def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column
 
 
 def text_of_cell(value: Any) -> str:
-    """A cell on one line: numbers with four digits, a dash for one that is not known.
-
-    Nothing stands for None.
-    """
+    """A cell on one line: four digits, a dash for NaN, nothing for None."""
     if value is None:
         return ""
     if isinstance(value, float | np.floating):
@@ -80,7 +99,7 @@ def text_of_cell(value: Any) -> str:
 
 
 def text_of_table(
-    table: "pd.DataFrame", width: int = LINE_WIDTH, most_rows: int = MOST_ROWS
+    table: pd.DataFrame, width: int = LINE_WIDTH, most_rows: int = MOST_ROWS
 ) -> str:
     """A table as text with all of its columns.
 
@@ -98,35 +117,28 @@ def text_of_table(
 
 
 def rich_of_table(
-    table: "pd.DataFrame", width: int, most_rows: int = MOST_ROWS
+    table: pd.DataFrame, width: int, most_rows: int = MOST_ROWS
 ) -> "Iterator[Table | Text]":
-    """A table for a console of rich, in which signs in names are no markup.
-
-    Args:
-        table: With any names and cells.
-        width: Characters of a line of the console.
-        most_rows: That are shown; of a longer table the ends.
-    """
+    """A table for a console of rich, as `text_of_table`; names are no markup."""
     from rich.text import Text
 
     for number, block in enumerate(_blocks(columns_of(table, most_rows), width)):
         if number:
             yield Text("")
-        yield _table(block, width)
+        yield _laid_out(block, width)
     remark = _remark(table, most_rows)
     if remark:
         yield Text(remark)
 
 
-def _remark(table: "pd.DataFrame", most_rows: int) -> str:
+def _remark(table: pd.DataFrame, most_rows: int) -> str:
     """How many rows there are, where they are not all to be seen."""
     if not len(table):
         return "(no rows)"
     return f"({len(table)} rows)" if len(table) > most_rows else ""
 
 
-def _table(columns: list[Column], width: int) -> "Table":
-    """Columns as rich lays them out."""
+def _laid_out(columns: list[Column], width: int) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
@@ -170,8 +182,8 @@ def _least(columns: list[Column]) -> int:
     return sum(column.least_width for column in columns) - COLUMN_GAP
 
 
-def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
-    """A table as HTML, with names and cells escaped; numbers stand at the right."""
+def html_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> str:
+    """A table as HTML, with names and cells escaped."""
     columns = columns_of(table, most_rows)
     n_rows = len(columns[0].cells) if columns else 0
     return html_shown("table", columns, n_rows, _remark(table, most_rows))

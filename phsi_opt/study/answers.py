@@ -1,9 +1,11 @@
-"""The answers to what is wrong, where, and what to do, of one diagnosis.
+"""The verdict on a study and its answers: what is wrong, where, since when, what to do.
 
-Report and page tell them on their first screens; a report's paragraph on each step has
+Report and page show them on their first screens; a report's paragraph on each step has
 them too. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
+from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -17,14 +19,46 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS
 from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
+from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage
-from phsi_opt.presentation.content import Answer
-from phsi_opt.presentation.durations import date_words, time_words
-from phsi_opt.presentation.numbers import listed, number, with_error
+from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
+from phsi_opt.presentation.numbers import capitalised, listed, number, with_error
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import spaced
+from phsi_opt.presentation.units import (
+    STANDARD_DEVIATIONS,
+    date_words,
+    scale_of_errors,
+    spaced,
+    time_words,
+)
 from phsi_opt.statistics import TINY, rms
+from phsi_opt.study.record import StudyRecord
 
+NOT_ASKED = "not diagnosed yet"
+ASK = "Call study.diagnose() or study.auto()."
+SEVERITIES = {
+    str(Verdict.NOTHING_MISSING): GOOD,
+    str(Verdict.NAMED): LOOK,
+    str(Verdict.PARTLY_NAMED): LOOK,
+    str(Verdict.UNEXPLAINED): BAD,
+    NOT_ASKED: LOOK,
+}
+NOT_ESTABLISHED = "with an effect that is not established"
+# The questions of the first screen: of what is missing, and of what was.
+PRESENT = ("What is wrong", "Where", "Since when", "What to add")
+UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
+# Where no diagnosis was asked for, or none found anything; "" for how far off it is.
+NOT_YET = (
+    ("What is wrong", "Not asked yet."),
+    ("How far off", ""),
+    ("What to do", ASK),
+)
+NOTHING_FOUND = (
+    ("What is wrong", "Nothing that these data show."),
+    ("How far off", ""),
+    ("What to add", "Nothing."),
+)
+PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 FAST_DISTURBANCE = "fast disturbance"
 NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the noise
 
@@ -52,7 +86,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "at_noise": 1.05,
         "sure_error": 1.5,
         "strength": f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)",
-        "classes": list(map(class_of, diagnosis.findings)),
+        "classes": [" or ".join(map(str, one.effects)) for one in diagnosis.findings],
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
         "disturbance": disturbance_word(diagnosis),
         "nearest": nearest_candidate(diagnosis),
@@ -72,33 +106,28 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     """The equation, what the force follows, or else the place where it is largest.
 
-    What a cause explains is told where nothing has a name; the effect that is found, or
-    was added, says it better.
+    A cause is told where nothing is named; the effect that is found, or was added, says
+    it better.
     """
     force = diagnosis.analysis.force_in()
-    if force.is_uncertain:
-        return answer("where", diagnosis, is_held_out=True)
-    is_known = is_past or diagnosis.verdict == Verdict.NAMED
-    place = place_answer(force, is_past or bool(diagnosis.findings), is_known)
-    # Where the members of the classes that were found act, each place once.
-    places: dict[str, None] = {}
-    for finding in diagnosis.findings:
-        for effect in () if finding.is_name else finding.effects:
-            at = f"in d{effect.equation}/dt"
-            if effect.slot == "sensor":
-                at = f"at the sensor of {effect.equation}"
-            places[at] = None
-    return answer(
-        "where", diagnosis, is_held_out=True, place=place, places=list(places)
-    )
+    facts: dict[str, Any] = {}
+    if not force.is_uncertain:
+        is_known = is_past or diagnosis.verdict == Verdict.NAMED
+        is_named = is_past or bool(diagnosis.findings)
+        facts["place"] = place_answer(force, is_named, is_known)
+        # Where the members of the classes that were found act, each place once.
+        classes = [one.effects for one in diagnosis.findings if not one.is_name]
+        facts["places"] = list(dict.fromkeys(map(_acts, chain(*classes))))
+    return answer("where", diagnosis, is_held_out=True, **facts)
+
+
+def _acts(effect: Effect) -> str:
+    if effect.slot == "sensor":
+        return f"at the sensor of {effect.equation}"
+    return f"in d{effect.equation}/dt"
 
 
 # ---- facts ---------------------------------------------------------------------------
-
-
-def class_of(finding: Finding) -> str:
-    """What was found, with the others of its class."""
-    return " or ".join(map(str, finding.effects))
 
 
 def finding_words(finding: Finding) -> str:
@@ -212,24 +241,25 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
         return Answer("At no time surely.")
     record = force.record
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
-    sizes = [rms(force.w[inside]) for inside in runs]
-    n_strong = np.sum(np.array(sizes) > max(sizes) / 2)
+    sizes = np.array([rms(force.w[inside]) for inside in runs])
     strongest = runs[force.strongest_run]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
     window = force.window_words(longest=float(record.t.max()))
-    facts: dict[str, Any] = {
-        "begin": _beginning(force, strongest) if n_strong == 1 else "",
-        "again": "again and again" if _comes_and_goes(force, strongest) else "",
-        "n_runs": len(runs),
-        "n_clear": len(clear),
-        "is_from_start": all(_is_clear(force, one) for one in starts if len(one)),
-        "window": f"t = {window}" if window else "",
-        "run": force.window.trajectory if len(runs) > 1 else "the training record",
-        "gaps": gaps_of(diagnosis, force),
-        "only_follows": only_follows(trained, diagnosis.base),
-    }
-    return say(__package__, "since", **facts)
+    is_in_one = np.sum(sizes > sizes.max() / 2) == 1
+    return say(
+        __package__,
+        "since",
+        begin=_beginning(force, strongest) if is_in_one else "",
+        again="again and again" if _comes_and_goes(force, strongest) else "",
+        n_runs=len(runs),
+        n_clear=len(clear),
+        is_from_start=all(_is_clear(force, one) for one in starts if len(one)),
+        window=f"t = {window}" if window else "",
+        run=force.window.trajectory if len(runs) > 1 else "the training record",
+        gaps=gaps_of(diagnosis, force),
+        only_follows=only_follows(trained, diagnosis.base),
+    )
 
 
 def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
@@ -286,3 +316,153 @@ def _beginning(force: EquationForce, inside: np.ndarray) -> str:
             told = time_words(t, record.units.get("t", ""), longest=longest)
             return told + (f" ({date})" if date else "")
     return ""
+
+
+# ---- the study as a whole ------------------------------------------------------------
+
+
+def headline_of(study: StudyRecord) -> Headline:
+    """The verdict on the present model, and the answers of the first screen."""
+    present = study.present
+    status = NOT_ASKED
+    beside = certainty = ""
+    if present is not None:
+        status = str(present.verdict)
+        beside = disturbance_word(present)
+        certainty = str(answer("certainty", present, is_held_out=True))
+    severity = SEVERITIES[status]
+    if study.unestablished and not beside:
+        beside = NOT_ESTABLISHED
+        severity = LOOK if severity == GOOD else severity
+    return Headline(
+        status,
+        severity,
+        _sentence(study),
+        _answers(study),
+        beside=beside,
+        certainty=certainty,
+        caution=undetermined_words(study.last.fit.parameters),
+    )
+
+
+def telling_step(study: StudyRecord) -> int | None:
+    """The step whose diagnosis is told on the first screen; None: no one is.
+
+    That of the present model while something is missing; else the first one that found
+    something: it says what was wrong.
+    """
+    missing = Verdict.NOTHING_MISSING
+    found = [k for k, one in sorted(study.diagnoses.items()) if one.verdict != missing]
+    last = len(study.steps) - 1
+    return last if last in found else next(iter(found), None)
+
+
+def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
+    """What ``words.jinja`` says under a name of the study as a whole."""
+    size, unit = scale_of_errors(study.unit)
+    short = ""
+    if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
+        unit, short = "% of the measured movement", " %"
+    return say(
+        __package__,
+        name,
+        study=study,
+        which="training" if study.last.held_out is None else "held-out",
+        size=size,
+        unit=spaced(unit),
+        short=short,
+        **facts,
+    )
+
+
+def _sentence(study: StudyRecord) -> str:
+    present = study.present
+    lacking = ""
+    if present is not None and present.verdict != Verdict.NOTHING_MISSING:
+        is_held_out = study.held_out is not None
+        lacking = str(answer("missing", present, is_held_out))
+    open_ = {one.name: evidence_words(one) for one in study.unestablished}
+    findings = chain(*(one.findings for one in study.diagnoses.values()))
+    classes: dict[str, str] = {}
+    for finding in findings:
+        for name in map(str, finding.effects):
+            classes[name] = classes.get(name) or alternatives(finding, name)
+    sure = []
+    unsure = []
+    for name in map(str, study.last.added):
+        if name in open_:
+            unsure.append(f"{name} ({open_[name]})")
+        else:
+            sure.append(f"{name}{classes.get(name, '')}")
+    facts = {"sure": sure, "unsure": unsure, "lacking": lacking, "ask": ASK}
+    added = study.last.added if len(study.steps) > 1 else ()
+    return said_of(study, "sentence", present=present, added=added, **facts).lead
+
+
+def _answers(study: StudyRecord) -> tuple[Answer, ...]:
+    """The four answers of the diagnosis that is told; fewer where none found a lack."""
+    place = telling_step(study)
+    present = study.present
+    if place is None:
+        far = said_of(study, "how_far").lead
+        told = NOT_YET if present is None else NOTHING_FOUND
+        return tuple(Answer(lead or far, question=asked) for asked, lead in told)
+    diagnosis = study.diagnoses[place]
+    step = study.steps[place]
+    is_held_out = study.held_out is not None
+    is_past = diagnosis is not present
+    if is_past:
+        questions = PAST
+        whose = "the base model's"
+        if step.added:
+            whose = f"with {' and '.join(map(str, step.added))}, the model's"
+        wrong = answer("was_wrong", diagnosis, is_held_out, whose=whose)
+        to_do = _was_added(study)
+    else:
+        questions = PRESENT if diagnosis.findings else UNNAMED
+        wrong = answer("wrong", diagnosis, is_held_out)
+        to_do = answer("to_do", diagnosis, is_held_out)
+    since = since_when(diagnosis, step.train)
+    answers = (wrong, where_answer(diagnosis, is_past), since, to_do)
+    asked = zip(answers, questions, strict=True)
+    return tuple(replace(one, question=question) for one, question in asked)
+
+
+def _was_added(study: StudyRecord) -> Answer:
+    """What was added, with the sizes that diagnoses found, and how clear it was."""
+    told = {
+        one.name: (f"{one.name}, not established", evidence_words(one))
+        for one in study.unestablished
+    }
+    for diagnosis in study.diagnoses.values():
+        for finding in diagnosis.findings:
+            evidence = evidence_words(diagnosis.ranking[0])
+            told[str(finding.effects[0])] = (finding_words(finding), evidence)
+    names = list(map(str, study.last.added))
+    sizes = [told.get(name, (name, ""))[0] for name in names]
+    clear = {name: told[name][1] for name in names if name in told}
+    return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)
+
+
+def step_story(study: StudyRecord, place: int) -> str:
+    """One diagnosis in a paragraph, as an engineer would write it.
+
+    Args:
+        study: as it stands.
+        place: number of the step, counted from 0, whose model was diagnosed.
+    """
+    diagnosis = study.diagnoses[place]
+    is_held_out = study.held_out is not None
+    if diagnosis.verdict == Verdict.NOTHING_MISSING:
+        return answer("noise_alone", diagnosis, is_held_out).lead
+    told = [
+        answer("missing", diagnosis, is_held_out),
+        answer("wrong", diagnosis, is_held_out),
+        where_answer(diagnosis),
+        since_when(diagnosis, study.steps[place].train),
+        answer("to_do", diagnosis, is_held_out),
+    ]
+    if place + 1 < len(study.steps):
+        label = capitalised(study.steps[place + 1].label)
+        told.append(Answer(f"{label}: added in step {place + 1}."))
+    return " ".join(map(str, told))

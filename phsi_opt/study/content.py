@@ -8,49 +8,62 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
+from phsi_opt.criteria import (
+    FAILING_ERROR,
+    SURE_DEVIATIONS,
+    SURE_LEVEL,
+    WHITE_ERROR,
+)
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit, equation_lines
-from phsi_opt.force_analysis.pictures import samples_of_each
+from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.pictures import force_of, force_runs, samples_of_each
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.presentation.content import (
+    BAD,
+    GOOD,
     HELD_OUT,
+    LOOK,
     TRAINING,
     Answer,
     Channel,
+    Check,
     Diagnosed,
     Equations,
     Follows,
+    Force,
+    ForceRun,
+    Glance,
     ParameterRow,
+    Ranked,
     Run,
     StudyContent,
+    thinned,
 )
-from phsi_opt.presentation.durations import Scale, scale_of_time
 from phsi_opt.presentation.numbers import (
     number,
     number_of,
     proper_names,
     short_constants,
 )
-from phsi_opt.presentation.thinning import thinned
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
+from phsi_opt.presentation.sentences import say
+from phsi_opt.presentation.units import (
+    STANDARD_DEVIATIONS,
+    Scale,
+    scale_of_errors,
+    scale_of_time,
+    spaced,
+)
 from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     NEAR_FLOOR,
+    evidence_words,
+    headline_of,
     nearest_candidate,
     only_follows,
-    samples_to_average,
-)
-from phsi_opt.study.checks import checks_of
-from phsi_opt.study.force_content import (
-    all_forces,
-    glance_of,
-    ranking_of,
-    sure_forces,
-    worst_run,
-)
-from phsi_opt.study.headline import (
-    headline_of,
     said_of,
+    samples_to_average,
     step_story,
     telling_step,
 )
@@ -107,7 +120,7 @@ def study_content(
         runs=runs,
         shown=runs.index(worst_run(judged, 0)),
         runs_told=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
-        forces=all_forces(study, time) if forces else (),
+        forces=_all_forces(study, time) if forces else (),
         laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
         is_diagnosed=study.present is not None,
@@ -266,12 +279,212 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
         str(diagnosis.verdict),
         diagnosis.reason,
         tuple(diagnosis.sentences),
-        sure_forces(diagnosis, time),
-        ranking_of(diagnosis),
+        _sure_forces(diagnosis, time),
+        _ranking(diagnosis),
         tuple(map(str, diagnosis.proposed)),
         "" if nearest is None else nearest.name,
         samples_to_average(diagnosis),
     )
+
+
+def _sure_forces(diagnosis: Diagnosis, time: Scale) -> tuple[Force, ...]:
+    """The missing forces that are surely there, the four strongest."""
+    found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
+    sure = [force for force in found if not force.is_uncertain]
+    return tuple(force_of(force, time) for force in sure[:4])
+
+
+def _all_forces(study: StudyRecord, time: Scale) -> tuple[ForceRun, ...]:
+    """The missing force of the present model, by part, equation and run."""
+    found: tuple[ForceRun, ...] = ()
+    parts = {TRAINING: study.last.train, HELD_OUT: study.last.held_out}
+    for part, compared in parts.items():
+        if compared is not None:
+            for force in ForceAnalysis.of(compared.record).forces:
+                found += force_runs(force, part, time)
+    return found
+
+
+def _ranking(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
+    """The candidates, best first; errors in the unit in which they are told."""
+    size, _ = scale_of_errors(diagnosis.base.error_unit)
+    classes: dict[str, list[str]] = {}
+    for finding in diagnosis.findings:
+        names = list(map(str, finding.effects))
+        classes |= dict.fromkeys(names, names)
+    ranked = []
+    for one in diagnosis.ranking:
+        alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
+        alike.pop(one.name, None)
+        found = Ranked(
+            one.name,
+            float(one.coefficient),
+            float(one.std_error),
+            one.unit,
+            evidence_words(one),
+            _known(np.clip(one.share, 0.0, 1.0)),
+            _known(size * one.train_rmse),
+            _known(size * one.held_out_rmse),
+            tuple(alike),
+            one.lost,
+        )
+        ranked.append(found)
+    return tuple(ranked)
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+# ---- where it shows best -------------------------------------------------------------
+
+
+def glance_of(
+    diagnosis: Diagnosis, runs: tuple[Run, ...], time: Scale, model: int
+) -> Glance | None:
+    """What is missing, where it is seen best; None where no force is sure.
+
+    That is the run in which the missing force is strongest; or one of the data held
+    out, where these are far worse.
+
+    Args:
+        diagnosis: that the verdict tells of.
+        runs: that are drawn.
+        time: unit of their times.
+        model: that was diagnosed, among those that are drawn.
+    """
+    force = diagnosis.analysis.force_in()
+    if force.is_uncertain:
+        return None
+    name = force.window.trajectory
+    training = [run for run in runs if run.part == TRAINING and run.name == name]
+    if not training:
+        return None
+    run = worst_run(training, model)
+    judged = worst_run([one for one in runs if one.part != TRAINING] or [run], model)
+    shares = [one.worst(model).share_off(model) for one in (run, judged)]
+    along = window = None
+    if shares[1] > 2 * shares[0]:  # the model follows what it was fitted to
+        run = judged
+        channel = run.worst(model)
+        off = np.abs(channel.measured - channel.models[model])
+        t = float(channel.t[np.nanargmax(off)])
+    else:
+        channel = run.worst(model)
+        if not force.window.is_whole:
+            window = (force.window.begin / time.size, force.window.end / time.size)
+        along = force_runs(force, TRAINING, time)[force.strongest_run]
+        t = worst_moment(along, channel, model, window)
+    said = say(
+        __package__,
+        "glance",
+        run=run,
+        channel=channel,
+        error=channel.errors[model],
+        unit=spaced(channel.unit),
+        force=along,
+        window=window,
+    )
+    places = (runs.index(run), run.channels.index(channel))
+    return Glance(*places, said.lead, along, window, t)
+
+
+def worst_run(runs: list[Run], model: int) -> Run:
+    """The run in whose worst channel a model is off most, beside the movement."""
+    return max(runs, key=lambda run: run.worst(model).share_off(model))
+
+
+def worst_moment(
+    force: ForceRun,
+    channel: Channel,
+    model: int,
+    window: tuple[float, float] | None,
+) -> float:
+    """When a model is off most while the missing force is sure, within the window.
+
+    Where the force is sure at no time of it, when it is surest.
+    """
+    begin, end = window or (-np.inf, np.inf)
+    sureness = np.abs(force.force) / force.std
+    inside = (force.t >= begin) & (force.t <= end)
+    if not inside.any():
+        inside = np.ones(len(force.t), dtype=bool)
+    is_sure = inside & (sureness > SURE_DEVIATIONS)
+    if not is_sure.any():
+        return float(force.t[np.argmax(np.where(inside, sureness, -1.0))])
+    off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))
+    found = np.where(is_sure, np.interp(force.t, channel.t, off), -1.0)
+    return float(force.t[np.argmax(found)])
+
+
+# ---- checks of what remains --------------------------------------------------------
+
+
+def checks_of(study: StudyRecord) -> tuple[Check, ...]:
+    """Size, whiteness and horizon by channel; then the fit's and the data's."""
+    judged = study.last.judged
+    checks: list[Check] = []
+    for _, row in judged.table.iterrows():
+        checks += _of_channel(row, judged, study.train.units.get("t", ""))
+    if judged.warning:
+        checks.append(Check("free run", BAD, judged.warning))
+    checks += _of_fit(study)
+    return tuple(checks)
+
+
+def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[Check]:
+    """Whether residuals are as small and as random as noise, and for how long."""
+    floor = float(row["noise_floor"])
+    ratio = float(row["rmse"]) / floor if floor > 0 else np.nan
+    shortest = min(float(run.t[-1] - run.t[0]) for run in judged.data.trajectories)
+    horizon = float(row["horizon"])
+    whiteness = float(row["whiteness"])
+    facts = {
+        "row": row,
+        "ratio": ratio,
+        "shortest": shortest,
+        "scale": scale_of_time(shortest, unit_of_time),
+        "is_from_start": horizon < 0.01 * shortest,  # it never was good
+    }
+    is_small = ratio <= FAILING_ERROR
+    is_far = ratio > WHITE_ERROR
+    is_white = whiteness >= SURE_LEVEL
+    holds = horizon > 0.999 * shortest  # but for rounding
+    asked = (
+        ("size", "size of residuals", ratio, is_small, is_far),
+        ("whiteness", "neighbouring residuals", whiteness, is_white, not is_small),
+        ("horizon", "how long the free run holds", horizon, holds, is_far),
+    )
+    checks = []
+    for name, subject, value, is_good, is_bad in asked:
+        known = bool(np.isfinite(value))
+        severity = GOOD if is_good else BAD if known and is_bad else LOOK
+        facts |= {"severity": severity, "known": known}
+        said = say(__package__, f"{name}_check", **facts).lead
+        checks.append(Check(f"{row['state']}: {subject}", severity, said))
+    return checks
+
+
+def _of_fit(study: StudyRecord) -> list[Check]:
+    """The solver, its bounds, the warnings of the fit, and what the data lack."""
+    fit = study.last.fit
+    severity = GOOD if fit.outcome.success else BAD
+    said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
+    checks = [Check("solver", severity, said)]
+    bounds = ", ".join(fit.outcome.at_bounds)
+    notes: Sequence[str] = [
+        "nothing was held out; errors are those of the training data"
+    ]
+    if study.last.held_out is not None:
+        notes = study.last.held_out.record.aligned.notes
+    looks = {
+        "bounds": [f"at a bound: {bounds}"] if bounds else [],
+        "fit": fit.warnings,
+        "data held out": notes,
+    }
+    for subject, remarks in looks.items():
+        checks += (Check(subject, LOOK, remark) for remark in remarks)
+    return checks
 
 
 # ---- how it is repeated --------------------------------------------------------------

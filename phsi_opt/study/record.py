@@ -1,17 +1,32 @@
-"""What a study is at one moment; all that is told of it is made from it."""
+"""What a study is at one moment: the data, the steps, and how further steps are fitted.
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+Immutable. All that is said of a study is made from it, and `Study` replaces it by the
+next one.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from phsi_opt.comparison.compare import Comparison
+from phsi_opt.comparison.compare import Comparison, compare_record
+from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.refit import thorough_fit
+from phsi_opt.errors import ModelError, PhsiOptError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify_aligned
+from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.content import ErrorStep, unestablished_words
+from phsi_opt.model.model import Model
+from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
+from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.presentation.summary import Part, Summary, printed_table
+from phsi_opt.screening.weighing import EvidenceRecord
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
@@ -23,21 +38,20 @@ COLUMNS_OF_ERRORS = ("effect", "train_rmse", "held_out_rmse", "noise_floor", "bi
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step of a study: a model, its fit, and how far its free runs are off.
+    """One step of a study: a model, its fit, and the errors of its free runs.
 
     Attributes:
         label: what was done.
         added: the effects that the model has since beyond the base model.
         fit: of the model.
-        train: its free run on the training record.
-        held_out: its free run on data held out; None where there are none.
+        train: its free run on the training record; ``held_out``: on data held out.
     """
 
     label: str
     added: tuple[Effect, ...]
     fit: Fit
     train: Comparison
-    held_out: Comparison | None
+    held_out: Comparison | None = None
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.label!r})"
@@ -53,19 +67,58 @@ class StudyRecord:
     """A study as it stands.
 
     Attributes:
+        base: the model that effects are added to.
+        training: the data that are fitted; ``judging``: those held out, or None.
+        loss: how to fit.
         steps: what was done so far, the base model first.
         diagnoses: by the number of the step whose model they look at.
         stopped: why it stopped last; "" where it was not asked to go on.
-        train: measurements that are fitted; ``held_out``: those that judge, or None.
-        loss: how the models were fitted.
     """
 
-    steps: tuple[Step, ...]
-    diagnoses: Mapping[int, Diagnosis]
-    stopped: str
-    train: Measurements
-    held_out: Measurements | None
+    base: Model
+    training: AlignedData
+    judging: AlignedData | None
     loss: MaximumLikelihood
+    steps: tuple[Step, ...] = ()
+    diagnoses: Mapping[int, Diagnosis] = field(default_factory=dict)
+    stopped: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        base: Model,
+        train: Measurements,
+        held_out: Measurements | None,
+        loss: MaximumLikelihood,
+    ) -> "StudyRecord":
+        """Before its first step, with the measurements in the model's order.
+
+        Raises:
+            DataError: a state or input of the model is not in the measurements, or a
+                run is in both.
+        """
+        training = AlignedData.of(base, train)
+        if held_out is None:
+            return cls(base, training, None, loss)
+        judging = AlignedData.of(base, held_out)
+        check_can_judge(training.data, judging.data)
+        return cls(base, training, judging, loss)
+
+    @property
+    def train(self) -> Measurements:
+        """The measurements that are fitted."""
+        return self.training.data
+
+    @property
+    def held_out(self) -> Measurements | None:
+        """The measurements that judge; None where none are held out."""
+        return None if self.judging is None else self.judging.data
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of the measurements."""
+        held_out = () if self.judging is None else self.judging.notes
+        return self.training.notes + tuple(f"held out: {note}" for note in held_out)
 
     @property
     def last(self) -> Step:
@@ -79,16 +132,22 @@ class StudyRecord:
 
     @property
     def unestablished(self) -> tuple[Candidate, ...]:
-        """What was added although diagnoses considered it, and none established it."""
+        """Effects that were added and that diagnoses considered but did not name."""
         considered: dict[str, Candidate] = {}
         established: set[str] = set()
         for _, diagnosis in sorted(self.diagnoses.items()):
             considered |= {one.name: one for one in diagnosis.ranking}
             for finding in diagnosis.findings:
                 established |= set(map(str, finding.effects))
-        names = list(map(str, self.last.added))
-        open_ = [name for name in names if name not in established]
-        return tuple(considered[name] for name in open_ if name in considered)
+        names = [str(one) for one in self.last.added if str(one) not in established]
+        return tuple(considered[name] for name in names if name in considered)
+
+    # ---- what is said of it ----------------------------------------------------------
+
+    @property
+    def unit(self) -> str:
+        """Unit of the errors, that of the channel where one is measured."""
+        return self.last.train.error_unit
 
     def errors(self, size: float = 1.0) -> tuple[ErrorStep, ...]:
         """The free-run errors step by step, times a size."""
@@ -108,11 +167,6 @@ class StudyRecord:
         return table.astype({"held_out_rmse": float})
 
     @property
-    def unit(self) -> str:
-        """Unit of the errors, that of the channel where one is measured."""
-        return self.last.train.error_unit
-
-    @property
     def summary(self) -> Summary:
         """The effects that were added, the history, and why the study stopped."""
         added = ", ".join(map(str, self.last.added))
@@ -125,3 +179,89 @@ class StudyRecord:
         if said:
             parts.append(Part(text=said))
         return Summary(title, tuple(parts))
+
+    # ---- fits of further models ------------------------------------------------------
+
+    def _records(self, fit: Fit) -> list[Record]:
+        """A fit on the training data and, where there are some, on data held out."""
+        data = filter(None, (self.training, self.judging))
+        return [Record.of_aligned(fit, one) for one in data]
+
+    def step(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Step:
+        """A fit with its free runs on both records."""
+        return Step(label, added, fit, *map(compare_record, self._records(fit)))
+
+    def evidence(self, fit: Fit) -> float:
+        """Log evidence of a fitted model beside a force, by all measurements.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        trained, *judged = self._records(fit)
+        judging = judged[0] if judged else None
+        return EvidenceRecord.of(trained, judging).base.log_evidence
+
+    def fitted(self, model: Model, start: Fit | None = None) -> Fit:
+        """A model fitted to the training data, from the estimates of another fit."""
+        return identify_aligned(model, self.training, self.loss, start=start)
+
+    def larger(self, effect: Effect, found: Candidate | None) -> Fit:
+        """The present model with one effect, from what a diagnosis found of it."""
+        if found is not None and found.fit is not None:
+            return thorough_fit(self.training, self.loss, found.fit)
+        fit = self.last.fit
+        model = fit.model.add(effect)
+        values = {} if found is None else found.values
+        known = {name: values[name] for name in model.free if name in values}
+        return self.fitted(model.with_values(known), fit)
+
+    def model_with(self, effects: Iterable[Effect]) -> Model:
+        """The base model with effects, and the present values of its parameters."""
+        model = self.base
+        for effect in effects:
+            model = model.add(effect)
+        values = self.last.fit.model.values
+        known = {name: one for name, one in values.items() if name in model.entries}
+        return model.with_values(known)
+
+    def law(self, effect: Effect) -> Follows:
+        """The force that the present model lacks without one of the effects added.
+
+        A loss is shown against its effort, others against what predicts them best. All
+        other values are those of the present fit: a base model that was fitted without
+        the effect would make up for a part of it, such as by its damping.
+
+        Raises:
+            ModelError: the effect is one of a sensor, or its equation can lack no
+                force.
+            SolveError: no states were found that obey the smaller model.
+        """
+        if effect.slot == "sensor":
+            raise ModelError(
+                f"{effect} acts in a sensor; no force is missing without it."
+            )
+        others = [other for other in self.last.added if other is not effect]
+        frozen = self.model_with(others).frozen()
+        fit = identify_aligned(frozen, self.training, MaximumLikelihood())
+        analysis = ForceAnalysis.of(Record.of_aligned(fit, self.training))
+        effort = frozen.efforts[frozen.states.index(effect.equation)]
+        said = (
+            f"The law that was added: what d{effect.equation}/dt lacks where {effect} "
+            "is left out of the present model and all other values stay"
+        )
+        return follows_of(
+            analysis.force_in(effect.equation),
+            effort if effect.slot == "R" else "",
+            proper_names(f"Force that is missing without {effect}"),
+            proper_names(said),
+        )
+
+    def laws(self) -> tuple[Follows, ...]:
+        """The laws of the three effects added first, as far as they can be shown."""
+        found = []
+        for effect in self.last.added[:3]:
+            try:
+                found.append(self.law(effect))
+            except PhsiOptError:
+                continue  # a sensor's, or a model that is too far off without it
+        return tuple(found)

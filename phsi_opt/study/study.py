@@ -5,6 +5,7 @@ It stops when no further effect is decisive, and says why.
 
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,6 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary
-from phsi_opt.study.fitting import StudyFitting
 from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -57,8 +57,8 @@ class Study(Summarised):
         progress: called with a line of text as the work goes on, such as ``print``.
 
     Attributes:
-        steps: what was done so far, the base model first.
-        stopped: why `auto` stopped last.
+        base: the base model.
+        record: the study as it stands, for those who tell of it.
 
     Raises:
         DataError: a state or input of the model is not in the measurements, or a run
@@ -81,38 +81,46 @@ class Study(Summarised):
     ) -> None:
         self.base = model
         self._choice = EffectChoice(effects, without).checked(model, train.units)
-        loss = loss or MaximumLikelihood()
-        self._fitting = StudyFitting.of(model, train, held_out, loss)
-        self.stopped = ""
         self._say = progress or silent
-        # By the number of the step, with the effects that were considered.
-        self._diagnoses: dict[int, tuple[EffectChoice, Diagnosis]] = {}
-        for note in self._fitting.notes:
+        # The effects that each diagnosis considered, by the number of the step.
+        self._considered: dict[int, EffectChoice] = {}
+        self.record = StudyRecord.of(
+            model, train, held_out, loss or MaximumLikelihood()
+        )
+        for note in self.record.notes:
             self._say(note)
         self._say("fitting the base model")
-        first = self._fitting.step("base model", (), self._fitting.of_base())
-        self.steps: list[Step] = [first]
-        if self.steps[0].train.warning:
-            self._say(self.steps[0].train.warning)
+        self._take("base model", (), self.record.fitted(model))
+        if self.record.last.train.warning:
+            self._say(self.record.last.train.warning)
 
     def _summary(self) -> Summary:
         return self.record.summary
 
     @property
+    def steps(self) -> list[Step]:
+        """What was done so far, the base model first."""
+        return list(self.record.steps)
+
+    @property
+    def stopped(self) -> str:
+        """Why `auto` stopped last; "" where it was not asked to go on."""
+        return self.record.stopped
+
+    @property
     def train(self) -> Measurements:
         """The measurements that are fitted, in the model's order."""
-        return self._fitting.train.data
+        return self.record.train
 
     @property
     def held_out(self) -> Measurements | None:
         """The measurements that judge, in the model's order."""
-        held_out = self._fitting.held_out
-        return None if held_out is None else held_out.data
+        return self.record.held_out
 
     @property
     def fit(self) -> Fit:
         """The present fit."""
-        return self.steps[-1].fit
+        return self.record.last.fit
 
     @property
     def model(self) -> Model:
@@ -122,20 +130,7 @@ class Study(Summarised):
     @property
     def added(self) -> tuple[Effect, ...]:
         """Effects that the present model has beyond the base model, oldest first."""
-        return self.steps[-1].added
-
-    @property
-    def record(self) -> StudyRecord:
-        """The study as it stands, for those who tell of it."""
-        diagnoses = {step: found for step, (_, found) in self._diagnoses.items()}
-        return StudyRecord(
-            tuple(self.steps),
-            diagnoses,
-            self.stopped,
-            self.train,
-            self.held_out,
-            self._fitting.loss,
-        )
+        return self.record.last.added
 
     @interruptible
     def compare(self, on: str | None = None) -> Comparison:
@@ -148,7 +143,7 @@ class Study(Summarised):
         Raises:
             DataError: data held out are asked for, and there are none.
         """
-        step = self.steps[-1]
+        step = self.record.last
         if on not in (None, TRAINING, HELD_OUT):
             raise DataError(f"on={on!r} is neither {HELD_OUT!r} nor {TRAINING!r}.")
         found = {None: step.judged, TRAINING: step.train, HELD_OUT: step.held_out}[on]
@@ -173,23 +168,25 @@ class Study(Summarised):
 
     def _diagnosed(self, choice: EffectChoice, executor: Executor | None) -> Diagnosis:
         """What the present model lacks, of the effects that are considered."""
-        number = len(self.steps) - 1
-        known, found = self._diagnoses.get(number, (None, None))
-        if found is not None and known == choice:
-            return found
-        step = self.steps[-1]
+        record = self.record
+        number = len(record.steps) - 1
+        if record.present is not None and self._considered.get(number) == choice:
+            return record.present
+        step = record.last
         found = diagnose_comparison(
             step.train,
             step.held_out,
             effects=choice.candidates(self.model, self.train.units),
-            loss=self._fitting.loss,
+            loss=record.loss,
             progress=self._say,
             executor=executor,
         )
-        self._diagnoses[number] = (choice, found)
+        self._considered[number] = choice
         if found.fit is not step.fit:  # a better optimum
-            label = f"{step.label}, re-fitted"
-            self.steps[-1] = self._fitting.step(label, step.added, found.fit)
+            step = record.step(f"{step.label}, re-fitted", step.added, found.fit)
+        steps = (*record.steps[:-1], step)
+        diagnoses = {**record.diagnoses, number: found}
+        self.record = replace(record, steps=steps, diagnoses=diagnoses)
         return found
 
     @interruptible
@@ -218,15 +215,22 @@ class Study(Summarised):
         found = next((one for one in ranking if one.effect == effect), None)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
-            step = self.steps[-1]
-            found = candidate_of(step.train, effect, self._fitting.loss)
-        fit = self._fitting.larger(self.fit, effect, found)
+            step = self.record.last
+            found = candidate_of(step.train, effect, self.record.loss)
+        fit = self.record.larger(effect, found)
         return self._take(str(effect), (*self.added, effect), fit)
 
     def _take(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Fit:
         """Go on from a fit; ``label`` says what was done."""
-        self.steps.append(self._fitting.step(label, added, fit))
-        return fit
+        return self._go_on(self.record.step(label, added, fit))
+
+    def _go_on(self, step: Step) -> Fit:
+        self.record = replace(self.record, steps=(*self.record.steps, step))
+        return step.fit
+
+    def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
+        """The base model with effects, re-fitted from the present estimates."""
+        return self.record.fitted(self.record.model_with(effects), self.fit)
 
     @interruptible
     def remove(self, effect: str | Effect, equation: str | None = None) -> Fit:
@@ -243,8 +247,7 @@ class Study(Summarised):
         known = self._added_effect(effect, equation)
         self._say(f"removing {known}")
         kept = self._without(known)
-        fit = self._fitting.with_effects(self.fit, kept)
-        return self._take(f"without {known}", kept, fit)
+        return self._take(f"without {known}", kept, self._fit_with(kept))
 
     def undo(self) -> Fit:
         """Take back the last step, with all that it added; return the fit before it.
@@ -252,13 +255,14 @@ class Study(Summarised):
         Raises:
             ModelError: the study is at its base model.
         """
-        if len(self.steps) == 1:
+        record = self.record
+        if len(record.steps) == 1:
             raise ModelError(
                 "there is nothing to undo: the study is at its base model."
             )
-        self.steps.pop()
-        self._diagnoses.pop(len(self.steps), None)
-        self.stopped = ""
+        steps = record.steps[:-1]
+        left = {k: one for k, one in record.diagnoses.items() if k < len(steps)}
+        self.record = replace(record, steps=steps, diagnoses=left, stopped="")
         return self.fit
 
     @interruptible
@@ -309,19 +313,20 @@ class Study(Summarised):
             if not proposed and reach == STRONG:
                 proposed = diagnosis.strong
             if not proposed:
-                self.stopped = said
-                return self.stopped
+                return self._stop(said)
             try:
                 self._add_all(proposed, diagnosis.proposed_fit)
             except SolveError as error:
                 which = " and ".join(map(str, proposed))
-                self.stopped = f"{said}; {which} could not be added: {error}"
-                return self.stopped
+                return self._stop(f"{said}; {which} could not be added: {error}")
             self._check_earlier()
-        self.stopped = (
+        return self._stop(
             f"the limit of {max_steps} steps was reached; call auto again to go on"
         )
-        return self.stopped
+
+    def _stop(self, why: str) -> str:
+        self.record = replace(self.record, stopped=why)
+        return why
 
     @property
     def history(self) -> "pd.DataFrame":
@@ -334,13 +339,10 @@ class Study(Summarised):
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""
-        from phsi_opt.presentation.axes import axes_of
-        from phsi_opt.presentation.charts import draw, errors_chart
+        from phsi_opt.presentation.charts import drawn, errors_chart
 
-        ax = axes_of(ax, (7.0, 3.8))
-        draw(ax, errors_chart(self.record.errors(), self.unit))
-        ax.set_title("Free-run error after each added effect")
-        return ax
+        chart = errors_chart(self.record.errors(), self.unit)
+        return drawn(chart, "Free-run error after each added effect", ax)
 
     def plot_effect(
         self,
@@ -362,15 +364,10 @@ class Study(Summarised):
             ModelError: not exactly one such effect was added, or it is a sensor's.
             SolveError: the model without the effect does not reach the measurements.
         """
-        from phsi_opt.presentation.axes import axes_of
-        from phsi_opt.presentation.charts import draw, follows_chart
+        from phsi_opt.presentation.charts import drawn, follows_chart
 
-        known = self._added_effect(effect, equation)
-        law = self._fitting.law(self.fit, self.added, known)
-        ax = axes_of(ax, (7.0, 3.8))
-        draw(ax, follows_chart(law))
-        ax.set_title(law.heading)
-        return ax
+        law = self.record.law(self._added_effect(effect, equation))
+        return drawn(follows_chart(law), law.heading, ax)
 
     @property
     def unit(self) -> str:
@@ -402,8 +399,8 @@ class Study(Summarised):
             )
         if place.suffix != ".html":
             return write_whole(place, markdown_report(self.content()))
-        laws = self._fitting.laws(self.fit, self.added)
-        return write_whole(place, html_report(study_content(self.record, laws)))
+        content = study_content(self.record, self.record.laws())
+        return write_whole(place, html_report(content))
 
     def content(self, *, forces: bool = False) -> StudyContent:
         """All that is told of the study, as numbers, arrays and words.
@@ -447,16 +444,15 @@ class Study(Summarised):
         if first is None or first.fit is not fit or first.trained is None:
             return self._take(label, added, fit)
         judged = None if self.held_out is None else first.comparison
-        self.steps.append(Step(label, added, fit, first.trained, judged))
-        return fit
+        return self._go_on(Step(label, added, fit, first.trained, judged))
 
     def _check_earlier(self) -> None:
         """Take out effects of earlier steps without which the evidence is higher."""
-        for effect in self.steps[-2].added:
+        for effect in self.record.steps[-2].added:
             kept = self._without(effect)
             try:
-                fit = self._fitting.with_effects(self.fit, kept)
-                gain = self._fitting.evidence(fit) - self._fitting.evidence(self.fit)
+                fit = self._fit_with(kept)
+                gain = self.record.evidence(fit) - self.record.evidence(self.fit)
             except PhsiOptError:
                 continue
             if gain > 0:

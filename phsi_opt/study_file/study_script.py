@@ -15,7 +15,7 @@ import numpy as np
 from phsi_opt import __all__ as public
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.presentation.tables import LINE_WIDTH
+from phsi_opt.presentation.numbers import LINE_WIDTH
 from phsi_opt.study_file.sections import Sections, own_effect, told
 from phsi_opt.study_file.study_text import model_parts, shared_parameters
 from phsi_opt.study_file.toml_text import text_template

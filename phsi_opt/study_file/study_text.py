@@ -23,7 +23,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.presentation.tables import LINE_WIDTH
+from phsi_opt.presentation.numbers import LINE_WIDTH
 from phsi_opt.reading import file_bytes
 from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.sections import Sections, told

@@ -1,0 +1,451 @@
+"""The first two parts of the page: the table and its columns, and the base model."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from nicegui import events, run, ui
+
+from phsi_opt.errors import ModelError
+from phsi_opt.model.expressions import names_of
+from phsi_opt.model.slots import Variables
+from phsi_opt.page.drafts import (
+    AFTER,
+    ENERGY,
+    FIRST_ORDER,
+    HELD_OUT_WAYS,
+    INPUT,
+    MOST_FILES,
+    MOST_UPLOADED,
+    NAMES,
+    NOT_USED,
+    PAIRS,
+    REAL,
+    ROLES,
+    RUN,
+    RUNS,
+    SHARE,
+    STATE,
+    TABLE_KINDS,
+    TERMS,
+    TIME,
+    WHOLE,
+    ColumnDraft,
+    DataDraft,
+    ModelDraft,
+    ParameterDraft,
+    in_megabytes,
+)
+from phsi_opt.page.gallery import GALLERY, BaseModel
+from phsi_opt.page.parts import (
+    Field,
+    Then,
+    alert,
+    button,
+    card,
+    choice,
+    complaints,
+    field_row,
+    heading,
+    text_fields,
+)
+from phsi_opt.page.session import Session
+from phsi_opt.presentation.numbers import number_of
+from phsi_opt.study_file.keys import listed
+
+# ---- part 1: the measurements --------------------------------------------------------
+
+ABOUT = (
+    "A table as CSV, text or Excel workbook: one line per sample below a header. At "
+    f"most {in_megabytes(MOST_UPLOADED)} a file. Several files with the same columns "
+    "are several runs."
+)
+# What the server is told of files that the browser does not even send.
+TELL_REJECTED = """(rejected) => emit(
+  rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
+DATA_SECTIONS = ("data", "held_out")
+UNIT_FIELD = Field("unit", "unit of {name}", "8em", "m")
+NAME_FIELD = Field("name", "name of {name}", "9em", "as in formulas")
+NOISE_FIELD = Field("noise", "noise of {name}", "14em", "estimated", REAL)
+FIELDS_OF_ROLE = {
+    TIME: (UNIT_FIELD,),
+    STATE: (NAME_FIELD, UNIT_FIELD, NOISE_FIELD),
+    INPUT: (NAME_FIELD, UNIT_FIELD),
+}
+STEP_FIELD = Field(
+    "step", "time between lines", "14em", "no column has the times", REAL
+)
+THINNED_FIELD = Field(
+    "thinned", "samples that become their mean", "17em", "each by itself", WHOLE
+)
+HELD_OUT_FIELDS = {
+    SHARE: (Field("share", "share", "8em", "0.3", REAL),),
+    AFTER: (Field("after", "from the time", "8em", "10", REAL),),
+}
+
+
+@dataclass(eq=False)
+class DataView:
+    """Draws the draft of the data.
+
+    Attributes:
+        session: whose draft it is.
+        checked: called after every change of the draft.
+        go_on: shows the next part.
+    """
+
+    session: Session
+    checked: Then
+    go_on: Callable[[], Any]
+
+    def build(self) -> None:
+        """Draw it all."""
+        with card():
+            heading("Measurements")
+            ui.label(ABOUT).classes("faint")
+            with ui.element("div").classes("drop"):
+                upload = ui.upload(
+                    auto_upload=True,
+                    multiple=True,
+                    max_file_size=MOST_UPLOADED,
+                    max_files=MOST_FILES,
+                    on_upload=self._upload,
+                )
+                upload.on("rejected", self._rejected, js_handler=TELL_REJECTED)
+                upload.props["accept"] = ",".join(TABLE_KINDS)
+                ui.label("Drop tables here, or").classes("said q-mb-sm")
+                button("Choose files", lambda: upload.run_method("pickFiles"))
+            self.error()
+        self.table()
+        self.wrong()
+
+    async def _upload(self, e: events.UploadEventArguments) -> None:
+        content = await e.file.read()
+        await run.io_bound(self.session.upload, e.file.name, content)
+        e.sender.run_method("reset")
+
+    def _rejected(self, e: events.GenericEventArguments) -> None:
+        named = [f"{one['name']} ({in_megabytes(one['size'])})" for one in e.args]
+        self.session.upload_error = (
+            f"{', '.join(named)} was not taken: only tables ({', '.join(TABLE_KINDS)}) "
+            f"of at most {in_megabytes(MOST_UPLOADED)}, and at most {MOST_FILES} of "
+            "them, are."
+        )
+        self.session.shape += 1
+
+    @ui.refreshable_method
+    def error(self) -> None:
+        """Why the last file was refused."""
+        if self.session.upload_error:
+            alert(f"This file cannot be used. {self.session.upload_error}")
+
+    @ui.refreshable_method
+    def wrong(self) -> None:
+        """What is wrong with the data as they are described."""
+        if self.session.draft.data is None:
+            return
+        with card():
+            found = self.session.complaints
+            of_data = [one for one in found if one.key.split(".")[0] in DATA_SECTIONS]
+            complaints(of_data, "The data can be used.")
+            button("Next: the model", self.go_on)
+
+    @ui.refreshable_method
+    def table(self) -> None:
+        """The columns and what is held out."""
+        data = self.session.draft.data
+        if data is None:
+            return
+        with card():
+            heading("Columns")
+            files = ", ".join(data.files)
+            runs = number_of(len(data.runs), "run")
+            ui.label(f"{files}: {data.n_samples} samples, {runs}")
+            with ui.row().classes("gap-2"):
+                for file in data.files:
+                    drop = partial(run.io_bound, self.session.remove_file, file)
+                    remove = ui.button(f"Remove {file}", on_click=drop)
+                    remove.props("flat dense")
+            for column in data.columns:
+                self._column(data, column)
+            if not data.with_role(TIME):
+                text_fields(data.time, [STEP_FIELD], self.checked)
+            text_fields(data.settings, [THINNED_FIELD], self.checked)
+        with card():
+            heading("Held out")
+            ui.label("Kept from fitting, to judge by.").classes("faint")
+            self.held_out()
+
+    def _column(self, data: DataDraft, column: ColumnDraft) -> None:
+        async def set_role(role: str) -> None:
+            if role in (TIME, RUN):
+                for known in data.with_role(role):
+                    known.role = NOT_USED  # there is one time, and one column of runs
+            column.becomes(role)
+            self.table.refresh()
+            await self.checked()
+
+        with field_row():
+            with ui.element("div").style("width: 11em"):
+                ui.label(str(column.column)).style("font-weight: 600")
+                ui.label(", ".join(column.examples)).classes("faint formula")
+            roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
+            choice(f"{column.column} is", roles, column.role, set_role, width="10em")
+            fields = FIELDS_OF_ROLE.get(column.role, ())
+            text_fields(column.table, fields, self.checked, str(column.column))
+
+    @ui.refreshable_method
+    def held_out(self) -> None:
+        """In which way, and which part."""
+        data = self.session.draft.data
+        if data is None:
+            return
+
+        async def set_way(way: str) -> None:
+            data.way = way
+            self.held_out.refresh()
+            await self.checked()
+
+        async def set_runs(e: events.ValueChangeEventArguments) -> None:
+            data.held_out["runs"] = list(e.value)
+            await self.checked()
+
+        with ui.element("div").classes("fields"):
+            choice("what is held out", HELD_OUT_WAYS, data.way, set_way)
+            if data.way == RUNS:
+                held_out = set(listed(data.held_out.get("runs", ())))
+                field = ui.select(
+                    data.runs,
+                    label="runs held out",
+                    multiple=True,
+                    value=[run for run in data.runs if run in held_out],
+                    on_change=set_runs,
+                )
+                field.props("dense outlined use-chips").style("min-width: 14em")
+            fields = HELD_OUT_FIELDS.get(data.way, ())
+            text_fields(data.held_out, fields, self.checked)
+
+
+# ---- part 2: the base model, picked or written, with a live check --------------------
+
+NOT_MEASURED = "not measured"
+# The tiles are drawn anew a moment after one was chosen.
+FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
+# A remark that goes leaves its place, so that no button moves from under a click.
+STAYING_PLACE = "min-height: 1.5em"
+NAME_FIELDS = (
+    Field("states", "states", hint="q, p", kind=NAMES),
+    Field("inputs", "inputs", hint="u", kind=NAMES),
+)
+ENERGY_FIELDS = (
+    Field("pairs", "pairs: dq/dt = dH/dp", hint="q-p", kind=PAIRS),
+    Field("H", "energy H", "100%", "k*q**2/2 + p**2/(2*m)", TERMS),
+)
+LOSS_FIELD = Field("", "loss R of {name}", "15em", "c", TERMS)
+FORCE_FIELD = Field("", "force F on {name}", "15em", "u", TERMS)
+PARAMETER_NAME_FIELD = Field("name", "name", "8em", "k")
+START_FIELD = Field("start", "start of {name}", "10em", "found in data", REAL)
+KNOWN_FIELD = Field("value", "known value of {name}", "10em", "found in data", REAL)
+LIMIT_FIELDS = (
+    Field("lower", "least {name}", "8em", "none", REAL),
+    Field("upper", "largest {name}", "8em", "none", REAL),
+    Field("unit", "unit of {name}", "8em", "N/m"),
+)
+MODEL_TYPES = {
+    ENERGY: "energy: dx/dt = (S - R) grad H + F",
+    FIRST_ORDER: "first order: dx/dt = F",
+}
+
+
+@dataclass(eq=False)
+class ModelView:
+    """Draws the draft of the model.
+
+    Attributes:
+        session: whose draft it is.
+        checked: called after every change of the draft.
+    """
+
+    session: Session
+    checked: Then
+
+    @property
+    def _draft(self) -> ModelDraft:
+        return self.session.draft.model
+
+    def build(self) -> None:
+        """Draw it all."""
+        self.gallery()
+        self.fields()
+        with card():
+            self.wrong()
+
+    @ui.refreshable_method
+    def gallery(self) -> None:
+        """The base models to begin with."""
+        with card():
+            heading("Base model")
+            ui.label("What is known of the machine. Pick one, then change it below.")
+            with ui.element("div").classes("tiles"):
+                for number, base in enumerate(GALLERY.values()):
+                    self._tile(f"base-{number}", base)
+            if self.session.left_over:
+                ui.label(self.session.left_over).classes("bad").props('role="status"')
+
+    def _tile(self, tile_id: str, base: BaseModel) -> None:
+        async def choose() -> None:
+            page = ui.context.client  # the tile itself is drawn anew by then
+            self.session.choose(base)
+            await self.checked()
+            page.run_javascript(FOCUS_SOON.replace("ID", tile_id))
+
+        is_chosen = base.title == self._draft.title
+        tile = ui.element("button").classes("tile").props('type="button"')
+        tile.props["aria-pressed"] = str(is_chosen).lower()
+        tile.props["id"] = tile_id
+        tile.classes("chosen" if is_chosen else "")
+        with tile:
+            title = ui.label(base.title + (" (chosen)" if is_chosen else ""))
+            title.style("font-weight: 600; line-height: 1.35")
+            ui.label(base.about).classes("faint")
+        tile.on("click", choose)
+
+    @ui.refreshable_method
+    def wrong(self) -> None:
+        """What is wrong with the model; parameters that formulas ask for."""
+        if self.session.failure:
+            alert(self.session.failure)
+        if self.session.complaints or not self.session.failure:
+            complaints(self.session.complaints, "Model and data can be used.")
+        for name in unknown_names(self._draft):
+            add = partial(self._add_parameter, name)
+            button(f"Make {name} a parameter", add, quiet=True)
+
+    @ui.refreshable_method
+    def fields(self) -> None:
+        """The model as it is written."""
+        draft = self._draft
+        with card():
+            heading("The model in formulas")
+            ui.label(
+                "Names in formulas are states, inputs, the time t, efforts such as "
+                "dH_dp, and the parameters below."
+            ).classes("faint")
+            with ui.element("div").classes("fields"):
+                kinds = (MODEL_TYPES, draft.type, self._set_type)
+                choice("kind of model", *kinds, width="20em")
+                text_fields(draft.table, NAME_FIELDS, self._named)
+                if draft.type == ENERGY:
+                    text_fields(draft.table, ENERGY_FIELDS, self.checked)
+            self.by_state()
+        with card():
+            heading("Parameters")
+            self.parameters()
+
+    async def _set_type(self, value: str) -> None:
+        self._draft.table["type"] = value
+        self.fields.refresh()
+        await self.checked()
+
+    async def _named(self) -> None:
+        """States or inputs have other names now; the fields below follow."""
+        self.by_state.refresh()
+        await self.checked()
+
+    @ui.refreshable_method
+    def by_state(self) -> None:
+        """Loss, force and column of each state; the column of each input."""
+        draft = self._draft
+        for name in draft.names("states"):
+            with field_row():
+                ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
+                if draft.type == ENERGY:
+                    text_fields(draft.table["R"], [LOSS_FIELD], self.checked, name)
+                text_fields(draft.table["F"], [FORCE_FIELD], self.checked, name)
+                self._column(STATE, name)
+        for name in draft.names("inputs"):
+            with field_row():
+                ui.label(name).classes("formula").style("width: 5em")
+                self._column(INPUT, name)
+
+    def _column(self, role: str, name: str) -> None:
+        """Which column of the table shows a state or an input."""
+        data = self.session.draft.data
+        if data is None:
+            return
+        options = [NOT_MEASURED] if role == STATE else []
+        options += [str(one.column) for one in data.columns if one.is_numeric]
+        known: ColumnDraft | None = data.column_named(role, name)
+
+        async def changed(column: str) -> None:
+            chosen = None if column == NOT_MEASURED else column
+            data.measure(role, name, chosen)
+            self.session.shape += 1
+            await self.checked()
+
+        value = NOT_MEASURED if known is None else str(known.column)
+        if value not in options:
+            options.append(value)
+        choice(f"column of {name}", options, value, changed, width="12em")
+
+    @ui.refreshable_method
+    def parameters(self) -> None:
+        """A row for each."""
+        for one in self._draft.parameters:
+            self._parameter(one)
+        button("Add a parameter", partial(self._add_parameter, ""), quiet=True)
+
+    def _parameter(self, one: ParameterDraft) -> None:
+        name = one.name or "new parameter"
+
+        async def given() -> None:
+            one.is_assumed = False
+            await self.checked()
+
+        def set_known(e: events.ValueChangeEventArguments) -> Any:
+            one.let_be_known(bool(e.value))
+            return self._redraw_parameters()
+
+        def remove() -> Any:
+            self._draft.parameters.remove(one)
+            return self._redraw_parameters()
+
+        with field_row():
+            value = KNOWN_FIELD if one.is_known else START_FIELD
+            text_fields(one.table, [PARAMETER_NAME_FIELD], self.checked)
+            text_fields(one.table, [value], given, name)
+            text_fields(one.table, LIMIT_FIELDS, self.checked, name)
+            ui.checkbox("known", value=one.is_known).on_value_change(set_known)
+            removing = ui.button("Remove", on_click=remove).props("flat")
+            removing.props["aria-label"] = f"Remove {name}"
+            if one.is_assumed:
+                said = f"{one.words} is an assumption: give yours."
+                note = ui.label(said).classes("bad w-full").style(STAYING_PLACE)
+                note.bind_text_from(one, "is_assumed", lambda it: said if it else "")
+
+    async def _add_parameter(self, name: str) -> None:
+        self._draft.parameters.append(ParameterDraft.of(name, {}))
+        await self._redraw_parameters()
+
+    async def _redraw_parameters(self) -> None:
+        self.parameters.refresh()
+        await self.checked()
+
+
+def unknown_names(draft: ModelDraft) -> list[str]:
+    """The names that are neither variables nor parameters, each once."""
+    variables = Variables(tuple(draft.names("states")), tuple(draft.names("inputs")))
+    known = {one.name for one in draft.parameters}
+    found: dict[str, None] = {}
+    model = draft.content()
+    slots = [("H", model.get("H", "")), *((s, model.get(s, {}).values()) for s in "RF")]
+    for slot, formulas in slots:
+        for formula in listed(formulas):
+            if not isinstance(formula, str) or not formula.strip():
+                continue
+            with suppress(ModelError):  # the check says what is wrong with it
+                names = names_of(formula) - variables.of_slot(slot) - known
+                found |= dict.fromkeys(sorted(names))
+    return list(found)
