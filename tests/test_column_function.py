@@ -1,7 +1,5 @@
 """Functions of numbers at many places: what CasADi itself finds, place by place."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,9 +7,7 @@ import pytest
 from phsi_opt.model.expressions import evaluate
 from phsi_opt.optimization.column_function import (
     AT_ONCE,
-    LEAST_AT_ONCE,
-    ColumnFunction,
-    _listing,
+    in_numbers,
     in_rows,
 )
 
@@ -51,7 +47,7 @@ def test_it_finds_what_casadi_finds(n: int) -> None:
     rng = np.random.default_rng(0)
     function = function_of(FORMULAS)
     a, b = rng.uniform(-2, 2, (2, n)), rng.uniform(0.5, 2, (1, n))
-    found = ColumnFunction(function)(a, b)
+    found = in_numbers(function, a, b)
     for own, expected in zip(found, by_casadi(function, a, b), strict=True):
         np.testing.assert_allclose(own, expected, rtol=1e-12, atol=1e-14)
 
@@ -60,8 +56,8 @@ def test_one_value_for_all_places_is_that_value_at_each() -> None:
     rng = np.random.default_rng(1)
     function = function_of(FORMULAS)
     a, b = rng.uniform(-2, 2, (2, 30)), np.array([1.3])
-    found = ColumnFunction(function, (1,))(a, b)
-    each = ColumnFunction(function)(a, np.full((1, 30), 1.3))
+    found = in_numbers(function, a, b)
+    each = in_numbers(function, a, np.full((1, 30), 1.3))
     for own, expected in zip(found, each, strict=True):
         np.testing.assert_array_equal(own, expected)
 
@@ -69,53 +65,24 @@ def test_one_value_for_all_places_is_that_value_at_each() -> None:
 def test_results_that_follow_no_argument_stand_at_every_place() -> None:
     a, b = ca.SX.sym("a"), ca.SX.sym("b")
     function = ca.Function("constant", [a, b], [ca.vertcat(2.0, b, 3 * b, a)])
-    (found,) = ColumnFunction(function, (1,))(np.arange(3.0)[None], np.array([5.0]))
+    (found,) = in_numbers(function, np.arange(3.0)[None], np.array([5.0]))
     np.testing.assert_array_equal(found, [[2] * 3, [5] * 3, [15] * 3, [0, 1, 2]])
 
 
 def test_a_place_without_a_number_has_none_and_leaves_the_others() -> None:
     function = function_of(("log(a) + 1/b",))
     a = np.array([[1.0, -1.0, 2.0], [1.0, 1.0, 1.0]])
-    values, _ = ColumnFunction(function)(a, np.array([[1.0, 1.0, 0.0]]))
+    values, _ = in_numbers(function, a, np.array([[1.0, 1.0, 0.0]]))
     assert np.isfinite(values[0]).tolist() == [True, False, False]
     assert values[1, 0] == 1.0
 
 
 def test_no_place_gives_no_value() -> None:
-    values, slopes = ColumnFunction(function_of(FORMULAS))(
-        np.zeros((2, 0)), np.zeros((1, 0))
+    values, slopes = in_numbers(
+        function_of(FORMULAS), np.zeros((2, 0)), np.zeros((1, 0))
     )
     assert values.shape == (12, 0)
     assert slopes.shape[1] == 0
-
-
-def test_threads_do_not_write_over_each_other() -> None:
-    rng = np.random.default_rng(2)
-    function = function_of(FORMULAS)
-    cases = []
-    for _ in range(40):
-        case = (rng.uniform(-2, 2, (2, 500)), rng.uniform(0.5, 2, (1, 500)))
-        cases.append(case)
-    expected = [ColumnFunction(function)(*case)[0] for case in cases]
-    with ThreadPoolExecutor(4) as threads:
-        found = list(
-            threads.map(lambda case: ColumnFunction(function)(*case)[0], cases)
-        )
-    for own, alone in zip(found, expected, strict=True):
-        np.testing.assert_array_equal(own, alone)
-
-
-def test_a_function_of_many_registers_works_on_fewer_places_at_once() -> None:
-    a = ca.SX.sym("a", 1500)
-    b = ca.SX.sym("b")
-    function = ca.Function("wide", [a, b], [ca.sin(a) * b, ca.sumsqr(a)])
-    listing = _listing(function, (False, True))
-    assert listing.at_once == LEAST_AT_ONCE
-    assert _listing(function_of(FORMULAS[:1]), (False, False)).at_once == AT_ONCE
-    values = np.random.default_rng(5).normal(size=(1500, LEAST_AT_ONCE + 3))
-    found, squares = ColumnFunction(function, (1,))(values, np.array([2.0]))
-    np.testing.assert_allclose(found, 2 * np.sin(values), rtol=1e-14)
-    np.testing.assert_allclose(squares[0], np.sum(values**2, axis=0), rtol=1e-12)
 
 
 def test_rows_of_a_table_have_the_results_of_each_column() -> None:

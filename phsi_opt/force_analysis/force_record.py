@@ -21,7 +21,7 @@ from phsi_opt.force_analysis.cross_validation import (
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
 from phsi_opt.model.symbolic import Expressions, function_of
-from phsi_opt.optimization.column_function import ColumnFunction
+from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.statistics import TINY
 
 
@@ -54,7 +54,7 @@ class Points:
     def values(self, function: ca.Function) -> np.ndarray:
         """Of a function of states, inputs, time and parameters, (n, n_out)."""
         arguments = (self.x.T, self.u.T, self.t[None, :], self.theta)
-        return np.vstack(ColumnFunction(function)(*arguments)).T
+        return np.vstack(in_numbers(function, *arguments)).T
 
     def slopes(self, model: Model) -> np.ndarray:
         """Of dx/dt in the free parameters, (n, n_states, n_free)."""

@@ -17,7 +17,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share, Tried
 from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.model.symbolic import terms_function
-from phsi_opt.optimization.column_function import ColumnFunction
+from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.statistics import rms
 from phsi_opt.transcription.augmented_states import padded
 from phsi_opt.transcription.defects import at_nodes
@@ -185,11 +185,10 @@ def check_rates(model: Model, grid: Grid) -> None:
         x = np.where(grid.measured, grid.y, value)
         resolved = resolve_guesses(model, grid, x)
         made = resolved.built("terms", partial(terms_function, resolved))
-        terms = ColumnFunction(made, (3,))
         for factor, added in MOVED:
             theta = factor * resolved.theta + added
             t = grid.t[nodes][None, :]
-            (values,) = terms(x[nodes].T, grid.u[nodes].T, t, theta)
+            (values,) = in_numbers(made, x[nodes].T, grid.u[nodes].T, t, theta)
             is_bad &= ~np.isfinite(values)
             if not is_bad.any():
                 return

@@ -1,9 +1,22 @@
-"""Linear algebra along the time.
+"""Linear algebra along the time: the optimality system of a record, factored.
 
-Unknowns that touch only their neighbours in time make a banded matrix.
-The optimality system of every likelihood here is such a matrix, bordered by the few
-columns of the parameters. Its factors cost time and memory in proportion to the number
-of samples. The border is dealt with in `model_error`.
+Unknowns that touch only their neighbours in time make a banded matrix, whose factors
+cost time and memory in proportion to the number of samples. The optimality system of
+every likelihood here is such a matrix, bordered by the few columns of the parameters
+(the border is dealt with in `model_error`).
+
+`Banded` factors any such matrix. Where samples measure every one of many states,
+`Chained` solves for the states by their own curvature; the system of the multipliers is
+then positive definite and couples neighbours in time: a band whose Cholesky factors
+take a small part of the work, and a fifth of the memory, of LU factors of the whole.
+
+::
+
+    [H  J'] [x]   [a]
+    [J  0 ] [l] = [b]      H diagonal;  J H^-1 J' l = J H^-1 a - b
+
+Nodes between samples, where nothing was measured, follow from the sample before
+(`Passage`). `TimeLayout` takes whichever serves.
 """
 
 from contextlib import suppress
@@ -20,6 +33,13 @@ from phsi_opt.errors import SolveError
 # Right-hand sides from which LAPACK solves with the transposed factors in less time: a
 # quarter to a third less for eight and more. Of a symmetric matrix both are the same.
 TRANSPOSED_FROM = 3
+# From this number of states on `Chained` gains: below, the band is as fast.
+FEWEST_STATES = 14
+NEGLIGIBLE = 1e-18  # share of the largest slope that is only rounding
+# What touches its neighbours in a step hardly touches what is far away in several:
+# states that are so many places apart share a column at first.
+APART = 40
+PANEL = 8  # columns that are solved for together
 
 
 class BandLayout:
@@ -49,11 +69,9 @@ class BandLayout:
         self.order = order
         self.is_symmetric = is_symmetric
         self.n = len(order)
-        self.rank = np.empty(self.n, dtype=np.int64)
-        self.rank[order] = np.arange(self.n)
-        sorted_rows = self.rank[rows]
+        self.rank = np.argsort(order)
         sorted_columns = self.rank[columns]
-        offsets = sorted_rows - sorted_columns
+        offsets = self.rank[rows] - sorted_columns
         self.kl = int(np.max(offsets, initial=0))
         self.ku = int(np.max(-offsets, initial=0))
         # LAPACK's band storage, with kl more rows for what pivoting fills in.
@@ -67,10 +85,6 @@ class Banded:
     Args:
         layout: of its pattern.
         entries: (n_entries,) in the order of the layout.
-
-    Attributes:
-        layout: likewise.
-        n: number of unknowns.
 
     Raises:
         SolveError: the matrix is singular.
@@ -94,20 +108,16 @@ class Banded:
             )
 
     def solve(self, right: np.ndarray, is_transposed: bool = False) -> np.ndarray:
-        """Solution for one right-hand side (n,) or several (n, k).
+        """Solution for one right-hand side (n,) or several (n, k), maybe transposed.
 
         Column after column in memory, as LAPACK has them; nothing is copied where the
         right-hand sides are so too.
-
-        Args:
-            right: one or several.
-            is_transposed: whether the matrix is taken transposed.
         """
         layout = self.layout
         columns = np.take(right.reshape(self.n, -1).T, layout.order, axis=1)
         if layout.is_symmetric:
             is_transposed = len(columns) >= TRANSPOSED_FROM
-        found, _ = dgbtrs(
+        solution, _ = dgbtrs(
             self._factors,
             layout.kl,
             layout.ku,
@@ -116,7 +126,7 @@ class Banded:
             trans=int(is_transposed),
             overwrite_b=True,
         )
-        result = np.take(found.T, layout.rank, axis=1)
+        result = np.take(solution.T, layout.rank, axis=1)
         return result[0] if right.ndim == 1 else result.T
 
     @property
@@ -126,15 +136,21 @@ class Banded:
         return float(np.sum(np.log(np.abs(diagonal))))
 
 
-NEGLIGIBLE = 1e-18  # share of the largest slope that is only rounding
-# What touches its neighbours in a step hardly touches what is far away in several:
-# states that are so many places apart share a column at first.
-APART = 40
-PANEL = 8  # columns that are solved for together
+# ---- dynamics over gaps between samples
 
 
 class Passage:
-    """The dynamics of all gaps.
+    """Linear dynamics over gaps between samples, the nodes inside solved for.
+
+    Every gap leads from one sample to the next. Its last interval ends at a sample; the
+    others end at nodes inside, which follow from the sample at its begin. Sorted by
+    what touches what, the slopes inside are a narrow band, whatever the number of
+    states.
+
+    ::
+
+        inside x_inside + first x_samples = right of the intervals that end inside
+        onward x_inside + last  x_samples = right of the last intervals
 
     Args:
         slopes: J, (n_intervals * n_states, n_nodes * n_states).
@@ -144,13 +160,8 @@ class Passage:
         rank: (n_states,) place of each state where those that touch are neighbours.
 
     Attributes:
-        of_inside: rows of J that end inside gaps.
-        of_last: rows of J that end at samples.
-        inside: columns of J of the nodes inside.
-        samples: columns of J of samples.
-        first: slopes inside gaps in the states of samples.
-        onward: slopes of last intervals in the states inside.
-        last: slopes of last intervals in the states of samples.
+        of_inside: rows of J that end inside gaps; of_last: those that end at samples.
+        inside: columns of J of the nodes inside; samples: those of samples.
 
     Raises:
         SolveError: a node inside does not follow.
@@ -164,47 +175,37 @@ class Passage:
         rank: np.ndarray,
     ) -> None:
         self._rank = rank
+        self._n = len(rank)
         is_last = is_sample[begin + 1]
-        self._gap = np.cumsum(is_last) - is_last
         sample = np.cumsum(is_sample) - 1
         self._sample = sample[begin[is_sample[begin]]]
         self.of_inside = self._places(~is_last)
         self.of_last = self._places(is_last)
         self.inside = self._places(~is_sample)
         self.samples = self._places(is_sample)
-        behind = slopes[self.of_last]
-        self.onward = behind[:, self.inside]
-        self.last = behind[:, self.samples]
+        self.onward = slopes[self.of_last][:, self.inside]
+        self.last = slopes[self.of_last][:, self.samples]
         before = slopes[self.of_inside]
         self.first = before[:, self.samples]
-        self._reach = self._farthest(self.onward)
+        touching = self.onward.tocoo()
+        distance = rank[touching.row % self._n] - rank[touching.col % self._n]
+        self._reach = int(np.max(np.abs(distance), initial=0))
         self._factors: Banded | None = None
         if len(self.inside):
-            self._factors = self._factored(before[:, self.inside].tocoo(), ~is_last)
+            gap = (np.cumsum(is_last) - is_last)[~is_last]
+            self._factors = self._factored(before[:, self.inside].tocoo(), gap)
 
     def _places(self, chosen: np.ndarray) -> np.ndarray:
         """Of the states of chosen nodes, or intervals, among all."""
-        n = len(self._rank)
-        places: np.ndarray = (
-            np.flatnonzero(chosen)[:, None] * n + np.arange(n)
-        ).ravel()
-        return places
+        return np.flatnonzero(np.repeat(chosen, self._n))
 
-    def _farthest(self, slopes: csr_matrix) -> int:
-        """Places between states that touch, at most."""
-        entries = slopes.tocoo()
-        n = len(self._rank)
-        places = self._rank[entries.row % n] - self._rank[entries.col % n]
-        return int(np.max(np.abs(places), initial=0))
-
-    def _factored(self, slopes: coo_matrix, is_inside: np.ndarray) -> Banded:
+    def _factored(self, slopes: coo_matrix, gap: np.ndarray) -> Banded:
         """Of the slopes inside, in the order that makes the narrower band."""
-        gap = np.repeat(self._gap[is_inside], len(self._rank))
-        rank = np.tile(self._rank, len(gap) // len(self._rank))
-        number = np.arange(len(gap)) // len(self._rank)
+        interval, state = np.divmod(np.arange(slopes.shape[0]), self._n)
+        rank = self._rank[state]
         layouts = []
-        for order in (np.lexsort((number, rank, gap)), np.lexsort((rank, number))):
-            layouts.append(BandLayout(slopes.row, slopes.col, order))
+        for keys in ((interval, rank, gap[interval]), (rank, interval)):
+            layouts.append(BandLayout(slopes.row, slopes.col, np.lexsort(keys)))
         narrower = min(layouts, key=lambda layout: layout.kl + layout.ku)
         return Banded(narrower, slopes.data)
 
@@ -213,15 +214,12 @@ class Passage:
         """Of the slopes inside."""
         return self._factors.log_abs_det if self._factors else 0.0
 
-    def followed(self, right: np.ndarray) -> np.ndarray:
-        """States inside for right-hand sides (n_inside, k) of their intervals."""
-        return self._factors.solve(right) if self._factors else right
+    def followed(self, right: np.ndarray, is_transposed: bool = False) -> np.ndarray:
+        """States inside for right-hand sides (n_inside, k) of their intervals.
 
-    def pulled(self, right: np.ndarray) -> np.ndarray:
-        """Multipliers of the intervals that end inside, for pulls on states there."""
-        return (
-            self._factors.solve(right, is_transposed=True) if self._factors else right
-        )
+        Transposed: multipliers of these intervals for pulls on states inside.
+        """
+        return self._factors.solve(right, is_transposed) if self._factors else right
 
     def over(self, right: np.ndarray) -> np.ndarray:
         """Right-hand sides (n_intervals * n_states, k) of whole gaps."""
@@ -239,29 +237,26 @@ class Passage:
         return blocks[self.of_last] + carried
 
     def _carried(self, blocks: csr_matrix, place: np.ndarray) -> csr_matrix:
-        """What intervals inside add to whole gaps, but for what is only rounding.
+        """What intervals inside add to whole gaps, but for rounding.
 
         Args:
             blocks: (n_inside, n_columns) in one block of columns per gap.
             place: (n_gaps,) number of that block.
         """
-        n = len(self._rank)
-        apart = min(APART, n)
-        carried = self._carried_by(apart, blocks, place)
-        while carried is None:
-            apart = min(2 * apart, n)
-            carried = self._carried_by(apart, blocks, place)
+        apart = min(APART, self._n)
+        while (carried := self._carried_by(apart, blocks, place)) is None:
+            apart = min(2 * apart, self._n)
         return carried
 
     def _carried_by(
         self, apart: int, blocks: csr_matrix, place: np.ndarray
     ) -> csr_matrix | None:
-        """The same; None where states ``apart`` from each other are still felt."""
-        n = len(self._rank)
+        """The same; None where states ``apart`` from each other still interact."""
+        n = self._n
         entries = blocks.tocoo()
         largest = NEGLIGIBLE * np.max(np.abs(entries.data), initial=0.0)
         column = self._rank[entries.col % n] % apart
-        found: list[tuple[np.ndarray, ...]] = []
+        parts: list[tuple[np.ndarray, ...]] = []
         for first in range(0, apart, PANEL):
             own = (column >= first) & (column < first + PANEL)
             width = min(PANEL, apart - first)
@@ -269,8 +264,8 @@ class Passage:
                 (entries.data[own], (entries.row[own], column[own] - first)),
                 shape=(blocks.shape[0], width),
             ).toarray(order="F")
-            felt = -(self.onward @ self.followed(right))
-            row, number = np.nonzero(np.abs(felt) > largest)
+            effect = -(self.onward @ self.followed(right))
+            row, number = np.nonzero(np.abs(effect) > largest)
             distance = number + first - self._rank[row % n]
             if apart < n:
                 distance = (distance + apart // 2) % apart - apart // 2
@@ -278,8 +273,8 @@ class Passage:
             is_far = np.abs(distance) >= apart // 2 - self._reach
             if apart < n and np.any(is_far | (rank < 0) | (rank >= n)):
                 return None
-            found.append((felt[row, number], row, rank))
-        value, row, rank = (np.concatenate(part) for part in zip(*found, strict=True))
+            parts.append((effect[row, number], row, rank))
+        value, row, rank = (np.concatenate(part) for part in zip(*parts, strict=True))
         state = np.argsort(self._rank)[rank]
         places = (row, place[row // n] * n + state)
         shape = (len(place) * n, blocks.shape[1])
@@ -293,8 +288,7 @@ def neighbours_first(row: np.ndarray, column: np.ndarray, n_states: int) -> np.n
     return reverse_cuthill_mckee(csr_matrix(touching | touching.T), True)
 
 
-# From this number of states on: below, the band is as fast.
-FEWEST_STATES = 14
+# ---- many states, all of them measured at samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,15 +305,35 @@ class Chain:
     n_nodes: int
     n_states: int
 
+    @property
+    def n_x(self) -> int:
+        """Number of states at all nodes."""
+        return self.n_nodes * self.n_states
+
+    def samples(self, curvature: np.ndarray) -> np.ndarray | None:
+        """Nodes of which all states are measured, (n_nodes,); of the others none is.
+
+        None where it is not so, or where a trajectory begins or ends between samples.
+
+        Args:
+            curvature: (n_nodes, n_states) diagonal of H.
+        """
+        largest = np.max(curvature, initial=0.0)
+        # What lies between the two limits would cost digits.
+        is_sample = np.all(curvature > 1e-8 * largest, axis=1)
+        is_between = np.all(curvature <= 1e-11 * largest, axis=1)
+        has_both = np.isin(np.arange(self.n_nodes), self.begin)
+        has_both &= np.isin(np.arange(self.n_nodes), self.begin + 1)
+        return is_sample if np.all(is_sample | (is_between & has_both)) else None
+
 
 @dataclass(frozen=True, eq=False)
 class ChainLayout:
     """Where the entries of matrices of one pattern stand: H, J and the nodes.
 
     Attributes:
-        order: (n_states,) the states of a node, those that touch near each other. All
-            that follows, and all that factors do inside, has them in this order.
         chain: nodes and intervals, in the order of time.
+        order: (n_states,) the states of a node, those that touch near each other.
         curved: entries of the diagonal of H among all.
         state: (n_curved,) unknown on which each of them stands.
         sloped: entries of J among all.
@@ -327,8 +341,8 @@ class ChainLayout:
         column: (n_sloped,) its column.
     """
 
-    order: np.ndarray
     chain: Chain
+    order: np.ndarray
     curved: np.ndarray
     state: np.ndarray
     sloped: np.ndarray
@@ -346,41 +360,38 @@ class ChainLayout:
             columns: (n_entries,) its column.
             chain: nodes and intervals.
         """
-        begin, n_states = chain.begin, chain.n_states
-        n_x = chain.n_nodes * n_states
-        n_unknowns = n_x + len(begin) * n_states
+        begin, n, n_x = chain.begin, chain.n_states, chain.n_x
+        n_unknowns = n_x + len(begin) * n
         is_larger = max(np.max(rows, initial=0), np.max(columns, initial=0))
         in_time = bool(np.all(np.diff(begin) > 0))
-        if n_states < FEWEST_STATES or not in_time or is_larger >= n_unknowns:
+        if n < FEWEST_STATES or not in_time or is_larger >= n_unknowns:
             return None  # such as one with processes among its unknowns
-        of_states = (rows < n_x) & (columns < n_x)
-        if np.any(rows[of_states] != columns[of_states]):
+        curved = np.flatnonzero((rows < n_x) & (columns < n_x))
+        if np.any(rows[curved] != columns[curved]):
             return None
-        curved = np.flatnonzero(of_states)
         sloped = np.flatnonzero((rows >= n_x) & (columns < n_x))
         row = rows[sloped] - n_x
         column = columns[sloped]
-        first = begin[row // n_states] * n_states
-        if np.any((column < first) | (column >= first + 2 * n_states)):
+        first = begin[row // n] * n
+        if np.any((column < first) | (column >= first + 2 * n)):
             return None
-        order = neighbours_first(row % n_states, column % n_states, n_states)
-        rank = np.argsort(order)
-        state = _renamed(rows[curved], rank)
-        row, column = _renamed(row, rank), _renamed(column, rank)
-        return cls(order, chain, curved, state, sloped, row, column)
+        order = neighbours_first(row % n, column % n, n)
+        return cls(chain, order, curved, rows[curved], sloped, row, column)
 
-    def curvature(self, entries: np.ndarray) -> np.ndarray:
-        """Diagonal of H at every node, (n_nodes, n_states)."""
-        shape = (self.chain.n_nodes, self.chain.n_states)
-        n_x = shape[0] * shape[1]
-        diagonal = np.bincount(self.state, entries[self.curved], minlength=n_x)
-        return diagonal.reshape(shape)
-
-    def slopes(self, entries: np.ndarray) -> csr_matrix:
-        """J, (n_intervals * n_states, n_nodes * n_states)."""
-        n = self.chain.n_states
-        shape = (len(self.chain.begin) * n, self.chain.n_nodes * n)
-        return csr_matrix((entries[self.sloped], (self.row, self.column)), shape=shape)
+    def factors(self, entries: np.ndarray) -> "Chained | None":
+        """Of the matrix with these entries; None where samples do not measure all."""
+        chain = self.chain
+        diagonal = np.bincount(self.state, entries[self.curved], minlength=chain.n_x)
+        curvature = diagonal.reshape(chain.n_nodes, chain.n_states)
+        is_sample = chain.samples(curvature)
+        if is_sample is None or not np.all(np.isfinite(entries)):
+            return None
+        shape = (len(chain.begin) * chain.n_states, chain.n_x)
+        places = (self.row, self.column)
+        slopes = csr_matrix((entries[self.sloped], places), shape=shape)
+        with suppress(np.linalg.LinAlgError, SolveError):
+            return Chained(self, slopes, curvature, is_sample)
+        return None
 
 
 class Chained:
@@ -388,7 +399,7 @@ class Chained:
 
     Args:
         layout: of the pattern.
-        entries: (n_entries,) in its order.
+        slopes: J, (n_intervals * n_states, n_nodes * n_states).
         curvature: (n_nodes, n_states) diagonal of H.
         is_sample: (n_nodes,) whether a node's states are measured.
 
@@ -404,19 +415,21 @@ class Chained:
     def __init__(
         self,
         layout: ChainLayout,
-        entries: np.ndarray,
+        slopes: csr_matrix,
         curvature: np.ndarray,
         is_sample: np.ndarray,
     ) -> None:
-        self._layout = layout
-        slopes = layout.slopes(entries)
-        n_states = layout.chain.n_states
-        rank = np.arange(n_states)
-        self._passage = Passage(slopes, layout.chain.begin, is_sample, rank)
+        chain = layout.chain
+        rank = np.argsort(layout.order)
+        self._passage = Passage(slopes, chain.begin, is_sample, rank)
         self._over_gaps = self._passage.slopes()
         self._inverse = 1 / curvature[is_sample].ravel()
         self.n = curvature.size + slopes.shape[0]
-        band = _band_of_squares(self._over_gaps, self._inverse, n_states)
+        self._n_x = curvature.size
+        n_gaps = self._over_gaps.shape[0] // chain.n_states
+        first = chain.n_states * np.arange(n_gaps)[:, None]
+        self._order = (first + layout.order).ravel()  # of multipliers in the band
+        band = _band_of_squares(self._over_gaps[self._order], self._inverse)
         self._factors, info = dpbtrf(band, lower=True, overwrite_ab=True)
         if info:
             raise np.linalg.LinAlgError("multipliers do not follow")
@@ -425,48 +438,51 @@ class Chained:
         of_inside = 2 * self._passage.log_abs_det
         self.log_abs_det = of_samples + of_multipliers + of_inside
 
-    @classmethod
-    def of(cls, layout: ChainLayout, entries: np.ndarray) -> "Chained | None":
-        """Of the matrix with these entries; None where samples do not measure all."""
-        curvature = layout.curvature(entries)
-        is_sample = _samples(layout.chain.begin, curvature)
-        if is_sample is None or not np.all(np.isfinite(entries)):
-            return None
-        with suppress(np.linalg.LinAlgError, SolveError):
-            return cls(layout, entries, curvature, is_sample)
-        return None
-
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution for one right-hand side (n,) or several (n, k)."""
-        order = self._layout.order
-        n_x = self._layout.chain.n_nodes * len(order)
-        columns = right.reshape(self.n, -1)
-        shape = (-1, len(order), columns.shape[1])
-        sorted_columns = columns.reshape(shape)[:, order]
-        flat = sorted_columns.reshape(columns.shape)
-        x, multipliers = self._solved(flat[:n_x], flat[n_x:])
-        found = np.empty_like(sorted_columns)
-        found[:, order] = np.concatenate([x, multipliers]).reshape(shape)
-        return found.reshape(right.shape)
-
-    def _solved(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States and multipliers for a (n_x, k) and b (n_multipliers, k)."""
         passage = self._passage
+        columns = right.reshape(self.n, -1)
+        a, b = columns[: self._n_x], columns[self._n_x :]
         weights = self._inverse[:, None]
-        pulled = passage.pulled(a[passage.inside])
+        pulled = passage.followed(a[passage.inside], is_transposed=True)
         a_samples = a[passage.samples] - passage.first.T @ pulled
         missed = self._over_gaps @ (weights * a_samples) - passage.over(b)
-        of_last: np.ndarray = dpbtrs(self._factors, missed, lower=True)[0]
+        of_last = np.empty_like(missed)
+        solved = dpbtrs(self._factors, missed[self._order], lower=True)[0]
+        of_last[self._order] = solved
         samples = weights * (a_samples - self._over_gaps.T @ of_last)
-        offset = b[passage.of_inside] - passage.first @ samples
         x = np.empty_like(a)
         x[passage.samples] = samples
-        x[passage.inside] = passage.followed(offset)
+        x[passage.inside] = passage.followed(
+            b[passage.of_inside] - passage.first @ samples
+        )
         multipliers = np.empty_like(b)
         multipliers[passage.of_last] = of_last
-        onward = passage.pulled(passage.onward.T @ of_last)
+        onward = passage.followed(passage.onward.T @ of_last, is_transposed=True)
         multipliers[passage.of_inside] = pulled - onward
-        return x, multipliers
+        return np.concatenate([x, multipliers]).reshape(right.shape)
+
+
+def _band_of_squares(slopes: csr_matrix, inverse: np.ndarray) -> np.ndarray:
+    """J H^-1 J' in LAPACK's storage of the lower half of a band, (height, n)."""
+    n = slopes.shape[0]
+    weighted = slopes @ diags(inverse)
+    transposed = slopes.T.tocsr()
+    transposed.sort_indices()
+    begin, end = transposed.indptr[:-1], transposed.indptr[1:]
+    is_any = end > begin
+    indices = transposed.indices
+    farthest = indices[end[is_any] - 1] - indices[begin[is_any]]
+    height = 1 + int(np.max(farthest, initial=0))
+    band = np.zeros(height * n)
+    step = 1024  # rows whose products are worked out at a time
+    for first in range(0, n, step):
+        part = (weighted[first : first + step] @ transposed).tocoo()
+        below = part.row + first - part.col
+        is_lower = below >= 0
+        places = part.col[is_lower].astype(np.int64) * height + below[is_lower]
+        band[places] = part.data[is_lower]
+    return band.reshape(n, height).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -501,57 +517,5 @@ class TimeLayout:
         Raises:
             SolveError: the matrix is singular.
         """
-        chained = self._chained and Chained.of(self._chained, entries)
+        chained = self._chained and self._chained.factors(entries)
         return chained or Banded(self._banded, entries)
-
-
-def _band_of_squares(
-    slopes: csr_matrix, inverse: np.ndarray, n_states: int
-) -> np.ndarray:
-    """J H^-1 J' in LAPACK's storage of the lower half of a band, (height, n)."""
-    n = slopes.shape[0]
-    weighted = slopes @ diags(inverse)
-    transposed = slopes.T.tocsr()
-    height = 1 + _farthest(transposed)
-    band = np.zeros(height * n)
-    step = 64 * n_states  # gaps whose products are worked out at a time
-    for first in range(0, n, step):
-        part = (weighted[first : first + step] @ transposed).tocoo()
-        below = part.row + first - part.col
-        is_lower = below >= 0
-        places = part.col[is_lower].astype(np.int64) * height + below[is_lower]
-        band[places] = part.data[is_lower]
-    return band.reshape(n, height).T
-
-
-def _farthest(transposed: csr_matrix) -> int:
-    """Places between rows that touch one column, at most."""
-    transposed.sort_indices()
-    begin, end = transposed.indptr[:-1], transposed.indptr[1:]
-    is_any = end > begin
-    indices = transposed.indices
-    return int(np.max(indices[end[is_any] - 1] - indices[begin[is_any]], initial=0))
-
-
-def _renamed(places: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """Places (node or interval, state) with the states in another order."""
-    block, state = np.divmod(places, len(rank))
-    renamed: np.ndarray = block * len(rank) + rank[state]
-    return renamed
-
-
-def _samples(begin: np.ndarray, curvature: np.ndarray) -> np.ndarray | None:
-    """Nodes of which all states are measured, (n_nodes,); of the others none is.
-
-    None where it is not so, or where a trajectory begins or ends between samples.
-    """
-    largest = np.max(curvature, initial=0.0)
-    # What lies between the two limits would cost digits.
-    is_sample = np.all(curvature > 1e-8 * largest, axis=1)
-    is_between = np.all(curvature <= 1e-11 * largest, axis=1)
-    has_next = np.zeros(len(curvature), dtype=bool)
-    has_next[begin] = True
-    has_previous = np.zeros(len(curvature), dtype=bool)
-    has_previous[begin + 1] = True
-    follows = is_between & has_next & has_previous
-    return is_sample if np.all(is_sample | follows) else None

@@ -1,7 +1,8 @@
-"""Linear least squares within bounds, and the best step where a quadratic is known.
+"""Dense linear algebra of the few parameters: steps within bounds, and covariance.
 
-By a primal active set: of what is free the full step, cut where it meets a bound, which
-then holds its parameter; what is held and would rather move inwards is released.
+The best step by a primal active set: the full step of the free parameters, cut where it
+meets a bound, which then holds its parameter; a parameter that is held and whose
+multiplier has the wrong sign is released.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,14 @@ from phsi_opt.errors import SolveError
 # good as rounding: it is the difference of numbers as large as the largest.
 SILENT = 1e-12
 LOUD = 1e-3  # share above which no direction is silent
+# Information, per scaled parameter, that makes the matrix regular where the data say
+# nothing.
+RIDGE = 1e-10
+# The same as a share of the largest information: beside less the others drown in its
+# inverse's rounding.
+ROUNDED_RIDGE = 1e-15
+HELD = 1e12  # information, per scaled parameter, by which a parameter does not move
+REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +51,8 @@ class Room:
     def share(self, step: np.ndarray) -> np.ndarray:
         """Of a step (n,), that which each of the parameters can take, at most 1."""
         room = np.where(step > 0, self.above, self.below)
-        shares = np.ones(len(step))
-        beyond = np.abs(step) > np.abs(room)
-        shares[beyond] = room[beyond] / step[beyond]
-        return shares
+        is_beyond = np.abs(step) > np.abs(room)
+        return np.divide(room, step, out=np.ones(len(step)), where=is_beyond)
 
 
 ANY_ROOM = Room(np.array(-np.inf), np.array(np.inf))
@@ -69,9 +76,10 @@ def bounded_step(
     if not n:
         return pull
     curvature = (curvature + curvature.T) / 2
-    values, vectors = np.linalg.eigh(curvature)
-    silent = np.clip(silent, SILENT * values[-1], LOUD * values[-1])
-    whole = _told_step(values, vectors, pull, silent)
+    eigen = np.linalg.eigh(curvature)
+    largest = eigen.eigenvalues[-1]
+    silent = np.clip(silent, SILENT * largest, LOUD * largest)
+    whole = _full_step(*eigen, pull, silent)
     if room.holds(whole):
         return whole
     d = np.zeros(n)
@@ -80,10 +88,9 @@ def bounded_step(
     for _ in range(10 * n):  # each change of the active set is made once or twice
         slope = pull - curvature @ d
         step = np.zeros(n)
-        free = np.linalg.eigh(curvature[np.ix_(is_free, is_free)])
-        step[is_free] = _told_step(*free, slope[is_free], silent)
-        left = Room(np.minimum(room.below - d, 0.0), np.maximum(room.above - d, 0.0))
-        shares = left.share(step)
+        eigen = np.linalg.eigh(curvature[np.ix_(is_free, is_free)])
+        step[is_free] = _full_step(*eigen, slope[is_free], silent)
+        shares = Room.at(d, room.below, room.above).share(step)
         first = int(np.argmin(shares))
         if shares[first] < 1:
             d = d + shares[first] * step
@@ -101,50 +108,27 @@ def bounded_step(
     return d
 
 
-def _told_step(
+def _full_step(
     values: np.ndarray, vectors: np.ndarray, slope: np.ndarray, silent: float
 ) -> np.ndarray:
-    """The full step in the directions with more curvature than what is silent.
-
-    Args:
-        values: (n,) curvatures.
-        vectors: (n, n) their directions.
-        slope: (n,).
-        silent: curvature of rounding.
-    """
-    is_told = values > silent
-    told = vectors[:, is_told]
-    step: np.ndarray = told @ ((told.T @ slope) / values[is_told])
+    """The step in directions whose curvature is more than that of silent ones."""
+    is_seen = values > silent
+    seen = vectors[:, is_seen]
+    step: np.ndarray = seen @ ((seen.T @ slope) / values[is_seen])
     return step
 
 
 def bounded_least_squares(
     A: np.ndarray, b: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> np.ndarray:
-    """The x within bounds that minimises ``|A x - b|^2``, (n,).
+    """The x (n,) between ``lower`` and ``upper`` that minimises ``|A x - b|^2``.
 
     By an active set (Stark and Parker, Comput. Stat. 10, 1995), which always ends:
     where the columns of A differ by many orders of magnitude, the line search of
     SciPy's other method goes on for ever.
-
-    Args:
-        A: matrix, (m, n).
-        b: right-hand side, (m,).
-        lower: least values, (n,), each below that of ``upper``.
-        upper: largest values, (n,).
     """
-    found: np.ndarray = lsq_linear(A, b, (lower, upper), method="bvls").x
-    return found
-
-
-# Information, per scaled parameter, that makes the matrix regular where the data say
-# nothing.
-RIDGE = 1e-10
-# The same as a share of the largest information: beside less the others drown in its
-# inverse's rounding.
-ROUNDED_RIDGE = 1e-15
-HELD = 1e12  # information, per scaled parameter, by which a parameter does not move
-REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
+    solution: np.ndarray = lsq_linear(A, b, (lower, upper), method="bvls").x
+    return solution
 
 
 def regularized_inverse(
@@ -170,8 +154,7 @@ def regularized_inverse(
     least = max(RIDGE, ROUNDED_RIDGE * float(np.max(values, initial=0.0)))
     ridge = np.full(len(information), least)
     ridge[list(held)] = HELD
-    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    regular = positive + np.diag(ridge)
+    regular = (vectors * np.maximum(values, 0.0)) @ vectors.T + np.diag(ridge)
     try:
         return np.linalg.inv(regular)
     except np.linalg.LinAlgError:  # it spans more digits than numbers have

@@ -1,24 +1,32 @@
-"""Defects: what is left of the model's equations over every interval of a grid.
+"""Defects: the residuals of the model's equations over every interval of a grid.
 
 The defect of an interval is (x1 - x0)/h - Psi(g; x0, x1), where g is the right-hand
 side of the model and Psi the mean derivative of a scheme (`integrators`). Every loss is
-made from them. Their second derivatives, and the first ones interval by interval, are
-in `defect_derivatives`.
+made from them. A defect depends on the two states at its ends and on the parameters
+alone, so its derivatives are small blocks, one per interval.
+
+A function of one interval (or node) is evaluated for all of them together: symbols by
+CasADi's `map`, numbers by `in_numbers`. Here the rows (n_nodes, n_states) of the data
+meet CasADi's columns (n_states, n_nodes).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
-from phsi_opt.optimization.column_function import ColumnFunction, in_columns
+from phsi_opt.optimization.column_function import in_columns, in_numbers
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
+
+FINE_STEPS = 8  # of RK4 along the interval by which one step of a scheme is checked
+
+
+# ---- functions of one interval, or node, for all of them
 
 
 def interval_arguments(grid: Grid, x: Any) -> list[Any]:
@@ -28,10 +36,8 @@ def interval_arguments(grid: Grid, x: Any) -> list[Any]:
         grid: nodes and intervals.
         x: (n_states, n_nodes) states, symbols or numbers.
     """
-    begin: Any = grid.begin
-    end: Any = grid.begin + 1
-    if not isinstance(x, np.ndarray):  # CasADi takes lists of places
-        begin, end = begin.tolist(), end.tolist()
+    begin = _places(grid.begin, x)
+    end = _places(grid.begin + 1, x)
     return [x[:, begin], x[:, end], *known_arguments(grid)]
 
 
@@ -41,18 +47,16 @@ def known_arguments(grid: Grid) -> list[np.ndarray]:
     return [t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
 
 
-def _of_each(theta: Any, trajectory: np.ndarray) -> tuple[Any, bool]:
-    """Parameters theta, a column per interval or node unless all share one.
+def _places(numbers: np.ndarray, values: Any) -> Any:
+    """Numbers of columns as these values are indexed: CasADi takes lists."""
+    return numbers if isinstance(values, np.ndarray) else numbers.tolist()
 
-    And whether they do.
-    """
+
+def _of_each(theta: Any, trajectory: np.ndarray) -> Any:
+    """Parameters theta, a column per interval or node unless all share one."""
     shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
-    if len(shape) < 2 or shape[1] == 1:
-        return theta, True
-    places: Any = trajectory
-    if not isinstance(theta, np.ndarray):  # CasADi takes lists of places
-        places = trajectory.tolist()
-    return theta[:, places], False
+    is_shared = len(shape) < 2 or shape[1] == 1
+    return theta if is_shared else theta[:, _places(trajectory, theta)]
 
 
 def map_intervals(
@@ -66,15 +70,20 @@ def map_intervals(
         arguments: the other arguments, a column per interval.
         theta: (n_free,) parameters, or (n_free, n_trajectories).
     """
-    own, is_shared = _of_each(theta, grid.runs)
-    return mapped(function, grid.n_intervals, is_shared)(*arguments, own)
+    return _mapped(function, arguments, theta, grid.runs)
 
 
 def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:
     """A function of (x, u, t, theta) at every node; ``x`` is (n_states, n_nodes)."""
-    own, is_shared = _of_each(theta, grid.trajectory)
-    arguments = node_arguments(grid, x)
-    return mapped(function, grid.n_nodes, is_shared)(*arguments, own)
+    arguments = [x, grid.u.T, grid.t[None, :]]
+    return _mapped(function, arguments, theta, grid.trajectory)
+
+
+def _mapped(
+    function: ca.Function, arguments: list[Any], theta: Any, trajectory: np.ndarray
+) -> Any:
+    own = _of_each(theta, trajectory)
+    return mapped(function, len(trajectory), own is theta)(*arguments, own)
 
 
 @lru_cache(32)  # of one model and its next neighbours; each takes some memory
@@ -89,36 +98,20 @@ def in_intervals(
     function: ca.Function, grid: Grid, arguments: list[Any], theta: np.ndarray
 ) -> list[np.ndarray]:
     """`map_intervals` in numbers: entries of every result, (n_entries, n_intervals)."""
-    return _in_columns(function, arguments, theta, grid.runs)
+    own = _of_each(theta, grid.runs)
+    return in_numbers(function, *arguments, own.ravel() if own is theta else own)
 
 
 def at_nodes(
     function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> list[np.ndarray]:
     """`map_nodes` in numbers: entries of every result, (n_entries, n_nodes)."""
-    arguments = node_arguments(grid, x)
-    return _in_columns(function, arguments, theta, grid.trajectory)
+    own = _of_each(theta, grid.trajectory)
+    own = own.ravel() if own is theta else own
+    return in_numbers(function, x, grid.u.T, grid.t[None, :], own)
 
 
-def _in_columns(
-    function: ca.Function,
-    arguments: list[Any],
-    theta: np.ndarray,
-    trajectory: np.ndarray,
-) -> list[np.ndarray]:
-    own, is_shared = _of_each(theta, trajectory)
-    if not is_shared:
-        return ColumnFunction(function)(*arguments, own)
-    last = function.n_in() - 1
-    return ColumnFunction(function, (last,))(*arguments, own.ravel())
-
-
-def node_arguments(grid: Grid, x: Any) -> list[Any]:
-    """x, u and t of every node, as columns; ``x`` is (n_states, n_nodes)."""
-    return [x, grid.u.T, grid.t[None, :]]
-
-
-FINE_STEPS = 8  # of RK4 along the interval by which one step of a scheme is checked
+# ---- defects
 
 
 def interval_symbols(model: Model) -> list[ca.SX]:
@@ -129,7 +122,7 @@ def interval_symbols(model: Model) -> list[ca.SX]:
 
 
 def rates_within(rhs: ca.Function, interval: list[ca.SX], x: Any, share: Any) -> Any:
-    """Right-hand side at a state, where a share of the interval lies behind."""
+    """Right-hand side at state x, at a share of the interval."""
     t0, h, u0, u1, theta = interval
     return rhs(x, u0 + share * (u1 - u0), t0 + share * h, theta)
 
@@ -175,13 +168,7 @@ def _defect(model: Model, scheme: str, n_moving: int | None) -> ca.Function:
     return ca.Function("defect", arguments, [ca.densify(value)], names, ["d"])
 
 
-def defects(
-    model: Model,
-    grid: Grid,
-    scheme: str,
-    x: Any,
-    theta: Any,
-) -> Any:
+def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
     """Defects of all intervals, (n_states, n_intervals).
 
     Args:
@@ -196,10 +183,192 @@ def defects(
     return map_intervals(function, grid, interval_arguments(grid, x), theta)
 
 
+# ---- their derivatives in the states and parameters
+
+
+class SparseSlopes(NamedTuple):
+    """A matrix of slopes of one interval or node, by its entries that are not zero.
+
+    Attributes:
+        function: whose last result are the entries, as a column.
+        places: (n_entries, 2) row and column of each.
+    """
+
+    function: ca.Function
+    places: np.ndarray
+
+
+def linear_function(function: ca.Function, n_states: int) -> SparseSlopes:
+    """The value of a function, and its slopes in its states and parameters.
+
+    Args:
+        function: of one interval or node; its last argument are the parameters.
+        n_states: number of its first arguments that are states.
+    """
+    arguments = argument_symbols(function)
+    value = function(*arguments)
+    unknowns = [*arguments[:n_states], arguments[-1]]
+    return _sparse(arguments, [value], ca.jacobian(value, ca.vertcat(*unknowns)))
+
+
+def linear_defect(model: Model, scheme: str) -> SparseSlopes:
+    """A defect, and its slopes in (x0, x1, theta)."""
+    return model.built(
+        ("linear", scheme), lambda: linear_function(defect(model, scheme), 2)
+    )
+
+
+def defect_curvature(model: Model, scheme: str) -> SparseSlopes:
+    """Second derivatives of multipliers'd in (x0, x1, theta), upper triangle.
+
+    A function of the arguments of `defect`, the multipliers before the parameters.
+    """
+
+    def make() -> SparseSlopes:
+        function = defect(model, scheme)
+        *given, parameters = argument_symbols(function)
+        multiplier = ca.SX.sym("multiplier", model.n_states)
+        value = ca.dot(multiplier, function(*given, parameters))
+        hessian = ca.hessian(value, ca.vertcat(*given[:2], parameters))[0]
+        return _sparse([*given, multiplier, parameters], [], ca.triu(hessian))
+
+    return model.built(("curvature", scheme), make)
+
+
+def _sparse(arguments: list[ca.SX], values: list[ca.SX], matrix: ca.SX) -> SparseSlopes:
+    rows, columns = matrix.sparsity().get_triplet()
+    entries = [matrix[i, j] for i, j in zip(rows, columns, strict=True)]
+    results = [*values, ca.vertcat(ca.SX(0, 1), *entries)]
+    places = np.array([rows, columns], dtype=int).T
+    return SparseSlopes(ca.Function("sparse", arguments, results), places)
+
+
+def defect_slopes(
+    model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Defects (n_intervals, n_states), and their slopes in (x0, x1, theta).
+
+    ``x`` is (n_nodes, n_states) and ``theta`` (n_free,); the slopes are
+    (n_intervals, n_states, 2 n_states + n_free).
+    """
+    function, places = linear_defect(model, scheme)
+    d, entries = in_intervals(function, grid, interval_arguments(grid, x.T), theta)
+    n_states = model.n_states
+    slopes = np.zeros((grid.n_intervals, n_states, 2 * n_states + len(theta)))
+    slopes[:, *places.T] = entries.T
+    return d.T, slopes
+
+
+# ---- between known states, as functions of the parameters alone
+
+
+class ParameterSlopes(NamedTuple):
+    """Defects at some values of the parameters, and their slopes there.
+
+    Attributes:
+        d: (n_intervals, n_states) defects.
+        slopes: (n_intervals * n_states, n_chosen), a row per interval and equation.
+    """
+
+    d: np.ndarray
+    slopes: np.ndarray
+
+
+class KnownDefects:
+    """Defects of all intervals between known states, and their slopes in parameters.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals.
+        scheme: name of the integrator.
+        x: (n_nodes, n_states) states at the nodes; None: ``grid.y``.
+        only: places of the parameters in ``model.free`` that get a column, in this
+            order; None: all.
+        n_moving: as that of `defect`.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        grid: Grid,
+        scheme: str,
+        x: np.ndarray | None = None,
+        only: list[int] | None = None,
+        n_moving: int | None = None,
+    ) -> None:
+        chosen = list(range(len(model.free))) if only is None else only
+        self._function = _with_slopes(model, scheme, chosen, n_moving)
+        self._n_chosen = len(chosen)
+        self._grid = grid
+        states = grid.y if x is None else x
+        self._arguments = interval_arguments(grid, states.T)
+
+    def at(self, theta: np.ndarray) -> ParameterSlopes:
+        """Defects and slopes for parameters theta (n_free,), or (n_free, n_runs)."""
+        theta = np.asarray(theta)
+        d, slopes = in_intervals(self._function, self._grid, self._arguments, theta)
+        return ParameterSlopes(d.T, slopes.T.reshape(d.size, self._n_chosen))
+
+
+def known_defects(
+    model: Model, grid: Grid, scheme: str, theta: ca.MX
+) -> tuple[ca.MX, ca.MX]:
+    """Defects between the measurements in symbols, and their slopes.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals, every state measured at both ends.
+        scheme: name of the integrator.
+        theta: (n_free,) parameters.
+
+    Returns:
+        Defects (n_states * n_intervals,), one equation after the other, and slopes
+        (n_states * n_intervals, n_free).
+    """
+    n_free = len(model.free)
+    arguments: list[Sequence[ca.DM | ca.MX]] = []
+    for rows in interval_arguments(grid, grid.y.T):
+        # One number where all are alike.
+        arguments.append([ca.DM(row if np.ptp(row) else row[:1]) for row in rows])
+    arguments.append(ca.vertsplit(theta))
+    together = _with_slopes(model, scheme, list(range(n_free)))
+    d, slopes = in_columns(together, arguments)
+    columns = []
+    for entries in (d, *(slopes[j::n_free] for j in range(n_free))):
+        filled = [_filled(entry, grid.n_intervals) for entry in entries]
+        columns.append(ca.vertcat(*filled))
+    return columns[0], ca.horzcat(*columns[1:])
+
+
+def _filled(entry: ca.MX, n_places: int) -> ca.MX:
+    """A column, where it may be one number for all places."""
+    if entry.numel() == n_places:
+        return entry
+    return ca.MX.zeros(n_places) if entry.is_zero() else ca.repmat(entry, n_places, 1)
+
+
+def _with_slopes(
+    model: Model, scheme: str, chosen: list[int], n_moving: int | None = None
+) -> ca.Function:
+    """A function of one interval: its defect, and the slopes of each equation."""
+
+    def make() -> ca.Function:
+        function = defect(model, scheme, n_moving)
+        arguments = argument_symbols(function)
+        d = function(*arguments)
+        slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
+        return ca.Function("with_slopes", arguments, ca.cse([d, ca.vec(slopes)]))
+
+    return model.built(("with slopes", scheme, tuple(chosen), n_moving), make)
+
+
+# ---- integration along an interval
+
+
 def local_errors(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
-    """What one step of the scheme misses of the exact solution.
+    """Error of one step of the scheme: exact end minus state at the end.
 
     For states that obey the scheme. The exact end of an interval is found by
     `FINE_STEPS` steps of RK4 from its beginning.
@@ -211,8 +380,8 @@ def local_errors(
         theta: (n_free,) parameters, or (n_free, n_trajectories).
 
     Returns:
-        (n_intervals, n_states) exact end minus state at the end; NaN where the exact
-        solution leaves the range of numbers.
+        (n_intervals, n_states); NaN where the exact solution leaves the range of
+        numbers.
     """
     return _ends(model, grid, x, theta) - x[grid.begin + 1]
 
@@ -271,189 +440,9 @@ def _fine_integration(model: Model) -> ca.Function:
     def g(at: Any, c: float) -> Any:
         return rates_within(rhs, interval, at, (n_done + c) / FINE_STEPS)
 
-    behind = x0 + h_fine * psi(g, x0, x0, h_fine)
-    step = ca.Function("step", [x0, n_done, *interval], [behind])
+    after = x0 + h_fine * psi(g, x0, x0, h_fine)
+    step = ca.Function("step", [x0, n_done, *interval], [after])
     x = x0
     for k in range(FINE_STEPS):
         x = step(x, k, *interval)
     return ca.Function("exact", [x0, *interval], [x])
-
-
-@dataclass(frozen=True, eq=False)
-class OfOne:
-    """A small matrix of one interval or node, by its entries that are not always zero.
-
-    Attributes:
-        function: whose last result are the entries, as a column.
-        places: (n_entries, 2) row and column of each.
-    """
-
-    function: ca.Function
-    places: np.ndarray
-
-
-def linear_function(function: ca.Function, n_states: int) -> OfOne:
-    """The value of a function, and its slopes in its states and parameters.
-
-    Args:
-        function: of one interval or node; its last argument are the parameters.
-        n_states: number of its first arguments that are states.
-    """
-    arguments = argument_symbols(function)
-    value = function(*arguments)
-    unknowns = [*arguments[:n_states], arguments[-1]]
-    slopes = ca.jacobian(value, ca.vertcat(*unknowns))
-    return _of_one("linear", arguments, [value], slopes)
-
-
-def linear_defect(model: Model, scheme: str) -> OfOne:
-    """A defect, and its slopes in (x0, x1, theta)."""
-    return model.built(
-        ("linear", scheme), lambda: linear_function(defect(model, scheme), 2)
-    )
-
-
-def defect_curvature(model: Model, scheme: str) -> OfOne:
-    """Second derivatives of multipliers'd in (x0, x1, theta), upper triangle.
-
-    A function of the arguments of `defect`, the multipliers before the parameters.
-    """
-    return model.built(("curvature", scheme), lambda: _curvature(model, scheme))
-
-
-def _curvature(model: Model, scheme: str) -> OfOne:
-    function = defect(model, scheme)
-    *given, parameters = argument_symbols(function)
-    multiplier = ca.SX.sym("multiplier", model.n_states)
-    value = ca.dot(multiplier, function(*given, parameters))
-    hessian = ca.hessian(value, ca.vertcat(*given[:2], parameters))[0]
-    arguments = [*given, multiplier, parameters]
-    return _of_one("curvature", arguments, [], ca.triu(hessian))
-
-
-def _of_one(
-    name: str, arguments: list[ca.SX], values: list[ca.SX], matrix: ca.SX
-) -> OfOne:
-    rows, columns = matrix.sparsity().get_triplet()
-    entries = [matrix[i, j] for i, j in zip(rows, columns, strict=True)]
-    results = [*values, ca.vertcat(ca.SX(0, 1), *entries)]
-    places = np.array([rows, columns], dtype=int).T
-    return OfOne(ca.Function(name, arguments, results), places)
-
-
-def defect_slopes(
-    model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Defects (n_intervals, n_states), and their slopes in (x0, x1, theta).
-
-    ``x`` is (n_nodes, n_states) and ``theta`` (n_free,); the slopes are
-    (n_intervals, n_states, 2 n_states + n_free).
-    """
-    one = linear_defect(model, scheme)
-    columns = interval_arguments(grid, x.T)
-    d, entries = in_intervals(one.function, grid, columns, theta)
-    n_states = model.n_states
-    slopes = np.zeros((grid.n_intervals, n_states, 2 * n_states + len(theta)))
-    slopes[:, *one.places.T] = entries.T
-    return d.T, slopes
-
-
-@dataclass(frozen=True, eq=False)
-class ParameterSlopes:
-    """Defects at some values of the parameters, and their slopes there.
-
-    Attributes:
-        d: (n_intervals, n_states) defects.
-        slopes: (n_intervals * n_states, n_chosen), a row per interval and equation.
-    """
-
-    d: np.ndarray
-    slopes: np.ndarray
-
-
-def known_defects(
-    model: Model, grid: Grid, scheme: str, theta: ca.MX
-) -> tuple[ca.MX, ca.MX]:
-    """Defects between the measurements in symbols, and their slopes.
-
-    Args:
-        model: the model.
-        grid: nodes and intervals, every state measured at both ends.
-        scheme: name of the integrator.
-        theta: (n_free,) parameters.
-
-    Returns:
-        Defects (n_states * n_intervals,), one equation after the other, and slopes
-        (n_states * n_intervals, n_free).
-    """
-    n_free = len(model.free)
-    arguments: list[Sequence[ca.DM | ca.MX]] = []
-    for rows in interval_arguments(grid, grid.y.T):
-        # One number where all are alike.
-        arguments.append([ca.DM(row if np.ptp(row) else row[:1]) for row in rows])
-    arguments.append(ca.vertsplit(theta))
-    together = _with_slopes(model, scheme, list(range(n_free)))
-    d, slopes = in_columns(together, arguments)
-    columns = []
-    for entries in (d, *(slopes[j::n_free] for j in range(n_free))):
-        filled = [_filled(entry, grid.n_intervals) for entry in entries]
-        columns.append(ca.vertcat(*filled))
-    return columns[0], ca.horzcat(*columns[1:])
-
-
-def _filled(entry: ca.MX, n_places: int) -> ca.MX:
-    """A column, where it may be one number for all places."""
-    if entry.numel() == n_places:
-        return entry
-    return ca.MX.zeros(n_places) if entry.is_zero() else ca.repmat(entry, n_places, 1)
-
-
-class KnownDefects:
-    """Defects of all intervals between known states, and their slopes in parameters.
-
-    Args:
-        model: the model.
-        grid: nodes and intervals.
-        scheme: name of the integrator.
-        x: (n_nodes, n_states) states at the nodes; None: ``grid.y``.
-        only: places of the parameters in ``model.free`` that get a column, in this
-            order; None: all.
-        n_moving: as that of `defect`.
-    """
-
-    def __init__(
-        self,
-        model: Model,
-        grid: Grid,
-        scheme: str,
-        x: np.ndarray | None = None,
-        only: list[int] | None = None,
-        n_moving: int | None = None,
-    ) -> None:
-        chosen = list(range(len(model.free))) if only is None else only
-        self._function = _with_slopes(model, scheme, chosen, n_moving)
-        self._n_chosen = len(chosen)
-        self._grid = grid
-        states = grid.y if x is None else x
-        self._arguments = interval_arguments(grid, states.T)
-
-    def at(self, theta: np.ndarray) -> ParameterSlopes:
-        """Defects and slopes for parameters theta (n_free,), or (n_free, n_runs)."""
-        theta = np.asarray(theta)
-        d, slopes = in_intervals(self._function, self._grid, self._arguments, theta)
-        return ParameterSlopes(d.T, slopes.T.reshape(d.size, self._n_chosen))
-
-
-def _with_slopes(
-    model: Model, scheme: str, chosen: list[int], n_moving: int | None = None
-) -> ca.Function:
-    """A function of one interval: its defect, and the slopes of each equation."""
-
-    def made() -> ca.Function:
-        function = defect(model, scheme, n_moving)
-        arguments = argument_symbols(function)
-        d = function(*arguments)
-        slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
-        return ca.Function("with_slopes", arguments, ca.cse([d, ca.vec(slopes)]))
-
-    return model.built(("with slopes", scheme, tuple(chosen), n_moving), made)

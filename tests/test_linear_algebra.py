@@ -1,0 +1,405 @@
+"""Factors along the time and steps of the parameters, against dense linear algebra."""
+
+import signal
+from collections.abc import Callable, Iterator
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix, csr_matrix
+
+from phsi_opt.errors import SolveError
+from phsi_opt.optimization import banded
+from phsi_opt.optimization.banded import (
+    APART,
+    FEWEST_STATES,
+    PANEL,
+    Banded,
+    BandLayout,
+    Chain,
+    Chained,
+    Passage,
+    TimeLayout,
+    neighbours_first,
+)
+from phsi_opt.optimization.bounded_step import (
+    HELD,
+    RIDGE,
+    Room,
+    bounded_least_squares,
+    bounded_step,
+    regularized_inverse,
+)
+
+# ---- LU factors of a band
+
+
+def factors_of(
+    matrix: np.ndarray, order: np.ndarray, is_symmetric: bool = False
+) -> Banded:
+    entries = coo_matrix(matrix)
+    layout = BandLayout(entries.row, entries.col, order, is_symmetric)
+    return Banded(layout, entries.data)
+
+
+@pytest.mark.parametrize(
+    ("below", "above"), [(3, 3), (1, 4), (4, 1), (0, 2), (2, 0), (0, 0)]
+)
+def test_banded_factors_solve_what_dense_ones_solve(below: int, above: int) -> None:
+    rng = np.random.default_rng(0)
+    n = 30
+    dense = np.triu(np.tril(rng.normal(size=(n, n)), above), -below) + 5 * np.eye(n)
+    shuffled = rng.permutation(n)
+    matrix = dense[np.ix_(shuffled, shuffled)]
+    factors = factors_of(matrix, np.argsort(shuffled))
+    assert (factors.layout.kl, factors.layout.ku) == (below, above)
+    right = rng.normal(size=(n, 2))
+    for one in (right, right[:, 0]):
+        np.testing.assert_allclose(factors.solve(one), np.linalg.solve(matrix, one))
+        transposed = np.linalg.solve(matrix.T, one)
+        np.testing.assert_allclose(factors.solve(one, True), transposed)
+    assert factors.log_abs_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("n_columns", [1, 2, 5])
+def test_a_symmetric_matrix_is_solved_by_its_transposed_factors(n_columns: int) -> None:
+    rng = np.random.default_rng(6)
+    n = 40
+    matrix = np.triu(np.tril(rng.normal(size=(n, n)), 3), -3)
+    right = rng.normal(size=(n, n_columns))
+    for one, is_symmetric in ((matrix + matrix.T, True), (matrix, False)):
+        factors = factors_of(one, np.arange(n), is_symmetric)
+        expected = np.linalg.solve(one, right)
+        np.testing.assert_allclose(factors.solve(right), expected, rtol=1e-8)
+
+
+def test_a_singular_system_is_refused() -> None:
+    match = "singular: a state may neither be measured nor act on one that is"
+    with pytest.raises(SolveError, match=match):
+        factors_of(np.ones((2, 2)), np.arange(2))
+
+
+# ---- Cholesky factors where samples measure many states
+
+
+class System:
+    """States of runs, measured at every ``steps``-th node, and their dynamics."""
+
+    def __init__(self, n: int, n_samples: list[int], steps: int) -> None:
+        rng = np.random.default_rng(0)
+        lengths = [(length - 1) * steps + 1 for length in n_samples]
+        run = np.repeat(np.arange(len(lengths)), lengths)
+        place = np.concatenate([np.arange(length) for length in lengths])
+        begin = np.flatnonzero(np.diff(run) == 0)
+        self.n_x = len(run) * n
+        of_samples = rng.uniform(0.5, 2.0, (len(run), n))
+        is_sample = (place % steps == 0)[:, None]
+        entries = [np.where(is_sample, of_samples, 1e-13).ravel()]
+        rows = [np.arange(self.n_x)]
+        columns = [np.arange(self.n_x)]
+        row, column = np.indices((n, n)).reshape(2, -1)
+        for interval, node in enumerate(begin):
+            for at, sign in ((node, -1.0), (node + 1, 1.0)):
+                slopes = sign * np.eye(n) + rng.normal(size=(n, n)) / (5 * n)
+                defect = self.n_x + interval * n + row
+                state = at * n + column
+                rows += [defect, state]
+                columns += [state, defect]
+                entries += [slopes.ravel(), slopes.ravel()]
+        self.rows = np.concatenate(rows)
+        self.columns = np.concatenate(columns)
+        self.entries = np.concatenate(entries)
+        times = np.repeat(np.r_[np.arange(len(run)), begin + 0.5], n)
+        self.order = np.argsort(times, kind="stable")
+        self.chain = Chain(begin, len(run), n)
+
+    def factors(self) -> Banded | Chained:
+        layout = TimeLayout(self.rows, self.columns, self.order, self.chain)
+        return layout.factors(self.entries)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_cholesky_factors_solve_what_those_of_the_band_solve(steps: int) -> None:
+    system = System(FEWEST_STATES, [4, 2, 3], steps)
+    chained = system.factors()
+    assert isinstance(chained, Chained)
+    layout = BandLayout(system.rows, system.columns, system.order)
+    whole = Banded(layout, system.entries)
+    right = np.random.default_rng(1).normal(size=(chained.n, 3))
+    for one in (right, right[:, 0]):
+        close = {"rtol": 1e-8, "atol": 1e-9}
+        np.testing.assert_allclose(chained.solve(one), whole.solve(one), **close)
+    assert chained.log_abs_det == pytest.approx(whole.log_abs_det, abs=1e-8)
+
+
+def a_state_lacks(system: System) -> None:
+    system.entries[FEWEST_STATES + 1] = 0.0
+
+
+def a_run_ends_between_samples(system: System) -> None:
+    system.entries[system.n_x - FEWEST_STATES : system.n_x] = 0.0
+
+
+def states_share_a_curvature(system: System) -> None:
+    system.rows = np.append(system.rows, 0)
+    system.columns = np.append(system.columns, 1)
+    system.entries = np.append(system.entries, 0.1)
+
+
+@pytest.mark.parametrize(
+    "changed", [a_state_lacks, a_run_ends_between_samples, states_share_a_curvature]
+)
+def test_what_is_not_such_a_system_takes_the_band(
+    changed: Callable[[System], None],
+) -> None:
+    system = System(FEWEST_STATES, [4], 1)
+    changed(system)
+    assert isinstance(system.factors(), Banded)
+    assert isinstance(System(FEWEST_STATES - 1, [4], 1).factors(), Banded)
+
+
+# ---- dynamics over gaps, against dense algebra gap by gap
+
+N_STEPS = (1, 3, 2, 3)  # of the gaps of a run, and of another one from the third on
+
+
+class Gaps:
+    """Two runs with nodes between samples; states touch those within some reach."""
+
+    def __init__(self, n: int, reach: int, strength: float = 0.1) -> None:
+        rng = np.random.default_rng(0)
+        self.n = n
+        is_sample: list[bool] = []
+        begin: list[int] = []
+        for n_steps in (N_STEPS[:2], N_STEPS[2:]):
+            is_sample.append(True)
+            for steps in n_steps:
+                for step in range(steps):
+                    begin.append(len(is_sample) - 1)
+                    is_sample.append(step == steps - 1)
+        self.begin = np.array(begin)
+        self.is_sample = np.array(is_sample)
+        place = rng.permutation(n)
+        touches = np.abs(np.subtract.outer(place, place)) <= reach
+        noise = rng.normal(size=(2, len(begin), n, n)) * strength / reach
+        self.before, self.after = touches * noise + np.array(
+            [-np.eye(n)[None], np.eye(n)[None]]
+        )
+        self.right = rng.normal(size=(len(begin) * n, 2))
+        self.forces = rng.uniform(0.5, 1.0, (len(begin), n))
+
+    def passage(self) -> Passage:
+        n, n_intervals = self.n, len(self.begin)
+        slopes = np.zeros((n_intervals, n, len(self.is_sample), n))
+        for interval, node in enumerate(self.begin):
+            slopes[interval, :, node] = self.before[interval]
+            slopes[interval, :, node + 1] = self.after[interval]
+        matrix = csr_matrix(slopes.reshape(n_intervals * n, -1))
+        row, column = np.nonzero(np.any(self.before, axis=0))
+        rank = np.argsort(neighbours_first(row, column, n))
+        return Passage(matrix, self.begin, self.is_sample, rank)
+
+    def held(self) -> csr_matrix:
+        """Effects of forces that are held over each gap."""
+        n, n_intervals = self.n, len(self.begin)
+        effects = np.zeros((n_intervals, n, len(N_STEPS), n))
+        gap = np.repeat(np.arange(len(N_STEPS)), N_STEPS)
+        for interval in range(n_intervals):
+            effects[interval, :, gap[interval]] = np.diag(self.forces[interval])
+        return csr_matrix(effects.reshape(n_intervals * n, -1))
+
+    def over_each(self) -> Iterator[tuple[np.ndarray, ...]]:
+        """Of each gap: slopes at begin and end, right-hand sides, effect of forces."""
+        right = self.right.reshape(len(self.begin), self.n, 2)
+        for first, limit in pairwise(np.cumsum([0, *N_STEPS])):
+            before, own = self.before[first], right[first]
+            effect = np.diag(self.forces[first])
+            for k in range(first + 1, limit):
+                on = self.before[k] @ np.linalg.inv(self.after[k - 1])
+                before, own = -on @ before, right[k] - on @ own
+                effect = np.diag(self.forces[k]) - on @ effect
+            yield before, self.after[limit - 1], own, effect
+
+
+@pytest.mark.parametrize(("n", "reach"), [(3, 3), (60, 60), (150, 1)])
+def test_gaps_are_those_of_dense_algebra(n: int, reach: int) -> None:
+    gaps = Gaps(n, reach)
+    passed = gaps.passage()
+    slopes, right = passed.slopes().toarray(), passed.over(gaps.right)
+    effects = passed.over_blocks(gaps.held()).toarray()
+    sample = np.cumsum(gaps.is_sample) - 1
+    of_first = sample[gaps.begin[gaps.is_sample[gaps.begin]]]
+    expected_slopes = np.zeros_like(slopes)
+    expected_effects = np.zeros_like(effects)
+    for gap, (before, after, own, effect) in enumerate(gaps.over_each()):
+        rows = slice(gap * n, gap * n + n)
+        begin = of_first[gap] * n
+        expected_slopes[rows, begin : begin + n] = before
+        expected_slopes[rows, begin + n : begin + 2 * n] = after
+        expected_effects[rows, rows] = effect
+        np.testing.assert_allclose(right[rows], own, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(slopes, expected_slopes, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(effects, expected_effects, rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("gaps", "fewest", "most"),
+    [(Gaps(300, 1, 0.02), APART, APART), (Gaps(90, 90), 91, 300)],
+    ids=["far apart", "each touches all"],
+)
+def test_states_share_a_column_where_they_are_far_apart(
+    gaps: Gaps, fewest: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passed = gaps.passage()
+    widths = []
+    followed = Passage.followed
+
+    def counted(self: Passage, right: np.ndarray) -> np.ndarray:
+        widths.append(right.shape[1])
+        return followed(self, right)
+
+    monkeypatch.setattr(Passage, "followed", counted)
+    passed.slopes()
+    assert fewest <= sum(widths) <= most  # several tries where they are not
+    assert max(widths) == PANEL
+
+
+def test_rounding_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    sparse = Gaps(150, 1).passage().slopes()
+    assert sparse.nnz < 0.2 * len(N_STEPS) * 2 * 150**2
+    monkeypatch.setattr(banded, "NEGLIGIBLE", 0.0)
+    whole = Gaps(150, 1).passage().slopes()
+    assert whole.nnz > 2 * sparse.nnz
+    np.testing.assert_allclose(sparse.toarray(), whole.toarray(), atol=1e-17)
+
+
+# ---- the covariance of parameters
+
+
+def test_information_is_inverted_and_a_ridge_holds_what_has_none() -> None:
+    rng = np.random.default_rng(2)
+    root = 1e-2 * rng.normal(size=(3, 3))
+    information = root @ root.T
+    expected = np.linalg.inv(information)
+    np.testing.assert_allclose(regularized_inverse(information), expected, rtol=1e-3)
+    along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    # What rounds below zero counts as zero.
+    flat = 4.0 * np.outer(along, along) - 1e-3 * np.outer(across, across)
+    expected = np.outer(along, along) / 4.0 + np.outer(across, across) / RIDGE
+    np.testing.assert_allclose(regularized_inverse(flat), expected, rtol=1e-5)
+
+
+def test_a_parameter_that_is_held_does_not_move_the_others() -> None:
+    root = np.random.default_rng(3).normal(size=(3, 3))
+    information = root @ root.T
+    covariance = regularized_inverse(information, held=[1])
+    assert covariance[1, 1] == pytest.approx(1 / HELD, rel=1e-6)
+    others = np.ix_([0, 2], [0, 2])
+    expected = np.linalg.inv(information[others])
+    np.testing.assert_allclose(covariance[others], expected, rtol=1e-6)
+
+
+def test_information_that_is_no_number_is_refused_with_what_to_do() -> None:
+    match = (
+        r"^the model's slopes along its states are beyond all numbers, so that no "
+        r"parameter has a standard error; give parameters bounds, or start them nearer "
+        r"to the truth\.$"
+    )
+    with pytest.raises(SolveError, match=match):
+        regularized_inverse(np.array([[1.0, 0.0], [0.0, np.inf]]))
+
+
+# ---- within bounds
+
+
+def best_of_all_faces(
+    C: np.ndarray, pull: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> float:
+    """The least value of d'Cd/2 - p'd in a box: the best of the minima of its faces."""
+    values = []
+    for face in product((None, 0, 1), repeat=len(pull)):
+        d = np.where([side == 1 for side in face], upper, lower)
+        free = [side is None for side in face]
+        rest = pull - C @ np.where(free, 0.0, d)
+        d[free] = np.linalg.solve(C[np.ix_(free, free)], rest[free])
+        if np.all(d >= lower) and np.all(d <= upper):
+            values.append(float(d @ C @ d / 2 - pull @ d))
+    return min(values)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_steps_and_least_squares_are_the_best_of_all_faces_of_the_box(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(5, 3)) * [1.0, 30.0, 1e-3]
+    C = root.T @ root
+    full = rng.normal(size=3)
+    pull = C @ full
+    # Some begin at a bound.
+    sizes = rng.uniform(0.1, 1.0, (2, 3)) * rng.integers(0, 2, (2, 3))
+    room = Room(-sizes[0], sizes[1] + 0.05)
+    best = best_of_all_faces(C, pull, room.below, room.above)
+    rounding = 1e-9 * abs(float(full @ C @ full / 2 - pull @ full))
+    least_squares = bounded_least_squares(root, root @ full, room.below, room.above)
+    for d in (bounded_step(C, pull, room), least_squares):
+        assert np.all(d >= room.below - 1e-12) and np.all(d <= room.above + 1e-12)
+        assert d @ C @ d / 2 - pull @ d <= best + rounding
+
+
+INF = np.inf
+
+
+@pytest.mark.parametrize(
+    ("C", "pull", "below", "above", "expected"),
+    [
+        (np.eye(2), [-1.0, 1.0], [-0.1, -INF], [0.3, INF], [-0.1, 1.0]),
+        # no room
+        ([[2.0, 1.0], [1.0, 2.0]], [1.0, 1.0], [0.0, -1.0], [0.0, 1.0], [0.0, 0.5]),
+        # a direction without data does not move another one to its bound
+        (np.diag([1.0, 1e-16]), [-1.0, 1e-17], [0.0, -1.0], [INF, INF], [0.0, 0.0]),
+        (np.diag([1.0, 3e4]), [1.0, -6e4], [-INF, -INF], [INF, INF], [1.0, -2.0]),
+        (np.zeros((0, 0)), [], [], [], []),
+    ],
+)
+def test_a_step_reaches_a_bound_exactly_and_leaves_out_silent_directions(
+    C: np.ndarray, pull: list, below: list, above: list, expected: list
+) -> None:
+    room = Room(np.array(below), np.array(above))
+    step = bounded_step(np.asarray(C), np.array(pull), room)
+    np.testing.assert_allclose(step, expected, rtol=1e-12, atol=0)
+
+
+@pytest.fixture
+def ends() -> Iterator[None]:
+    """A test that does not end within ten seconds fails."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError("it goes on for ever")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(10)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def test_least_squares_end_where_columns_differ_by_many_orders_of_magnitude(
+    ends: None,
+) -> None:
+    # A pair of effects, one of which a record hardly shows: SciPy's line search went on
+    # for ever there.
+    largest = [-2.0311908612130363e09, -4.2070509841368413e12, 1.4009889237342193e05]
+    A = np.array(
+        [
+            [9.9999988344904259e-06, -4.8280627739826e-09, -6.3038560e-16, -3.826e-17],
+            [3.7903385901885973e-12, -2.4401322510438e-14, -4.9241419e-22, 0.99051009],
+            [*largest, -9.5868489709405688e-02],
+            [6.2134610652692509e09, 2.6153095854338926e12, 7.85356197e19, 0.0796942362],
+        ]
+    )
+    b = np.array([-0.13428627672, -6.787018943e-07, 7.6415438225e21, -3.8478524112e21])
+    lower = np.array([-4.2538407762686865e11, -1.7478440983366890e09, -INF, -INF])
+    solution = bounded_least_squares(A, b, lower, np.full(4, INF))
+    assert np.all(np.isfinite(solution))
+    assert np.all(solution >= lower)
