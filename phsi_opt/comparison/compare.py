@@ -44,91 +44,11 @@ from phsi_opt.transcription.sensors import (
     outputs_at_samples,
 )
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
 
-def prediction_bands(
-    record: Record,
-    simulated: Sequence[np.ndarray],
-    values: Mapping[str, Mapping[str, float]],
-) -> tuple[np.ndarray, ...] | None:
-    """Standard deviation of what a free run shows.
-
-    Args:
-        record: the fit and the measurements that its starting states follow.
-        simulated: states of the run, one (n_samples, n_states) per trajectory.
-        values: the free parameters of the run, by trajectory and name.
-
-    Returns:
-        One (n_samples, n_states) per trajectory, in the units of the states; None where
-        it is not known.
-    """
-    fit = record.fit
-    grid = record.grid
-    is_known = np.isfinite(np.diag(fit.covariance))
-    has_covariance = not fit.names or is_known.any()
-    nodes = np.concatenate(simulated)
-    # Of very many values they take longer than the fit, and are too narrow to be seen.
-    if not has_covariance or nodes.size > 200_000:
-        return None
-    if not np.all(np.isfinite(nodes)) or not grid.measured.any():
-        return None
-    model = record.model
-    unknown = Theta.of(model, record.trajectories)
-    theta = np.zeros(len(unknown))
-    theta[unknown.table] = parameter_matrix(model, values)
-    point = point_at(model, grid, unknown, theta, nodes)
-    scheme = MaximumLikelihood().integrator
-    likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
-    linear = Linearizer(likelihood).at(point.scaled)
-    system = white_system(linear, record.sigma)
-    # What states follow parameters, and what is left open beside these.
-    by_theta = system.following * point.x_scale[:, None]
-    left_open = system.start_covariances()
-    left_open = left_open * np.outer(point.x_scale, point.x_scale)
-    if model.sensor:
-        of_runs = unknown.by_trajectory(theta)
-        by_state = output_slopes(model, grid, nodes, of_runs).in_states
-        direct = output_slopes_in_theta(unknown, grid, nodes, theta)
-        by_theta = by_state @ by_theta + direct * point.theta_scale
-        left_open = by_state @ left_open @ by_state.transpose(0, 2, 1)
-    own_names = record.estimated_here(model)
-    is_own = np.array([one.name in own_names for one in unknown.entries], dtype=bool)
-    covariance = _parameter_covariance(
-        fit, unknown, is_own, point.theta_scale, system.information
-    )
-    from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
-    from_starts = np.einsum("aii->ai", left_open)
-    # What is not independent tells as little about starting states as about parameters.
-    share = fit.independent_share(fit.names)
-    from_starts = from_starts / (share if np.isfinite(share) else 1.0)
-    variance = from_parameters + from_starts
-    return grid.split(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _parameter_covariance(
-    fit: Fit,
-    unknown: Theta,
-    is_own: np.ndarray,
-    scale: np.ndarray,
-    information: np.ndarray,
-) -> np.ndarray:
-    """Covariance of the scaled parameters along a record, (n_theta, n_theta).
-
-    That of the fit; what is estimated from the record (``is_own``) follows it, given
-    the other parameters.
-    """
-    is_known = np.isfinite(np.diag(fit.covariance))
-    fitted = np.where(np.outer(is_known, is_known), fit.covariance, 0.0)
-    shared = np.flatnonzero(~is_own)
-    own = np.flatnonzero(is_own)
-    place = [fit.names.index(unknown.names[i]) for i in shared]
-    of_shared = fitted[np.ix_(place, place)] / np.outer(scale[shared], scale[shared])
-    covariance = np.zeros((len(unknown), len(unknown)))
-    following = np.eye(len(unknown))[:, shared]
-    if len(own):
-        conditional = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
-        following[own] = -conditional @ information[np.ix_(own, shared)]
-        covariance[np.ix_(own, own)] = conditional
-    return covariance + following @ of_shared @ following.T
+    from phsi_opt.presentation.pictures import Channel
 
 
 # Standard deviations of the measurements: stands for a free run that broke off.
@@ -144,12 +64,6 @@ FLAT_SPREAD = 0.25
 # Share of the measured standard deviation from which noise makes it up: where a state
 # shows little but noise, a flat free run is right.
 FLAT_NOISE = 0.5
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-
-    from phsi_opt.presentation.pictures import Channel
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -201,8 +115,7 @@ class Comparison(Summarised):
 
     @cached_property
     def _y(self) -> np.ndarray:
-        """What was measured, (n_samples of all trajectories, n_states)."""
-        return self.data.stacked("x")
+        return self.data.stacked("x")  # (n_samples of all trajectories, n_states)
 
     @cached_property
     def _n_values(self) -> np.ndarray:
@@ -255,10 +168,7 @@ class Comparison(Summarised):
 
     @cached_property
     def flat(self) -> tuple[str, ...]:
-        """Names of the states whose free run hardly moves, and explains nothing.
-
-        The limits are `FLAT_FIT_PERCENT` and `FLAT_SPREAD` of `phsi_opt.criteria`.
-        """
+        """Names of the states whose free run hardly moves, and explains nothing."""
         shown = np.concatenate(self.shown)
         names = []
         for number in np.flatnonzero(self._n_values).tolist():
@@ -313,15 +223,12 @@ class Comparison(Summarised):
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the free-run residual over the measured channels.
-
-        In the unit of the channel where one is measured, else in standard deviations.
-        """
+        """Root mean square of the free-run residual, in `error_unit`."""
         return float(np.sqrt(np.mean(self.squares)))
 
     @property
     def error_unit(self) -> str:
-        """Unit of `rmse`, that of the channel where one is measured."""
+        """Unit of `rmse`: of the one measured channel, else standard deviations."""
         if len(self.data.measured) != 1:
             return STANDARD_DEVIATIONS
         return self.data.units.get(self.data.measured[0], "")
@@ -439,10 +346,7 @@ def compare(fit: Fit | Model, data: Measurements) -> Comparison:
 
 
 def compare_record(record: Record) -> Comparison:
-    """`compare` for a record that was made before.
-
-    A run that breaks off is compared as one that is far beyond every measurement.
-    """
+    """`compare` for a record; a run that breaks off is far beyond every measurement."""
     smoothed = smoothed_states(record)
     parameters = smoothed.parameters
     simulated = []
@@ -473,20 +377,105 @@ def _energy_and_powers(parts: Expressions) -> ca.SX:
     return ca.vertcat(parts.energy, supplied, dissipated)
 
 
-# ---- a free run that hardly moves beside measurements that do ------------------------
-#
-# That is how a fit ends whose parameters began too far off: a motion that is out of
-# step with the measurements costs more than none, so that it dies out. Every criterion
-# of the solver is met there; what such a model lacks cannot be told.
+# ---- how certain a free run is
+
+
+def prediction_bands(
+    record: Record,
+    simulated: Sequence[np.ndarray],
+    values: Mapping[str, Mapping[str, float]],
+) -> tuple[np.ndarray, ...] | None:
+    """Standard deviation of what a free run shows, to first order along the run.
+
+    The covariance of the estimates, carried to what the run shows: that of the
+    parameters, with starting states that follow the record, and that of the starting
+    states. The noise of a single measurement is not in it.
+
+    Args:
+        record: the fit and the measurements that its starting states follow.
+        simulated: states of the run, one (n_samples, n_states) per trajectory.
+        values: the free parameters of the run, by trajectory and name.
+
+    Returns:
+        One (n_samples, n_states) per trajectory, in the units of the states; None where
+        it is not known.
+    """
+    fit, grid, model = record.fit, record.grid, record.model
+    is_known = np.isfinite(np.diag(fit.covariance))
+    has_covariance = not fit.names or is_known.any()
+    nodes = np.concatenate(simulated)
+    # Of very many values they take longer than the fit, and are too narrow to be seen.
+    if not has_covariance or nodes.size > 200_000:
+        return None
+    if not np.all(np.isfinite(nodes)) or not grid.measured.any():
+        return None
+    unknown = Theta.of(model, record.trajectories)
+    theta = np.zeros(len(unknown))
+    theta[unknown.table] = parameter_matrix(model, values)
+    point = point_at(model, grid, unknown, theta, nodes)
+    scheme = MaximumLikelihood().integrator
+    likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
+    linear = Linearizer(likelihood).at(point.scaled)
+    system = white_system(linear, record.sigma)
+    # How states follow the parameters, and their covariance for given parameters.
+    by_theta = system.following * point.x_scale[:, None]
+    of_starts = system.start_covariances()
+    of_starts = of_starts * np.outer(point.x_scale, point.x_scale)
+    if model.sensor:
+        of_runs = unknown.by_trajectory(theta)
+        by_state = output_slopes(model, grid, nodes, of_runs).in_states
+        direct = output_slopes_in_theta(unknown, grid, nodes, theta)
+        by_theta = by_state @ by_theta + direct * point.theta_scale
+        of_starts = by_state @ of_starts @ by_state.transpose(0, 2, 1)
+    own_names = record.estimated_here(model)
+    is_own = np.array([one.name in own_names for one in unknown.entries], dtype=bool)
+    covariance = _parameter_covariance(
+        fit, unknown, is_own, point.theta_scale, system.information
+    )
+    from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
+    from_starts = np.einsum("aii->ai", of_starts)
+    # What is not independent tells as little about starting states as about parameters.
+    share = fit.independent_share(fit.names)
+    from_starts = from_starts / (share if np.isfinite(share) else 1.0)
+    return grid.split(np.sqrt(np.maximum(from_parameters + from_starts, 0.0)))
+
+
+def _parameter_covariance(
+    fit: Fit,
+    unknown: Theta,
+    is_own: np.ndarray,
+    scale: np.ndarray,
+    information: np.ndarray,
+) -> np.ndarray:
+    """Covariance of the scaled parameters along a record, (n_theta, n_theta).
+
+    That of the fit; what is estimated from the record (``is_own``) follows it, given
+    the other parameters.
+    """
+    is_known = np.isfinite(np.diag(fit.covariance))
+    fitted = np.where(np.outer(is_known, is_known), fit.covariance, 0.0)
+    shared = np.flatnonzero(~is_own)
+    own = np.flatnonzero(is_own)
+    place = [fit.names.index(unknown.names[i]) for i in shared]
+    of_shared = fitted[np.ix_(place, place)] / np.outer(scale[shared], scale[shared])
+    covariance = np.zeros((len(unknown), len(unknown)))
+    following = np.eye(len(unknown))[:, shared]
+    if len(own):
+        conditional = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
+        following[own] = -conditional @ information[np.ix_(own, shared)]
+        covariance[np.ix_(own, own)] = conditional
+    return covariance + following @ of_shared @ following.T
+
+
+# ---- a free run that hardly moves beside measurements that do: that is how a fit ends
+# whose parameters began too far off. A motion that is out of step with the measurements
+# costs more than none, so that it dies out; every criterion of the solver is met there.
 
 
 def is_flat(measured: np.ndarray, shown: np.ndarray, noise: float) -> bool:
-    """Whether what a run shows of a state hardly moves, and explains next to nothing.
+    """Whether a run (n_values,) hardly moves, and explains next to nothing.
 
-    Args:
-        measured: (n_values,) measured values of the state.
-        shown: (n_values,) what the run shows at the same times.
-        noise: standard deviation of the measurement noise.
+    ``measured`` are the values at the same times, with noise of a standard deviation.
     """
     spread = float(np.std(measured))
     moves = noise < FLAT_NOISE * spread
@@ -507,14 +496,16 @@ def flat_sentence(states: Sequence[str]) -> str:
     )
 
 
+# ---- whether a model fails, and whether a larger one leaves noise alone
+
+
 def is_like_noise(comparison: Comparison) -> bool:
     """Whether the residuals look like noise: as small as the noise floor, and white.
 
     Noise that the fit found to last from sample to sample need not be white.
     """
-    if not is_small_as_noise(comparison):
-        return False
-    return is_white_noise(comparison) or comparison.record.has_correlated_noise
+    lasts = comparison.record.has_correlated_noise
+    return is_white_noise(comparison) or (lasts and is_small_as_noise(comparison))
 
 
 def is_white_noise(comparison: Comparison) -> bool:
@@ -525,23 +516,6 @@ def is_white_noise(comparison: Comparison) -> bool:
     p_values = comparison.table["whiteness"].to_numpy()
     is_white = np.nanmin(p_values) * len(p_values) > SURE_LEVEL
     return bool(is_white and is_small_as_noise(comparison))
-
-
-def leaves_noise(base: Comparison, trained: Comparison) -> bool:
-    """Whether what a larger model leaves looks like noise.
-
-    Noise that lasts must have been seen beside the smaller model too: what an effect
-    leaves that imitates another one looks like it.
-
-    Args:
-        base: the smaller model on the training record.
-        trained: the larger one.
-    """
-    if not is_small_as_noise(trained):
-        return False
-    return is_white_noise(trained) or (
-        trained.record.has_correlated_noise and base.record.shows_correlated_noise
-    )
 
 
 def is_small_as_noise(comparison: Comparison) -> bool:
@@ -557,20 +531,20 @@ def is_failing(comparison: Comparison) -> bool:
 def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> bool:
     """Whether a larger model explains what was missing.
 
-    What it leaves on the training record looks like noise, or is as small as the noise
-    there and on the record that judges.
+    Its residuals on the training record look like noise, or are as small as the noise
+    there and on the record that judges. Noise that lasts must have been seen beside the
+    smaller model too: what an effect leaves that imitates another one looks like it.
 
     Args:
         base: the smaller model on the record that judges.
         trained: the larger model on the training record.
         judged: the larger model on the record that judges.
     """
-    if leaves_noise(base, trained):
+    has_lasting = base.record.shows_correlated_noise
+    if is_white_noise(trained) or (has_lasting and is_like_noise(trained)):
         return True
-    is_small = (
-        judged.rmse < FAILING_ERROR * judged.noise_floor
-        and trained.rmse < FAILING_ERROR * trained.noise_floor
-    )
+    both = (judged, trained)
+    is_small = all(one.rmse < FAILING_ERROR * one.noise_floor for one in both)
     return is_small and explained_share(base, judged) > EXPLAINED_IF_NAMED
 
 

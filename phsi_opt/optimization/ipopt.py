@@ -24,9 +24,7 @@ from phsi_opt.statistics import TINY
 
 # Who solves a likelihood: full Gauss-Newton steps where they lead to an optimum and
 # IPOPT where not, or IPOPT alone.
-AUTO = "auto"
-IPOPT = "ipopt"
-SOLVERS = (AUTO, IPOPT)
+SOLVERS = ("auto", "ipopt")
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class SolverSettings:
     max_seconds: float = np.inf
     show: bool = False
     thorough: bool = True
-    solver: str = AUTO
+    solver: str = "auto"
 
     def __post_init__(self) -> None:
         for name in ("tolerance", "max_seconds"):
@@ -67,7 +65,7 @@ class SolverSettings:
     @property
     def has_own_steps(self) -> bool:
         """Whether a likelihood may be solved without IPOPT."""
-        return self.solver == AUTO
+        return self.solver == "auto"
 
 
 DIRECT_STEPS = "Direct_Steps"  # status of full Gauss-Newton steps
@@ -119,18 +117,11 @@ FAILURES = {
 
 
 def words_of_ipopt(status: str, max_seconds: float) -> tuple[str, str]:
-    """What IPOPT's return status means, and what to do.
-
-    Args:
-        status: as IPOPT names it.
-        max_seconds: the user's limit of time, in s.
-    """
+    """What IPOPT's return status means, and what to do, for a limit of time in s."""
     if status in TIME_LIMITS:
-        return (
-            f"the time limit of {max_seconds:g} s ended the solve",
-            "Use fewer samples, or allow more time "
-            "(ph.SolverSettings(max_seconds=...)).",
-        )
+        sentence = f"the time limit of {max_seconds:g} s ended the solve"
+        more_time = "allow more time (ph.SolverSettings(max_seconds=...))."
+        return sentence, f"Use fewer samples, or {more_time}"
     unknown = (f"the solver stopped: {status}", "Try other starting values.")
     return (USABLE | FAILURES).get(status, unknown)
 
@@ -245,12 +236,8 @@ class Solver:
         self.program = program
         self.limits = settings or SolverSettings()
         self.is_exact = exact and program.curvature is not None
-        problem: dict[str, Any] = {
-            "x": program.z,
-            "p": program.settings,
-            "f": program.objective,
-            "g": program.g,
-        }
+        problem: dict[str, Any] = {"x": program.z, "p": program.settings}
+        problem |= {"f": program.objective, "g": program.g}
         self._listener = _Listener(program)
         options: dict[str, Any] = {
             "no_nlp_grad": True,
@@ -336,8 +323,16 @@ class Solver:
             seconds=seconds,
             objective=float(result["f"]),
             infeasibility=violation,
-            at_bounds=at_bounds(program, np.array(result["x"]).ravel()),
+            at_bounds=self._at_bounds(np.array(result["x"]).ravel()),
         )
+
+    def _at_bounds(self, z: np.ndarray) -> tuple[str, ...]:
+        """Names of parameters at a bound in z, the scaled variables (n_variables,)."""
+        if "theta" not in self.program.variables:
+            return ()
+        place, label = self.program.variables["theta"]
+        names = [label(i) for i in range(place.stop - place.start)]
+        return names_at_bounds(names, z[place], self.program.bounds[:, place])
 
 
 class _Listener(ca.Callback):
@@ -346,15 +341,8 @@ class _Listener(ca.Callback):
     def __init__(self, program: Program) -> None:
         ca.Callback.__init__(self)
         n, n_constraints = program.z.numel(), program.g.numel()
-        n_settings = program.settings.numel()
-        self._sizes = {
-            "f": 1,
-            "x": n,
-            "lam_x": n,
-            "g": n_constraints,
-            "lam_g": n_constraints,
-            "lam_p": n_settings,
-        }
+        self._sizes = {"f": 1, "x": n, "lam_x": n, "g": n_constraints}
+        self._sizes |= {"lam_g": n_constraints, "lam_p": program.settings.numel()}
         self.construct("listener", {})
 
     def get_n_in(self) -> int:
@@ -422,25 +410,12 @@ def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
     return bool(holds and is_level(n_residuals * objective / size))
 
 
-def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
-    """Names of parameters at a bound in z, the scaled variables (n_variables,)."""
-    if "theta" not in program.variables:
-        return ()
-    block = program.variables["theta"]
-    names = [block.label(i) for i in range(block.slice.stop - block.slice.start)]
-    lower, upper = program.bounds[:, block.slice]
-    return names_at_bounds(names, z[block.slice], (lower, upper))
-
-
 def names_at_bounds(
     names: Sequence[str], z: np.ndarray, bounds: Sequence[np.ndarray]
 ) -> tuple[str, ...]:
-    """The names of the first scaled variables z that are at a bound.
+    """The names (n_names,) of the first scaled variables z (n,) that are at a bound.
 
-    Args:
-        names: (n_names,).
-        z: (n,), as many or more.
-        bounds: lower and upper ones, (n,) each.
+    ``bounds`` are lower and upper ones, (n,) each.
     """
     lower, upper = bounds
     distance = np.minimum(z - lower, upper - z)[: len(names)]

@@ -17,7 +17,7 @@ Gillis, Horn, Rawlings and Diehl 2019).
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -34,14 +34,8 @@ SLACK_ABOVE = 0.1
 BLAS = "classic"
 
 
-@dataclass(frozen=True)
-class Block:
-    """A part of the variables or constraints.
-
-    Attributes:
-        slice: where it stands in the whole vector.
-        label: names its entries in messages.
-    """
+class Block(NamedTuple):
+    """A part of the variables or constraints: its place, and names of its entries."""
 
     slice: slice
     label: Label
@@ -76,7 +70,7 @@ class Program:
         self.set_to = self.start = self.scale = np.zeros(0)
         self.bounds = self.g_bounds = np.zeros((2, 0))
         self.curvature: Callable[[ca.MX], ca.MX] | None = None
-        self._jacobians: list[Callable[[], ca.MX]] = []
+        self._jacobians: list[tuple[ca.MX, ca.MX | None]] = []
         self._dense_slopes: ca.MX | None = None
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
@@ -97,13 +91,8 @@ class Program:
     ) -> ca.MX:
         """Add a block of variables and return it, unscaled, as a column.
 
-        Args:
-            name: of the block.
-            start: (n,) values to start from.
-            lower: bounds, a number or one per value.
-            upper: bounds likewise.
-            scale: sizes that make the values numbers near one.
-            label: names an entry in messages.
+        ``start`` (n,) are values to start from, ``scale`` sizes that make the values
+        numbers near one; ``label`` names an entry in messages.
 
         Raises:
             ModelError: the start is not finite.
@@ -148,14 +137,7 @@ class Program:
         self.g = ca.vertcat(self.g, column)
         limits = np.tile([[0.0], [upper]], column.numel())
         self.g_bounds = np.hstack([self.g_bounds, limits])
-
-        def slopes() -> ca.MX:
-            if jacobian is None:
-                return ca.jacobian(column, self.z)
-            n_others = self.z.numel() - jacobian.size2()
-            return ca.horzcat(jacobian, ca.MX(jacobian.size1(), n_others))
-
-        self._jacobians.append(slopes)
+        self._jacobians.append((column, jacobian))
 
     def add_residual(self, expression: ca.MX, slopes: ca.MX | None = None) -> None:
         """Add 1/2 sum(expression^2) to the objective.
@@ -196,7 +178,14 @@ class Program:
 
     def jacobian(self) -> ca.Function:
         """Function (z, settings) -> g and its Jacobian."""
-        rows = [ca.MX(0, self.z.numel()), *(slopes() for slopes in self._jacobians)]
+        rows = [ca.MX(0, self.z.numel())]
+        for column, jacobian in self._jacobians:
+            if jacobian is None:
+                rows.append(ca.jacobian(column, self.z))
+            else:
+                n_others = self.z.numel() - jacobian.size2()
+                zeros = ca.MX(jacobian.size1(), n_others)
+                rows.append(ca.horzcat(jacobian, zeros))
         both = [self.g, ca.vertcat(*rows)]
         return ca.Function("jac_g", [self.z, self.settings], both)
 

@@ -1,17 +1,21 @@
-"""Independent integration of a model by SciPy.
+"""Runs of a model from a given state: by SciPy, and stepped inside CasADi.
 
-It uses no program and no SRK4, so it can check both.
-It is not made for thousands of runs (`free_run` is), nor does it start from anything
-but a given state.
+`simulate` uses no program and no SRK4, so it can check both. It is not made for
+thousands of runs: `free_run` is. There every interval between two samples is a step of
+Dormand and Prince's explicit scheme of order five. Steps whose error estimate is too
+large (at a kink, say) are cut in parts and the run repeated; it is accepted when half
+the steps change it by less than `TOLERANCE`. What cannot be made accurate in this way
+(a very stiff, broken off or chaotic run) is left to SciPy.
 """
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from threading import get_ident
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -91,16 +95,7 @@ def simulate_forced(
     hold: Hold = "linear",
     method: str = "LSODA",
 ) -> np.ndarray:
-    """`simulate` with a force that may depend on the inputs.
-
-    Args:
-        model: with the present values of its parameters.
-        t: as x0, u, hold and method those of `simulate`.
-        x0: starting state.
-        u: inputs.
-        force: function (t, x, u) -> (n_states,) that is added to dx/dt.
-        hold: between the samples of u.
-        method: of SciPy.
+    """`simulate` with a force (t, x, u) -> (n_states,) that may depend on the inputs.
 
     Raises:
         DataError: wrong shapes, times or numbers.
@@ -115,8 +110,26 @@ def simulate_forced(
     for first, last, value, longest in _pieces(t, u, held):
         rate = _Rate(f, model.theta, force, value, last - first)
         times = t[first : last + 1]
-        found = _integrated(rate, times, states[first], method, size, longest)
-        states[first + 1 : last + 1] = found
+        with np.errstate(all="ignore"):
+            solution = solve_ivp(
+                rate,
+                (times[0], times[-1]),
+                states[first],
+                method,
+                t_eval=times[1:],
+                rtol=1e-8,
+                atol=1e-10 * size,
+                max_step=longest,
+            )
+        # Where it ends before the first sample, SciPy gives an empty list.
+        y = np.reshape(solution.y, (model.n_states, -1))
+        is_finite = np.all(np.isfinite(y), axis=0)
+        n_good = int(np.sum(np.cumprod(is_finite)))
+        if not solution.success or n_good < last - first:
+            unstable = "A state is no finite number there."
+            why = solution.message if is_finite.all() else unstable
+            raise _stopped(times[n_good], why)
+        states[first + 1 : last + 1] = y.T
     return states
 
 
@@ -164,15 +177,10 @@ class SampledInputs:
 def _pieces(
     t: np.ndarray, u: Any, hold: np.ndarray
 ) -> Iterator[tuple[int, int, Input, float]]:
-    """The stretches over which the inputs are smooth.
+    """First and last sample, inputs and longest step of pieces with smooth inputs.
 
-    Each with its first and last sample, the inputs, and the longest step that may be
-    taken.
-
-    Args:
-        t: (n_samples,) times.
-        u: (n_samples, n_inputs), or a function of the time.
-        hold: (n_inputs,) what each input does between its samples.
+    ``u`` (n_samples, n_inputs) may be a function of the time; ``hold`` (n_inputs,) says
+    what each input does between its samples.
     """
     end = len(t) - 1
     sample = float(np.max(np.diff(t)))
@@ -189,36 +197,6 @@ def _pieces(
         yield first, last, partial(inputs.at, last), longest
 
 
-def _integrated(
-    rate: "_Rate",
-    t: np.ndarray,
-    x0: np.ndarray,
-    method: str,
-    size: float,
-    longest: float,
-) -> np.ndarray:
-    """The states at the times after the first one."""
-    with np.errstate(all="ignore"):
-        found = solve_ivp(
-            rate,
-            (t[0], t[-1]),
-            x0,
-            method,
-            t_eval=t[1:],
-            rtol=1e-8,
-            atol=1e-10 * size,
-            max_step=longest,
-        )
-    # Where it ends before the first sample, SciPy gives an empty list.
-    y = np.reshape(found.y, (len(x0), -1))
-    is_finite = np.all(np.isfinite(y), axis=0)
-    n_good = int(np.sum(np.cumprod(is_finite)))
-    if not found.success or n_good < len(t) - 1:
-        why = found.message if is_finite.all() else "A state is no finite number there."
-        raise _stopped(t[n_good], why)
-    return y.T
-
-
 class BufferedFunction:
     """A CasADi function that is called many times, on NumPy's own memory.
 
@@ -232,17 +210,16 @@ class BufferedFunction:
         self._function = function  # its memory must outlive the buffer
         made: Any = function.buffer()
         self._buffer, self._evaluate = made
-        self._arguments: list[np.ndarray] = []
-        self._results: list[np.ndarray] = []
-        for own, n, size, give in (
-            (self._arguments, function.n_in(), function.size_in, self._buffer.set_arg),
-            (self._results, function.n_out(), function.size_out, self._buffer.set_res),
-        ):
-            for i in range(n):
-                part: Any = np.zeros(size(i)[::-1])
-                own.append(part)
-                if part.size:
-                    give(i, memoryview(part))
+        arguments = range(function.n_in())
+        results = range(function.n_out())
+        self._arguments = [np.zeros(function.size_in(i)[::-1]) for i in arguments]
+        self._results = [np.zeros(function.size_out(i)[::-1]) for i in results]
+        for i, part in enumerate(self._arguments):
+            if part.size:
+                self._buffer.set_arg(i, memoryview(part))
+        for i, part in enumerate(self._results):
+            if part.size:
+                self._buffer.set_res(i, memoryview(part))
 
     def __call__(self, *arguments: Any) -> list[np.ndarray]:
         """The results, a row per column of CasADi's; so are the arguments.
@@ -256,8 +233,10 @@ class BufferedFunction:
 
 
 class _Rate:
-    """The right-hand side along a piece; stops a solver that calls it for ever where
-    the solution ends, or with far more steps than there are samples.
+    """The right-hand side along a piece, with a bound on the number of calls.
+
+    It stops a solver that calls it for ever where the solution ends, or with far more
+    steps than there are samples.
     """
 
     def __init__(
@@ -304,21 +283,19 @@ def _real_numbers(values: Any, name: str) -> np.ndarray:
     Raises:
         DataError: these are no real numbers.
     """
-    try:
+    with suppress(ValueError):  # rows of different lengths
         array = np.asarray(values)
         if array.dtype.kind in "biuf":
             return array.astype(float)
-    except ValueError:  # rows of different lengths
-        pass
     raise DataError(f"{name}={values!r} must be an array of real numbers.")
 
 
 def checked_arguments(
     model: Model, t: Any, x0: Any, u: Any
 ) -> tuple[np.ndarray, np.ndarray, Any]:
-    """Times (n_samples,), the starting state (n_states,), and the inputs.
+    """Times (n_samples,), starting state (n_states,), inputs (n_samples, n_inputs).
 
-    The inputs are an array (n_samples, n_inputs), or the function that was given.
+    Inputs that are a function are returned as they are.
 
     Raises:
         DataError: wrong shapes, times or numbers.
@@ -360,6 +337,8 @@ def checked_arguments(
         )
     return times, start, values
 
+
+# ---- the fast free run
 
 # Change of the run with twice the steps, in standard deviations of each state along the
 # run.
@@ -413,10 +392,9 @@ def _rates(rhs: ca.Function, theta: Any) -> ca.Function:
 
 @lru_cache(maxsize=4)
 def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
-    """Of (x, u, t, theta) -> dx/dt with values of the parameters.
+    """Built once for all records with these parameters, and for every thread.
 
-    Built once for the trajectories of a record, and of the one held out; once for every
-    thread, whose runs are written over by the next.
+    A thread's runs are written over by its next.
     """
     return Runs(_rates(rhs, np.array(theta)))
 
@@ -424,16 +402,11 @@ def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
 def _step(rhs: ca.Function) -> ca.Function:
     """One step of Dormand and Prince's scheme of order five, with its error estimate.
 
-    Its coefficients are SciPy's (J. R. Dormand and P. J. Prince 1980, "A family of
-    embedded Runge-Kutta formulae", Journal of Computational and Applied Mathematics 6,
-    19-26).
-
-    Args:
-        rhs: CasADi function (x, u, t) -> dx/dt; the inputs change linearly.
-
-    Returns:
-        CasADi function (x, column) -> x after the step, size of the estimated error;
-        the column holds the time, the length of the step, the inputs and their slopes.
+    A CasADi function (x, column) -> x after the step, size of the estimated error. The
+    column holds the time, the length of the step, the inputs, which change linearly,
+    and their slopes. The coefficients are SciPy's (J. R. Dormand and P. J. Prince 1980,
+    "A family of embedded Runge-Kutta formulae", Journal of Computational and Applied
+    Mathematics 6, 19-26).
     """
     n_inputs = rhs.size1_in(1)
     x = ca.SX.sym("x", rhs.size1_in(0))
@@ -444,10 +417,10 @@ def _step(rhs: ca.Function) -> ca.Function:
 
     def change(weights: np.ndarray) -> ca.SX:
         """Length times the sum of weight * rate, without the weights that are zero."""
-        terms = [
-            w * rate for w, rate in zip(weights.tolist(), rates, strict=False) if w
-        ]
-        return h * sum(terms, ca.SX.zeros(x.numel()))
+        total = ca.SX.zeros(x.numel())
+        for weight, rate in zip(weights.tolist(), rates, strict=False):
+            total = total + weight * rate if weight else total
+        return h * total
 
     for weights, c in zip([*RK45.A, RK45.B], [*RK45.C, 1.0], strict=True):
         after = x + change(weights)
@@ -474,7 +447,7 @@ class Runs:
         hold: np.ndarray,
         tolerance: float = TOLERANCE,
     ) -> np.ndarray | None:
-        """The states from x0; None where explicit steps cannot make them accurate.
+        """The states (n_samples, n_states); None where explicit steps do not serve.
 
         Args:
             t: (n_samples,) strictly increasing times.
@@ -482,9 +455,6 @@ class Runs:
             u: (n_samples, n_inputs).
             hold: (n_inputs,) what each input does between its samples.
             tolerance: as `TOLERANCE`.
-
-        Returns:
-            (n_samples, n_states).
         """
         inputs = SampledInputs.of(t, u, hold)
         steps = _first_steps(t)
@@ -529,11 +499,10 @@ class Runs:
         return _Run(np.vstack([x0, x[at_samples]]), errors)
 
 
-@dataclass(frozen=True, eq=False)
-class _Steps:
+class _Steps(NamedTuple):
     """The steps of a run, all arrays (n_steps,).
 
-    Args:
+    Attributes:
         interval: between samples that each step is in.
         since: its time since the sample before.
         h: its length.
@@ -561,8 +530,7 @@ def _columns(inputs: SampledInputs, steps: _Steps) -> np.ndarray:
     return np.pad(columns, ((0, -n_steps % CHUNK), (0, 0)))
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
+class _Run(NamedTuple):
     """States at the samples, (n_samples, n_states), and the error of every step.
 
     The errors are estimates, (n_steps, n_states).
@@ -574,8 +542,7 @@ class _Run:
     @property
     def is_finite(self) -> bool:
         """Whether the run stayed in the range of numbers."""
-        values = np.vstack([self.x, self.errors])
-        return bool(np.all(np.abs(values) < LARGEST_VALUE))
+        return all(np.all(np.abs(values) < LARGEST_VALUE) for values in self)
 
     @property
     def scale(self) -> np.ndarray:
@@ -583,11 +550,6 @@ class _Run:
         size = np.max(np.abs(self.x), axis=0)
         least = max(AT_REST**2 * np.max(size), TINY)
         return np.maximum(np.std(self.x, axis=0), np.maximum(AT_REST * size, least))
-
-    @property
-    def error(self) -> np.ndarray:
-        """Largest error of every step, (n_steps,), in spreads of the states."""
-        return np.max(self.errors / self.scale, axis=1)
 
     def change_from(self, other: "_Run") -> float:
         """Largest difference at a sample, in spreads of the states."""
@@ -597,9 +559,7 @@ class _Run:
 
 
 def _first_steps(t: np.ndarray) -> _Steps:
-    """A step per interval; in a gap of the record as many as the samples that it would
-    have held.
-    """
+    """A step per interval; in a gap as many as the samples that it would have held."""
     h = np.diff(t)
     samples = np.rint(h / np.median(h))
     parts = samples.clip(1, MOST_STEPS_PER_GAP).astype(int)
@@ -608,12 +568,11 @@ def _first_steps(t: np.ndarray) -> _Steps:
 
 
 def _parts(run: _Run, aim: float) -> np.ndarray:
-    """Into how many parts to cut each step, (n_steps,), for an estimated error of at
-    most ``aim`` in each.
-    """
+    """Parts to cut each step into, (n_steps,), for estimated errors of at most aim."""
     if not run.is_finite:
         return np.full(len(run.errors), LARGEST_FACTOR // 2)
-    factor = (run.error / aim) ** 0.2  # the error is of order five
+    errors = np.max(run.errors / run.scale, axis=1)  # of every step
+    factor = (errors / aim) ** 0.2  # of order five
     parts = np.ceil(np.clip(factor, 1, LARGEST_FACTOR)).astype(int)
     is_cut = parts > 1
     # At a kink the order is lower than five, and few steps are cheap to cut.

@@ -6,9 +6,7 @@ them along a record without an optimisation. Here a memory does not act back on 
 other states; that is the business of the program that is solved afterwards.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -84,8 +82,7 @@ def padded(model: Model, x: np.ndarray) -> np.ndarray:
     return np.pad(x, ((0, 0), (0, n_lacking)))
 
 
-@dataclass(frozen=True, eq=False)
-class MemoryRecord:
+class MemoryRecord(NamedTuple):
     """The memory of a model's effects along a record.
 
     Attributes:
@@ -113,53 +110,42 @@ class MemoryIntegration:
         self.grid = grid
         self.x = x
         self._rest = _memory_at_rest(model, x.shape[1])
+        over_interval = _memory_over_interval(model, x.shape[1])
         # Of every trajectory its intervals, and the steps over them.
         self._runs = []
-        interval = _memory_over_interval(model, x.shape[1])
-        trajectory = grid.runs
-        for run in range(len(grid.first)):
-            intervals = np.flatnonzero(trajectory == run)
-            integrate = interval.mapaccum("memory", len(intervals))
-            self._runs.append((intervals, integrate))
+        for run in range(grid.n_trajectories):
+            intervals = np.flatnonzero(grid.runs == run)
+            steps = over_interval.mapaccum("memory", len(intervals))
+            self._runs.append((intervals, steps))
 
     def __call__(self, theta: np.ndarray) -> MemoryRecord:
-        """States with their memory, and its means over the intervals.
-
-        Args:
-            theta: (n_free,) parameters, or (n_free, n_trajectories).
-        """
+        """States with their memory, for theta (n_free,) or (n_free, n_trajectories)."""
+        grid = self.grid
         n_old = self.x.shape[1]
-        n_memory = self.model.n_states - n_old
         states = padded(self.model, self.x)
-        means = np.zeros((self.grid.n_intervals, n_memory))
-        by_run = theta if theta.ndim == 2 else theta[:, None]
-        for number, (intervals, integrate) in enumerate(self._runs):
-            values = by_run[:, number % by_run.shape[1]]
-            first = self.grid.first[number]
-            start = self._start(first, intervals[0], values)
+        means = np.zeros((grid.n_intervals, self.model.n_states - n_old))
+        by_run = np.broadcast_to(theta.T, (len(self._runs), len(theta)))
+        for first, values, run in zip(grid.first, by_run, self._runs, strict=True):
+            intervals, integrate = run
+            u = grid.u0[intervals[0]]
+            at_rest = self._rest(self.x[first], u, grid.t[first], values)
+            start = np.array(at_rest).ravel()
+            if not np.all(np.isfinite(start)):
+                start = np.zeros(len(start))
+            arguments = interval_arguments(grid.intervals(intervals), self.x.T)
             repeated = np.repeat(values[:, None], len(intervals), axis=1)
-            arguments = interval_arguments(self.grid.intervals(intervals), self.x.T)
             at_ends, run_means = integrate(start, *arguments, repeated)
             states[first, n_old:] = start
-            states[self.grid.begin[intervals] + 1, n_old:] = at_ends.full().T
+            states[grid.begin[intervals] + 1, n_old:] = at_ends.full().T
             means[intervals] = run_means.full().T
         return MemoryRecord(states, means)
-
-    def _start(self, node: int, interval: int, values: np.ndarray) -> np.ndarray:
-        """The memory at rest at a node, or zeros where it has no rest."""
-        u = self.grid.u0[interval]
-        at_rest = self._rest(self.x[node], u, self.grid.t[node], values)
-        start = np.array(at_rest).ravel()
-        if np.all(np.isfinite(start)):
-            return start
-        return np.zeros(len(start))
 
 
 def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
     """CasADi function (z, x0, x1, t0, h, u0, u1, theta) -> (z at the end, mean of z).
 
-    Steps of the trapezoidal rule, linearised at their beginning: with r the rate of z
-    and J its slope in z there, each step dt adds::
+    `MEMORY_STEPS` steps of the trapezoidal rule, linearised at their beginning: with r
+    the rate of z and J its slope in z there, each step dt adds::
 
         dt/2 (I - dt/2 J)^-1 (r(z, begin) + r(z, end))
 
@@ -170,7 +156,7 @@ def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
     x0 = ca.SX.sym("x0", n_old)
     x1 = ca.SX.sym("x1", n_old)
     interval = interval_symbols(model)
-    share = ca.SX.sym("share")  # of the interval that lies behind
+    share = ca.SX.sym("share")  # of the interval
     given = [x0, x1, *interval]
     rhs = model.rhs()
 
@@ -184,20 +170,13 @@ def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
     implicit = ca.SX.eye(n_memory) - dt / 2 * slope
     end = z + dt / 2 * ca.solve(implicit, both_rates)
     step = ca.Function("part", [z, share, *given], [end])
-    return ca.Function("step", [z, *given], _steps_and_mean(step, z, given))
-
-
-def _steps_and_mean(
-    step: Callable[..., Any], z: ca.SX, given: list[ca.SX]
-) -> list[Any]:
-    """The memory behind `MEMORY_STEPS` steps, and its mean by the trapezoidal rule."""
     before = z
-    mean = ca.SX.zeros(z.numel())
+    mean: Any = ca.SX.zeros(n_memory)
     for k in range(MEMORY_STEPS):
         after = step(before, k / MEMORY_STEPS, *given)
         mean = mean + (before + after) / (2 * MEMORY_STEPS)
         before = after
-    return [before, mean]
+    return ca.Function("step", [z, *given], [before, mean])
 
 
 def _memory_at_rest(model: Model, n_old: int) -> ca.Function:

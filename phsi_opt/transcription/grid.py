@@ -1,11 +1,14 @@
-"""Measurements laid out for a program: nodes, and the intervals between them.
+"""Measurements in the model's order, laid out for a program: nodes and intervals.
 
-The states of a program live at the nodes; every sample is one.
+The states of a program live at the nodes; every sample is one. All trajectories stand
+one after the other; an interval joins two nodes of one trajectory. Between samples
+there may be further nodes, so that the integration error stays small where the sampling
+is coarse. Arrays are still rows (n_nodes, n_states); `defects` turns them into CasADi's
+columns.
 
-All trajectories stand one after the other; an interval joins two nodes of one
-trajectory. Between samples there may be further nodes, so that the integration error
-stays small where the sampling is coarse. Arrays are still rows (n_nodes, n_states);
-`defects` turns them into CasADi's columns.
+From here on a column is addressed by its number, which means the same in the model and
+in the data. Units and noise stay with their names; values are never changed. A run that
+is an exact copy of another is left out: in all that follows it counts once.
 """
 
 from collections.abc import Sequence
@@ -19,7 +22,6 @@ from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.smooth_inputs import SmoothInputs
-from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.model import Model
 
@@ -61,6 +63,11 @@ class Grid:
         """Number of intervals."""
         return len(self.h)
 
+    @property
+    def n_trajectories(self) -> int:
+        """Number of trajectories."""
+        return int(self.trajectory[-1]) + 1
+
     @cached_property
     def measured(self) -> np.ndarray:
         """Where a state was measured, (n_nodes, n_states), read-only."""
@@ -96,11 +103,6 @@ class Grid:
         return np.flatnonzero(np.diff(self.trajectory, prepend=-1))
 
     @property
-    def n_trajectories(self) -> int:
-        """Number of trajectories."""
-        return int(self.trajectory[-1]) + 1
-
-    @property
     def spans(self) -> list[tuple[int, int]]:
         """First node of each trajectory, and the node behind its last."""
         return list(pairwise([*self.first.tolist(), self.n_nodes]))
@@ -116,25 +118,14 @@ class Grid:
 
     def intervals(self, keep: np.ndarray) -> "Grid":
         """The same nodes with only the intervals ``keep``, given by their numbers."""
-        return replace(
-            self,
-            begin=self.begin[keep],
-            h=self.h[keep],
-            u0=self.u0[keep],
-            u1=self.u1[keep],
-        )
+        parts = {name: getattr(self, name)[keep] for name in ("begin", "h", "u0", "u1")}
+        return replace(self, **parts)
 
     def at_nodes(self, nodes: np.ndarray, **intervals: np.ndarray) -> "Grid":
         """Some of the nodes (n,), given by their numbers, with other intervals."""
-        return replace(
-            self,
-            t=self.t[nodes],
-            y=self.y[nodes],
-            trajectory=self.trajectory[nodes],
-            sample=self.sample[nodes],
-            u=self.u[nodes],
-            **intervals,
-        )
+        names = ("t", "y", "trajectory", "sample", "u")
+        parts = {name: getattr(self, name)[nodes] for name in names}
+        return replace(self, **parts, **intervals)
 
     def apart(self) -> "Grid":
         """The same intervals, each with two nodes of its own, one after the other."""
@@ -152,14 +143,13 @@ class Grid:
         from one.
         """
         interval, row = divmod(place, n_rows)
-        begin = self.begin[interval]
-        return (
-            f"trajectory {self.trajectory[begin] + 1}, "
-            f"t = {self.t[begin]:g} to {self.t[begin + 1]:g}, row {row + 1}"
-        )
+        node = self.begin[interval]
+        run = self.trajectory[node] + 1
+        times = f"{self.t[node]:g} to {self.t[node + 1]:g}"
+        return f"trajectory {run}, t = {times}, row {row + 1}"
 
     def node_label(self, n_rows: int, place: int) -> str:
-        """Where a value is that stands in ``n_rows`` rows per node.
+        """The same of a value in ``n_rows`` rows per node.
 
         Such as 'trajectory 3, t = 0.5, state 1'.
         """
@@ -176,114 +166,50 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
         steps: a number, or per trajectory an array (n_samples - 1,) with the number for
             each gap between samples.
     """
-    runs = data.trajectories
-    lengths = np.array([run.n_samples for run in runs])
-    last_sample = np.cumsum(lengths) - 1
+    lengths = np.array([run.n_samples for run in data.trajectories])
     # Nodes at each sample and in the gap behind it.
     n_nodes = np.ones(int(lengths.sum()), dtype=int)
     has_gap = np.ones(len(n_nodes), dtype=bool)
-    has_gap[last_sample] = False
+    has_gap[np.cumsum(lengths) - 1] = False
     n_nodes[has_gap] = steps if isinstance(steps, int) else np.concatenate(steps)
-    places = _NodePlaces.of(n_nodes, last_sample)
-    t = places.interpolated(data.stacked("t"))
-    is_sample = places.fraction == 0
+    # The sample before each node, and the share of the gap that lies between them.
+    left = np.repeat(np.arange(len(n_nodes)), n_nodes)
+    right = np.minimum(left + 1, len(n_nodes) - 1)
+    place = np.arange(len(left)) - (np.cumsum(n_nodes) - n_nodes)[left]
+    share = place / n_nodes[left]
+    times = data.stacked("t")
+    t = (1 - share) * times[left] + share * times[right]
     x = data.stacked("x")
     y = np.full((len(t), x.shape[1]), np.nan)
-    y[is_sample] = x
-    trajectory = np.repeat(np.arange(len(runs)), lengths)[places.left]
+    y[place == 0] = x
+    trajectory = np.repeat(np.arange(len(lengths)), lengths)[left]
     begin = np.flatnonzero(np.diff(trajectory) == 0)
     hold = hold_of_each(data.hold, data.inputs)
     is_held = hold == "zero"
-    u = data.stacked("u")
-    u = np.where(is_held, u[places.left], places.interpolated(u))
+    sampled = data.stacked("u")
+    between = (1 - share)[:, None] * sampled[left] + share[:, None] * sampled[right]
+    u = np.where(is_held, sampled[left], between)
     u0 = u[begin]
     u1 = np.where(is_held, u0, u[begin + 1])
     is_smooth = hold == "cubic"
-    if is_smooth.any():
-        smooth = _smooth(runs, t, trajectory, begin)
-        u = np.where(is_smooth, smooth[0], u)
-        u0 = np.where(is_smooth, smooth[1], u0)
-        u1 = np.where(is_smooth, smooth[2], u1)
-    return Grid(
-        t=t,
-        y=y,
-        trajectory=trajectory,
-        sample=is_sample,
-        begin=begin,
-        h=t[begin + 1] - t[begin],
-        u0=u0,
-        u1=u1,
-        u=u,
-    )
-
-
-def _smooth(
-    runs: Sequence[Trajectory], t: np.ndarray, trajectory: np.ndarray, begin: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inputs that are smooth, at the nodes, and their lines at the ends of intervals.
-
-    Args:
-        runs: all trajectories.
-        t: (n_nodes,) times.
-        trajectory: (n_nodes,) number of the trajectory of each node.
-        begin: (n_intervals,) first node of each interval.
-    """
-    at_nodes, first, last = [], [], []
-    for k, run in enumerate(runs):
+    for number, run in enumerate(data.trajectories if is_smooth.any() else ()):
         smooth = SmoothInputs(run.t, run.u)
-        own = begin[trajectory[begin] == k]
-        ends = smooth.lines(t[own], t[own + 1])
-        at_nodes.append(smooth(t[trajectory == k]))
-        first.append(ends[0])
-        last.append(ends[1])
-    return np.concatenate(at_nodes), np.concatenate(first), np.concatenate(last)
+        nodes = trajectory == number
+        own = nodes[begin]
+        first, last = smooth.lines(t[begin[own]], t[begin[own] + 1])
+        u[nodes] = np.where(is_smooth, smooth(t[nodes]), u[nodes])
+        u0[own] = np.where(is_smooth, first, u0[own])
+        u1[own] = np.where(is_smooth, last, u1[own])
+    h = t[begin + 1] - t[begin]
+    return Grid(t, y, trajectory, place == 0, begin, h, u0, u1, u)
 
 
 def steps_per_gap(grid: Grid) -> list[np.ndarray]:
     """Number of intervals in every gap, (n_samples - 1,) per trajectory."""
-    samples = np.flatnonzero(grid.sample)
-    trajectory = grid.trajectory[samples]
-    is_inside = np.diff(trajectory) == 0
-    n_intervals = np.diff(samples)[is_inside]
-    ends = np.searchsorted(
-        trajectory[:-1][is_inside], np.arange(trajectory[-1]), "right"
-    )
-    return np.split(n_intervals, ends)
+    return [np.diff(np.flatnonzero(is_sample)) for is_sample in grid.split(grid.sample)]
 
 
-@dataclass(frozen=True, eq=False)
-class _NodePlaces:
-    """Where nodes stand among the samples of trajectories, one after the other.
-
-    Attributes:
-        left: (n_nodes,) sample to the left of each node, or at it.
-        right: (n_nodes,) the next sample; that of a trajectory's last is itself.
-        fraction: (n_nodes,) share of the gap that lies between left and node.
-    """
-
-    left: np.ndarray
-    right: np.ndarray
-    fraction: np.ndarray
-
-    @classmethod
-    def of(cls, n_nodes: np.ndarray, last_sample: np.ndarray) -> "_NodePlaces":
-        """Places of the nodes.
-
-        Args:
-            n_nodes: (n_samples,) nodes at each sample and in the gap behind it.
-            last_sample: (n_trajectories,) number of each trajectory's last sample.
-        """
-        left = np.repeat(np.arange(len(n_nodes)), n_nodes)
-        first = np.cumsum(n_nodes) - n_nodes
-        fraction = (np.arange(len(left)) - first[left]) / n_nodes[left]
-        next_sample = np.arange(1, len(n_nodes) + 1)
-        next_sample[last_sample] = last_sample
-        return cls(left, next_sample[left], fraction)
-
-    def interpolated(self, values: np.ndarray) -> np.ndarray:
-        """Values (n_samples, ...) at the nodes, linearly."""
-        fraction = self.fraction.reshape(-1, *[1] * (values.ndim - 1))
-        return (1 - fraction) * values[self.left] + fraction * values[self.right]
+# ---- the model's order
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,61 +300,47 @@ def aligned(model: Model, data: Measurements) -> Measurements:
         DataError: a state or an input of the model is not in the measurements, or the
             measurements have a state that the model has not.
     """
-    data = _with_memory_columns(data, model.memory)
-    _check_names(model, data)
-    if data.states == model.states and data.inputs == model.inputs:
+    lacking = [name for name in model.memory if name not in data.states]
+    known = (*data.states, *lacking)
+    _check_names(model, known, data.inputs)
+    if known == model.states and data.inputs == model.inputs and not lacking:
         return data
-    state_columns = [data.states.index(name) for name in model.states]
+    state_columns = [known.index(name) for name in model.states]
     input_columns = [data.inputs.index(name) for name in model.inputs]
-    trajectories = tuple(
-        replace(run, x=run.x[:, state_columns], u=run.u[:, input_columns])
-        for run in data.trajectories
-    )
+    trajectories = []
+    for run in data.trajectories:
+        not_measured = np.full((run.n_samples, len(lacking)), np.nan)
+        x = np.column_stack([run.x, not_measured])[:, state_columns]
+        trajectories.append(replace(run, x=x, u=run.u[:, input_columns]))
     kept = {"t", *model.states, *model.inputs}
-    units = {name: unit for name, unit in data.units.items() if name in kept}
     hold = data.hold
     if not isinstance(hold, str):
         hold = {name: hold[name] for name in model.inputs}
     return replace(
         data,
-        trajectories=trajectories,
+        trajectories=tuple(trajectories),
         states=tuple(model.states),
         inputs=tuple(model.inputs),
-        units=units,
+        units={name: unit for name, unit in data.units.items() if name in kept},
         hold=hold,
     )
 
 
-def _with_memory_columns(data: Measurements, memory: Sequence[str]) -> Measurements:
-    """The measurements with the memory's states that they lack, as never measured."""
-    lacking = [name for name in memory if name not in data.states]
-    if not lacking:
-        return data
-    trajectories = []
-    for run in data.trajectories:
-        not_measured = np.full((run.n_samples, len(lacking)), np.nan)
-        x = np.column_stack([run.x, not_measured])
-        trajectories.append(replace(run, x=x))
-    return replace(
-        data, trajectories=tuple(trajectories), states=(*data.states, *lacking)
-    )
-
-
-def _check_names(model: Model, data: Measurements) -> None:
+def _check_names(model: Model, states: Sequence[str], inputs: Sequence[str]) -> None:
     for name in model.states:
-        if name not in data.states:
+        if name not in states:
             raise DataError(
                 f"state {name!r} of the model is not in the measurements "
-                f"({', '.join(data.states)}); declare it as not measured: "
+                f"({', '.join(states)}); declare it as not measured: "
                 f"states={{..., {name!r}: None}}."
             )
     for name in model.inputs:
-        if name not in data.inputs:
+        if name not in inputs:
             raise DataError(
                 f"input {name!r} of the model is not in the measurements "
-                f"({', '.join(data.inputs)})."
+                f"({', '.join(inputs)})."
             )
-    extra = sorted(set(data.states) - set(model.states))
+    extra = sorted(set(states) - set(model.states))
     if extra:
         raise DataError(
             f"state {extra[0]!r} of the measurements is not in the model; "

@@ -1,14 +1,16 @@
 """The likelihood of `MaximumLikelihood` in numbers: values and slopes at a point.
 
-The program of the same likelihood is for solvers that want symbols. Full steps need
-numbers alone: defects and what the sensors show with their slopes, each from one small
-function that is evaluated for all intervals, or nodes, together. Nothing is built but
-the places of the entries, and other noise asks for no evaluation.
+Full steps need numbers alone: defects and the output of the sensors with their slopes,
+each from one small function that is evaluated for all intervals, or nodes, together.
+Nothing is built but the places of the entries, and other noise asks for no evaluation.
+
+The program of the same likelihood is for solvers that want symbols (`losses`). Its
+Jacobian and curvature are put together here from the same blocks per interval, which
+costs a small part of an automatic differentiation of the whole.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,7 +22,6 @@ from phsi_opt.transcription.defects import (
     defect_curvature,
     in_intervals,
     interval_arguments,
-    known_arguments,
     linear_defect,
     linear_function,
     map_intervals,
@@ -29,61 +30,49 @@ from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Point, Theta
 
 
-@dataclass(frozen=True, eq=False)
-class Pattern:
+class Pattern(NamedTuple):
     """Where entries of a sparse matrix stand, while their values come and go.
 
     Attributes:
         rows: (n_entries,); entries at one place are added.
         columns: (n_entries,).
         shape: of the matrix.
-        places: (n_entries,) of them among the values that are given.
+        chosen: of the values that are given, those of the entries; all by default.
     """
 
     rows: np.ndarray
     columns: np.ndarray
     shape: tuple[int, int]
-    places: np.ndarray
-
-    @classmethod
-    def of(
-        cls, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]
-    ) -> "Pattern":
-        """Of entries in the order in which their values come."""
-        return cls(rows, columns, shape, np.arange(len(rows)))
+    chosen: np.ndarray | slice = slice(None)
 
     def part(self, columns: slice) -> "Pattern":
         """The same of a range of columns; the values of all are given as before."""
         own = (self.columns >= columns.start) & (self.columns < columns.stop)
-        return Pattern(
-            rows=self.rows[own],
-            columns=self.columns[own] - columns.start,
-            shape=(self.shape[0], columns.stop - columns.start),
-            places=self.places[own],
-        )
+        shape = (self.shape[0], columns.stop - columns.start)
+        shifted = self.columns[own] - columns.start
+        return Pattern(self.rows[own], shifted, shape, np.flatnonzero(own))
 
     def sparse(self, values: np.ndarray) -> coo_matrix:
         """The matrix with values (n_values,) of the whole pattern."""
-        own = (values[self.places], (self.rows, self.columns))
+        own = (values[self.chosen], (self.rows, self.columns))
         return coo_matrix(own, shape=self.shape)
 
     def dense(self, values: np.ndarray) -> np.ndarray:
         """The same as an array."""
         n_rows, n_columns = self.shape
         places = self.rows * n_columns + self.columns
-        filled = np.bincount(places, values[self.places], n_rows * n_columns)
+        filled = np.bincount(places, values[self.chosen], n_rows * n_columns)
         return filled.reshape(self.shape)
 
 
-@dataclass(frozen=True, eq=False)
-class PointValues:
-    """What does not depend on the noise, at a point.
+class PointValues(NamedTuple):
+    """Everything at a point that does not depend on the noise.
 
     Attributes:
         g: (n_constraints,) scaled defects.
         jacobian: entries of their slopes in z.
-        misfit: (n_values,) measured minus shown.
-        slopes: entries of what is shown, in z.
+        misfit: (n_values,) measured minus output of the sensors.
+        slopes: entries of the slopes of that output, in z.
     """
 
     g: np.ndarray
@@ -108,14 +97,13 @@ class LikelihoodValues:
 
     Attributes:
         scale: sizes of the variables, (n_variables,).
-        lower: bounds of z, (n_variables,).
-        upper: likewise.
+        lower: bounds of z, (n_variables,); upper: likewise.
         linear_defect: one interval's defect and its slopes.
         order: (n_entries,) of these slopes, as they follow each other in ``jacobian``.
         per_size: (n_intervals, n_states) length over the state's size.
         factor: (n_intervals, n_entries) of each slope.
         jacobian: places of the slopes of the constraints, interval by interval.
-        shown: places of the slopes of what is shown, a row per measured value.
+        shown: places of the slopes of the sensors' output, a row per measured value.
     """
 
     def __init__(
@@ -165,38 +153,47 @@ class LikelihoodValues:
         columns = self.places(grid.begin, 2)[:, local]
         rows = n * np.arange(grid.n_intervals)[:, None] + equation
         shape = (n * grid.n_intervals, len(self.scale))
-        self.jacobian = Pattern.of(rows.ravel(), columns.ravel(), shape)
+        self.jacobian = Pattern(rows.ravel(), columns.ravel(), shape)
         self.per_size = grid.h[:, None] / self.point.x_scale
         self.factor = self.per_size[:, equation] * self.scale[columns]
-        self._known = known_arguments(grid)
 
     def _set_shown(self) -> None:
         n_values = len(self._measured)
         shape = (n_values, len(self.scale))
         if not self.model.sensor:
             columns = len(self.unknown) + self._measured
-            self.shown = Pattern.of(np.arange(n_values), columns, shape)
+            self.shown = Pattern(np.arange(n_values), columns, shape)
             return
         model = self.model
-        one = model.built("linear output", lambda: linear_function(model.output(), 1))
-        channel, local = one.places.T
+        self._sensor, places = model.built(
+            "linear output", lambda: linear_function(model.output(), 1)
+        )
+        channel, local = places.T
         columns = self.places(np.arange(self.grid.n_nodes), 1)[:, local]
         row = np.cumsum(self.grid.measured).reshape(self.grid.measured.shape) - 1
         self._is_shown = self.grid.measured[:, channel]
         rows = row[:, channel][self._is_shown]
-        self.shown = Pattern.of(rows, columns[self._is_shown], shape)
-        self._sensor = one.function
+        self.shown = Pattern(rows, columns[self._is_shown], shape)
+
+    def _unscaled(self, z: np.ndarray) -> tuple[np.ndarray, Any]:
+        """States (n_nodes, n_states), and the parameters of every trajectory."""
+        values = self.point.unscaled(z)
+        theta = self.unknown.by_trajectory(values["theta"])
+        return values["x"].reshape(-1, self.n_states), theta
 
     def at(self, z: np.ndarray) -> PointValues:
-        """Defects and what is shown, with their slopes, at z (n_variables,)."""
-        grid = self.grid
-        values = z * self.scale
-        theta = self.unknown.by_trajectory(values[self.point.of_theta])
-        x = values[self.point.of_x].reshape(-1, self.n_states)
-        arguments = [x[grid.begin].T, x[grid.begin + 1].T, *self._known]
-        defect = self.linear_defect.function
-        d, entries = in_intervals(defect, grid, arguments, theta)
-        misfit, slopes = self._misfit(x, theta)
+        """Defects and output of the sensors, with their slopes, at z (n_variables,)."""
+        x, theta = self._unscaled(z)
+        function = self.linear_defect.function
+        arguments = interval_arguments(self.grid, x.T)
+        d, entries = in_intervals(function, self.grid, arguments, theta)
+        if self.model.sensor:
+            shown, of_shown = at_nodes(self._sensor, self.grid, x.T, theta)
+            misfit = self._y - shown.T.ravel()[self._measured]
+            slopes = of_shown.T[self._is_shown]
+        else:
+            misfit = self._y - x.ravel()[self._measured]
+            slopes = np.ones(len(self._y))
         return PointValues(
             g=(d.T * self.per_size).ravel(),
             jacobian=(entries[self.order].T * self.factor).ravel(),
@@ -207,10 +204,15 @@ class LikelihoodValues:
     @cached_property
     def curvature(self) -> Pattern:
         """Places of the second derivatives of the defects, upper triangle of z's."""
-        one = defect_curvature(self.model, self.scheme)
-        places = self.places(self.grid.begin, 2)[:, one.places].reshape(-1, 2)
+        local = defect_curvature(self.model, self.scheme).places
+        places = self.places(self.grid.begin, 2)[:, local].reshape(-1, 2)
         row, column = np.sort(places, axis=1).T
-        return Pattern.of(row, column, (len(self.scale), len(self.scale)))
+        return Pattern(row, column, (len(self.scale), len(self.scale)))
+
+    @cached_property
+    def curvature_factor(self) -> np.ndarray:
+        """Of each entry of `curvature`, by the sizes of its variables."""
+        return self.scale[self.curvature.rows] * self.scale[self.curvature.columns]
 
     def curvature_at(self, z: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
         """Second derivatives of multipliers'g in z, entries of `curvature`.
@@ -219,26 +221,15 @@ class LikelihoodValues:
             z: (n_variables,).
             multipliers: (n_constraints,) of the scaled defects.
         """
-        grid = self.grid
-        values = z * self.scale
-        theta = self.unknown.by_trajectory(values[self.point.of_theta])
-        x = values[self.point.of_x].reshape(-1, self.n_states)
+        x, theta = self._unscaled(z)
         weighted = multipliers.reshape(-1, self.n_states) * self.per_size
-        known = [x[grid.begin].T, x[grid.begin + 1].T, *self._known, weighted.T]
-        one = defect_curvature(self.model, self.scheme)
-        (entries,) = in_intervals(one.function, grid, known, theta)
-        pattern = self.curvature
-        factor = self.scale[pattern.rows] * self.scale[pattern.columns]
-        return entries.T.ravel() * factor
+        arguments = [*interval_arguments(self.grid, x.T), weighted.T]
+        function = defect_curvature(self.model, self.scheme).function
+        (entries,) = in_intervals(function, self.grid, arguments, theta)
+        return entries.T.ravel() * self.curvature_factor
 
-    def _misfit(
-        self, x: np.ndarray, theta: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Measured minus shown (n_values,), and unscaled slopes of what is shown."""
-        if not self.model.sensor:
-            return self._y - x.ravel()[self._measured], np.ones(len(self._y))
-        shown, entries = at_nodes(self._sensor, self.grid, x.T, theta)
-        return self._y - shown.T.ravel()[self._measured], entries.T[self._is_shown]
+
+# ---- the same derivatives in symbols, for a program
 
 
 def constraint_jacobian(values: LikelihoodValues, x: ca.MX, theta: Any) -> ca.MX:
@@ -271,20 +262,19 @@ def constraint_curvature(
     """
     grid = values.grid
     n_states = values.n_states
-    shape = (n_states, grid.n_intervals)
     of_defects = multipliers[: n_states * grid.n_intervals]
-    weighted = ca.reshape(of_defects, *shape) * ca.DM(values.per_size.T)
-    one = defect_curvature(values.model, values.scheme)
+    weighted = ca.reshape(of_defects, n_states, -1) * ca.DM(values.per_size.T)
+    function = defect_curvature(values.model, values.scheme).function
     columns = [*interval_arguments(grid, x), weighted]
-    entries = map_intervals(one.function, grid, columns, theta)
-    row, column = values.curvature.rows, values.curvature.columns
+    entries = map_intervals(function, grid, columns, theta)
     # Each entry of the Hessian once, in CasADi's order, and the entries per interval
     # that it sums up.
+    pattern = values.curvature
     n_z = len(values.scale)
-    entry, where = np.unique(column * n_z + row, return_inverse=True)
-    factor = values.scale[row] * values.scale[column]
-    summed = (len(entry), len(row))
-    gather = csc_matrix((factor, (where, np.arange(len(row)))), shape=summed)
+    places = pattern.columns * n_z + pattern.rows
+    entry, where = np.unique(places, return_inverse=True)
+    summed = (values.curvature_factor, (where, np.arange(len(where))))
+    gather = csc_matrix(summed, shape=(len(entry), len(where)))
     column, row = np.divmod(entry, n_z)
     sparsity = ca.Sparsity.triplet(n_z, n_z, row.tolist(), column.tolist())
     return ca.MX(sparsity, ca.mtimes(ca.DM(gather), ca.vec(entries)))

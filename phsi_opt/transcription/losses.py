@@ -73,7 +73,7 @@ class PHSILoss:
         theta = _theta_variable(program, unknown, point)
         residual, slopes = known_defects(model, used, self.integrator, theta)
         program.add_residual(weight * residual, weight * slopes)
-        _add_l1(program, theta, unknown, point, l1, 1 / size)
+        _add_l1(program, theta, point, unknown.weights(l1) / size)
         return program
 
 
@@ -121,11 +121,11 @@ class MaximumLikelihood:
             )
         if huber is not None:
             require_positive("MaximumLikelihood: huber", huber)
+        expected = f"a whole number from 1 to {MOST_COUNTED}"
         for name in ("steps", "starts"):
             n = getattr(self, name)
             may_lack = name == "steps" and n is None
             fine = may_lack or (is_count(n) and n <= MOST_COUNTED)
-            expected = f"a whole number from 1 to {MOST_COUNTED}"
             require(fine, f"MaximumLikelihood: {name}", n, expected)
         noise = {} if self.noise is None else self.noise
         expected = "standard deviations by state, such as {'q': 0.01}, or None"
@@ -176,7 +176,7 @@ class MaximumLikelihood:
         if self.huber is not None:
             residual = residual - _outlier_slack(program, len(measured), self.huber)
         program.add_residual(residual * np.sqrt(2 / len(measured)))
-        _add_l1(program, theta, values.unknown, point, l1, 1.0)
+        _add_l1(program, theta, point, values.unknown.weights(l1))
         return program
 
 
@@ -193,10 +193,9 @@ def _theta_variable(program: Program, unknown: Theta, point: Point) -> ca.MX:
 
 
 def _outlier_slack(program: Program, n_measured: int, limit: float) -> ca.MX:
-    """Add slacks that take over what of a residual is beyond the limit.
+    """Add slacks (n_measured,) that take over the part of a residual beyond the limit.
 
-    At a linear cost, so that both together are Huber's function. Returns what they
-    take, (n_measured,).
+    At a linear cost, so that both together are Huber's function.
 
     Source: P. J. Huber, Robust estimation of a location parameter, 1964.
     """
@@ -207,25 +206,14 @@ def _outlier_slack(program: Program, n_measured: int, limit: float) -> ca.MX:
     return above - below
 
 
-def _add_l1(
-    program: Program,
-    theta: ca.MX,
-    unknown: Theta,
-    point: Point,
-    l1: Mapping[str, float],
-    factor: float,
-) -> None:
-    """Add ``factor * sum_j lambda_j |xi_j|`` over the coefficients of terms.
-
-    ``l1`` holds a weight lambda per slot; a slot that it does not name has none.
-    """
-    weights = unknown.weights(l1)
+def _add_l1(program: Program, theta: ca.MX, point: Point, weights: np.ndarray) -> None:
+    """Add ``sum_j weight_j |xi_j|`` over the coefficients with a weight (n_theta,)."""
     places = np.flatnonzero(weights > 0).tolist()
     if places:
         program.add_l1(
             "theta",
             theta[places],
-            factor * weights[places],
+            weights[places],
             point.theta[places],
             point.theta_scale[places],
         )

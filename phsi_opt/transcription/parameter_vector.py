@@ -1,10 +1,12 @@
-"""The vector of unknown parameters, theta.
+"""The unknowns of a program: the vector theta of parameters, and a point to start from.
 
-A parameter that all trajectories share stands in it once, one that is `per_trajectory`
-once for every trajectory. Values that are fixed are not in it.
+A parameter that all trajectories share stands in theta once, one that is
+`per_trajectory` once for every trajectory. Values that are fixed are not in it. The
+sizes of a point scale the variables and constraints of a program, so that the solver
+sees numbers near one whatever the units are; they are found in
+``phsi_opt.initialization``.
 """
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -53,7 +55,12 @@ class Theta:
             table[i] = len(names) + (np.arange(len(runs)) if is_local else 0)
             names += added
             owner += [i] * len(added)
-        _check_unique(names)
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ModelError(
+                f"the name {twice[0]!r} stands for two parameters, one of them of a "
+                "trajectory; rename the trajectory, or name the term."
+            )
         return cls(model, tuple(runs), tuple(names), np.array(owner, dtype=int), table)
 
     def __len__(self) -> int:
@@ -81,29 +88,19 @@ class Theta:
         return np.array([entry.parameter.upper for entry in self.entries])
 
     def weights(self, l1: Mapping[str, float]) -> np.ndarray:
-        """Weight of each entry in an L1 term, (n_theta,); zero: it is not in it.
-
-        Args:
-            l1: weight by slot; a slot that is not named has none.
-        """
-        weights = np.zeros(len(self.names))
-        for place, entry in enumerate(self.entries):
-            if entry.prunable:
-                weights[place] = l1.get(entry.slot, 0.0)
-        return weights
+        """Weight of each entry in an L1 term, (n_theta,), from weights by slot."""
+        weights = [l1.get(one.slot, 0.0) * one.prunable for one in self.entries]
+        return np.array(weights, dtype=float)
 
     def spread(self, values: np.ndarray) -> np.ndarray:
         """Theta from one value per model parameter, (n_free,) -> (n_theta,)."""
         return np.asarray(values, dtype=float)[self.owner]
 
     def by_trajectory(self, theta: Any) -> Any:
-        """The parameters of the model as columns, one per trajectory.
+        """The parameters of the model as columns, (n_free, n_trajectories).
 
-        Args:
-            theta: (n_theta,), symbols or numbers.
-
-        Returns:
-            (n_free, n_trajectories); where all are shared, theta as it is.
+        ``theta`` (n_theta,) are symbols or numbers; where all are shared, it is
+        returned as it is.
         """
         if self.is_shared:
             return theta
@@ -129,26 +126,13 @@ class Theta:
         """Theta from values by name.
 
         The value of an entry is that of its own name (``m[run 1]``), else that of its
-        model parameter, else the default.
-
-        Args:
-            values: by name.
-            default: (n_theta,).
+        model parameter, else the default (n_theta,).
         """
         theta = []
         for name, owner, fallback in zip(self.names, self.owner, default, strict=True):
             of_parameter = values.get(self.model.free[owner], fallback)
             theta.append(values.get(name, of_parameter))
         return np.array(theta)
-
-
-def _check_unique(names: Sequence[str]) -> None:
-    twice = sorted(name for name, count in Counter(names).items() if count > 1)
-    if twice:
-        raise ModelError(
-            f"the name {twice[0]!r} stands for two parameters, one of them of a "
-            "trajectory; rename the trajectory, or name the term."
-        )
 
 
 UNBOUNDED = np.array([-np.inf, np.inf])[:, None, None]

@@ -1,12 +1,11 @@
-"""What the sensors show of the states, and its slopes.
+"""The output of the sensors for given states, and its slopes.
 
 A model without sensors shows its states as they are. With sensors (an offset, a gain, a
-clipping) the data are compared with what is shown. Noise is not part of a sensor.
+clipping) the data are compared with their output. Noise is not part of a sensor.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,9 +17,8 @@ from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
 
 
-@dataclass(frozen=True, eq=False)
-class OutputSlopes:
-    """Slopes of what the sensors show at every node.
+class OutputSlopes(NamedTuple):
+    """Slopes of the output of the sensors at every node.
 
     Attributes:
         in_states: (n_nodes, n_states, n_states).
@@ -32,7 +30,7 @@ class OutputSlopes:
 
 
 def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
-    """What the sensors show at the nodes, (n_states, n_nodes).
+    """The output of the sensors at the nodes, (n_states, n_nodes).
 
     Args:
         model: the model with its sensors.
@@ -46,7 +44,7 @@ def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
 def outputs_at_samples(
     model: Model, grid: Grid, states: Sequence[np.ndarray], theta: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """What the sensors show at the samples, one (n_samples, n_states) per trajectory.
+    """The output of the sensors, one (n_samples, n_states) per trajectory.
 
     Args:
         model: with the terms of its sensors.
@@ -56,8 +54,7 @@ def outputs_at_samples(
     """
     if not model.sensor:
         return tuple(states)
-    nodes = np.concatenate(states)
-    visible = np.array(outputs(model, grid, nodes.T, theta))
+    visible = np.array(outputs(model, grid, np.concatenate(states).T, theta))
     return grid.split(visible.T)
 
 
@@ -66,11 +63,9 @@ def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> Output
     slopes = model.built(
         "output slopes", lambda: with_slopes(model.output(), "x", "theta")
     )
-    _, by_state, by_parameter = map_nodes(slopes, grid, ca.DM(x.T), theta)
+    _, *parts = map_nodes(slopes, grid, ca.DM(x.T), theta)
     shape = (grid.n_nodes, model.n_states, -1)
-    return OutputSlopes(
-        np.array(by_state).T.reshape(shape), np.array(by_parameter).T.reshape(shape)
-    )
+    return OutputSlopes(*(np.array(part).T.reshape(shape) for part in parts))
 
 
 def output_slopes_in_theta(
