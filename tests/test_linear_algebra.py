@@ -127,8 +127,8 @@ def test_cholesky_factors_solve_what_those_of_the_band_solve(steps: int) -> None
     whole = Banded(layout, system.entries)
     right = np.random.default_rng(1).normal(size=(chained.n, 3))
     for one in (right, right[:, 0]):
-        close = {"rtol": 1e-8, "atol": 1e-9}
-        np.testing.assert_allclose(chained.solve(one), whole.solve(one), **close)
+        solution = chained.solve(one)
+        np.testing.assert_allclose(solution, whole.solve(one), rtol=1e-8, atol=1e-9)
     assert chained.log_abs_det == pytest.approx(whole.log_abs_det, abs=1e-8)
 
 

@@ -9,7 +9,7 @@ its linear systems.
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -411,7 +411,7 @@ def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
 
 
 def names_at_bounds(
-    names: Sequence[str], z: np.ndarray, bounds: Sequence[np.ndarray]
+    names: Sequence[str], z: np.ndarray, bounds: Iterable[np.ndarray]
 ) -> tuple[str, ...]:
     """The names (n_names,) of the first scaled variables z (n,) that are at a bound.
 

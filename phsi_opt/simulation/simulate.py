@@ -214,6 +214,7 @@ class BufferedFunction:
         results = range(function.n_out())
         self._arguments = [np.zeros(function.size_in(i)[::-1]) for i in arguments]
         self._results = [np.zeros(function.size_out(i)[::-1]) for i in results]
+        part: Any
         for i, part in enumerate(self._arguments):
             if part.size:
                 self._buffer.set_arg(i, memoryview(part))
