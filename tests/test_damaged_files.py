@@ -20,12 +20,11 @@ from phsi_opt import reading
 from phsi_opt.command_line.jobs import first_study
 from phsi_opt.data import excel_tables, matlab_tables
 from phsi_opt.errors import DataError
-from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.toml_text import toml_tables
 from phsi_opt.sweeps.sweep import KeptResults
 
 T = np.arange(40.0)
-N_DAMAGED = 150  # workbooks; always the same ones
+N_DAMAGED = 60  # workbooks; always the same ones
 LONGEST_WAIT = 60  # seconds
 COLUMNS: dict[str, Any] = {"time": "t", "states": ["q"]}
 
@@ -37,10 +36,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "a.xlsx": lambda path: ph.Measurements.from_excel(path, **COLUMNS),
     "a.mat": lambda path: ph.Measurements.from_mat(path, **COLUMNS),
     "a.json": ph.Fit.load,
-    "a.toml": StudyFile.read,
+    "a.toml": ph.StudyFile.read,
     "b.csv": lambda path: first_study([path], path.with_name("s.toml"), force=False),
-    "b.xlsx": lambda path: first_study([path], path.with_name("s.toml"), force=False),
-    "b.mat": lambda path: first_study([path], path.with_name("s.toml"), force=False),
 }
 
 
@@ -86,19 +83,14 @@ def test_a_pipe_is_refused_and_not_waited_for(
 
 
 @pytest.mark.skipif(not Path("/dev/null").exists(), reason="no devices as files here")
-def test_a_device_is_refused_by_its_own_name_and_behind_a_link(
+def test_a_device_and_a_file_that_is_too_large_are_refused_before_they_are_read(
     entry: tuple[Path, Any],
 ) -> None:
     path, read = entry
     path.symlink_to("/dev/null")
     with pytest.raises(DataError, match="it is a device and no regular file"):
         read(path)
-
-
-def test_a_file_that_is_too_large_is_refused_before_it_is_read(
-    entry: tuple[Path, Any],
-) -> None:
-    path, read = entry
+    path.unlink()
     with path.open("wb") as file:
         file.truncate(reading.LARGEST_FILE + 1)  # takes no place on the disk
     most = 1 if path.suffix == ".toml" else 500
@@ -168,15 +160,15 @@ def read_or_refused(content: bytes, read: Any, path: Path) -> None:
         assert path.name in str(error)
 
 
-# Seeds with which SciPy 1.17 alone crashed (83, 952, 217, 800), ran out of memory (200,
-# 826), raised what it does not promise (85, 118, 0), refused or read the file.
+# Seeds with which SciPy 1.17 alone crashed (83, 217), ran out of memory (200, 826),
+# raised what it does not promise (85, 118, 0), refused or read the file.
 @pytest.mark.parametrize(
     ("content", "seeds"),
     [
-        (mat_file(), (0, 2, 83, 85, 200, 952)),
-        (mat_file()[:520], (118, 217, 800, 826)),
-        (mat_file(do_compression=True), (0, 34)),
-        (mat_file(format="4"), (0, 1)),
+        (mat_file(), (0, 83, 85, 200)),
+        (mat_file()[:520], (118, 217, 826)),
+        (mat_file(do_compression=True), (34,)),
+        (mat_file(format="4"), (1,)),
     ],
     ids=["matlab 5", "matlab 5, short", "matlab 7", "matlab 4"],
 )
@@ -306,16 +298,6 @@ def test_a_matlab_file_whose_reading_crashes_or_never_ends_is_refused(
         from_mat(io.BytesIO(mat_file()), **COLUMNS)
 
 
-def test_modules_in_the_current_folder_are_not_taken_for_those_of_python(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "numpy.py").write_text("raise SystemExit('this is not NumPy')")
-    (tmp_path / "bench.mat").write_bytes(mat_file())
-    monkeypatch.chdir(tmp_path)
-    data = from_mat("bench.mat", **COLUMNS)
-    assert data.trajectories[0].x[:, 0].tolist() == (T**2).tolist()
-
-
 def test_a_program_without_a_python_interpreter_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -328,22 +310,22 @@ def test_a_program_without_a_python_interpreter_says_so(
 # ---- Excel ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stated", [b"A1:B3", b"A1:A41", b"A1", b"C1:D9"])
-def test_a_sheet_is_read_whole_whatever_dimension_it_states(stated: bytes) -> None:
-    book = with_part(SHEET, lambda xml: xml.replace(b"A1:B41", stated))
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (rb"A1:B41", b"A1:B3"),
+        (rb"A1:B41", b"C1:D9"),
+        (rb"<row ", b"<row spans='1:2' "),
+        (rb' r="[A-Z]*\d+"', b""),
+        (rb'<row r="\d+"', b"<row"),
+    ],
+)
+def test_a_sheet_is_read_whole_whatever_dimension_and_places_it_states(
+    old: bytes, new: bytes
+) -> None:
+    book = with_part(SHEET, lambda xml: re.sub(old, new, xml))
     data = from_excel(book, **COLUMNS)
     np.testing.assert_array_equal(data.trajectories[0].x[:, 0], T**2)
-
-
-def test_rows_and_cells_need_not_say_where_they_are() -> None:
-    places = re.compile(rb' r="[A-Z]*\d+"')
-    for change in (
-        lambda xml: xml.replace(b"<row ", b"<row spans='1:2' "),
-        lambda xml: places.sub(b"", xml),
-        lambda xml: re.sub(rb'<row r="\d+"', b"<row", xml),
-    ):
-        data = from_excel(with_part(SHEET, change), **COLUMNS)
-        np.testing.assert_array_equal(data.trajectories[0].x[:, 0], T**2)
 
 
 @pytest.mark.parametrize(
@@ -387,15 +369,6 @@ def test_a_workbook_that_grows_beyond_the_bound_is_refused(
         from_excel(book, **COLUMNS)
 
 
-def test_a_workbook_compressed_in_a_way_that_knows_no_bound_is_refused() -> None:
-    book = io.BytesIO()
-    with zipfile.ZipFile(book, "w", zipfile.ZIP_BZIP2) as archive:
-        archive.writestr(SHEET, bytes(1000))
-    book.seek(0)
-    with pytest.raises(DataError, match="is compressed in another way"):
-        from_excel(book, **COLUMNS)
-
-
 # ---- study files and fits ------------------------------------------------------------
 
 DEEP = 50_000
@@ -432,7 +405,7 @@ def test_a_study_file_made_to_do_harm_is_refused_at_once(
     path = tmp_path / "study.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ph.StudyFileError, match=message):
-        StudyFile.read(path)
+        ph.StudyFile.read(path)
 
 
 @pytest.mark.parametrize(
@@ -483,13 +456,6 @@ def test_an_open_file_without_end_is_refused(
         read(Endless(part), **COLUMNS)
 
 
-def test_a_closed_file_is_refused() -> None:
-    file = io.StringIO("t,q\n0,1\n1,2\n")
-    file.close()
-    with pytest.raises(DataError, match=r"open file cannot be read: .* closed file"):
-        ph.Measurements.from_csv(file, **COLUMNS)
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
 def test_a_kept_result_that_is_a_pipe_counts_as_none(
     tmp_path: Path, held_pipe: Callable[[Path], None]
@@ -497,17 +463,3 @@ def test_a_kept_result_that_is_a_pipe_counts_as_none(
     kept = KeptResults(tmp_path)
     held_pipe(kept.path_of("a"))
     assert list(kept.found(["a"])) == []
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-def test_a_study_whose_table_is_a_pipe_says_so(
-    tmp_path: Path, held_pipe: Callable[[Path], None]
-) -> None:
-    held_pipe(tmp_path / "bench.csv")
-    path = tmp_path / "study.toml"
-    path.write_text(
-        '[data]\nfiles = "bench.csv"\ntime = { column = "t" }\n'
-        'states = { q = { column = "q" } }\n'
-    )
-    with pytest.raises(ph.StudyFileError, match=r"data\.files.* it is a pipe"):
-        StudyFile.read(path)

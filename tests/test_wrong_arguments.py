@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.errors import PhsiOptError
+from phsi_opt.errors import PhsiOptError, did_you_mean
 from phsi_opt.writing import write_whole
 
 T = np.linspace(0.0, 5.0, 51)
@@ -148,3 +148,17 @@ def test_a_file_behind_a_link_is_replaced_and_keeps_its_rights(tmp_path: Path) -
     assert link.is_symlink()
     assert file.read_bytes() == b"after\r\n"
     assert file.stat().st_mode & 0o777 == 0o600
+
+
+def test_data_errors_are_value_errors_and_errors_of_this_package() -> None:
+    assert issubclass(ph.DataError, ValueError) and issubclass(
+        ph.DataError, PhsiOptError
+    )
+
+
+def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None:
+    assert (
+        did_you_mean("Positon", ["velocity", "POSITION"]) == " Did you mean 'POSITION'?"
+    )
+    assert did_you_mean("xyz", ["velocity"]) == ""
+    assert did_you_mean(3, []) == ""
