@@ -31,11 +31,6 @@ def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     Args:
         path: Of the file.
         most: Bytes that it may have; None: `LARGEST_FILE`.
-
-    Raises:
-        OSError: It cannot be read, is no regular file or is too large; `why_not_read`
-            says why.
-        TypeError: This is no path.
     """
     allowed = LARGEST_FILE if most is None else most
     try:
@@ -50,13 +45,7 @@ def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
 
 
 def file_text(path: str | os.PathLike[str], most: int | None = None) -> str:
-    """The UTF-8 text of a file, its lines ended by "\\n", without a byte order mark.
-
-    Raises:
-        OSError: As in `file_bytes`.
-        TypeError: This is no path.
-        UnicodeDecodeError: It is not UTF-8.
-    """
+    """The UTF-8 text of a file, its lines ended by "\\n", without a byte order mark."""
     text = file_bytes(path, most).decode("utf-8-sig")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -70,9 +59,6 @@ def read_at_most(file: Any, most: int) -> Any:
 
     Returns:
         The content; or what the file gave, where that is neither bytes nor text.
-
-    Raises:
-        OSError: It holds more, or cannot be read.
     """
     parts = []
     size = 0

@@ -28,9 +28,6 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
 
     Returns:
         The path.
-
-    Raises:
-        DataError: The file cannot be written; what was there stays.
     """
     place = written_path(path)
     try:
@@ -41,11 +38,7 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
 
 
 def written_path(path: str | Path) -> Path:
-    """The path of a file that will be written, before the work for it begins.
-
-    Raises:
-        DataError: This is no path, or of a folder that does not exist.
-    """
+    """The path of a file that will be written, before the work for it begins."""
     try:
         place = Path(path)
         if not place.parent.is_dir():

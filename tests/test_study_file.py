@@ -13,8 +13,7 @@ from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt.model.parameters import Share, Tried
-from phsi_opt.study_file.study_text import add_effects
-from phsi_opt.study_file.toml_text import toml_value
+from phsi_opt.study_file.toml_text import add_effects, toml_value
 from problems.examples.friction_spring import CSV
 
 SPRING = """

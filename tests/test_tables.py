@@ -110,7 +110,7 @@ def test_files_keep_apart_whatever_their_names(tmp_path: Path) -> None:
     for path in paths:
         path.parent.mkdir(exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    sources = [io.StringIO(text), *paths]
+    sources: list[Any] = [io.StringIO(text), *paths]
     data = Measurements.from_csv(sources, time="t", states=["q"])
     assert [run.name for run in data] == ["run 1", *map(str, paths)]
     paths[1].write_text("t,q\n0,1\n1,x\n", encoding="utf-8")

@@ -44,8 +44,8 @@ from phsi_opt.presentation.sentences import lines
 from phsi_opt.reading import file_bytes
 from phsi_opt.study import Study
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.study_file.study_text import add_effects
 from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
+from phsi_opt.study_file.toml_text import add_effects
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.writing import write_whole
 

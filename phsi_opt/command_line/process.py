@@ -34,6 +34,7 @@ from phsi_opt.command_line.job import (
 )
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.presentation.forecast import Forecast
+from phsi_opt.study_file.toml_text import add_effects
 from phsi_opt.sweeps.local_workers import begin_worker
 
 Show = Callable[[str | None], None]
@@ -122,8 +123,6 @@ def _found_effects(job: Job, found: tuple[str, ...]) -> list[str]:
     if not job.write:
         commands = [f'phsi-opt add "{name}" {job.study}' for name in found]
         return ["to keep what was found in the study file:", *commands]
-    from phsi_opt.study_file.study_text import add_effects  # slow to load
-
     try:
         backup = add_effects(job.study, found)
     except PhsiOptError as error:

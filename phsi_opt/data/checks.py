@@ -52,9 +52,6 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
         values: real numbers, (n_samples,) or (n_samples, n_channels).
         n_axes: of the copy, 1 or 2; (n_samples,) may stand for (n_samples, 1).
         title: what messages call the array.
-
-    Raises:
-        DataError: the values are no regular array, not real, or in another shape.
     """
     try:
         # As it is where it is an array: masked ones cost more, and few are.
@@ -112,9 +109,6 @@ def check_values(
         values: (n_samples,) or (n_samples, n_channels).
         place_of: the words for the place of the value with these indices.
         may_be_missing: whether NaN is allowed.
-
-    Raises:
-        DataError: a value cannot be used; the first one is named.
     """
     is_bad = np.abs(values) > LARGEST_VALUE
     if not may_be_missing:
@@ -141,11 +135,7 @@ def check_values(
 
 
 def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
-    """Refuse sequences, by the names of messages, that differ in length or have none.
-
-    Raises:
-        DataError: it names the lengths and the rule, such as "one entry per run".
-    """
+    """Refuse sequences, by their names in messages, that differ in length."""
     lengths = {}
     for name, values in sequences.items():
         lengths[name] = len(values) if hasattr(values, "__len__") else None
@@ -159,11 +149,7 @@ def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
 def check_unique(
     names: Sequence[str], what: str, error: type[PhsiOptError] = DataError
 ) -> None:
-    """Refuse a name that is used twice; ``what`` is such as "trajectory name".
-
-    Raises:
-        PhsiOptError: of the class ``error``.
-    """
+    """Refuse a name that is used twice; ``what`` is such as "trajectory name"."""
     for name, n_uses in Counter(names).items():
         if n_uses > 1:
             raise error(
@@ -185,10 +171,6 @@ def checked_names(
         what: "states", "inputs" or "memory"; there must be at least one state.
         reserved: names that stand for something else, besides those of derivatives.
         error: what is raised.
-
-    Raises:
-        PhsiOptError: this is no list of names, or a name is no identifier or is
-            reserved.
     """
     if isinstance(names, str | set) or not isinstance(names, Iterable):
         raise error(
@@ -220,9 +202,6 @@ def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, An
         given: a mapping from names.
         names: the channels.
         what: "units", "noise" or "hold".
-
-    Raises:
-        DataError: this is no mapping, or an entry cannot be used.
     """
     if not isinstance(given, Mapping):
         example = names[-1] if names else "u"
@@ -247,9 +226,6 @@ def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
         hold: one of `HOLDS` for all inputs, or a mapping from their names; an input
             that it leaves out is "linear".
         inputs: the names of the inputs.
-
-    Raises:
-        DataError: it is none of them, or an input is unknown.
     """
     if isinstance(hold, Mapping):
         by_input = dict.fromkeys(inputs, "linear")
@@ -260,11 +236,7 @@ def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
 
 
 def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
-    """What inputs do between samples: one of `HOLDS`, or one by input if they differ.
-
-    Raises:
-        DataError: it is none of them, or an input is unknown.
-    """
+    """One of `HOLDS` for all inputs, or one by input if they differ."""
     by_input = dict(zip(inputs, hold_of_each(hold, inputs).tolist(), strict=True))
     if isinstance(hold, str):
         return hold

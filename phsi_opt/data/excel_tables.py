@@ -49,9 +49,6 @@ def table_of_excel(
         sheet: The sheet's name; None: the only one that is not empty.
         form: The columns of a table without a header, and the sign before decimals in
             cells that hold text.
-
-    Raises:
-        DataError: This is no workbook, there is no such sheet, or it is empty.
     """
     sheets = _sheets(file)
     if sheet is not None:
@@ -74,11 +71,7 @@ def table_of_excel(
 
 
 def filled_sheets(file: OpenedFile) -> list[str]:
-    """The names of the sheets with content, in the order of the workbook.
-
-    Raises:
-        DataError: This is no workbook.
-    """
+    """The names of the sheets with content, in the order of the workbook."""
     return [name for name, rows in _sheets(file).items() if rows]
 
 

@@ -33,15 +33,10 @@ NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # characters that no text table h
 
 @dataclass(frozen=True)
 class NamedFile(os.PathLike[str]):
-    """A file that messages and trajectories call otherwise than the disk does.
+    """A file that messages and trajectories call otherwise than the disk does."""
 
-    Attributes:
-        place: Where it lies.
-        name: What its owner calls it, such as "bench.csv"; no path leads there.
-    """
-
-    place: Path
-    name: str
+    place: Path  # where it lies
+    name: str  # what its owner calls it, such as "bench.csv"; no path leads there
 
     def __fspath__(self) -> str:
         return str(self.place)
@@ -64,20 +59,13 @@ DataFile = Path | NamedFile
 
 @dataclass(frozen=True)
 class OpenedFile:
-    """What one file holds, and what it is called.
+    """What one file holds, and what it is called."""
 
-    Attributes:
-        title: What messages call it: "file 'bench.csv'" or "open file".
-        run: The name of its trajectory where no column gives it.
-        content: All of its bytes; or its text without a byte order mark, the lines
-            ended by "\\n".
-        remark: What was guessed of its encoding; "" where nothing was.
-    """
-
-    title: str
-    run: str
+    title: str  # what messages call it: "file 'bench.csv'" or "open file"
+    run: str  # the name of its trajectory where no column gives it
+    # all of its bytes; or its text without a byte order mark, the lines ended by "\\n"
     content: Any
-    remark: str = ""
+    remark: str = ""  # what was guessed of its encoding; "" where nothing was
 
 
 def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
@@ -86,9 +74,6 @@ def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
     Args:
         source: A path, an open file, or several of them.
         as_text: Whether their text is asked for; else their bytes.
-
-    Raises:
-        DataError: This is no source, or a file cannot be read so.
     """
     if isinstance(source, PATHS) or hasattr(source, "read"):
         source = [source]
@@ -123,9 +108,6 @@ def run_names(sources: Iterable[Any]) -> list[str]:
 
     Args:
         sources: Paths and open files.
-
-    Raises:
-        DataError: A file is listed twice.
     """
     sources = list(sources)
     # A NUL, which no path has, is refused when the file is opened.

@@ -37,10 +37,6 @@ def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
     Args:
         file: A MATLAB file of version 4 to 7.
         wanted: The columns, as they would be called in MATLAB.
-
-    Raises:
-        DataError: This is no such file, a column is not there or could be several, or
-            the columns differ in length.
     """
     variables = _variables(file)
     columns = {name: _column(name, variables, file.title) for name in wanted}
@@ -54,12 +50,7 @@ def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
 
 
 def table_of_vectors(file: OpenedFile) -> Table:
-    """All vectors of the commonest length, where nobody said which are looked for.
-
-    Raises:
-        DataError: This is no such file, or no vector in it has two numbers; with the
-            names and sizes of what it holds.
-    """
+    """All vectors of the commonest length, where nobody said which are looked for."""
     variables = _variables(file)
     # A matrix that is taken for a table has few columns.
     few = {one: vectors for one, vectors in variables.items() if len(vectors) <= 20}

@@ -277,11 +277,7 @@ class Measurements(TableReaders, Summarised):
         return replace(self, trajectories=tuple(runs), **changes)
 
     def __getitem__(self, key: int | slice | str) -> Self:
-        """The measurements of one trajectory (by number or name) or of a slice.
-
-        Raises:
-            DataError: There is no such trajectory, or samples seem to be meant.
-        """
+        """The measurements of one trajectory (by number or name) or of a slice."""
         if isinstance(key, slice):
             _check_slice([run.name for run in self.trajectories], key)
             return self._of(self.trajectories[key])

@@ -113,9 +113,6 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     Returns:
         (n_states,), at least `least_noise`, and at least `quantisation_noise` where
         it was not given; 1 where nothing was measured.
-
-    Raises:
-        DataError: No measured value ever changes.
     """
     y = data.stacked("x")
     is_measured = np.isfinite(y).any(axis=0)
@@ -180,9 +177,6 @@ def scatter_by_run(data: Measurements) -> np.ndarray:
     """Noise that neighbouring samples show, (n_trajectories, n_states).
 
     One for all trajectories of a state unless they differ by more than chance.
-
-    Raises:
-        DataError: no measured value ever changes.
     """
     together = initial_noise(data)
     scatter = np.tile(together, (data.n_trajectories, 1))

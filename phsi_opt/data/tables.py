@@ -25,40 +25,27 @@ POINTS_FOR_COMMAS = str.maketrans(",.", ".,")  # and commas, which are no number
 
 @dataclass(frozen=True)
 class Variable:
-    """Something in a file that is no column of its table.
+    """Something in a file that is no column of its table."""
 
-    Attributes:
-        name: As in MATLAB; a field as "struct.field".
-        said: What it is: "the number 9.81", "3 x 4 numbers", "text".
-        value: Of a single real number; None for all others.
-    """
-
-    name: str
-    said: str
-    value: float | None = None
+    name: str  # as in MATLAB; a field as "struct.field"
+    said: str  # what it is: "the number 9.81", "3 x 4 numbers", "text"
+    value: float | None = None  # of a single real number; None for all others
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns as they were found, with the words that messages use for them.
+    """Columns as they were found, with the words that messages use for them."""
 
-    Attributes:
-        title: What messages call the table: "file 'bench.csv'" or "data frame".
-        row_word: What they call a row: "line" or "row".
-        frame: The cells; the index holds the line numbers or the user's row labels.
-        run: The name of the trajectory where no column gives it.
-        decimal: The sign before decimals in cells of text; None where they show two.
-        remark: What was guessed of the file's encoding; "" where nothing was.
-        further: What a MATLAB file holds besides the table, where nobody said which
-            columns are looked for.
-    """
-
-    title: str
-    row_word: str
+    title: str  # what messages call the table: "file 'bench.csv'" or "data frame"
+    row_word: str  # what they call a row: "line" or "row"
+    # the cells; the index holds the line numbers or the user's row labels
     frame: "pd.DataFrame"
-    run: str
+    run: str  # the name of the trajectory where no column gives it
+    # the sign before decimals in cells of text; None where they show two
     decimal: str | None = "."
-    remark: str = ""
+    remark: str = ""  # what was guessed of the file's encoding; "" where nothing was
+    # what a MATLAB file holds besides the table, where nobody said which columns are
+    # looked for
     further: tuple[Variable, ...] = ()
 
     def place(self, column: Any, i: int) -> str:
@@ -72,11 +59,7 @@ class Table:
 
 
 def table_of_frame(frame: Any) -> Table:
-    """A user's data frame, which is not changed.
-
-    Raises:
-        DataError: this is no data frame.
-    """
+    """A user's data frame, which is not changed."""
     import pandas as pd
 
     if not isinstance(frame, pd.DataFrame):
@@ -88,12 +71,7 @@ def table_of_frame(frame: Any) -> Table:
 
 
 def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
-    """The values of a column, (n_rows,), NaN for missing cells.
-
-    Raises:
-        DataError: a cell is no real number, infinite, huge, or missing where it may
-            not be.
-    """
+    """The values of a column, (n_rows,), NaN for missing cells."""
     cells = table.frame[column]
     if holds_real_numbers(cells):
         values: np.ndarray = cells.to_numpy(dtype=np.float64, na_value=np.nan)

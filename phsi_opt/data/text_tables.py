@@ -33,20 +33,13 @@ Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its n
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a text table is written; what is None is found in the text.
+    """How a text table is written; what is None is found in the text."""
 
-    Attributes:
-        columns: The names of the columns of a table without a header.
-        separator: The sign between cells; a blank stands for any number of blanks.
-        decimal: The sign before the decimals, a point or a comma.
-
-    Raises:
-        DataError: It is nothing that a table can have.
-    """
-
+    # the names of the columns of a table without a header
     columns: Sequence[str] | None = None
+    # the sign between cells; a blank stands for any number of blanks
     separator: str | None = None
-    decimal: str | None = None
+    decimal: str | None = None  # the sign before the decimals, a point or a comma
 
     def __post_init__(self) -> None:
         columns: Any = self.columns
@@ -85,9 +78,6 @@ def table_of_csv(file: OpenedFile, wanted: Iterable[Any], form: TextFormat) -> T
         wanted: The columns that are looked for, by name or by number from 0; names help
             to tell the separator.
         form: What the user said of the table.
-
-    Raises:
-        DataError: The table is empty, or a line has too few or too many cells.
     """
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}
@@ -121,10 +111,6 @@ def table_of_rows(
         wanted: The columns that are looked for, by name or by number from 0.
         form: What the user said of the table.
         separator: The sign between the cells.
-
-    Raises:
-        DataError: A row has too few or too many cells, the columns are not those that
-            the user named, or there is none of a number that is wanted.
     """
     import pandas as pd
 
@@ -189,11 +175,7 @@ def n_filled(cells: Sequence[Any]) -> int:
 
 
 def _filled_lines(file: OpenedFile, separator: str) -> Iterator[tuple[int, list[str]]]:
-    """The lines with a cell that is not empty: their numbers, and stripped cells.
-
-    Raises:
-        DataError: a cell is too long to be one.
-    """
+    """The lines with a cell that is not empty: their numbers, and stripped cells."""
     lines: Iterable[str] = io.StringIO(file.content)
     if separator == BLANKS:
         lines = (line.strip().replace("\t", BLANKS) for line in lines)

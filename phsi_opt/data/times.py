@@ -67,9 +67,6 @@ def times_in(
     Returns:
         Those of all rows, (n_rows,), and the moments at which t is 0 in each
         trajectory; none where the times are numbers.
-
-    Raises:
-        DataError: A cell is no time, or not after the one before it in its trajectory.
     """
     cells = table.frame[column]
     if _are_moments(cells, date_format):

@@ -105,11 +105,7 @@ def part_of(run: Trajectory, rows: slice) -> Trajectory:
 
 
 def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
-    """At least one trajectory, each under a name of its own, as a tuple.
-
-    Raises:
-        DataError: this is no such list or tuple.
-    """
+    """At least one trajectory, each under a name of its own, as a tuple."""
     is_sequence = isinstance(trajectories, Sequence)
     if not is_sequence or isinstance(trajectories, str) or not trajectories:
         raise DataError(
@@ -129,12 +125,7 @@ def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
 def check_channels(
     run: Trajectory, states: tuple[str, ...], inputs: tuple[str, ...]
 ) -> None:
-    """Check the columns of a trajectory against the names of the channels.
-
-    Raises:
-        DataError: a column has no name or a name no column, a value is infinite or
-            huge, an input is missing, or no state was measured at all.
-    """
+    """Check the columns of a trajectory against the names of the channels."""
     for kind, names, values in (("state", states, run.x), ("input", inputs, run.u)):
         n_columns = values.shape[1]
         if n_columns != len(names):
@@ -166,9 +157,6 @@ def trajectories_in_arrays(
     """The trajectories of `Measurements.from_arrays`; None: no inputs, numbered names.
 
     Whole times too large for a float are counted from the first.
-
-    Raises:
-        DataError: the lists differ in length, or an array cannot be used.
     """
     is_list = isinstance(t, list | tuple) and len(t) > 0 and np.ndim(t[0]) > 0
     if not is_list:
@@ -203,10 +191,6 @@ def joined_pairs(
         u: inputs likewise; None at both ends: there are none.
         inputs: their names; None: "u1", "u2", ...
         hold: what they do between samples.
-
-    Raises:
-        DataError: there are no pairs, the shapes differ, an array cannot be used, or a
-            pair does not go forward in time.
     """
     if u[0] is None and u[1] is None:
         u = (np.empty((np.size(t[0]), 0)),) * 2

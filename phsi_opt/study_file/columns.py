@@ -57,40 +57,34 @@ SET_POINT_WORDS = frozenset(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Header:
-    """A header.
+    """A header."""
 
-    Attributes:
-        text: as it stands in the table.
-        label: without the unit.
-        unit: "" where it does not tell one.
-    """
-
-    text: str
-    label: str
-    unit: str = ""
+    column: str  # as it stands in the table
+    label: str  # without the unit
+    unit: str = ""  # "" where it does not tell one
 
     @classmethod
     def of(cls, text: str) -> "Header":
         """The label and the unit of a header."""
         of_matrix = OF_MATRIX.fullmatch(text)
         if of_matrix is not None:
-            return cls(text, f"{of_matrix[1]}_{of_matrix[2]}")
+            return Header(text, f"{of_matrix[1]}_{of_matrix[2]}")
         for form in (IN_BRACKETS, AFTER_STROKE):
             found = form.match(text)
             if found and found[1]:
-                return cls(text, found[1], SPELLED.get(found[2], found[2]))
+                return Header(text, found[1], SPELLED.get(found[2], found[2]))
         label, _, last = text.rpartition("_")
         name, _, numerator = label.rpartition("_")
-        if name and not _any_of(_words(text)[:1], TIME_WORDS):
-            time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
-            if time in TIMES and kind_of_unit(f"{numerator}/{time}") != "":
-                return cls(text, name, f"{numerator}/{last}")
+        time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
+        is_rate = time in TIMES and kind_of_unit(f"{numerator}/{time}") != ""
+        if name and is_rate and not _any_of(_words(text)[:1], TIME_WORDS):
+            return Header(text, name, f"{numerator}/{last}")
         is_unit = last in TIMES | VOLTS or kind_of_unit(last) != ""
         if label and last not in INDICES and is_unit:
-            return cls(text, label, SPELLED.get(last, last))
-        return cls(text, text)
+            return Header(text, label, SPELLED.get(last, last))
+        return Header(text, text)
 
     @property
     def is_time(self) -> bool:
@@ -108,33 +102,22 @@ class Header:
     @property
     def is_step(self) -> bool:
         """Whether it says that it is the time between samples."""
-        words = _words(self.label)
-        return len(words) == 1 and words[0] in STEP_WORDS
+        return _words(self.label) in ([word] for word in STEP_WORDS)
 
-    @property
-    def _words(self) -> list[str]:
-        """Its words without the numbers behind them."""
-        return [word.rstrip("0123456789") for word in _words(self.label)]
+    def has_one_of(self, known: frozenset[str]) -> bool:
+        """Whether one of its words is known, whatever the numbers behind them."""
+        return _any_of((w.rstrip("0123456789") for w in _words(self.label)), known)
 
     @property
     def is_set_point(self) -> bool:
         """Whether it says that it is what a controller aims at."""
-        is_reference = any(word.endswith("ref") for word in self._words)
-        is_split = self._words[:2] == ["set", "point"]
-        return is_reference or is_split or _any_of(self._words, SET_POINT_WORDS)
+        words = [word.rstrip("0123456789") for word in _words(self.label)]
+        is_reference = any(word.endswith("ref") for word in words)
+        is_split = words[:2] == ["set", "point"]
+        return is_reference or is_split or _any_of(words, SET_POINT_WORDS)
 
     @property
-    def is_input(self) -> bool:
-        """Whether it sounds like an input."""
-        return _any_of(self._words, INPUT_WORDS)
-
-    @property
-    def may_be_input(self) -> bool:
-        """Whether it may be that of an input, or as well of a state."""
-        return _any_of(self._words, PERHAPS_INPUT_WORDS)
-
-    @property
-    def name(self) -> str:
+    def suggested_name(self) -> str:
         """A name that formulas can use, from the label."""
         name = re.sub(r"\W+", "_", self.label).strip("_")
         return f"x{name}" if name[:1].isdigit() else name
@@ -167,47 +150,26 @@ DATE_FORMATS = tuple(  # day and month before the year, which ISO 8601 does not 
 OF_UNITS = "if that line has units, write them into the header: q [m]"
 
 
-@dataclass(eq=False)
-class Column:
-    """A column as it was seen, and what it may be.
+@dataclass(eq=False, kw_only=True)
+class Column(Header):
+    """A column as it was seen, and what it may be."""
 
-    Attributes:
-        header: what its header says.
-        cells: its cells as text, (n_lines,).
-        lines: what messages call its rows: "line 3" or "row 3", (n_lines,).
-        is_missing: which cells are empty, (n_lines,).
-        values: (n_lines,), NaN where missing or wrong; None: nothing of numbers can be
-            made of it, or they are always the same.
-        is_numeric: whether most of its cells are numbers.
-        date_format: how dates are written, in the signs of strptime, where it is not as
-            in ISO 8601; "" where it is, or where the cells do not tell.
-        said: what was seen, in words: its range, missing cells, why it is left out.
-        wrong: the first cell that cannot be used, with its line; "" where none is.
-        part: `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`.
-        name: what it could be called in formulas; "" where it is in none.
-    """
-
-    header: Header
-    cells: pd.Series
-    lines: list[str]
-    is_missing: np.ndarray
+    cells: pd.Series  # its cells as text, (n_lines,)
+    lines: list[str]  # what messages call its rows: "line 3" or "row 3", (n_lines,)
+    is_missing: np.ndarray  # which cells are empty, (n_lines,)
+    # (n_lines,), NaN where missing or wrong; None: nothing of numbers can be made of
+    # it, or they are always the same
     values: np.ndarray | None = None
-    is_numeric: bool = False
+    is_numeric: bool = False  # whether most of its cells are numbers
+    # how dates are written, in the signs of strptime, where it is not as in ISO 8601;
+    # "" where it is, or where the cells do not tell
     date_format: str = ""
+    # what was seen, in words: its range, missing cells, why it is left out
     said: str = ""
+    # the first cell that cannot be used, with its line; "" where none is
     wrong: str = ""
-    part: str = UNUSED
-    name: str = ""
-
-    @property
-    def column(self) -> str:
-        """Its header, as it stands in the table."""
-        return self.header.text
-
-    @property
-    def unit(self) -> str:
-        """As in the header; "" where it does not tell."""
-        return self.header.unit
+    part: str = UNUSED  # `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`
+    name: str = ""  # what it could be called in formulas; "" where it is in none
 
     @property
     def remark(self) -> str:
@@ -298,7 +260,8 @@ def columns_of(table: Table) -> list[Column]:
         if table.decimal == ",":
             cells = cells.str.replace(",", ".", regex=False)
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
-        column = Column(Header.of(header), cells, lines, is_missing)
+        words = vars(Header.of(header))
+        column = Column(**words, cells=cells, lines=lines, is_missing=is_missing)
         column.said = _look_at(column, headers.count(header))
         columns.append(column)
     return columns
@@ -313,7 +276,7 @@ def _look_at(column: Column, n_of_this_name: int) -> str:
         return "empty"
     if n_of_this_name > 1:
         return f"{n_of_this_name} columns are called so"
-    if not column.header.text:
+    if not column.column:
         return "no name in the header"
     column.is_numeric = bool(is_number.sum() > MOSTLY * filled.sum())
     if not column.is_numeric:

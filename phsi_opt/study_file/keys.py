@@ -260,15 +260,10 @@ def key_of(place: Iterable[str | int]) -> str:
 
 @dataclass
 class Complaints:
-    """What is wrong with a file, in the order in which it was found.
+    """What is wrong with a file, in the order in which it was found."""
 
-    Attributes:
-        content: the tables of the file.
-        listed: what is wrong.
-    """
-
-    content: Mapping[str, Any]
-    listed: list[Complaint] = field(default_factory=list)
+    content: Mapping[str, Any]  # the tables of the file
+    listed: list[Complaint] = field(default_factory=list)  # what is wrong
 
     @property
     def is_full(self) -> bool:
@@ -282,9 +277,6 @@ class Complaints:
             said: what was expected and what to do.
             *place: where it stands; a number counts where there is a list.
             value: the part of it that is meant; None: all of it; "": nothing.
-
-        Raises:
-            TooManyComplaintsError: this is the last one that is told.
         """
         path: list[str | int] = []
         content: Any = self.content

@@ -32,33 +32,20 @@ TERM_WAYS = ("body", "polynomials", "trigonometric")
 
 @dataclass(frozen=True)
 class ModelReader:
-    """Makes models and effects of what a file says; what is wrong is noted.
+    """Makes models and effects of what a file says; what is wrong is noted."""
 
-    Attributes:
-        file: what is usable of the file.
-        found: where what is wrong is noted.
-        states: that formulas can name.
-        parameters: by name; None where it is noted what is wrong.
-        used: the parameters that formulas asked for.
-    """
-
-    file: Content
-    found: Complaints
-    states: tuple[str, ...] = ()
+    file: Content  # what is usable of the file
+    found: Complaints  # where what is wrong is noted
+    states: tuple[str, ...] = ()  # that formulas can name
+    # by name; None where it is noted what is wrong
     parameters: dict[str, Parameter | None] = field(default_factory=dict)
+    # the parameters that formulas asked for
     used: set[str] = field(default_factory=set)
 
     @classmethod
     def of(cls, file: Content, found: Complaints) -> "ModelReader":
         """With the names of the model and its parameters, before formulas are read."""
         reader = cls(file, found)
-        if reader.section:
-            said = 'expected the names of the states, such as ["q", "p"].'
-            found.need(said, reader.section.get("states"), "model", "states")
-        else:
-            found.need(
-                "there is no section [model]; it tells the energy.", None, "model"
-            )
         for name, content in file.get("parameters", {}).items():
             reader.parameters[name] = reader._parameter(content, "parameters", name)
         return replace(reader, states=reader._names("states"))
@@ -81,37 +68,36 @@ class ModelReader:
 
     def _parameter(self, content: Any, *place: str | int) -> Parameter | None:
         """The parameter; None, and what is wrong noted, where it is none."""
-        settings: dict[str, Any] = {"value": content, "fixed": True}
-        if not is_number(content):
-            settings = {**content, "guess": self._guess(content, *place, "guess")}
-            start = settings.pop("start", None)
-            if start is not None and "value" in settings:
-                self.found.add(
+        given = {"value": content} if is_number(content) else content
+        settings = {**given, "guess": self._guess(given, *place, "guess")}
+        start = settings.pop("start", None)
+        if "value" in settings:
+            settings["fixed"] = True
+            if start is not None:
+                said = (
                     "there is a start too; keep value where it is known, start where "
-                    "not.",
-                    *(*place, "value"),
+                    "not."
                 )
-            if "value" in settings:
-                settings["fixed"] = True
-            settings.setdefault("value", start)
+                self.found.add(said, *place, "value")
+        settings.setdefault("value", start)
         with self.found.noting(*place):
             return Parameter(**settings)
         return None
 
     def _guess(self, parameter: Content, *place: str | int) -> Any:
-        told = dict(parameter.get("guess", {}))
-        kind = told.pop("kind", None)
-        if kind is None:
+        given = parameter.get("guess", {})
+        if "kind" not in given:
             if "guess" in parameter:
                 self.found.need(f"expected {', '.join(GUESSES)}.", None, *place, "kind")
             return None
-        known = {one.name: one.default for one in fields(GUESSES[kind])}
-        for name, default in known.items():
-            if default is MISSING and name not in told:
-                said = f"a guess of kind {kind!r} needs it."
-                self.found.need(said, None, *place, name)
+        kind = GUESSES[given["kind"]]
+        for one in fields(kind):
+            if one.default is MISSING and one.name not in given:
+                said = f"a guess of kind {given['kind']!r} needs it."
+                self.found.need(said, None, *place, one.name)
                 return None
-        return GUESSES[kind](**{name: told[name] for name in known if name in told})
+        names = [one.name for one in fields(kind) if one.name in given]
+        return kind(**{name: given[name] for name in names})
 
     def model(self) -> Model | None:
         """The base model; None, and what is wrong noted, where it cannot be made."""
@@ -119,14 +105,15 @@ class ModelReader:
         if not section:
             return None
         kind = section.get("type", WITH_ENERGY)
-        parts: dict[str, Any] = {
-            "states": self.states,
-            "inputs": self._names("inputs"),
-            "memory": self._names("memory"),
-            "kind": section.get("kind", {}),
-        }
+        parts: dict[str, Any] = {"states": self.states, "kind": section.get("kind", {})}
+        for what in ("inputs", "memory"):
+            parts[what] = self._names(what)
         for slot in BY_EQUATION:
-            parts[slot] = self._slot(slot)
+            parts[slot] = {
+                state: self._terms(terms, slot, "model", slot, state)
+                for state, terms in section.get(slot, {}).items()
+                if self._is_state(state, "model", slot, state)
+            }
         if kind == WITH_ENERGY:
             parts["S"] = self._structure()
             said = 'expected the energy as a formula, such as "k*q**2/2 + p**2/(2*m)".'
@@ -136,7 +123,11 @@ class ModelReader:
             if kind == WITHOUT_ENERGY and name in section:
                 said = f"a model of type {shown(kind)} has none; put the terms into F."
                 self.found.add(said, "model", name)
-        self._check_parameters_are_used()
+        if not self.found.about("model") and not self.found.about("effects"):
+            for name in self.parameters:  # else a wrong name is noted at its formula
+                if name not in self.used:
+                    said = "no formula has this name; correct it, or leave it out."
+                    self.found.add(said, "parameters", name)
         if self.found.about("model") or self.found.about("parameters"):
             return None
         with self.found.noting("model", value=""):
@@ -150,14 +141,6 @@ class ModelReader:
             require_known(name, self.states, said)
         return name in self.states
 
-    def _slot(self, slot: str) -> dict[str, Dictionary]:
-        sums = {}
-        for state, terms in self.section.get(slot, {}).items():
-            place = ("model", slot, state)
-            if self._is_state(state, *place):
-                sums[state] = self._terms(terms, slot, *place)
-        return sums
-
     def _structure(self) -> Any:
         if self.found.exactly_one(self.section, ("pairs", "S"), "model") == "S":
             return self.section.get("S")
@@ -169,14 +152,6 @@ class ModelReader:
                 S[row, column] = 1.0
                 S[column, row] = -1.0
         return S
-
-    def _check_parameters_are_used(self) -> None:
-        if self.found.about("model") or self.found.about("effects"):
-            return  # a name that is wrong in a formula is told there
-        for name in self.parameters:
-            if name not in self.used:
-                said = "no formula has this name; correct it, or leave it out."
-                self.found.add(said, "parameters", name)
 
     def _terms(self, content: Any, slot: str, *place: str | int) -> Dictionary:
         """The terms at a place; ``slot`` decides which names they may have."""
@@ -209,11 +184,9 @@ class ModelReader:
                     "alone; put the term into F."
                 )
             self.found.add(said, *place, value=text)
-        inner = {}
-        for one, parameter in self.parameters.items():  # in the order of the file
-            if one in own and parameter is not None:  # else it is noted what is wrong
-                inner[one] = parameter
-        return Dictionary((Term(text, None, inner),))
+        # In the order of the file; None where it is noted what is wrong.
+        known_ones = {k: p for k, p in self.parameters.items() if k in own and p}
+        return Dictionary((Term(text, None, known_ones),))
 
     def _table(self, content: Content, *place: str | int) -> Dictionary:
         """Polynomials, waves, or one term, whose inner parameters are its own."""
@@ -226,8 +199,8 @@ class ModelReader:
             return polynomials(names, content.get("degree", 2), constant)
         if way == "trigonometric":
             return trigonometric(names, content.get("n", 1), content.get("frequency"))
-        told = content.get("coefficient", {})
-        coefficient = self._parameter(told, *place, "coefficient") or Parameter()
+        given = content.get("coefficient", {})
+        coefficient = self._parameter(given, *place, "coefficient") or Parameter()
         inner = {}
         for name, own in content.get("inner", {}).items():
             parameter = self._parameter(own, *place, "inner", name)

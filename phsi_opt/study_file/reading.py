@@ -34,6 +34,16 @@ from phsi_opt.study_file.sections import (
 from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
 
+NEEDED = {
+    ("data",): "there is no section [data]; it names files and columns.",
+    ("data", "files"): 'expected the data file(s), such as ["bench.csv"].',
+    ("data", "states"): (
+        'expected a table for each state, such as q = { column = "q", unit = "m" }.'
+    ),
+    ("model",): "there is no section [model]; it tells the energy.",
+    ("model", "states"): 'expected the names of the states, such as ["q", "p"].',
+}
+KEEP_ONE = "there is a column too; keep one of the two."
 MORE = "So much is wrong that the rest was not looked at."
 
 
@@ -45,10 +55,6 @@ def read_sections(
     Args:
         path: of the study file.
         places: where data files lie that are not where it says, by their names in it.
-
-    Raises:
-        StudyFileError: something in it, or in its data files, cannot be used; with all
-            that is wrong.
     """
     text, tables = _read(path)
     found = Complaints(tables)
@@ -64,6 +70,11 @@ def _sections(
     found: Complaints, folder: Path, places: Mapping[str, Path]
 ) -> tuple[Sections, Measurements] | None:
     file = usable(found.content, found)
+    for (section, *names), said in NEEDED.items():
+        if not names:
+            found.need(said, found.content.get(section), section)
+        elif file.get(section):
+            found.need(said, file[section].get(*names), section, *names)
     reader = ModelReader.of(file, found)
     _check_data(file.get("data", {}), found)
     data = DataSection.of(file.get("data", {}), places)
@@ -137,11 +148,7 @@ def _in_order(found: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
 
 
 def tables_of(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Raises:
-        StudyFileError: it cannot be read, or is no TOML.
-    """
+    """The tables of a TOML file."""
     return _read(path)[1]
 
 
@@ -167,14 +174,8 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _check_data(data: Mapping[str, Any], found: Complaints) -> None:
-    if not found.content.get("data"):
-        said = "there is no section [data]; it names files and columns."
-        found.need(said, None, "data")
+    if not data:
         return
-    said = 'expected the data file(s), such as ["bench.csv"].'
-    found.need(said, data.get("files"), "data", "files")
-    said = 'expected a table for each state, such as q = { column = "q", unit = "m" }.'
-    found.need(said, data.get("states"), "data", "states")
     place = ("data", "time")
     time = data.get("time", {})
     if "step" not in time and not found.about(*place, "step"):
@@ -184,20 +185,18 @@ def _check_data(data: Mapping[str, Any], found: Complaints) -> None:
         )
         found.need(said, time.get("column"), *place, "column")
     elif time.get("column", "") != "":
-        found.add("there is a column too; keep one of the two.", *place, "step")
+        found.add(KEEP_ONE, *place, "step")
     for what, otherwise in (("states", " (or measured = false)"), ("inputs", "")):
         for name, channel in data.get(what, {}).items():
             channel_place = ("data", what, name)
-            column = channel.get("column")
             with found.noting(*channel_place, value=""):
                 checked_names([name], what)
-            if not channel.get("measured", True) and column is not None:
-                said = "there is a column too; keep one of the two."
-                found.add(said, *channel_place, "measured")
-            is_told = found.about(*channel_place, "measured")
-            if channel.get("measured", True) and not is_told:
+            if not channel.get("measured", True):
+                if "column" in channel:
+                    found.add(KEEP_ONE, *channel_place, "measured")
+            elif not found.about(*channel_place, "measured"):
                 said = f"expected the name of a column{otherwise}."
-                found.need(said, column, *channel_place, "column")
+                found.need(said, channel.get("column"), *channel_place, "column")
 
 
 def _loss(settings: Mapping[str, Any], found: Complaints) -> MaximumLikelihood:

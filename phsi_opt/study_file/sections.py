@@ -221,9 +221,6 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
         section: what the user said of the table; None: nothing, and of a MATLAB file
             all vectors of the commonest length are taken, of a workbook the first sheet
             with content.
-
-    Raises:
-        DataError: it cannot be read as such a table.
     """
     given = section or DataSection()
     reader = reader_of(path)
@@ -239,11 +236,7 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
 
 
 def sheets_in(path: DataFile) -> list[str]:
-    """The sheets of a workbook that have content; none of another file.
-
-    Raises:
-        DataError: it cannot be read.
-    """
+    """The sheets of a workbook that have content; none of another file."""
     if reader_of(path) != "from_excel":
         return []
     (file,) = opened_files(path, as_text=False)
@@ -304,19 +297,13 @@ def _by_runs(
 
 @dataclass(frozen=True)
 class StudySection:
-    """The section [study].
+    """The section [study]."""
 
-    Attributes:
-        added: names of the effects added so far, the oldest first.
-        effects: names of those to consider; None: the catalogue, and the user's own.
-        without: names of those never to consider.
-        max_steps: how many ``--auto`` adds at most.
-    """
-
-    added: tuple[str, ...] = ()
+    added: tuple[str, ...] = ()  # names of the effects added so far, the oldest first
+    # names of those to consider; None: the catalogue, and the user's own
     effects: tuple[str, ...] | None = None
-    without: tuple[str, ...] = ()
-    max_steps: int = DEFAULT_MAX_STEPS
+    without: tuple[str, ...] = ()  # names of those never to consider
+    max_steps: int = DEFAULT_MAX_STEPS  # how many ``--auto`` adds at most
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,34 +1,25 @@
 """The text of a study file: TOML with a comment for each section.
 
 The counterpart of the modules that read: records become texts, numbers, lists and
-tables, and what a study file has no form for is refused by name. An effect can also be
-written into the text of a file, with all that the user wrote kept: tomlkit keeps
-comments, order and forms. The result is read again and must say what the file said
-before, and the effect.
+tables, and what a study file has no form for is refused by name.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass, replace
-from itertools import chain, count, filterfalse
-from pathlib import Path
+from itertools import chain
 from typing import Any
 
 import numpy as np
-import tomlkit
-from tomlkit.exceptions import TOMLKitError
 
-from phsi_opt.errors import DataError, ModelError
+from phsi_opt.errors import ModelError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import LINE_WIDTH
-from phsi_opt.reading import file_bytes
-from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.sections import Sections, told
-from phsi_opt.study_file.toml_text import key_text, toml_tables, toml_value
-from phsi_opt.writing import write_whole
+from phsi_opt.study_file.toml_text import key_text, toml_value
 
 Content = dict[str, Any]
 HEAD = """\
@@ -55,11 +46,7 @@ ABOUT_FIRST_ORDER = "dx/dt = F - R x; names in formulas are states, inputs, t an
 
 
 def study_text(study: Sections) -> str:
-    """The whole file.
-
-    Raises:
-        ModelError: a part has something that a study file cannot hold.
-    """
+    """The whole file."""
     about = dict(COMMENTS)
     if not study.base.has_energy:
         about["model"] = f"{ABOUT_FIRST_ORDER}\n# parameters below."
@@ -172,11 +159,7 @@ def _model(model: Model) -> Content:
 def shared_parameters(
     model: Model, own_effects: Sequence[Effect]
 ) -> dict[str, Parameter]:
-    """The parameters of all formulas, by name, in the order of the model.
-
-    Raises:
-        ModelError: one name stands for two different parameters.
-    """
+    """The parameters of all formulas, by name, in the order of the model."""
     sums = [model.H]
     for slot in BY_EQUATION:
         sums += getattr(model, slot).values()
@@ -192,67 +175,3 @@ def shared_parameters(
                     "Rename one."
                 )
     return found
-
-
-# ---- an effect into a text -----------------------------------------------------------
-
-ABOUT_ADDED = "effects added so far, the oldest first"
-
-
-def add_effects(path: Path, names: Iterable[str]) -> Path:
-    """Write effects into the list ``added`` of a study file.
-
-    Args:
-        path: of the study file.
-        names: of the effects, such as ``"coulomb friction on p"``.
-
-    Returns:
-        The path of the file as it was before.
-
-    Raises:
-        DataError: the file is written in a way that cannot be changed safely; then
-            nothing is written.
-    """
-    path = path.resolve()  # where the name is a link, the file that it leads to
-    bytes_before = file_bytes(path)
-    changed = _with_added(bytes_before.decode("utf-8-sig"), list(names), path)
-    numbers = chain([""], count(2))  # study.toml.bak, study.toml.bak2, ...
-    backups = (path.with_name(f"{path.name}.bak{number}") for number in numbers)
-    backup = next(filterfalse(Path.exists, backups))
-    write_whole(backup, bytes_before)
-    write_whole(path, changed)
-    return backup
-
-
-def _with_added(text: str, names: list[str], path: Path) -> str:
-    """The text with names at the end of the list ``added`` of the section [study]."""
-    try:
-        expected = toml_tables(text)
-        study = expected.setdefault("study", {})
-        names = [*listed(study.get("added", ())), *names]
-        study["added"] = names
-        changed = _changed(text, names)
-        is_safe = toml_tables(changed) == expected
-    except (TOMLKitError, ValueError, TypeError, AttributeError):
-        is_safe = False
-    if not is_safe:
-        raise DataError(
-            f"{path} has its section [study] in a form that is not changed "
-            "automatically; nothing was written. Write into it: "
-            f"added = {toml_value(names)}"
-        )
-    return changed
-
-
-def _changed(text: str, names: list[str]) -> str:
-    """The text with these names in its list; those that it has stay as they are."""
-    document = tomlkit.parse(text)
-    study: Any = document.setdefault("study", tomlkit.table().comment(ABOUT_ADDED))
-    if isinstance(study.get("added"), list):
-        study["added"].extend(names[len(study["added"]) :])
-    else:
-        study["added"] = names
-    changed = document.as_string()
-    if text.count("\n") == text.count("\r\n") > 0:
-        changed = changed.replace("\r\n", "\n").replace("\n", "\r\n")
-    return changed

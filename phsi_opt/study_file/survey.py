@@ -23,7 +23,9 @@ from phsi_opt.errors import DataError
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
     INPUT,
+    INPUT_WORDS,
     PERHAPS_INPUT,
+    PERHAPS_INPUT_WORDS,
     RUN,
     STATE,
     TIME,
@@ -49,26 +51,17 @@ CLOCKS = (
 
 @dataclass(frozen=True, eq=False)
 class TableSurvey:
-    """A table, and what its columns may be.
+    """A table, and what its columns may be."""
 
-    Attributes:
-        path: of the file.
-        table: as it was read; its ``remark`` tells a guessed encoding, ``further`` what
-            a MATLAB file holds beside the columns.
-        columns: in the order of the table.
-        sheets: those of a workbook with content; the first was looked at.
-        run: the column that names each line's run; None: there is none.
-        time: the column of the times; None: there is none.
-        step: the time between samples, where no column has the times.
-    """
-
-    path: DataFile
+    path: DataFile  # of the file
+    # as it was read; its ``remark`` tells a guessed encoding, ``further`` what a MATLAB
+    # file holds beside the columns
     table: Table
-    columns: list[Column]
-    sheets: list[str]
-    run: Column | None
-    time: Column | None
-    step: float | None
+    columns: list[Column]  # in the order of the table
+    sheets: list[str]  # those of a workbook with content; the first was looked at
+    run: Column | None  # the column that names each line's run; None: there is none
+    time: Column | None  # the column of the times; None: there is none
+    step: float | None  # the time between samples, where no column has the times
 
     def of_part(self, part: str) -> list[Column]:
         """The columns that are one thing."""
@@ -137,11 +130,7 @@ class TableSurvey:
 
 
 def survey(path: DataFile) -> TableSurvey:
-    """Look at a table.
-
-    Raises:
-        DataError: it cannot be read as a table, or has too few lines.
-    """
+    """Look at a table."""
     table = table_at(path)
     columns = columns_of(table)
     n_lines = len(table.frame)
@@ -152,7 +141,7 @@ def survey(path: DataFile) -> TableSurvey:
         )
     run = next(filter(_is_run, columns), None)
     others = [one for one in columns if one is not run]
-    steps = [one for one in others if one.header.is_step and one.only_number]
+    steps = [one for one in others if one.is_step and one.only_number]
     of_step = steps[0] if steps else None
     values = [one.only_number for one in steps]
     values += [one.value for one in table.further if Header.of(one.name).is_step]
@@ -169,7 +158,7 @@ def survey(path: DataFile) -> TableSurvey:
     used: set[str] = set()
     for one in columns:
         if one.part in (STATE, INPUT):
-            one.name = _free_name(one.header.name, used)
+            one.name = _free_name(one.suggested_name, used)
     if not seen.of_part(STATE):
         listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
         raise DataError(
@@ -179,11 +168,7 @@ def survey(path: DataFile) -> TableSurvey:
 
 
 def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> None:
-    """Refuse a further file that is no further run of the same measurement.
-
-    Raises:
-        DataError: it has other columns than the first.
-    """
+    """Refuse a further file that is no further run of the same measurement."""
     known, found = (sorted(one.column for one in columns) for columns in (first, other))
     if known != found:
         differ = sorted(set(known) ^ set(found))
@@ -198,7 +183,7 @@ def _is_run(one: Column) -> bool:
     """Whether it names each line's run; then it says so."""
     n_different = one.cells[~one.is_missing].nunique()
     is_few = 1 < n_different <= len(one.cells) / 3
-    if not one.header.is_run or not is_few:
+    if not one.is_run or not is_few:
         return False
     one.said = f"{n_different} runs"
     if one.n_missing:
@@ -218,7 +203,7 @@ def _time(
     def increases(one: Column) -> bool:
         return one.is_dates if one.values is None else not one.wrong_time(run)
 
-    named = [one for one in others if one.header.is_time]
+    named = [one for one in others if one.is_time]
     for one in filter(increases, named):
         return one
     for one in named:
@@ -234,7 +219,6 @@ def _take_part(
     one: Column, time: Column | None, run: Column | None, of_step: Column | None
 ) -> None:
     """Say of a column what it is."""
-    header = one.header
     if one is time:
         one.becomes(TIME)
     elif one is run:
@@ -243,15 +227,16 @@ def _take_part(
         one.said = "the time between samples"
     elif one.values is None:
         pass  # its remark says why
-    elif header.unit in TIMES:
+    elif one.unit in TIMES:
         one.becomes(UNUSED, "in a unit of time, and another column has the times")
-    elif header.is_set_point:
+    elif one.is_set_point:
         one.becomes(UNUSED, "a set point, by its name")
-    elif header.is_input:
+    elif one.has_one_of(INPUT_WORDS):
         must = "an input must be known at every sample"
         one.becomes(INPUT, must if one.n_missing else "")
     else:
-        one.becomes(STATE, PERHAPS_INPUT if header.may_be_input else "")
+        is_unsure = one.has_one_of(PERHAPS_INPUT_WORDS)
+        one.becomes(STATE, PERHAPS_INPUT if is_unsure else "")
 
 
 def _is_kept(values: np.ndarray | None, n: int) -> bool:
@@ -308,9 +293,6 @@ def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
     Args:
         path: of the study file.
         has_dates: whether the times are dates, which are read in seconds.
-
-    Raises:
-        StudyFileError: it cannot be read, or is no TOML.
     """
     try:
         tables = tables_of(path)

@@ -1,15 +1,28 @@
-"""TOML: read with bounds, the lines of its keys, and values as it writes them.
+"""TOML: read with bounds, the lines of its keys, values written, an effect added.
 
 `tomllib` takes a time that grows with the square of the parts of a dotted key, and
 reads tables by recursion; so do those who walk them. What lies too deep is refused.
+
+An effect is written into the text with all that the user wrote kept: tomlkit keeps
+comments, order and forms. The result is read again and must say what the file said
+before, and the effect.
 """
 
 import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain, count, filterfalse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from phsi_opt.errors import DataError
+from phsi_opt.reading import file_bytes
+from phsi_opt.writing import write_whole
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -30,11 +43,7 @@ DELETE = "\x7f"  # the one character that JSON leaves as it is and TOML does not
 
 
 def toml_tables(text: str) -> dict[str, Any]:
-    """The tables of a TOML text.
-
-    Raises:
-        ValueError: it is no TOML, or something in it lies too deep or is too large.
-    """
+    """The tables of a TOML text."""
     long_key = LONG_KEY.search(text)
     if long_key is not None:
         line = text.count("\n", 0, long_key.end()) + 1
@@ -105,3 +114,64 @@ def text_template(name: str) -> "Template":
     found = environment("phsi_opt.study_file", "templates", keep_trailing_newline=True)
     found.filters |= {"toml": toml_value, "key": key_text}
     return found.get_template(name)
+
+
+# ---- an effect into a text -----------------------------------------------------------
+
+ABOUT_ADDED = "effects added so far, the oldest first"
+
+
+def add_effects(path: Path, names: Iterable[str]) -> Path:
+    """Write effects into the list ``added`` of a study file.
+
+    Args:
+        path: of the study file.
+        names: of the effects, such as ``"coulomb friction on p"``.
+
+    Returns:
+        The path of the file as it was before.
+    """
+    path = path.resolve()  # where the name is a link, the file that it leads to
+    bytes_before = file_bytes(path)
+    changed = _with_added(bytes_before.decode("utf-8-sig"), list(names), path)
+    numbers = chain([""], count(2))  # study.toml.bak, study.toml.bak2, ...
+    backups = (path.with_name(f"{path.name}.bak{number}") for number in numbers)
+    backup = next(filterfalse(Path.exists, backups))
+    write_whole(backup, bytes_before)
+    write_whole(path, changed)
+    return backup
+
+
+def _with_added(text: str, names: list[str], path: Path) -> str:
+    """The text with names at the end of the list ``added`` of the section [study]."""
+    try:
+        expected = toml_tables(text)
+        study = expected.setdefault("study", {})
+        added = study.get("added", ())
+        names = [*([added] if isinstance(added, str) else added), *names]
+        study["added"] = names
+        changed = _changed(text, names)
+        is_safe = toml_tables(changed) == expected
+    except (TOMLKitError, ValueError, TypeError, AttributeError):
+        is_safe = False
+    if not is_safe:
+        raise DataError(
+            f"{path} has its section [study] in a form that is not changed "
+            "automatically; nothing was written. Write into it: "
+            f"added = {toml_value(names)}"
+        )
+    return changed
+
+
+def _changed(text: str, names: list[str]) -> str:
+    """The text with these names in its list; those that it has stay as they are."""
+    document = tomlkit.parse(text)
+    study: Any = document.setdefault("study", tomlkit.table().comment(ABOUT_ADDED))
+    if isinstance(study.get("added"), list):
+        study["added"].extend(names[len(study["added"]) :])
+    else:
+        study["added"] = names
+    changed = document.as_string()
+    if text.count("\n") == text.count("\r\n") > 0:
+        changed = changed.replace("\r\n", "\n").replace("\n", "\r\n")
+    return changed
