@@ -12,7 +12,7 @@ from phsi_opt.force_analysis.cross_validation import (
     piecewise_linear_basis,
     product_basis,
 )
-from phsi_opt.force_analysis.spectrum import spectrum
+from phsi_opt.force_analysis.waves import spectrum
 
 
 def test_piecewise_linear_functions_sum_to_one_and_hold_straight_lines() -> None:

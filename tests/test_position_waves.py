@@ -8,10 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.next_step import step_without_name
+from phsi_opt.force_analysis.analysis import (
+    ForceAnalysis,
+    place_answer,
+    step_without_name,
+)
 from phsi_opt.force_analysis.pictures import follows_of
-from phsi_opt.force_analysis.words import place_answer
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.weighing import EvidenceRecord

@@ -19,14 +19,14 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.force_analysis.causes import Causes
-from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.next_step import (
+from phsi_opt.force_analysis.analysis import (
     advice_of_cause,
     likely_cause,
     step_without_name,
 )
-from phsi_opt.force_analysis.pace import Pace
+from phsi_opt.force_analysis.dependence import Causes
+from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.localization import Pace
 from phsi_opt.presentation.charts import glance_chart, rounded, svg
 from phsi_opt.presentation.content import (
     GOOD,

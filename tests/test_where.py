@@ -13,14 +13,8 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.causes import Causes
-from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import StrongRange
-from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.pictures import plot_where
-from phsi_opt.force_analysis.spectrum import spectrum
-from phsi_opt.force_analysis.words import (
+from phsi_opt.force_analysis.analysis import (
+    ForceAnalysis,
     _said,
     place_answer,
     place_words,
@@ -28,6 +22,11 @@ from phsi_opt.force_analysis.words import (
     range_words,
     sentence,
 )
+from phsi_opt.force_analysis.dependence import Causes
+from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.localization import Pace, StrongRange
+from phsi_opt.force_analysis.pictures import plot_where
+from phsi_opt.force_analysis.waves import spectrum
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical

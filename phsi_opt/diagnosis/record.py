@@ -12,9 +12,8 @@ from phsi_opt.diagnosis.experiments import Separation, separating
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
 from phsi_opt.force_analysis.dependence import leading
-from phsi_opt.force_analysis.next_step import step_without_name
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.summary import (

@@ -1,21 +1,59 @@
-"""What a missing force looks like: where, what it follows, what it does with energy.
+"""What a missing force looks like, in tables and words, and what follows from it.
 
-One record that is made once and handed to tables, sentences and pictures.
+A record that is made once: where the forces are, what they follow, what they do with
+energy, and what to do where no effect of the catalogue is named: one that shakes is
+sought at the machine, one that follows an input where the input enters, one that
+follows nothing measured in a state or an input that the model and the data lack.
+
+Here are the facts; the sentences stand in ``words.jinja``. Ranges are told by what they
+are among the values that occurred, and a velocity has no symbol.
 """
 
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from phsi_opt.arguments import require_known
+from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE
 from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.cross_validation import odd_basis
+from phsi_opt.force_analysis.dependence import CAUSES, leading
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.words import sentence
+from phsi_opt.force_analysis.localization import StrongRange, strong_region
+from phsi_opt.force_analysis.waves import period_of
+from phsi_opt.model.kinds import TURN, plain_unit
+from phsi_opt.model.structure import (
+    exchange_partners,
+    kind_of,
+    position_rows,
+    with_kinds_of_units,
+)
+from phsi_opt.presentation.content import Answer
+from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.summary import printed_table
+from phsi_opt.presentation.units import spaced, time_words
+from phsi_opt.statistics import TINY
 
 if TYPE_CHECKING:
     import pandas as pd
+
+# Mean power over rms force times rms effort (-1: linear damping) below which a force
+# takes energy out; nearer to zero its direction is not clear.
+OPPOSING_POWER = -CLEAR_PATTERN
+
+VIBRATION_WORDS = "a vibration or an error of a sensor, rather than a law of the motion"
+# What the rate of a momentum or a velocity is called, by its unit.
+RATES = {
+    "N": "force on",
+    "N m": "torque on",
+    "m/s^2": "acceleration of",
+    "rad/s^2": "acceleration of",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,3 +135,204 @@ class ForceAnalysis:
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
         return list(map(sentence, self._strongest_first))
+
+
+# ---- in words ------------------------------------------------------------------------
+
+
+def _said(force: EquationForce, name: str, **more: Any) -> Answer:
+    """What ``words.jinja`` says of a force under a name."""
+    model = force.record.model
+    facts = {
+        "force": force,
+        "where": force.where,
+        "model": model,
+        "units": defaultdict(str, force.record.units),
+        "rate": f"d{force.equation}/dt",
+        "partners": exchange_partners(model, force.equation),
+        "turns": defaultdict(float, TURN),
+        "plain_unit": plain_unit,
+        "vibration": VIBRATION_WORDS,
+        "clear_pattern": CLEAR_PATTERN,
+        "mostly": MOST_OF_IT,
+        "plain": partial(plain_name, force),
+        "place": partial(place_words, force),
+        "loss_of": _loss_of,
+        "period_words": _period_words,
+    }
+    return say(__package__, name, **facts, **more)
+
+
+def sentence(force: EquationForce) -> str:
+    """Size and place of a missing force, what it does with energy, what predicts it."""
+    best = leading(force.follows, force.equation)
+    return _said(force, "sentence", window=force.window_words(), best=best).lead
+
+
+def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
+    """The equation of a force, and what it follows or else where it is largest.
+
+    What is clearly followed comes first, a place beside it. Where nothing is followed
+    a place is a detail: it would promise a cause.
+
+    Args:
+        force: the missing force.
+        is_named: whether an effect is named; then nothing is said of what does not
+            explain the force.
+        is_known: whether effects say all that the force is; then no shares are told.
+    """
+    model = force.record.model
+    shares = force.causes.shares
+    return _said(
+        force,
+        "place_of",
+        is_named=is_named,
+        is_known=is_known,
+        is_part=any(shares[cause] > NAMED_CAUSE for cause in CAUSES),
+        called=RATES.get(force.scale.unit, "") if force.position else "",
+        positions=[model.states[row] for row in position_rows(model)],
+    )
+
+
+def map_title(force: EquationForce, names: Sequence[str]) -> str:
+    """Where over the variables the force is strong, in a sentence."""
+    return _said(force, "map_title", names=names).lead
+
+
+def dependence_title(force: EquationForce, variable: str) -> str:
+    """Whether the force follows the variable, in a sentence."""
+    share = max(force.share_of(variable), 0.0)
+    return _said(force, "dependence_title", variable=variable, share_of=share).lead
+
+
+# ---- facts ---------------------------------------------------------------------------
+
+
+def _loss_of(force: EquationForce) -> str:
+    """Whether the force opposes the effort, or changes or overcomes the model's loss.
+
+    Nothing is said of a model that has no energy.
+    """
+    if not force.record.model.has_energy:
+        return ""
+    functions = odd_basis(force.effort)
+    shown = force.shown(functions)
+    fitted = functions @ np.linalg.lstsq(shown, force.w, rcond=None)[0]
+    whole_loss = fitted + force.record.losses[:, force.row]
+    for kind, loss in (("opposes", fitted), ("changes", whole_loss)):
+        # Of linear damping it is -1, of what is conserved 0.
+        size = float(np.linalg.norm(loss) * np.linalg.norm(force.effort))
+        if loss @ force.effort < OPPOSING_POWER * max(size, TINY):
+            return kind
+    return "feeds"
+
+
+def _period_words(force: EquationForce) -> str:
+    """The period, where one is within the longest trajectory; "" where none is."""
+    record = force.record
+    runs = [record.t[record.run == run] for run in np.unique(record.run)]
+    period = period_of(force)
+    if period is None or period > max(float(np.ptp(t)) for t in runs):
+        return ""
+    return time_words(period, record.units.get("t", ""))
+
+
+def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str:
+    """At which values of its variables a force is strong.
+
+    Such as "where q is highest (above 0.7 m)"; "" where no values stand out. Without
+    names the variables are those of the force's map.
+    """
+    region = strong_region(force, force.map_variables if names is None else names)
+    return ", and ".join(range_words(force, *found) for found in region.items())
+
+
+def range_words(force: EquationForce, name: str, ranges: Sequence[StrongRange]) -> str:
+    """What the ranges of a variable are among the values that it had."""
+    return _said(
+        force,
+        "range",
+        called=plain_name(force, name),
+        unit=spaced(force.unit_of(name)),
+        is_velocity=bool(force.position_of(name)),
+        ranges=ranges,
+    ).lead
+
+
+def plain_name(force: EquationForce, name: str) -> str:
+    """A variable as it is called in speech: a velocity by its position.
+
+    An effort that has the values of a state has the name of that state.
+    """
+    model = force.record.model
+    if name not in model.efforts:
+        return name
+    position = force.position_of(name)
+    if position:
+        return f"the velocity of {position}"
+    values = force.record.variable(name)
+    for state in model.states:
+        if np.allclose(values, force.record.variable(state)):
+            return state
+    return f"the effort {name}"
+
+
+# ---- what to do next -----------------------------------------------------------------
+
+
+def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
+    """What to do next about the surest missing force, for which there is no name.
+
+    ``units`` are as in `Measurements`; they tell of which field an equation is.
+    """
+    force = analysis.force_in()
+    if force.is_uncertain:
+        return say(__package__, "unsure")
+    if force.pace.is_vibration:
+        return say(__package__, "shakes", n=force.pace.samples_per_cycle)
+    return advice_of_cause(units, force)
+
+
+def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
+    """What seems to be wrong, by what a force follows: the begin of a sentence.
+
+    Empty where one is as likely as another; ``units`` are as in `step_without_name`.
+    """
+    return _advice("likely", units, force).lead
+
+
+def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
+    """What follows from the strongest cause of a force, or from there being none.
+
+    ``units`` are as in `step_without_name`.
+    """
+    return _advice("advice", units, force)
+
+
+def _advice(name: str, units: Mapping[str, str], force: EquationForce) -> Answer:
+    """By the cause that explains most, unless that is less than is left."""
+    shares = force.causes.shares
+    case = max(shares, key=lambda cause: (shares[cause], cause != "unexplained"))
+    model = force.record.model
+    return say(
+        __package__,
+        name,
+        case=case,
+        force=force,
+        model=model,
+        rate=f"d{force.equation}/dt",
+        kind=kind_of(with_kinds_of_units(model, units), force.equation),
+        law_of=_followed,
+    )
+
+
+def _followed(force: EquationForce) -> list[str]:
+    """What predicts a force best, if clearly; else all states that it may follow."""
+    model = force.record.model
+    best = leading(force.follows, force.equation)
+    if best is None or best["share"] < CLEAR_PATTERN:
+        partners = exchange_partners(model, force.equation)
+        return list(dict.fromkeys((*partners, force.equation)))
+    state_of = dict(zip(model.efforts, model.states, strict=True))
+    names = str(best["variable"]).split(", ")
+    return list(dict.fromkeys(state_of.get(name, name) for name in names))

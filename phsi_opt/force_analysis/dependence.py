@@ -1,10 +1,15 @@
-"""What a missing force follows: the variable that predicts it best.
+"""What a missing force follows: the variable that predicts it best, and its causes.
 
-That is a state, an input, a pair of states or the time. Whether the force follows a
-variable is judged on stretches of time that were left out: a function of that variable
-is fitted to the other stretches and has to predict the force on these, so that nothing
-is earned by flexibility. The estimate is smooth where the record is noisy, dry friction
-has lost its corners; so a function is looked at as the same estimate would show it.
+A variable is a state, an input, a pair of states or the time. A cause is a set of
+functions: a constant, odd functions of the equation's effort (dissipated), functions of
+the states that it exchanges energy with (conserved: what goes in comes back on the same
+way), of the inputs, of the time.
+
+Whether the force follows a variable or a cause is judged on stretches of time that were
+left out: functions are fitted to the other stretches and have to predict the force on
+these, so that nothing is earned by flexibility. The estimate is smooth where the record
+is noisy, dry friction has lost its corners; so a function is looked at as the same
+estimate would show it.
 
 What to keep in mind: parameters of the model were fitted without the effect and have
 imitated what they could of it. Dry friction comes as friction less the damping that
@@ -14,37 +19,45 @@ under 'parameters'. Size and sign of the force in the tables are those of the
 difference.
 """
 
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phsi_opt.criteria import NAMED_CAUSE
+from phsi_opt.criteria import CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
+    odd_basis,
     piecewise_linear_basis,
     product_basis,
 )
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
+from phsi_opt.model.structure import exchange_partners
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.statistics import TINY
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Rank correlation above which an effort is a monotone function of a state, and is not
 # named beside it.
 MONOTONE_RANK_CORRELATION = 0.9999
-
-if TYPE_CHECKING:
-    import pandas as pd
+# Singular values, as a share of the largest, below which functions count as dependent.
+LEAST_SINGULAR_VALUE = 1e-6
+SECOND_CAUSE = 0.2  # beside a stronger cause
+TIED_CAUSES = 0.05  # difference up to which two causes are alike
 
 TIME_NAME = "t"
 # Rows of the table that are no variables.
 CONSTANT = "constant"
 PARAMETERS = "parameters"
 NO_VARIABLES = (CONSTANT, PARAMETERS)
-# Singular values, as a share of the largest, below which functions count as dependent.
-LEAST_SINGULAR_VALUE = 1e-6
+# Of two causes that are alike, the first is named.
+CAUSES = ("constant", "dissipated", "conserved", "inputs", "time")
 
 
 def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame":
@@ -69,10 +82,9 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
         error = force.left_out_error([force.by_parameters])
         rows.append((PARAMETERS, explained_share(error, total), error, NAMED_CAUSE))
         rows.sort(key=lambda row: row[2])
-        bases_with_slopes = [*bases, force.by_parameters]
-        error = force.left_out_error(bases_with_slopes)
+        error = force.left_out_error([*bases, force.by_parameters])
         if error < least:
-            bases = bases_with_slopes
+            bases.append(force.by_parameters)
             least = error
     for variable in variables(force):
         if variable == TIME_NAME:
@@ -99,7 +111,7 @@ def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.nda
         return force.shown(product_basis(*values))
     functions = force.shown(piecewise_linear_basis(values[0]))
     if wave is not None and wave.position == variable:
-        return np.hstack([functions, wave.waves])
+        functions = np.hstack([functions, wave.waves])
     return functions
 
 
@@ -167,3 +179,160 @@ def leading(follows: "pd.DataFrame", equation: str) -> "pd.Series | None":
         return None
     single = good[~good["variable"].str.contains(",")]
     return good.iloc[0] if single.empty else single.iloc[0]
+
+
+# ---- causes --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Causes:
+    """What explains a missing force, judged on stretches of time that were left out.
+
+    Attributes:
+        contributions: part of the force's mean square that each cause adds to the
+            stronger ones, strongest first. The model's parameters come before all
+            others; further ones are there while they add a fifth.
+        gains: what each cause adds to other values of the parameters alone.
+        goes_together: whether inputs and effort are not told apart, as it is where a
+            controller is at work.
+    """
+
+    contributions: Mapping[str, float]
+    gains: Mapping[str, float]
+    goes_together: bool = False
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """The contribution of every cause, and what is unexplained; they sum to one."""
+        causes = (PARAMETERS, *CAUSES)
+        shares = {cause: self.contributions.get(cause, 0.0) for cause in causes}
+        return {**shares, "unexplained": 1 - sum(shares.values())}
+
+    @property
+    def named(self) -> list[str]:
+        """The causes worth naming, strongest first."""
+        if sum(self.contributions.values()) < CLEAR_PATTERN:
+            return []
+        named = []
+        for cause, share in self.contributions.items():
+            if share > (NAMED_CAUSE if cause in CAUSES else MOST_OF_IT):
+                named.append(cause)
+        return named
+
+    @property
+    def clear(self) -> str:
+        """The cause that the force clearly follows; "" where there is none."""
+        shares = self.shares
+        strongest = max(CAUSES, key=shares.__getitem__)
+        return strongest if shares[strongest] >= CLEAR_PATTERN else ""
+
+    @property
+    def first(self) -> str:
+        """The strongest cause beside the parameters, where it is worth naming."""
+        first = next((cause for cause in self.contributions if cause in CAUSES), "")
+        return first if first in self.named else ""
+
+    @property
+    def alike(self) -> list[str]:
+        """The other causes that would explain as much as the first one."""
+        if self.first in ("", "constant"):
+            return []
+        least = self.gains[self.first] - TIED_CAUSES
+        others = [cause for cause, gain in self.gains.items() if gain > least]
+        return [cause for cause in others if cause not in self.contributions]
+
+
+def causes_of(force: Force, wave: PositionWave | None = None) -> Causes:
+    """Whether a force w dissipates power w dH/dx, conserves it, or is driven.
+
+    A wave along a position counts to what is 'conserved'.
+    """
+    bases = _bases(force, wave)
+    least = _share(force, bases, [PARAMETERS])
+    contributions = {PARAMETERS: least}
+    shares = _shares_beside(force, bases, contributions)
+    gains = {cause: share - least for cause, share in shares.items()}
+    strongest = _strongest(shares, least)
+    while strongest is not None:
+        contributions[strongest] = shares[strongest] - sum(contributions.values())
+        shares = _shares_beside(force, bases, contributions)
+        strongest = _strongest(shares, sum(contributions.values()) + SECOND_CAUSE)
+    causes = Causes(contributions, gains)
+    is_driven = causes.first == "inputs" and "dissipated" not in contributions
+    return replace(causes, goes_together=is_driven and _is_closed_loop(force))
+
+
+def _bases(force: Force, wave: PositionWave | None) -> dict[str, np.ndarray]:
+    """Functions (n_intervals, k) by cause, as the estimate would show them.
+
+    Those of the time are not among them: their frequency differs from fold to fold.
+    """
+    model = force.record.model
+    functions = {
+        "constant": np.ones((len(force.w), 1)),
+        "dissipated": odd_basis(force.effort),
+    }
+    partners = exchange_partners(model, force.equation)
+    if partners:
+        functions["conserved"] = _joint_basis(force, partners)
+    if model.inputs:
+        functions["inputs"] = _joint_basis(force, model.inputs)
+    bases = {cause: force.shown(columns) for cause, columns in functions.items()}
+    if wave is not None:
+        bases["conserved"] = np.hstack([bases["conserved"], wave.waves])
+    return {**bases, PARAMETERS: force.by_parameters}
+
+
+def _joint_basis(force: Force, names: Sequence[str]) -> np.ndarray:
+    """Functions of each variable; of two variables also those of both."""
+    values = list(map(force.record.variable, names))
+    bases = list(map(piecewise_linear_basis, values))
+    if len(values) == 2:
+        bases.append(product_basis(*values))
+    return np.hstack(bases)
+
+
+def _share(
+    force: Force, bases: Mapping[str, np.ndarray], causes: Sequence[str]
+) -> float:
+    """Part of the force's mean square that causes predict together."""
+    sought = partial(functions_of_time, force) if "time" in causes else None
+    functions = [bases[cause] for cause in causes if cause != "time"]
+    error = force.left_out_error(functions, sought, "inputs" in causes)
+    return explained_share(error, force.squares)
+
+
+def _shares_beside(
+    force: Force, bases: Mapping[str, np.ndarray], known: Collection[str]
+) -> dict[str, float]:
+    """What known causes and one further cause predict together, by that cause."""
+    shares = {}
+    for cause in CAUSES:
+        if cause not in known and (cause in bases or cause == "time"):
+            shares[cause] = _share(force, bases, [*known, cause])
+    return shares
+
+
+def _strongest(shares: Mapping[str, float], least: float) -> str | None:
+    """The cause of the largest share, the first of those that are as good.
+
+    None where no share is above ``least``.
+    """
+    best = max(shares.values(), default=0.0)
+    for cause, share in shares.items():
+        if share > least and share >= best - TIED_CAUSES / 2:
+            return cause
+    return None
+
+
+def _is_closed_loop(force: Force) -> bool:
+    """Whether input and effort go together, as where a controller is at work."""
+    model = force.record.model
+    inputs = map(force.record.variable, model.inputs)
+    bases = [piecewise_linear_basis(u) for u in inputs if np.ptp(u) > 0]
+    variance = np.var(force.effort)
+    if not model.has_energy or not bases or not variance > 0:
+        return False
+    functions = np.hstack(bases)
+    fitted = functions @ np.linalg.lstsq(functions, force.effort, rcond=None)[0]
+    return bool(1 - np.var(force.effort - fitted) / variance >= MOST_OF_IT)

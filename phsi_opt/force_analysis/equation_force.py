@@ -5,22 +5,23 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOST_OF_IT
-from phsi_opt.force_analysis.causes import Causes, causes_of
 from phsi_opt.force_analysis.dependence import (
     CONSTANT,
     NO_VARIABLES,
+    Causes,
+    causes_of,
     dependence,
     leading,
 )
 from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.localization import (
+    Pace,
     Region,
     Window,
     region_words,
     strong_region,
     strongest_window,
 )
-from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.numbers import label

@@ -1,7 +1,10 @@
-"""Where a model fails: trajectory, times and states of the missing force.
+"""Where a missing force is strong, and how fast and large it is.
 
-Each is found by the size of the force in parts of the record; a part stands out where
-the force is clearly larger there than in the whole.
+Trajectory, times and states are found by the size of the force in parts of the record;
+a part stands out where the force is clearly larger there than in the whole. A force
+that goes back and forth many times as fast as the motion is no law of the motion: it
+shakes what is measured, takes a large rate to be seen at all, and hides what bends the
+motion itself.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,9 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import find_objects, label
 
+from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
-from phsi_opt.force_analysis.force_record import Force
-from phsi_opt.statistics import rms
+from phsi_opt.force_analysis.force_record import Force, ForceRecord
+from phsi_opt.force_analysis.waves import spectrum
+from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.units import frequency_words
+from phsi_opt.statistics import TINY, rms
 
 # Factor on the size of a force in the whole record from which a part stands out.
 OUTSTANDING_FORCE = 1.3
@@ -21,8 +28,9 @@ VISITED_BIN = 0.02
 # Ranges of one state in which a force is strong, at most: one, or both ends; strong in
 # more of them it follows no region of that state.
 MOST_STRONG_RANGES = 2
-
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
+# Times the frequency of the motion from which a force is a vibration beside it.
+VIBRATION = 10.0
 
 
 @dataclass(frozen=True)
@@ -105,8 +113,8 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
         return []
     ranges = []
     for (bins,) in found:
-        bounds = (float(edges[bins.start]), float(edges[bins.stop]))
-        ranges.append(StrongRange(*bounds, bins.start == 0, bins.stop == n_bins))
+        begin, end = edges[[bins.start, bins.stop]].tolist()
+        ranges.append(StrongRange(begin, end, bins.start == 0, bins.stop == n_bins))
     return ranges
 
 
@@ -122,15 +130,109 @@ def strong_region(force: Force, names: Sequence[str]) -> Region:
     region = {}
     for name in names:
         if name not in force.record.model.memory:
-            ranges = strong_ranges(force.record.variable(name), force.w)
-            if ranges:
-                region[name] = ranges
-    return region
+            region[name] = strong_ranges(force.record.variable(name), force.w)
+    return {name: ranges for name, ranges in region.items() if ranges}
 
 
 def region_words(region: Region) -> str:
     """A region in a table: 'q -1 to -0.6 or 0.7 to 1, p 2 to 3'."""
-    told = []
-    for name, ranges in region.items():
-        told.append(f"{name} {' or '.join(map(str, ranges))}")
-    return ", ".join(told)
+    words = [f"{name} {' or '.join(map(str, region[name]))}" for name in region]
+    return ", ".join(words)
+
+
+# ---- how fast and how large ----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Pace:
+    """A force beside the motion and the samples.
+
+    Attributes:
+        frequency: at which the force is strongest, in cycles per unit of time; 0 where
+            it is mostly constant.
+        motion: frequency at which the fastest of the states is strongest.
+        time: in which the fastest of the states, by the rms of its rate, moves by as
+            much as its standard deviation.
+        interval: typical time between samples.
+        strength: rms of the force.
+        own: rms of what the model itself has in the equation.
+    """
+
+    frequency: float
+    motion: float
+    time: float
+    interval: float
+    strength: float
+    own: float
+
+    @classmethod
+    def of(cls, force: Force) -> "Pace":
+        """The pace of a missing force."""
+        record = force.record
+        x = record.points.x
+        rates = np.sqrt(np.mean(record.rates**2, axis=0))
+        times = np.std(x, axis=0) / np.maximum(rates, TINY)
+        return cls(
+            0.0 if is_mostly_constant(force.w) else _frequency(record, force.w),
+            _frequency(record, x),
+            float(np.min(times, initial=np.inf)),
+            float(np.median(record.h)),
+            rms(force.w),
+            rms(record.rates[:, force.row]),
+        )
+
+    @property
+    def is_vibration(self) -> bool:
+        """Whether the force is many times as fast as the motion, or as the samples.
+
+        A cycle of it must also be over before the states move: of a motion that is
+        mostly slow, what follows its quick parts is no vibration.
+        """
+        is_faster = self._times_motion > VIBRATION and self.frequency * self.time > 1
+        return self.is_near_sampling or is_faster
+
+    @property
+    def is_near_sampling(self) -> bool:
+        """Whether the force is two fifths as fast as the fastest that samples show."""
+        return self.frequency * self.interval > 0.2
+
+    @property
+    def samples_per_cycle(self) -> int:
+        """As many samples as a cycle of the force has; their mean does not show it."""
+        return max(round(1 / (self.frequency * self.interval)), 2)
+
+    @property
+    def _times_motion(self) -> float:
+        return self.frequency / self.motion if self.motion > 0 else 0.0
+
+    def speed_words(self, units: Mapping[str, str]) -> str:
+        """How fast a vibration is: its frequency beside motion and samples."""
+        beside = []
+        if self._times_motion > VIBRATION:
+            beside.append(f"{self._times_motion:.2g} times as fast as the motion")
+        if self.is_near_sampling or not beside:
+            beside.append("near the sampling rate")
+        return f"{frequency_words(self.frequency, units)}, {' and '.join(beside)}"
+
+    def size_words(self, rate: str) -> str:
+        """The force beside the rate that the model has: a share or a multiple of it.
+
+        Empty where the model has nothing there. The rate is called such as "dp/dt".
+        """
+        if not self.own > 0:
+            return ""
+        ratio = self.strength / self.own
+        if ratio >= 1:
+            return f"{number(ratio, 2)} times the size of the model's own {rate}"
+        return f"{100 * ratio:.2g} % of the model's own {rate}"
+
+
+def is_mostly_constant(w: np.ndarray) -> bool:
+    """Whether most of the mean square of a force (n_intervals,) is that of its mean."""
+    return bool(np.mean(w) ** 2 > MOST_OF_IT * np.mean(w**2))
+
+
+def _frequency(record: ForceRecord, signals: np.ndarray) -> float:
+    """At which a signal, or the fastest of several, is strongest about its mean."""
+    moving = signals - np.mean(signals, axis=0)
+    return spectrum(record.t, record.run, moving).peak

@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from phsi_opt.criteria import CHANCE_LEVEL, CLEAR_PATTERN, SURE_DEVIATIONS
-from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.analysis import (
+    ForceAnalysis,
+    dependence_title,
+    map_title,
+    sentence,
+)
 from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.pace import is_mostly_constant
-from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
-from phsi_opt.force_analysis.waves import period_of
-from phsi_opt.force_analysis.words import dependence_title, map_title, sentence
+from phsi_opt.force_analysis.localization import is_mostly_constant
+from phsi_opt.force_analysis.waves import Spectrum, period_of, spectrum
 from phsi_opt.presentation.content import (
     TRAINING,
     Follows,

@@ -1,8 +1,9 @@
-"""Forces that repeat: along the time, or along a position.
+"""Frequencies of a missing force, and forces that repeat along time or a position.
 
-A wave with its second harmonic has a frequency that is sought on the stretches of time
-that a fit sees, so that it earns nothing by being sought. Along a position such forces
-are cogging, the teeth of a gear, a wheel off centre: a shaft that turns passes the same
+Spectra say at which frequency a force is strong, with even or uneven samples. A wave
+with its second harmonic has a frequency that is sought on the stretches of time that a
+fit sees, so that it earns nothing by being sought. Along a position such forces are
+cogging, the teeth of a gear, a wheel off centre: a shaft that turns passes the same
 places again and again, and functions with a few knots along its angle cannot show that.
 """
 
@@ -11,21 +12,83 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import piecewise_linear_basis
 from phsi_opt.force_analysis.force_record import Force
-from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.model.structure import exchange_partners
 from phsi_opt.statistics import TINY, local_maxima
 
+POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
 N_TRIED = 21  # frequencies that are tried about a good one
 # Periods that are tried within the positions that were visited: fewer are a curve,
 # which knots show.
 REPEATS = np.arange(2, 200, 0.25)
 
 
-# ---- one wave
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Amplitudes by frequency.
+
+    Attributes:
+        frequencies: cycles per unit of time, (n_frequencies,), increasing.
+        amplitudes: (n_frequencies,), or (n_frequencies, k) for k signals; a sine of
+            amplitude A has the peak A.
+    """
+
+    frequencies: np.ndarray
+    amplitudes: np.ndarray
+
+    @property
+    def peak(self) -> float:
+        """Frequency of the largest amplitude; 0 where all are 0.
+
+        Of several signals, that of the fastest.
+        """
+        strongest = self.frequencies[np.argmax(self.amplitudes, axis=0)]
+        return float(np.max(strongest * self.amplitudes.any(axis=0)))
+
+    @property
+    def resolved(self) -> float:
+        """Distance of frequencies that the record tells apart; 0 where it is short."""
+        return float(POINTS_PER_FREQUENCY * np.sum(np.diff(self.frequencies[:2])))
+
+
+def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
+    """Amplitude spectrum of one signal or several along trajectories.
+
+    Trajectories are resampled to even steps, tapered (Hann), and averaged in the mean
+    square. Frequencies below one cycle per longest trajectory are left out. Times and
+    numbers of their trajectories are (n,), each trajectory one stretch of increasing
+    times; the signal is (n,), or (n, k) for k signals.
+    """
+    runs = np.split(np.arange(len(t)), np.flatnonzero(np.diff(run)) + 1)
+    runs = [inside for inside in runs if len(inside) > 2]
+    duration = max((float(np.ptp(t[inside])) for inside in runs), default=0.0)
+    if duration == 0.0:
+        return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
+    typical_steps = [float(np.median(np.diff(t[inside]))) for inside in runs]
+    # One short step among millions of long ones does not decide the size.
+    step = max(min(typical_steps), duration / 2**18)
+    n_fft = next_fast_len(POINTS_PER_FREQUENCY * int(duration / step + 2), real=True)
+    frequencies = np.fft.rfftfreq(n_fft, step)
+    mean_square = np.zeros((len(frequencies), *signal.shape[1:]))
+    for inside in runs:
+        times = t[inside]
+        even = np.arange(times[0], times[-1] + step / 2, step)
+        taper = np.hanning(len(even) + 2)[1:-1]
+        columns = signal[inside].reshape(len(times), -1).T
+        sampled = np.array([np.interp(even, times, column) for column in columns])
+        transform = np.fft.rfft(sampled * taper, n_fft).T
+        amplitude = 2 * np.abs(transform) / taper.sum()
+        share = len(inside) / len(t)
+        mean_square += share * amplitude.reshape(mean_square.shape) ** 2
+    kept = frequencies * duration > 0.999  # rounding does not lose one cycle
+    return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
+
+
+# ---- one wave ------------------------------------------------------------------------
 
 
 def harmonics(phase: np.ndarray) -> np.ndarray:
@@ -35,9 +98,7 @@ def harmonics(phase: np.ndarray) -> np.ndarray:
     return np.column_stack(waves)
 
 
-def explained_by_wave(
-    z: np.ndarray, y: np.ndarray, frequencies: np.ndarray
-) -> np.ndarray:
+def _power(z: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
     """Fall of the sum of squares of y (n,) by a wave of each frequency along z (n,)."""
     from scipy.signal import lombscargle  # slow to load
 
@@ -52,9 +113,8 @@ def _refined(
     The best of those tried, then the best of its neighbourhood, in ever smaller widths.
     """
     for width in widths:
-        best = tried[[np.argmax(explained_by_wave(z, y, tried))]]
-        tried = _near(best, width)
-    return float(tried[np.argmax(explained_by_wave(z, y, tried))])
+        tried = _near(tried[[np.argmax(_power(z, y, tried))]], width)
+    return float(tried[np.argmax(_power(z, y, tried))])
 
 
 def _near(candidates: np.ndarray, width: float) -> np.ndarray:
@@ -73,7 +133,7 @@ def _drawn(is_fitted: np.ndarray, most: int = 3000) -> np.ndarray:
     return np.sort(rng.choice(places, most, replace=False))
 
 
-# ---- along the time
+# ---- along the time ------------------------------------------------------------------
 
 
 def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
@@ -93,7 +153,7 @@ def period_of(force: Force) -> float | None:
 
     None where slow changes are larger than the wave.
     """
-    everywhere = np.ones(len(force.w), dtype=bool)
+    everywhere = np.full(len(force.w), True)
     functions = functions_of_time(force, everywhere)
     coefficients = np.linalg.lstsq(functions, force.w, rcond=None)[0]
     wave = functions[:, -4:] @ coefficients[-4:]
@@ -110,13 +170,12 @@ def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
     found = spectrum(t, force.record.run, varying)
     height = found.amplitudes * local_maxima(found.amplitudes)
     peaks = found.frequencies[np.argsort(-height)[:3]]
-    places = _drawn(is_fitted)
     tried = _near(peaks, found.resolved)
-    widths = [found.resolved / 10]  # about the best, looked at again
-    return _refined(t[places] - t[0], varying[places], tried, widths)
+    places = _drawn(is_fitted)
+    return _refined(t[places] - t[0], varying[places], tried, [found.resolved / 10])
 
 
-# ---- along a position
+# ---- along a position ----------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,20 +200,27 @@ def position_wave(force: Force) -> PositionWave | None:
     None where it does not predict a tenth of the force's mean square more than
     functions of that state with a few knots do.
     """
+
+    def waves_along(
+        z: np.ndarray, functions: np.ndarray, is_fitted: np.ndarray
+    ) -> np.ndarray:
+        frequency, _ = _best_along(z, force, functions, is_fitted)
+        return force.shown(harmonics(2 * np.pi * frequency * z))
+
     best = None
     least = np.inf
-    everywhere = np.ones(len(force.w), dtype=bool)
     for name in exchange_partners(force.record.model, force.equation):
         z = force.record.variable(name)
         if not np.ptp(z) > 0:
             continue
         of_state = force.shown(piecewise_linear_basis(z))
         functions = np.hstack([force.by_parameters, of_state])
+        everywhere = np.full(len(z), True)
         frequency, share = _best_along(z, force, functions, everywhere)
         # It has to be seen in the whole force first, which costs less.
         if share < CLEAR_PATTERN:
             continue
-        sought = partial(_waves_along, z, force, functions)
+        sought = partial(waves_along, z, functions)
         error = force.left_out_error([functions], sought)
         without = force.left_out_error([functions])
         if error < min(least, without - NAMED_CAUSE * force.squares):
@@ -164,31 +230,24 @@ def position_wave(force: Force) -> PositionWave | None:
     return best
 
 
-def _waves_along(
-    z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
-) -> np.ndarray:
-    """Those that fit best, as the estimate shows them, (n_intervals, 4)."""
-    frequency, _ = _best_along(z, force, functions, is_fitted)
-    return force.shown(harmonics(2 * np.pi * frequency * z))
-
-
 def _best_along(
     z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
 ) -> tuple[float, float]:
-    """Frequency of the wave along a state that fits best what functions leave.
+    """Frequency of the wave along a state that fits the residual of functions best.
 
-    In cycles per unit of the state, 0 where that stands still; and the share of what
-    the functions (n_intervals, k) leave that the wave explains.
+    In cycles per unit of the state, 0 where that stands still; and the share of the
+    residual that the wave explains. Functions are (n_intervals, k).
     """
     fitted = functions[is_fitted]
     coefficients = np.linalg.lstsq(fitted, force.w[is_fitted], rcond=None)[0]
     places = _drawn(is_fitted)
-    left = force.w[places] - functions[places] @ coefficients
-    visited = np.ptp(z[places])
+    residual = force.w[places] - functions[places] @ coefficients
+    z = z[places]
+    visited = np.ptp(z)
     if not visited > 0:
         return 0.0, 0.0
     tried = REPEATS / visited
     apart = tried[1] - tried[0]
-    frequency = _refined(z[places], left, tried, [apart, apart / N_TRIED])
-    fall = explained_by_wave(z[places], left, np.array([frequency]))[0]
-    return frequency, float(fall / max(float(np.sum(left**2)), TINY))
+    frequency = _refined(z, residual, tried, [apart, apart / N_TRIED])
+    fall = _power(z, residual, np.array([frequency]))[0]
+    return frequency, float(fall / max(float(np.sum(residual**2)), TINY))

@@ -15,10 +15,9 @@ from phsi_opt.comparison.compare import Comparison, is_failing
 from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
+from phsi_opt.force_analysis.analysis import VIBRATION_WORDS, likely_cause, place_answer
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS
-from phsi_opt.force_analysis.next_step import likely_cause
-from phsi_opt.force_analysis.words import VIBRATION_WORDS, place_answer
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
