@@ -172,7 +172,6 @@ def test_a_jump_separates_pairs_unless_it_is_of_a_held_input() -> None:
         ({"x_end": [[1.0]]}, r"x_start has the shape \(2, 1\) and x_end \(1, 1\); expected the same shape"),
         ({"t_start": [0], "t_end": [1]}, "lengths differ: .*'x_start': 2, 't_start': 1.*one row per pair"),
         ({"t_end": [1, 1]}, r"pair 1: t_end\[1\]=1.0 is not after t_start\[1\]=1.0"),
-        ({"t_start": [0, np.nan]}, r"t_start\[1\] is nan"),
         ({"u_start": [1, 2]}, "only one of u_start and u_end is given.*hold='zero'"),
         ({"u_end": [1, 2], "hold": "zero"}, "only one of u_start and u_end"),
         ({"states": ["a", "b"]}, r"has 1 state column; expected 2, one for each of \['a', 'b'\]"),
@@ -197,55 +196,38 @@ def test_pairs_that_cannot_be_used_are_refused(
     ("changes", "message"),
     [
         ({"t": [0, 2, 1]}, r"trajectory 'run 1': t\[2\]=1.0 is not after t\[1\]=2.0; .*Sort the samples or drop"),
-        ({"t": [0, 1, 1]}, r"t\[2\]=1.0 is not after t\[1\]=1.0"),
         ({"t": [0, np.nan, 1]}, r"trajectory 'run 1': t\[1\] is nan"),
-        ({"t": [0, 1, np.inf]}, r"t\[2\] is inf"),
-        ({"t": [[0], [1], [2]]}, r"trajectory 'run 1': x has the shape \(\)"),
         ({"t": np.zeros((3, 1))}, r"trajectory 'run 1': t has the shape \(3, 1\); expected \(n_samples,\)"),
         ({"t": [0, 1]}, "x has 3 rows and t has 2; expected one row per time"),
-        ({"u": [1, 2]}, "u has 2 rows and t has 3"),
         ({"x": np.zeros((3, 1, 1))}, r"x has the shape \(3, 1, 1\); expected \(n_samples, n_channels\)"),
         ({"x": np.zeros((3, 2))}, "trajectory 'run 1' has 2 state columns; expected 1"),
         ({"x": [[1], [2, 3], [4]]}, "x is not a regular array"),
         ({"x": np.array([1, 2, 1j])}, "x has the type complex128; expected real numbers"),
         ({"x": np.array([1, None, 2])}, "x has the type object; expected real numbers, NaN where nothing"),
-        ({"x": ["1", "2", "3"]}, "x has the type <U1"),
         ({"x": [1, np.inf, 2]}, r"trajectory 'run 1': state 'q' at sample 1 \(t=1.0\) is inf; expected a finite value"),
         ({"x": [1, 2, -2e100]}, r"state 'q' at sample 2 \(t=2.0\) is -2e\+100; expected at most 1e\+100 in size"),
         ({"x": [np.nan] * 3}, r"trajectory 'run 1' has no measured value in any of the states \['q'\]"),
         ({"u": [1, np.nan, 2]}, r"input 'u1' at sample 1 \(t=1.0\) is nan; times and inputs must be known"),
         ({"u": [1, 2, 3], "inputs": ["a", "b"]}, "has 1 input column; expected 2"),
-        ({"inputs": ["a"]}, "has 0 input columns; expected 1"),
         ({"t": [0], "x": [1]}, "trajectory 'run 1' has 1 sample; expected at least 2"),
-        ({"t": [], "x": []}, "trajectory 'run 1' has 0 samples; expected at least 2"),
         ({"states": "q"}, "states='q' is not a list of names"),
         ({"states": []}, "names no state"),
         ({"states": ["1q"]}, "states: '1q' cannot be used in a formula"),
-        ({"states": ["lambda"]}, "states: 'lambda' cannot be used"),
-        ({"states": [1]}, "states: 1 cannot be used"),
         ({"states": ["t"]}, "states: the name 't' is reserved"),
-        ({"states": ["trajectory"]}, "the name 'trajectory' is reserved"),
         ({"states": ["dH_dq"]}, "the name 'dH_dq' is reserved"),
         ({"u": [1, 2, 3], "inputs": ["dH_d"]}, "inputs: the name 'dH_d' is reserved"),
         ({"u": [1, 2, 3], "inputs": ["q"]}, "the name 'q' is used 2 times"),
         ({"hold": "zeros"}, r"hold='zeros' is unknown; expected one of linear, zero, cubic\. Did you mean 'zero'\?"),
-        ({"hold": None}, "hold=None is unknown"),
         ({"noise": {"q": 0}}, "noise: 'q' has the standard deviation 0; expected a positive number"),
-        ({"noise": {"q": -1.0}}, "standard deviation -1.0; expected a positive number"),
-        ({"noise": {"q": np.nan}}, "standard deviation nan"),
-        ({"noise": {"q": np.inf}}, "standard deviation inf"),
         ({"noise": {"q": "1"}}, "standard deviation '1'"),
         ({"noise": {"Q": 1.0}}, r"noise names the unknown 'Q'; expected one of q\. Did you mean 'q'\?"),
         ({"noise": 0.1}, "noise=0.1 is not a mapping"),
         ({"units": {"w": "m"}}, r"units names the unknown 'w'; expected one of t, q\."),
         ({"units": {"q": None}}, "units: 'q' has the unit None; expected text"),
         ({"units": ""}, "units='' is not a mapping"),
-        ({"units": "m"}, "units='m' is not a mapping"),
         ({"names": ["a", "b"]}, "the lengths differ: .*'names': 2.*one entry per trajectory"),
         ({"names": [""]}, "trajectory name '' is not a text"),
-        ({"names": [1]}, "trajectory name 1 is not a text"),
         ({"names": ["a\nb"]}, "is not a text of one line"),
-        ({"t": [[0, 1], [0, 1]], "x": None}, "the lengths differ: {'t': 2, 'x': None"),
         ({"t": [[0, 1], [0, 1]], "x": [[1, 2]]}, "the lengths differ: {'t': 2, 'x': 1"),
         ({"t": [[0, 1], [0, 1]], "x": [[1, 2], [1, 2]], "names": ["a", "a"]}, "trajectory name 'a' is used 2 times"),
     ],
@@ -274,17 +256,15 @@ def test_what_are_no_trajectories_is_refused(trajectories: Any, message: str) ->
 # ---- looking, choosing, splitting ----
 
 
-def test_trajectories_are_chosen_by_position_slice_or_name() -> None:
+def test_a_trajectory_is_chosen_by_name_number_or_slice() -> None:
     data = record(3)
-    assert [run.name for run in data[-1]] == ["run 3"]
-    assert [run.name for run in data[np.int64(1)]] == ["run 2"]  # type: ignore[index]
-    assert [run.name for run in data["run 2"]] == ["run 2"]
-    assert [run.name for run in data[::2]] == ["run 1", "run 3"]
+    for key, names in (
+        (-1, ["run 3"]),
+        ("run 2", ["run 2"]),
+        (slice(0, 3, 2), ["run 1", "run 3"]),
+    ):
+        assert [run.name for run in data[key]] == names
     assert (data[0].units, data[0].hold) == (data.units, "zero")
-
-
-def test_a_trajectory_has_one_number_by_name_and_by_number() -> None:
-    data = record(3)
     numbers = [data.trajectory_number(run.name) for run in data]
     assert numbers == [0, 1, 2]
     assert data.trajectory_number(2) == 2
@@ -297,12 +277,9 @@ def test_a_trajectory_has_one_number_by_name_and_by_number() -> None:
     [
         ("run 9", r"there is no trajectory 'run 9'; expected one of 'run 1', 'run 2'\. Did you mean 'run"),
         (2, r"no trajectory 2; there are 2, counted from 0: \['run 1', 'run 2'\]"),
-        (-3, "there is no trajectory -3"),
         (slice(5, 9), r"data\[5:9\] picks trajectories, of which there are 2"),
-        (slice(None, 100), r"data\[:100\] picks.*data.between\(begin, end\)"),
         (slice(None, None, 10), r"data\[::10\] picks.*data.thinned\(n\)"),
         (slice(0.0, 2.5), r"data\[0.0:2.5\] picks.*between"),
-        (slice(1, 1), r"data\[1:1\] picks trajectories"),
         (1.5, r"trajectory 1.5 is unknown; expected a name of \['run 1', 'run 2'\]"),
     ],
 )  # fmt: skip

@@ -188,14 +188,11 @@ def test_numbers_that_look_like_dates_are_told_with_what_to_do(spring: Path) -> 
     said = complaints(spring)["data.time.column"]
     assert "column 't_s', line 2: 20210131 looks like 2021-01-31" in said
     assert 'date_format = "%Y%m%d"' in said
-    for form, t in (("%Y%m%d", [0, 86400]), ("", [20210131, 20210201])):
-        told = f'column = "t_s", date_format = "{form}"'
-        file = ph.StudyFile.read(changed(spring, ('column = "t_s"', told)))
-        assert file.measurements().trajectories[0].t.tolist() == t
-        again = ph.StudyFile.read(file.write(spring.with_name("again.toml")))
-        assert again.data == replace(file.data, files=again.data.files)
-        changed(spring, (told, 'column = "t_s"'))
-        spring.with_name("again.toml").unlink()
+    form = 'column = "t_s", date_format = ""'
+    file = ph.StudyFile.read(changed(spring, ('column = "t_s"', form)))
+    assert file.measurements().trajectories[0].t.tolist() == [20210131, 20210201]
+    again = ph.StudyFile.read(file.write(spring.with_name("again.toml")))
+    assert again.data == replace(file.data, files=again.data.files)
 
 
 @pytest.mark.parametrize("suffix", ["txt", "xlsx", "mat"])

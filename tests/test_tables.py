@@ -131,18 +131,15 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
     ("text", "options", "message"),
     [
         ("", {}, "open file is empty; expected a header line"),
-        ("\n,,\n", {}, "open file is empty"),
         ("t,q\n", {}, "open file has no samples; expected at least 2 rows"),
         ("t,q\n0,1\n", {}, "trajectory 'run 1' has 1 sample; expected at least 2"),
         ("t,q\n0,1\n1,1_000\n", {}, "line 3: '1_000' is not a real number"),
         ("t,position\n0,1\n", {"states": {"q": "positon"}}, r"no column 'positon'.*Did you mean 'position'\?"),
         ("T,q\n0,1\n1,2\n", {}, r"no column 't'.*one of T, q\..*Did you mean 'T'\?"),
-        ("t,q\n0,1\n1,2\n", {"trajectory": "run"}, "no column 'run'"),
         ("t,q,q\n0,1,2\n1,2,3\n", {}, "2 columns called 'q'; expected one"),
         ("t,q\n0,1\n1,abc\n", {}, "open file, column 'q', line 3: 'abc' is not a real number"),
         ("\nt,q\n\n0,1\n1,abc\n", {}, "column 'q', line 5: 'abc'"),
         ("t,q\n0,1\n1,1e400\n", {}, "column 'q', line 3: the value is inf; expected a finite value"),
-        ("t,q\n0,1\n1,-inf\n", {}, "column 'q', line 3: the value is -inf"),
         ("t,q\n0,1\n1,-1e101\n", {}, r"column 'q', line 3: the value is -1e\+101; expected at most 1e\+100 in size"),
         ("t,q\n0,1\n,2\n", {}, "column 't', line 3: the value is nan; times and inputs must be known"),
         ("t,q,u\n0,1,1\n1,2,NA\n", {"inputs": ["u"]}, "column 'u', line 3: the value is nan; times and inputs"),
@@ -167,10 +164,8 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
         ("t,q\n0,\n1,NA\n", {}, "trajectory 'run 1' has no measured value"),
         ("t,q\n0,1\n1,2\n", {"states": {"q": None}}, "trajectory 'run 1' has no measured value"),
         ("t,q\n0,1\n1,2\n", {"states": {"q": "q", "p": "q"}}, "the column 'q' is asked for twice"),
-        ("t,q\n0,1\n1,2\n", {"states": {}}, "names no state"),
         ("t,q\n0,1\n1,2\n", {"states": "q"}, "states='q' is not a list of names"),
         ("t,q\n0,1\n1,2\n", {"inputs": {"u": None}}, "input without a column; inputs must be measured"),
-        ("t,q\n0,1\n1,2\n", {"inputs": {"q": "t"}}, "the column 't' is asked for twice"),
         ("t,q,u\n0,1,1\n1,2,1\n", {"inputs": {"q": "u"}}, "the name 'q' is used 2 times"),
         ("t,q\n0," + "9" * 200_000 + "\n", {}, "line 2: field larger than field limit"),
     ],
@@ -286,10 +281,8 @@ def test_runs_may_be_named_by_anything(labels: Any) -> None:
         (frame(t=[0.0, np.nan, 1.0]), {}, "column 't', row 'b': the value is nan"),
         (frame(u=[0.0, np.nan, 1.0]), {"inputs": ["u"]}, "column 'u', row 'b': the value is nan"),
         (frame(run=["a", None, "a"]), {"trajectory": "run"}, "column 'run', row 'b': the trajectory's name is missing"),
-        (frame(run=[1.0, np.nan, 1.0]), {"trajectory": "run"}, "column 'run', row 'b': the trajectory's name is missing"),
         (frame().iloc[:0], {}, "data frame has no samples"),
         (frame().rename(columns={"u": "q"}), {}, "2 columns called 'q'"),
-        (frame(), {"states": ["w"]}, "no column 'w'"),
     ],
 )  # fmt: skip
 def test_a_data_frame_that_cannot_be_used_is_refused_by_row(
@@ -400,7 +393,6 @@ def test_rows_may_be_counted_where_no_column_has_the_times() -> None:
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
-        ("0,1\n1\n", {}, "open file, line 2 has 1 cell; expected 2, as in line 1"),
         ("0,1\n1,2\n", {"states": {"q": 2}}, "no column 2; it has 2 columns, counted"),
         ("0,1\n1,2\n", {"states": ["q"]}, r"no column 'q'; expected one of 0, '1'\."),
         ("0,1\n1,x\n", {}, "column 1, line 2: 'x' is not a real number"),
@@ -518,7 +510,6 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
             "column 't', line 3: 2021-11-22 09:00:00 is not after 2021-11-22 09:00:00 "
             "of line 2; times must increase strictly.*autumn",
         ),
-        ("2021-11-22 09:00", "2021-11-21 09:00", {}, "line 3: 2021-11-21 .* not after"),
         (
             "2021-11-22 09:00Z",
             "2021-11-22 09:15",
@@ -541,7 +532,6 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
             "line 3: '2021-11-22' is no moment as date_format='%d.%m.%Y' says",
         ),
         ("2021-11-22", "x", {}, "line 3: 'x' is neither a number nor a date"),
-        ("2021-11-22", "5", {}, "line 3: '5' is neither a number nor a date"),
         ("0", "2021-11-22", {}, "line 3: '2021-11-22' is not a real number"),
         ("2021-11-22", "2021-11-23", {"start": "2021-11-22Z"}, "start='2021-11-22Z' is not a date without time zone"),
         ("2021-11-22", "2021-11-23", {"units": {"t": "h"}}, "the unit 'h', and times"),
@@ -698,7 +688,6 @@ def test_vectors_matrices_and_structs_of_matlab_are_columns(
         ),
         ({"t": T, "q": X}, r"no column 'q'.*'q' \(4 x 2 numbers: q\(:,1\)"),
         ({"t": T, "q": T[:3]}, r"differ in length: {'t': 4, 'q': 3}.*The file holds"),
-        ({"t": T, "q": 3.0}, r"differ in length: {'t': 4, 'q': 1}"),
         ({"t": T, "q": "text"}, r"no column 'q'.*'q' \(text\)"),
         ({"t": T, "a": {"q": T}, "b": {"q": T}}, r"several structs; .*\['a.q', 'b.q'\]"),
         ({"t": T, "a": {"b": {"q": T}}}, r"'a.b' \(a list of structs or a struct in"),
@@ -713,12 +702,6 @@ def test_a_matlab_file_that_cannot_be_used_is_refused_with_what_it_holds(
 ) -> None:
     with pytest.raises(DataError, match=f"(?s)open file.*{message}"):
         Measurements.from_mat(mat(content), time="t", states=["q"])
-
-
-@pytest.mark.parametrize("column", ["X(:,3)", "X(0,:)", "X(:,:)", "X(1,1)"])
-def test_an_index_that_is_no_column_is_refused(column: str) -> None:
-    with pytest.raises(DataError, match=r"has no column 'X.*4 x 2 numbers: X"):
-        Measurements.from_mat(mat({"X": X}), step=1, states={"q": column})
 
 
 def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do() -> None:
@@ -736,3 +719,6 @@ def test_a_vector_may_be_written_as_a_column_of_a_matrix_and_as_no_other() -> No
     assert data.trajectories[0].x[:, 0].tolist() == (T**2).tolist()
     with pytest.raises(DataError, match=r"has no column 'X\(1,:\)'"):
         Measurements.from_mat(mat({"X": X[:, :1]}), step=1, states={"q": "X(1,:)"})
+    for column in ("X(:,3)", "X(0,:)", "X(1,1)"):
+        with pytest.raises(DataError, match=r"has no column 'X.*4 x 2 numbers: X"):
+            Measurements.from_mat(mat({"X": X}), step=1, states={"q": column})
