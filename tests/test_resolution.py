@@ -8,8 +8,12 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.noise import difference_noise, initial_noise
-from phsi_opt.data.resolution import quantisation_noise, resolution
+from phsi_opt.data.noise import (
+    difference_noise,
+    initial_noise,
+    quantisation_noise,
+    resolution,
+)
 from phsi_opt.diagnosis.candidate import Grade
 from problems.tools.data_paths import folder
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.smooth_inputs import SmoothInputs
+from phsi_opt.data.trajectory import SmoothInputs
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.transcription.grid import grid_of
 from tests.pushed_mass import pushed_mass

@@ -21,7 +21,7 @@ from phsi_opt.criteria import (
     STRONG_EVIDENCE,
     SURE_DEVIATIONS,
 )
-from phsi_opt.data.resolution import unresolved_channels
+from phsi_opt.data.noise import unresolved_channels
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict, class_of
 from phsi_opt.diagnosis.ranking import ranked
 from phsi_opt.diagnosis.record import Diagnosis

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise
-from phsi_opt.data.resolution import quantisation_noise
+from phsi_opt.data.noise import initial_noise, quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import (

@@ -11,8 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise, least_noise
-from phsi_opt.data.resolution import quantisation_noise
+from phsi_opt.data.noise import initial_noise, least_noise, quantisation_noise
 from phsi_opt.errors import DataError
 from phsi_opt.statistics import normal_density, normal_tail
 from phsi_opt.transcription.grid import Grid

@@ -14,8 +14,13 @@ Nothing is solved here.
 
 import numpy as np
 
-from phsi_opt.data.noise import LEAST_NOISE_SHARE, channel_spread, difference_noise
-from phsi_opt.data.resolution import DEVIATION_PER_STEP, unresolved_channels
+from phsi_opt.data.noise import (
+    DEVIATION_PER_STEP,
+    LEAST_NOISE_SHARE,
+    channel_spread,
+    difference_noise,
+    unresolved_channels,
+)
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.optimization.bounded_step import regularized_inverse

@@ -23,8 +23,7 @@ import numpy as np
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise
-from phsi_opt.data.resolution import quantisation_noise
+from phsi_opt.data.noise import initial_noise, quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import LEAST_NOISE_BESIDE_SCATTER

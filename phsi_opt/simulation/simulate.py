@@ -22,7 +22,7 @@ import numpy as np
 from scipy.integrate import RK45, solve_ivp
 
 from phsi_opt.data.checks import LARGEST_VALUE, Hold, hold_of_each
-from phsi_opt.data.smooth_inputs import SmoothInputs
+from phsi_opt.data.trajectory import SmoothInputs
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model

@@ -30,8 +30,7 @@ from phsi_opt.study_file.sections import (
     Times,
     own_effect,
 )
-from phsi_opt.study_file.study_script import study_script
-from phsi_opt.study_file.study_text import study_text
+from phsi_opt.study_file.study_text import study_script, study_text
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole

@@ -21,7 +21,7 @@ import numpy as np
 from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.smooth_inputs import SmoothInputs
+from phsi_opt.data.trajectory import SmoothInputs
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.model import Model
 

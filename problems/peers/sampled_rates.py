@@ -12,8 +12,7 @@ import pysindy as ps
 from phsi_opt.arguments import require_choice
 from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.smooth_inputs import SmoothInputs
-from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.data.trajectory import SmoothInputs, Trajectory
 from phsi_opt.errors import DataError
 
 # The Savitzky-Golay filter of pysindy's SmoothedFiniteDifference, with pysindy's own
