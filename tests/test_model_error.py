@@ -308,14 +308,7 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
         data = simulated(seed, n=80, runs=24, size=0.0)
         estimate = estimated(data, MaximumLikelihood(huber=huber))
         assert isinstance(estimate, LikelihoodEstimate)
-        plain = estimate.plain
-        clusters = Clusters.of(
-            plain.problem,
-            plain.in_theta,
-            plain.sigma,
-            plain.within,
-            plain.score_variance,
-        )
+        clusters = estimate.plain.clusters
         agreement.append(clusters.agreement())
         scale = estimate.point.theta_scale
         std_errors = np.sqrt(np.diag(clusters.jackknife())) * scale
@@ -769,7 +762,7 @@ def test_clusters_of_borders_are_the_trajectories_beside_a_function() -> None:
         borders.append(border)
     step = Border.sum(borders).estimate
     np.testing.assert_allclose(step, least_squares(slopes, values, prior), rtol=1e-6)
-    found = Clusters.of_borders(borders, step)
+    found = Clusters.of(borders, step)
     np.testing.assert_allclose(
         found.jackknife(), expected.jackknife()[:2, :2], rtol=1e-6
     )

@@ -128,7 +128,7 @@ def problem_of(name: str) -> Linearization:
     """One interval between samples, or all the steps of the integration."""
     if name == "several runs, all steps":
         return estimate_of("several runs").linearized()
-    return plain_of(name).problem
+    return plain_of(name).search.problem
 
 
 # --- Dense algebra: shown = M (starting states, parameters) + Gaussian errors
@@ -360,11 +360,11 @@ def test_estimate_and_covariance_are_those_of_generalised_least_squares(
 def test_the_sandwich_is_that_of_dense_matrices(name: str, kind: str) -> None:
     """P Sigma P' with P the plain estimate's least squares, Sigma of all errors."""
     plain = plain_of(name)
-    problem = plain.problem
-    moving = plain.moving
+    problem = plain.search.problem
+    moving = plain.search.moving
     dense = Dense.of(problem, moving)
     d = cases(problem)[kind]
-    to_theta = dense.to_theta(Disturbances(plain.sigma), moving)
+    to_theta = dense.to_theta(plain.white, moving)
     expected = to_theta @ dense.errors(d) @ to_theta.T
     found = covariance_under(problem, plain.response, d)
     np.testing.assert_allclose(found, expected, rtol=ROUNDING)

@@ -213,13 +213,9 @@ class LikelihoodEstimate(Estimate):
     @property
     def plain(self) -> PlainEstimate:
         """The estimate as one that counts residuals as white noise."""
-        problem = self._counted.between_samples()
-        following = self.reduced.following[self.grid.sample]
-        following = following.reshape(problem.nodes.size, problem.n_theta)
         return PlainEstimate(
-            search=self.search(problem),
+            search=self.search(self._counted.between_samples()),
             covariance=regularized_inverse(self.reduced.information, self.held),
-            in_theta=problem.shown_in_states @ following + problem.shown_in_theta,
             is_shared=self.unknown.is_shared,
             within=self.share_within,
             score_variance=self.score_variance,
@@ -341,7 +337,7 @@ class DisturbedEstimate(Estimate):
         if self.unknown.is_shared:
             system = self._likelihood.at(self.disturbances)
             borders = system.borders_by_trajectory()
-            clusters = Clusters.of_borders(borders, system.border.estimate)
+            clusters = Clusters.of(borders, system.border.estimate)
             if clusters.is_enough:
                 of_clusters = clusters.spread(self.search.moving, len(self.unknown))
                 spreads[Source.TRAJECTORIES] = of_clusters

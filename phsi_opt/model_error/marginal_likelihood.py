@@ -114,6 +114,13 @@ class Border:
         gradient[:n] += np.clip(slope, -most, most)
         return replace(self, gradient=gradient)
 
+    @property
+    def prior(self) -> np.ndarray:
+        """Information by the priors of coefficients, and a ridge, (n,)."""
+        prior = np.full(len(self.gradient), RIDGE)
+        prior[self.n_theta :] = 1 / self.sizes[self.owner] ** 2
+        return prior
+
     @cached_property
     def precision(self) -> np.ndarray:
         """Information with that of the priors, (n, n).
@@ -121,9 +128,7 @@ class Border:
         Raises:
             SolveError: it is not finite.
         """
-        prior = np.full(len(self.gradient), RIDGE)
-        prior[self.n_theta :] = 1 / self.sizes[self.owner] ** 2
-        precision: np.ndarray = self.information + np.diag(prior)
+        precision: np.ndarray = self.information + np.diag(self.prior)
         if not np.all(np.isfinite(precision)):
             raise SolveError(LOST_TO_ROUNDING)
         return precision

@@ -1,21 +1,16 @@
-"""A covariance, and how well it is itself known: its degrees of freedom.
+"""Which standard errors a fit gives, and how well they are known themselves.
 
-The sizes of disturbances are estimated, and so is every variance that follows from
-them. Satterthwaite's rule gives the chi-square distribution that scatters alike
-(Biometrics Bulletin 2, 1946; for sizes found by restricted likelihood, Kenward and
-Roger, Biometrics 53, 1997)::
-
-    freedom = 2 variance^2 / Var(variance)
-
-How surely the sizes are known is told by the average information (Gilmour, Thompson and
-Cullis, Biometrics 51, 1995), which the search for them has anyway.
+- White noise: no disturbance shows in the record, and trajectories agree as far as the
+  noise lets them.
+- Trajectories: there are many of them, and their scatter gives the covariance.
+- Disturbances: they are estimated from the record, and the covariance of the estimates
+  follows from them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise
 
 import numpy as np
 
@@ -25,12 +20,23 @@ from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border
-from phsi_opt.optimization.bounded_step import RIDGE
+from phsi_opt.optimization.bounded_step import REGULAR, RIDGE
 from phsi_opt.statistics import chi_square_tail
 
 LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes
 FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
 MOST = 1e9  # degrees of freedom of a variance that is as good as known
+# Trajectories of equal weight from which their scatter gives the standard errors: with
+# ten a standard error is itself known to a quarter.
+FEWEST_TRAJECTORIES = 10.0
+
+
+class Source(StrEnum):
+    """Where standard errors come from."""
+
+    NOISE = "white noise"
+    TRAJECTORIES = "scatter between trajectories"
+    DISTURBANCES = "model error"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,56 +52,28 @@ class Spread:
     freedom: np.ndarray
 
 
-def degrees_of_freedom(
-    information: np.ndarray,
-    log_variances: Callable[[np.ndarray], np.ndarray],
-    is_free: np.ndarray,
-) -> np.ndarray:
-    """Degrees of freedom of variances that follow from estimated logarithms.
-
-    Args:
-        information: of estimated logarithms, (n_coordinates, n_coordinates).
-        log_variances: logarithms of the variances, (n,), of a vector (n_coordinates,)
-            that is zero at the estimate.
-        is_free: (n_coordinates,) whether a coordinate was estimated, and is not given
-            by a bound.
-
-    Returns:
-        (n,), from `FEWEST` to `MOST`.
-    """
-    if not is_free.any():
-        at_zero = log_variances(np.zeros(len(is_free)))
-        return np.full(len(at_zero), MOST)
-    units = LOG_STEP * np.eye(len(is_free))[is_free]
-    values, vectors = np.linalg.eigh(information[np.ix_(is_free, is_free)])
-    # A size that the record tells no better is known to a factor of four.
-    spread = 1 / np.maximum(values, 0.5)
-    covariance = (vectors * spread) @ vectors.T
-    changes = [log_variances(unit) - log_variances(-unit) for unit in units]
-    slopes = np.array(changes) / (2 * LOG_STEP)
-    variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
-    return np.maximum(2 / np.maximum(variance, 2 / MOST), FEWEST)
-
-
-# Trajectories of equal weight from which their scatter gives the standard errors: with
-# ten a standard error is itself known to a quarter.
-FEWEST_TRAJECTORIES = 10.0
+# --- Scatter between trajectories
 
 
 @dataclass(frozen=True, eq=False)
 class Clusters:
-    """What every trajectory says of the parameters, at an estimate.
+    """The likelihood of every trajectory at an estimate.
 
-    Behind the parameters may stand other unknowns that all trajectories share, such as
-    the coefficients of functions of states.
+    Where there are many trajectories, each of them an experiment of its own, their
+    scores show how much the estimates scatter, whatever the errors within a trajectory
+    are. The covariance is that of the jackknife that leaves out one trajectory at a
+    time (CR3 of Bell and McCaffrey, Survey Methodology 28, 2002); trajectories with
+    more information than others count as fewer (Carter, Schnepel and Steigerwald,
+    Review of Economics and Statistics 99, 2017).
 
     Attributes:
-        scores: (n_trajectories, n) slopes of the log likelihood.
+        scores: (n_trajectories, n) slopes of the log likelihood in the parameters, and
+            in the coefficients of functions of states.
         information: (n_trajectories, n, n).
         prior: (n, n) information that is not the trajectories'.
         n_theta: number of parameters, the first of the n unknowns.
-        score_variance: of scores over the information, where noise is all there is; one
-            unless residuals were cut.
+        score_variance: of scores over the information, where noise is the only
+            disturbance; one unless residuals were cut.
     """
 
     scores: np.ndarray
@@ -105,54 +83,14 @@ class Clusters:
     score_variance: float = 1.0
 
     @classmethod
-    def of(
-        cls,
-        problem: Linearization,
-        in_theta: np.ndarray,
-        sigma: np.ndarray,
-        within: float = 1.0,
-        score_variance: float = 1.0,
-    ) -> "Clusters":
-        """Of a plain likelihood.
-
-        Args:
-            problem: the linearised record.
-            in_theta: (n_values, n_theta) slope of what is shown in the scaled
-                parameters when the states follow them.
-            sigma: (n_trajectories, n_states) noise of the plain likelihood.
-            within: share of the residuals that are not cut: the others do not move an
-                estimate.
-            score_variance: of scores over that information.
-        """
-        weight = 1 / problem.of_values(sigma)
-        slopes = in_theta * weight[:, None]
-        residual = problem.residual * weight
-        run = problem.grid.trajectory[problem.node]
-        n_theta = in_theta.shape[1]
-        scores = np.zeros((problem.n_trajectories, n_theta))
-        information = np.zeros((problem.n_trajectories, n_theta, n_theta))
-        # Values stand trajectory after trajectory.
-        limits = np.searchsorted(run, np.arange(problem.n_trajectories + 1))
-        for number, (begin, end) in enumerate(pairwise(limits.tolist())):
-            of_run = slopes[begin:end]
-            scores[number] = of_run.T @ residual[begin:end]
-            information[number] = within * (of_run.T @ of_run)
-        prior = RIDGE * np.eye(n_theta)
-        return cls(scores, information, prior, n_theta, score_variance)
-
-    @classmethod
-    def of_borders(cls, borders: Sequence[Border], step: np.ndarray) -> "Clusters":
-        """Of a likelihood with disturbances.
-
-        Args:
-            borders: of every trajectory.
-            step: (n_border,) to the optimum of all trajectories together.
-        """
-        scores = [border.gradient - border.information @ step for border in borders]
-        information = [border.information for border in borders]
-        first = borders[0]
-        prior = first.precision - first.information
-        return cls(np.array(scores), np.array(information), prior, first.n_theta)
+    def of(cls, borders: Sequence[Border], step: np.ndarray) -> "Clusters":
+        """Of the borders of all trajectories, after a step (n_border,)."""
+        return cls(
+            scores=np.array([one.gradient - one.information @ step for one in borders]),
+            information=np.array([one.information for one in borders]),
+            prior=np.diag(borders[0].prior),
+            n_theta=borders[0].n_theta,
+        )
 
     @property
     def n_clusters(self) -> int:
@@ -187,24 +125,20 @@ class Clusters:
 
             n / (1 + variance of a trajectory's share / squared mean share)
 
-        0 for a parameter of which no trajectory tells anything.
+        0 for a parameter without information.
         """
         bread = np.linalg.pinv(self._everything)[: self.n_theta]
         shares = np.einsum("jp,gpq,jq->gj", bread, self.information, bread)
         squared_mean = np.mean(shares, axis=0) ** 2
-        nothing_told = np.full_like(squared_mean, np.inf)
-        spread = np.divide(
-            np.var(shares, axis=0),
-            squared_mean,
-            out=nothing_told,
-            where=squared_mean > 0,
-        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            spread = np.var(shares, axis=0) / squared_mean
+        spread = np.where(squared_mean > 0, spread, np.inf)
         numbers: np.ndarray = self.n_clusters / (1 + spread)
         return numbers
 
     @property
     def is_enough(self) -> bool:
-        """Whether their scatter says how uncertain the parameters are."""
+        """Whether their scatter shows how uncertain the parameters are."""
         if self.n_clusters < FEWEST_TRAJECTORIES or not self.n_theta:
             return False
         return bool(self.effective_numbers().min() >= FEWEST_TRAJECTORIES)
@@ -239,23 +173,16 @@ class Clusters:
         return chi_square_tail(statistic, freedom) if freedom > 0 else 1.0
 
 
-class Source(StrEnum):
-    """Where standard errors come from."""
-
-    NOISE = "white noise"
-    TRAJECTORIES = "scatter between trajectories"
-    DISTURBANCES = "model error"
+# --- Of a plain estimate
 
 
 @dataclass(frozen=True, eq=False)
 class PlainEstimate:
-    """An estimate that counts residuals as white noise, ready to be judged.
+    """An estimate that counts residuals as white noise.
 
     Attributes:
-        search: for what acts beside the model, on its linearised likelihood.
+        search: for disturbances, on its linearised likelihood.
         covariance: (n_theta, n_theta) of the scaled parameters, from noise alone.
-        in_theta: (n_values, n_theta) slope of what is shown in the scaled parameters
-            when the states follow them.
         is_shared: whether all trajectories share all parameters.
         within: share of the residuals that are not cut by Huber's loss.
         score_variance: variance of the scores over the information that the residuals
@@ -264,10 +191,14 @@ class PlainEstimate:
 
     search: DisturbanceSearch
     covariance: np.ndarray
-    in_theta: np.ndarray
     is_shared: bool
     within: float = 1.0
     score_variance: float = 1.0
+
+    @property
+    def white(self) -> Disturbances:
+        """Noise of the plain likelihood."""
+        return Disturbances(self.search.plain)
 
     @property
     def response(self) -> np.ndarray:
@@ -276,23 +207,25 @@ class PlainEstimate:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        white = Disturbances(self.sigma)
-        return self.search.likelihood(white).at(white).response / self.within
+        return self.search.likelihood(self.white).at(self.white).response / self.within
 
     @property
-    def problem(self) -> Linearization:
-        """The likelihood, linearised."""
-        return self.search.problem
+    def clusters(self) -> Clusters:
+        """The trajectories.
 
-    @property
-    def moving(self) -> np.ndarray:
-        """Places of the parameters that are free to move, (n_moving,)."""
-        return self.search.moving
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """Noise of the plain likelihood, (n_trajectories, n_states)."""
-        return self.search.plain
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        system = self.search.likelihood(self.white).at(self.white, REGULAR)
+        borders = system.borders_by_trajectory()
+        found = Clusters.of(borders, np.zeros(len(self.search.moving)))
+        return Clusters(
+            scores=found.scores,
+            information=self.within * found.information,
+            prior=found.prior,
+            n_theta=found.n_theta,
+            score_variance=self.score_variance,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,8 +235,8 @@ class StandardErrors:
     Attributes:
         source: of those that are given.
         spreads: all that were worked out, by source.
-        disturbances: what was found beside the model.
-        log_evidence: of the model beside it; NaN where numbers do not hold it.
+        disturbances: that were found.
+        log_evidence: of the model with them; NaN where numbers do not hold it.
     """
 
     source: Source
@@ -317,51 +250,41 @@ class StandardErrors:
         return self.spreads[self.source]
 
 
-def noise_freedom(problem: Linearization) -> np.ndarray:
+def standard_errors(plain: PlainEstimate) -> StandardErrors:
+    """The standard errors of a plain estimate."""
+    search = plain.search
+    spreads = {Source.NOISE: Spread(plain.covariance, _noise_freedom(search.problem))}
+    found = plain.white
+    source = Source.NOISE
+    log_evidence = np.nan
+    # Beyond what numbers hold are slopes of 1e300, noise of 1e-14.
+    beyond_numbers = (SolveError, np.linalg.LinAlgError)
+    with suppress(*beyond_numbers):
+        if search.is_promising:
+            best = search.found()
+            if best.coordinates is not None:
+                spread = under_disturbances(search, plain.response, best)
+                spreads[Source.DISTURBANCES] = spread
+                found = best.disturbances
+                source = Source.DISTURBANCES
+    with suppress(*beyond_numbers):
+        if plain.is_shared and (clusters := plain.clusters).is_enough:
+            n_theta = len(plain.covariance)
+            spreads[Source.TRAJECTORIES] = clusters.spread(search.moving, n_theta)
+            if source == Source.DISTURBANCES or clusters.agreement() < CHANCE_LEVEL:
+                source = Source.TRAJECTORIES
+    with suppress(*beyond_numbers):
+        log_evidence = search.likelihood(found).at(found).log_model_evidence
+    return StandardErrors(source, spreads, found, log_evidence)
+
+
+def _noise_freedom(problem: Linearization) -> np.ndarray:
     """Degrees of freedom where noise is the only disturbance, (n_theta,)."""
     n_theta = problem.n_theta
     return np.full(n_theta, max(float(problem.n_values - n_theta), 1.0))
 
 
-def standard_errors(plain: PlainEstimate) -> StandardErrors:
-    """The standard errors of a plain estimate."""
-    of_noise = Spread(plain.covariance, noise_freedom(plain.problem))
-    spreads = {Source.NOISE: of_noise}
-    found = Disturbances(plain.sigma)
-    # Beyond what numbers hold are slopes of 1e300, noise of 1e-14.
-    with suppress(SolveError, np.linalg.LinAlgError):
-        if plain.search.is_promising:
-            best = plain.search.found()
-            if best.coordinates is not None:
-                spread = under_disturbances(plain.search, plain.response, best)
-                spreads[Source.DISTURBANCES] = spread
-                found = best.disturbances
-    clusters = _clusters(plain)
-    if clusters is not None:
-        of_clusters = clusters.spread(plain.moving, len(plain.covariance))
-        spreads[Source.TRAJECTORIES] = of_clusters
-    differ = clusters is not None and clusters.agreement() < CHANCE_LEVEL
-    is_disturbed = Source.DISTURBANCES in spreads
-    source = Source.NOISE
-    if clusters is not None and (differ or is_disturbed):
-        source = Source.TRAJECTORIES
-    elif is_disturbed:
-        source = Source.DISTURBANCES
-    log_evidence = np.nan
-    with suppress(SolveError, np.linalg.LinAlgError):
-        log_evidence = plain.search.likelihood(found).at(found).log_model_evidence
-    return StandardErrors(source, spreads, found, log_evidence)
-
-
-def _clusters(plain: PlainEstimate) -> Clusters | None:
-    """The trajectories, where they are enough and share the parameters."""
-    if not plain.is_shared:
-        return None
-    in_theta = plain.in_theta[:, plain.moving]
-    clusters = Clusters.of(
-        plain.problem, in_theta, plain.sigma, plain.within, plain.score_variance
-    )
-    return clusters if clusters.is_enough else None
+# --- Under disturbances
 
 
 def under_disturbances(
@@ -371,27 +294,25 @@ def under_disturbances(
 
     Args:
         search: by which they were found.
-        response: of the estimate.
+        response: of the estimate, as `OptimalitySystem.response`.
         best: what was found.
     """
     problem = search.problem
     coordinates = best.coordinates
-    freedom = noise_freedom(problem)
+    freedom = _noise_freedom(problem)
+    covariance = covariance_under(problem, response, best.disturbances)
     if coordinates is None or best.information is None:
-        covariance = covariance_under(problem, response, best.disturbances)
         return Spread(covariance, freedom)
 
-    def covariance_at(vector: np.ndarray) -> np.ndarray:
-        return covariance_under(problem, response, coordinates.at(vector))
-
     def log_variances(vector: np.ndarray) -> np.ndarray:
-        variances = np.diag(covariance_at(vector))[search.moving]
+        there = covariance_under(problem, response, coordinates.at(vector))
+        variances = np.diag(there)[search.moving]
         return np.log(np.maximum(variances, np.finfo(float).tiny))
 
     is_free = coordinates.is_free(LOG_STEP)
     found = degrees_of_freedom(best.information, log_variances, is_free)
     freedom[search.moving] = np.minimum(found, freedom[search.moving])
-    return Spread(covariance_at(np.zeros(len(is_free))), freedom)
+    return Spread(covariance, freedom)
 
 
 def covariance_under(
@@ -402,13 +323,13 @@ def covariance_under(
     Estimates that count every residual as independent noise are still good ones when it
     is not; their covariance is another one. To first order an estimate moves with every
     error in what was shown and with every force in the dynamics; the covariance of
-    these, under the disturbances that the record itself tells, gives that of the
+    these, under the disturbances that are estimated from the record, gives that of the
     estimate (White, Econometrica 50, 1982, with the covariance of the scores from a
     model of them).
 
     Args:
         problem: the linearised record.
-        response: of the estimate to errors.
+        response: of the estimate, as `OptimalitySystem.response`.
         disturbances: with their sizes.
     """
     of_noise = response[:, : problem.n_values] * problem.of_values(disturbances.sigma)
@@ -425,3 +346,41 @@ def covariance_under(
         answer = function.size * (values.T @ weights)
         covariance = covariance + answer.T @ answer
     return covariance
+
+
+def degrees_of_freedom(
+    information: np.ndarray,
+    log_variances: Callable[[np.ndarray], np.ndarray],
+    is_free: np.ndarray,
+) -> np.ndarray:
+    """Degrees of freedom of variances that follow from estimated sizes and times.
+
+    Those of the chi-square distribution that scatters alike (Satterthwaite, Biometrics
+    Bulletin 2, 1946; for sizes found by restricted likelihood, Kenward and Roger,
+    Biometrics 53, 1997)::
+
+        freedom = 2 variance^2 / Var(variance)
+
+    Args:
+        information: average information of the estimated logarithms, (n_coordinates,
+            n_coordinates).
+        log_variances: logarithms of the variances, (n,), of a vector (n_coordinates,)
+            that is zero at the estimate.
+        is_free: (n_coordinates,) whether a coordinate was estimated, and is not given
+            by a bound.
+
+    Returns:
+        (n,), from `FEWEST` to `MOST`.
+    """
+    if not is_free.any():
+        at_zero = log_variances(np.zeros(len(is_free)))
+        return np.full(len(at_zero), MOST)
+    units = LOG_STEP * np.eye(len(is_free))[is_free]
+    values, vectors = np.linalg.eigh(information[np.ix_(is_free, is_free)])
+    # A size with less information is known to a factor of four.
+    spread = 1 / np.maximum(values, 0.5)
+    covariance = (vectors * spread) @ vectors.T
+    changes = [log_variances(unit) - log_variances(-unit) for unit in units]
+    slopes = np.array(changes) / (2 * LOG_STEP)
+    variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
+    return np.maximum(2 / np.maximum(variance, 2 / MOST), FEWEST)
