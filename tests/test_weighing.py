@@ -126,7 +126,8 @@ def test_parameters_are_where_the_evidence_is_largest_and_not_beside_it() -> Non
     fit = ph.identify(oscillator(1.0), data)
     record = EvidenceRecord.of(ph.compare(fit, data).record, None)
     base = record.base
-    problem = record.weighing.problem(base.start)
+    assert base.processes is not None
+    problem = record.weighing.problem(base)
     problem = problem.tilted(problem.optimum(problem.values.point.scaled, 0))
     for place, spread in enumerate(np.sqrt(np.diag(base.covariance))):
         for sign in (-1.0, 1.0):

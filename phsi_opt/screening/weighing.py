@@ -37,11 +37,12 @@ from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
     Border,
     MarginalLikelihood,
+    OptimalitySystem,
     solve_border,
 )
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import AlignedData, Grid
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -64,57 +65,7 @@ OBEYED = 1e-3
 SHORT = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Weighed:
-    """A model beside the forces that it leaves open, where both are most likely.
-
-    Attributes:
-        model: with its values; a mean where trajectories have their own.
-        log_likelihood: of all measurements, states and forces integrated out.
-        log_evidence: the same with the priors.
-        log_training: of those that the fit was made from, alone.
-        names: of the parameters, (n_theta,).
-        at_bounds: names of those that ended at a bound.
-        theta: (n_theta,); ``covariance``: of them, forces of these sizes acting.
-        states: (n_nodes, n_states).
-        processes: values of each force, then of each sensor's errors.
-        disturbances: noise, forces and errors of sensors, with their sizes.
-        force_shares: root mean square of each force over that of the rates in its
-            equation, by the number of the equation.
-    """
-
-    model: Model
-    log_likelihood: float
-    log_evidence: float
-    log_training: float
-    names: tuple[str, ...]
-    at_bounds: tuple[str, ...]
-    theta: np.ndarray
-    covariance: np.ndarray = field(repr=False)
-    states: np.ndarray = field(repr=False)
-    processes: tuple[np.ndarray, ...] = field(repr=False)
-    disturbances: Disturbances = field(repr=False)
-    force_shares: Mapping[int, float]
-
-    @property
-    def log_held_out(self) -> float:
-        """Log predictive density of the measurements held out, after the others."""
-        return self.log_evidence - self.log_training
-
-    def force_share(self, equation: int) -> float:
-        """That of the force in an equation; the largest where it has none."""
-        largest = max(self.force_shares.values(), default=0.0)
-        return self.force_shares.get(equation, largest)
-
-    @property
-    def start(self) -> "Start":
-        """Where it may be weighed again, with other sizes or something more."""
-        return Start(
-            self.model, self.theta, self.states, self.processes, self.disturbances
-        )
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
     """Where a model begins to be weighed.
 
@@ -129,25 +80,82 @@ class Start:
 
     model: Model
     theta: np.ndarray
-    states: np.ndarray
-    processes: tuple[np.ndarray, ...] | None
-    disturbances: Disturbances
+    states: np.ndarray = field(repr=False)
+    processes: tuple[np.ndarray, ...] | None = field(repr=False)
+    disturbances: Disturbances = field(repr=False)
 
-    def padded(self, n_old: int) -> "Start":
-        """With a size for the memory that a trajectory begins with."""
-        sigma = self.disturbances.sigma[:, :n_old]
-        n_more = self.states.shape[1] - n_old
-        spread = np.maximum(np.std(self.states[:, n_old:], axis=0), TINY)
-        if not n_more:
-            return self
-        of_memory = np.tile(spread, (len(sigma), 1))
-        sizes = replace(self.disturbances, sigma=np.hstack([sigma, of_memory]))
-        return replace(self, disturbances=sizes)
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Weighed(Start):
+    """A model and the forces that it leaves open, where both are most likely.
+
+    Attributes:
+        model: with its values; a mean where trajectories have their own.
+        log_likelihood: of all measurements, states and forces integrated out.
+        log_evidence: the same with the priors.
+        log_training: of those that the fit was made from, alone.
+        names: of the parameters, (n_theta,).
+        at_bounds: names of those that ended at a bound.
+        covariance: of theta, (n_theta, n_theta), forces of these sizes acting.
+        force_shares: root mean square of each force over that of the rates in its
+            equation, by the number of the equation.
+    """
+
+    log_likelihood: float
+    log_evidence: float
+    log_training: float
+    names: tuple[str, ...]
+    at_bounds: tuple[str, ...]
+    covariance: np.ndarray = field(repr=False)
+    force_shares: Mapping[int, float]
+
+    @property
+    def log_held_out(self) -> float:
+        """Log predictive density of the measurements held out, after the others."""
+        return self.log_evidence - self.log_training
+
+    def force_share(self, equation: int) -> float:
+        """That of the force in an equation; the largest where it has none."""
+        largest = max(self.force_shares.values(), default=0.0)
+        return self.force_shares.get(equation, largest)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Where steps ended, the record linearised there.
+
+    Attributes:
+        joint: parameters, states and forces.
+        system: of the record linearised there, parameters at their bounds held.
+    """
+
+    joint: JointEstimate
+    system: OptimalitySystem
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log likelihood, states and forces integrated out."""
+        problem, border = self.system.problem, self.system.border
+        n_free = problem.n_values - problem.n_trajectories * problem.n_states
+        found = _log_likelihood(border, np.zeros(border.n_theta))
+        return found - n_free * np.log(2 * np.pi) / 2
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether states obey the model, and the steps came to rest."""
+        is_short = self.joint.has_converged or self.joint.length < SHORT
+        return is_short and self.joint.violation < OBEYED
+
+    def is_better_than(self, other: "_Found") -> bool:
+        """Whether it is valid where the other is not, or as valid and likelier."""
+        if self.is_valid != other.is_valid:
+            return self.is_valid
+        return self.evidence > other.evidence
 
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """How models are weighed beside one record.
+    """How models are weighed by one record.
 
     Attributes:
         aligned: the measurements, those of the fit first.
@@ -172,6 +180,14 @@ class Weighing:
         """Names of the trajectories."""
         return tuple(run.name for run in self.aligned.data.trajectories)
 
+    def stacked(self, model: Model, parameters: np.ndarray) -> np.ndarray:
+        """Parameters (n_free, n_trajectories) as the unknowns of the record."""
+        unknown = Theta.of(model, self.runs)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = parameters
+        return theta
+
+    @np.errstate(all="ignore")
     def weighed(self, start: Start, worth: float = -np.inf) -> Weighed:
         """Steps with given sizes and better sizes by turns, until both stay.
 
@@ -183,11 +199,6 @@ class Weighing:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
-        with np.errstate(all="ignore"):
-            return self._weighed_quietly(start, worth)
-
-    def _weighed_quietly(self, start: Start, worth: float) -> Weighed:
-        start = start.padded(self.n_states)
         problem = self.problem(start)
         z = problem.values.point.scaled
         processes = None
@@ -204,7 +215,7 @@ class Weighing:
             z, processes = joint.point.z, joint.point.processes
             likelihood = joint.likelihood.with_moving(_within_bounds(own, z))
             # Of the sizes that led there: others have their optimum elsewhere.
-            found = _Found(joint, likelihood, own.disturbances)
+            found = _Found(joint, likelihood.at(own.disturbances))
             sizes, promise = problem.disturbances, 0.0
             if found.is_valid:
                 sizes, promise = self._better_sizes(likelihood, sizes)
@@ -239,26 +250,26 @@ class Weighing:
         is_held = (start.theta <= unknown.lower) | (start.theta >= unknown.upper)
         held = {model.free[owner] for owner in unknown.owner[is_held]}
         point = point_at(model, grid, unknown, start.theta, start.states, held)
-        grid = self._with_memory_at_rest(grid, start.states)
-        values = LikelihoodValues(model, grid, SCHEME, point, unknown)
-        every = np.arange(len(unknown))
-        return JointProblem(Linearizer(values), start.disturbances, every)
-
-    def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
-        """The memory of an effect is known to begin near rest, as if measured."""
+        sizes = start.disturbances
         n_old = self.n_states
-        if grid.y.shape[1] == n_old:
-            return grid
-        y = grid.y.copy()
-        y[grid.first, n_old:] = states[grid.first, n_old:]
-        return replace(grid, y=y)
+        if model.n_states > n_old:
+            # The memory of an effect begins near rest, as if that were measured.
+            memory = start.states[:, n_old:]
+            y = grid.y.copy()
+            y[grid.first, n_old:] = memory[grid.first]
+            grid = replace(grid, y=y)
+            spread = np.maximum(np.std(memory, axis=0), TINY)
+            of_memory = np.tile(spread, (len(sizes.sigma), 1))
+            sigma = np.hstack([sizes.sigma[:, :n_old], of_memory])
+            sizes = replace(sizes, sigma=sigma)
+        values = LikelihoodValues(model, grid, SCHEME, point, unknown)
+        return JointProblem(Linearizer(values), sizes, np.arange(len(unknown)))
 
     def _better_sizes(
         self, likelihood: MarginalLikelihood, sizes: Disturbances
     ) -> tuple[Disturbances, float]:
         """Sizes of the largest evidence on the linearised record, and its gain."""
-        problem = likelihood.problem
-        rates = self.rates
+        problem, rates = likelihood.problem, self.rates
         n_more = problem.n_states - len(self.least_noise)
         coordinates = Coordinates(
             origin=sizes,
@@ -277,102 +288,59 @@ class Weighing:
             forces.append(replace(force, size=size))
         return replace(sizes, forces=tuple(forces)), found.gain
 
-    def _result(self, problem: JointProblem, found: "_Found") -> Weighed:
-        point = problem.values.point
-        unknown = problem.values.unknown
+    def _result(self, problem: JointProblem, found: _Found) -> Weighed:
+        point, unknown = problem.values.point, problem.values.unknown
         values = point.unscaled(found.joint.point.z)
-        theta = values["theta"]
-        states = values["x"].reshape(point.x.shape)
-        model = problem.values.model
-        means = unknown.means(theta).tolist()
-        price = self._price(states)
-        likelihood, sizes = found.likelihood, found.sizes
-        system = likelihood.at(sizes)
-        borders = system.borders_by_trajectory()
-        fitted = Border.sum(borders[: self.n_fitted])
-        n_fitted_values = self._n_values(self.n_fitted)
-        share = n_fitted_values / self._n_values(len(borders))
+        theta, states = values["theta"], values["x"].reshape(point.x.shape)
+        system = found.system
+        likelihood = system.likelihood
+        grid = self.aligned.grid
+        n_values = int(grid.measured.sum())
+        n_training = int(grid.measured[grid.trajectory < self.n_fitted].sum())
+        # Of starting states, flat over the range of their motion.
+        spread = np.std(states[:, : self.n_states], axis=0) + TINY
+        price = len(self.runs) * float(np.sum(np.log(spread)))
         k = len(theta)
-        # Where steps ended short of the optimum of all, that is no gain of a part.
-        whole = Border.sum(borders)
-        n = whole.n_theta
-        missed = solve_border(whole.information[:n, :n] + np.eye(n), whole.gradient[:n])
-        pull = fitted.gradient[:n] - fitted.information[:n, :n] @ missed
-        training = _log_likelihood(fitted, pull)
-        training -= k * np.log(n_fitted_values) / 2 + price * share
-        evidence = found.evidence
-        evidence -= k * np.log(self._n_values(len(borders))) / 2 + price
+        evidence = found.evidence - k * np.log(n_values) / 2 - price
+        training = evidence
+        borders = system.borders_by_trajectory()
+        if len(borders) > self.n_fitted:
+            fitted, whole = Border.sum(borders[: self.n_fitted]), Border.sum(borders)
+            # Where steps ended short of the optimum of all, that is no gain of a part.
+            n = whole.n_theta
+            precision = whole.information[:n, :n] + np.eye(n)
+            missed = solve_border(precision, whole.gradient[:n])
+            pull = fitted.gradient[:n] - fitted.information[:n, :n] @ missed
+            training = _log_likelihood(fitted, pull)
+            training -= k * np.log(n_training) / 2 + price * n_training / n_values
         covariance = np.full((k, k), np.nan)
-        scale = point.theta_scale[likelihood.moving]
-        within = system.covariance * np.outer(scale, scale)
-        covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
+        moving = likelihood.moving
+        scale = point.theta_scale[moving]
+        covariance[np.ix_(moving, moving)] = system.covariance * np.outer(scale, scale)
         ends = np.cumsum([len(site.t) for site in likelihood.sites], dtype=int)
-        processes = np.split(found.joint.point.processes, ends)[:-1]
+        processes = tuple(np.split(found.joint.point.processes, ends)[:-1])
         rates = likelihood.problem.grid.rates(states)
         shares = {}
-        for force, acting in zip(sizes.forces, processes, strict=False):
+        for force, acting in zip(system.disturbances.forces, processes, strict=False):
             typical = np.sqrt(np.mean(rates[:, force.place] ** 2)) + TINY
             shares[force.place] = float(np.sqrt(np.mean(acting**2)) / typical)
+        is_met = (theta <= unknown.lower) | (theta >= unknown.upper)
+        model = problem.values.model
+        means = zip(model.free, unknown.means(theta).tolist(), strict=True)
         return Weighed(
-            model=model.with_values(dict(zip(model.free, means, strict=True))),
+            model=model.with_values(dict(means)),
+            theta=theta,
+            states=states,
+            processes=processes,
+            disturbances=system.disturbances,
             log_likelihood=found.evidence,
             log_evidence=float(evidence),
-            log_training=float(training) if len(borders) > self.n_fitted else evidence,
+            log_training=float(training),
             names=unknown.names,
-            at_bounds=_names_at_bounds(unknown, theta),
-            theta=theta,
+            at_bounds=tuple(np.array(unknown.names)[is_met].tolist()),
             covariance=covariance,
-            states=states,
-            processes=tuple(processes),
-            disturbances=sizes,
             force_shares=shares,
         )
-
-    def _price(self, states: np.ndarray) -> float:
-        """Of starting states, flat over the range of their motion."""
-        n_own = self.n_states
-        spread = np.std(states[:, :n_own], axis=0) + TINY
-        return len(self.runs) * float(np.sum(np.log(spread)))
-
-    def _n_values(self, n_runs: int) -> int:
-        grid = self.aligned.grid
-        return int(grid.measured[grid.trajectory < n_runs].sum())
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Where steps ended, the record linearised there, and the sizes that it asks for.
-
-    Attributes:
-        joint: parameters, states and forces.
-        likelihood: of the record linearised there.
-        sizes: with which they were taken.
-    """
-
-    joint: JointEstimate
-    likelihood: MarginalLikelihood
-    sizes: Disturbances
-
-    @cached_property
-    def evidence(self) -> float:
-        """Log likelihood, states and forces integrated out."""
-        problem = self.likelihood.problem
-        n_free = problem.n_values - problem.n_trajectories * problem.n_states
-        border = self.likelihood.at(self.sizes).border
-        found = _log_likelihood(border, np.zeros(border.n_theta))
-        return found - n_free * np.log(2 * np.pi) / 2
-
-    @property
-    def is_valid(self) -> bool:
-        """Whether states obey the model, and the steps came to rest."""
-        is_short = self.joint.has_converged or self.joint.length < SHORT
-        return is_short and self.joint.violation < OBEYED
-
-    def is_better_than(self, other: "_Found") -> bool:
-        """Whether it is valid where the other is not, or as valid and likelier."""
-        if self.is_valid != other.is_valid:
-            return self.is_valid
-        return self.evidence > other.evidence
 
 
 def _within_bounds(problem: JointProblem, z: np.ndarray) -> np.ndarray:
@@ -383,16 +351,11 @@ def _within_bounds(problem: JointProblem, z: np.ndarray) -> np.ndarray:
     return problem.moving[~is_met[problem.moving]]
 
 
-def _names_at_bounds(unknown: Theta, theta: np.ndarray) -> tuple[str, ...]:
-    is_met = (theta <= unknown.lower) | (theta >= unknown.upper)
-    return tuple(np.array(unknown.names)[is_met].tolist())
-
-
 def _log_likelihood(border: Border, pull: np.ndarray) -> float:
     """Log likelihood of a record, or a part of it, at its own best parameters.
 
     Args:
-        border: what the record says of parameters and coefficients.
+        border: of the record, in parameters and coefficients.
         pull: (n_theta,) slope in the parameters; zero: they stay.
     """
     n = border.n_theta
@@ -404,8 +367,7 @@ def _log_likelihood(border: Border, pull: np.ndarray) -> float:
     precision[n:, :n] = 0.0
     precision[:n, :n] += np.eye(n)
     gradient = np.concatenate([pull, border.gradient[n:]])
-    gain = gradient @ solve_border(precision, gradient)
-    misfit = border.constant - gain
+    misfit = border.constant - gradient @ solve_border(precision, gradient)
     return float(border.log_constant - (misfit + log_det) / 2 + border.log_prior)
 
 
@@ -425,7 +387,7 @@ def _beside(
 
 @dataclass(frozen=True, eq=False)
 class EvidenceRecord:
-    """Measurements beside which models are weighed: those of the fit, and held out.
+    """Measurements by which models are weighed: those of the fit, and held out.
 
     Attributes:
         weighing: how.
@@ -459,8 +421,13 @@ class EvidenceRecord:
             quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
         )
         aligned = AlignedData.of(trained.model, data)
-        measured = aligned.grid.measured.any(axis=0)
-        states = np.concatenate([_states_of(record) for record in records])
+        measured = aligned.grid.measured_states
+        # Of the missing force, with the memory of the model.
+        runs = []
+        for one in records:
+            found = one.estimate
+            runs.append(with_memory(one.model, found.grid, found.x, one.theta))
+        states = np.concatenate(runs)
         disturbances = replace(estimate.disturbances, sigma=sigma)
         times = [force.time for force in disturbances.processes]
         rates = aligned.grid.rates(states)
@@ -474,12 +441,14 @@ class EvidenceRecord:
             rates=np.sqrt(np.mean(rates**2, axis=0)) + TINY,
         )
         model = trained.model.with_values(estimate.rounded)
-        unknown = Theta.of(model, weighing.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = _at_their_bounds(
-            trained.fit, np.hstack([record.theta for record in records])
+        parameters = np.hstack([record.theta for record in records])
+        start = Start(
+            model=model,
+            theta=weighing.stacked(model, _at_their_bounds(trained.fit, parameters)),
+            states=states,
+            processes=None,
+            disturbances=disturbances,
         )
-        start = Start(model, theta, states, None, disturbances)
         return cls(weighing, weighing.weighed(start))
 
     @property
@@ -494,22 +463,23 @@ class EvidenceRecord:
         A model has the evidence of the best point that it can have, and a larger one
         that has gained by more than its own size has found a better one.
         """
-        own = [larger.names.index(name) for name in self.base.names]
+        base = self.base
+        own = [larger.names.index(name) for name in base.names]
         n_states = self.weighing.n_states
         sigma = larger.disturbances.sigma[:, :n_states]
         start = Start(
-            self.base.model,
-            larger.theta[own],
-            larger.states[:, :n_states],
-            larger.processes,
-            replace(larger.disturbances, sigma=sigma),
+            model=base.model,
+            theta=larger.theta[own],
+            states=larger.states[:, :n_states],
+            processes=larger.processes,
+            disturbances=replace(larger.disturbances, sigma=sigma),
         )
-        worth = self.base.log_likelihood + STRONG_EVIDENCE
         try:
+            worth = base.log_likelihood + STRONG_EVIDENCE
             found = self.weighing.weighed(start, worth)
         except SolveError:
             return None
-        if found.log_evidence < self.base.log_evidence + STRONG_EVIDENCE:
+        if found.log_evidence < base.log_evidence + STRONG_EVIDENCE:
             return None
         return replace(self, base=found)
 
@@ -525,15 +495,19 @@ class EvidenceRecord:
         """
         base = self.base
         unknown = Theta.of(model, self.weighing.runs)
-        known = dict(zip(base.names, base.theta.tolist(), strict=True))
-        for name, value in values.items():
-            known.setdefault(name, value)
+        known = dict(values) | dict(zip(base.names, base.theta.tolist(), strict=True))
         default = unknown.spread(np.array([model.values[n] for n in model.free]))
         theta = unknown.from_values(known, default)
         theta = np.clip(theta, unknown.lower, unknown.upper)
         grid = self.weighing.aligned.for_model(model).grid
         states = with_memory(model, grid, base.states, theta[unknown.table])
-        start = Start(model, theta, states, base.processes, base.disturbances)
+        start = Start(
+            model=model,
+            theta=theta,
+            states=states,
+            processes=base.processes,
+            disturbances=base.disturbances,
+        )
         return self.weighing.weighed(start, base.log_likelihood)
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
@@ -546,15 +520,15 @@ class EvidenceRecord:
             SolveError: no such states were found.
         """
         model = comparisons[0].model
-        unknown = Theta.of(model, self.weighing.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = np.hstack([one.record.theta for one in comparisons])
-        runs: list[np.ndarray] = []
-        for one in comparisons:
-            runs += one.simulated
-        states = np.concatenate(runs)
-        noise = replace(self.base.disturbances, forces=())
-        return self.weighing.weighed(Start(model, theta, states, None, noise))
+        parameters = np.hstack([one.record.theta for one in comparisons])
+        start = Start(
+            model=model,
+            theta=self.weighing.stacked(model, parameters),
+            states=np.concatenate([x for one in comparisons for x in one.simulated]),
+            processes=None,
+            disturbances=replace(self.base.disturbances, forces=()),
+        )
+        return self.weighing.weighed(start)
 
     def with_functions(self, equation: int) -> Weighed | None:
         """The base with an unknown smooth function of one state in an equation.
@@ -565,15 +539,13 @@ class EvidenceRecord:
         best = None
         rates = self.weighing.aligned.grid.rates(base.states)
         size = float(np.sqrt(np.mean(rates[:, equation] ** 2)))
-        memory = base.model.memory
         for state, name in enumerate(base.model.states):
-            if name in memory:
+            if name in base.model.memory:
                 continue
             function = StateFunction(equation, state, size)
             sizes = replace(base.disturbances, functions=(function,))
-            start = replace(base.start, disturbances=sizes)
             try:
-                found = self.weighing.weighed(start)
+                found = self.weighing.weighed(replace(base, disturbances=sizes))
             except SolveError:
                 continue
             if best is None or found.log_evidence > best.log_evidence:
@@ -586,14 +558,8 @@ class EvidenceRecord:
         Without a tilt: what an effect does to the volume is not known before it is
         weighed, and that of the parameters alone would be no fair start.
         """
-        problem = self.weighing.problem(weighed.start)
+        problem = self.weighing.problem(weighed)
         return problem.optimum(problem.values.point.scaled, 0).likelihood
-
-
-def _states_of(record: Record) -> np.ndarray:
-    """Of a missing force, with the memory of the model, (n_nodes, n_states)."""
-    estimate = record.estimate
-    return with_memory(record.model, estimate.grid, estimate.x, record.theta)
 
 
 def _at_their_bounds(fit: Fit, parameters: np.ndarray) -> np.ndarray:
