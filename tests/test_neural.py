@@ -18,7 +18,7 @@ from phsi_opt.learning.hybrid import (
 from phsi_opt.learning.hybrid_network import NeuralForce
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS
-from problems.thesis.hinges import hinges
+from problems.thesis.methods import hinges
 
 SMALL = NeuralForce(
     ("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3

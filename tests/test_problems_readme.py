@@ -57,8 +57,7 @@ def test_the_draws_of_the_demonstration(readme: str) -> None:
 
 
 def test_the_solver_beside_gradient_descent(readme: str) -> None:
-    from problems.thesis.compare import kept_table
-    from problems.thesis.compare_page import ratios
+    from problems.thesis.compare import kept_table, ratios
 
     found = ratios(kept_table())
     n = len(found)

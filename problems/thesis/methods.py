@@ -9,12 +9,13 @@ pysindy are imported where they are used.
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 import phsi_opt as ph
-from problems.thesis.hinges import hinges
+from phsi_opt.model.terms import Dictionary, Term
 from problems.thesis.scores import phsi_loss
 from problems.thesis.systems import (
     FLOWS,
@@ -26,18 +27,16 @@ from problems.thesis.systems import (
 SIGNIFICANCE = 0.01
 LASSO_WEIGHTS = 10.0 ** np.arange(-9, 0)  # per sample
 WRONG_FREQUENCY = 1.0  # what regressions get that cannot learn one
+KNOTS = 12  # of the hinges that stand for a network
+DECIMALS = 6  # of places and widths in the texts of hinges
+DEPENDENT = 1e-10  # share of the largest singular value below which hinges are the same
 # Names of the settings of a baseline: appendix B as printed, or tuned on
 # System.data(seed=101), a draw that appears in no table.
 THESIS = "thesis"
 TUNED = "tuned"
 PHNN_SETTINGS: dict[str, dict[str, Any]] = {
-    THESIS: {
-        "learning_rate": 3e-3,
-        "epochs": 150,
-        "penalty": 0.1,
-        "weight_decay": 1e-4,
-    },
-    TUNED: {"learning_rate": 1e-3, "epochs": 150, "penalty": 0.1},
+    THESIS: {"learning_rate": 3e-3, "penalty": 0.1, "weight_decay": 1e-4},
+    TUNED: {"learning_rate": 1e-3, "penalty": 0.1},
 }
 Method = Callable[[System, ph.Measurements, str, int], Any]
 
@@ -48,9 +47,8 @@ def solver(
     """PHSI by the solver: L1, pruning by size and significance; tanks with a neural
     force of the level of tank 4.
     """
-    return by_solver(
-        system, data, ph.Pruning(system.threshold, significance=SIGNIFICANCE), seed
-    )
+    pruning = ph.Pruning(system.threshold, significance=SIGNIFICANCE)
+    return by_solver(system, data, pruning, seed)
 
 
 def solver_threshold(
@@ -74,14 +72,8 @@ def by_solver(
     from phsi_opt.learning.hybrid import hybrid
     from phsi_opt.learning.hybrid_network import NeuralForce
 
-    return hybrid(
-        system.model(),
-        data,
-        NeuralForce(("mu4",), ("mu4",)),
-        weights,
-        pruning,
-        seed=seed,
-    )
+    force = NeuralForce(("mu4",), ("mu4",))
+    return hybrid(system.model(), data, force, weights, pruning, seed=seed)
 
 
 def likelihood(system: System, data: ph.Measurements, start: Any) -> ph.Fit:
@@ -92,6 +84,38 @@ def likelihood(system: System, data: ph.Measurements, start: Any) -> ph.Fit:
     if system.name == "tanks":
         model = replace(model, F=hinges(start, data))
     return ph.identify(model, data)
+
+
+def hinges(hybrid: Any, data: ph.Measurements) -> dict[str, Dictionary]:
+    """The force of a hybrid's network of one state as smooth hinges, by equation; then
+    all is one program, which maximum likelihood can solve.
+
+    Fitted to the network where the data have been. With knots v_k at quantiles of the
+    visited values, w half their median distance, and coefficients by least squares::
+
+        F(v) = c + a v + sum_k b_k sqrt((v - v_k)^2 + w^2)
+    """
+    (name,) = hybrid.force.variables
+    x = np.concatenate([run.x for run in data.trajectories])
+    x = x[np.isfinite(x).all(axis=1)]
+    visited = x[:, hybrid.model.states.index(name)]
+    places = np.quantile(visited, np.linspace(0.0, 1.0, KNOTS + 2)[1:-1])
+    places = np.unique(np.round(places, DECIMALS))
+    width = round(float(np.median(np.diff(places))) / 2, DECIMALS)
+    bodies = ["1", name]
+    columns = [np.ones_like(visited), visited]
+    for place in places.tolist():
+        bodies.append(f"sqrt(({name} - {place!r})**2 + {width!r}**2)")
+        columns.append(np.sqrt((visited - place) ** 2 + width**2))
+    terms = np.column_stack(columns)
+    scale = np.sqrt(np.mean(terms**2, axis=0))
+    found = np.linalg.lstsq(terms / scale, hybrid.force(x), rcond=DEPENDENT)[0]
+    dictionaries = {}
+    for equation, sizes in zip(hybrid.force.equations, found.T, strict=True):
+        pairs = zip(bodies, (sizes / scale).tolist(), strict=True)
+        summands = [Term(body, ph.Parameter(size)) for body, size in pairs]
+        dictionaries[equation] = Dictionary(tuple(summands))
+    return dictionaries
 
 
 def descent(
@@ -105,29 +129,23 @@ def descent(
 ) -> Any:
     """PHSI by gradient descent: Algorithm 6 of the thesis.
 
-    Args:
-        system: what is identified.
-        data: of the system.
-        kind: "clean" or "noisy".
-        seed: of batches and random starts.
-        start: "thesis" or "normal".
-        settings: `TUNED` or `THESIS`.
-        significance: of the pruning; None: the thesis' rule, size alone.
+    ``start`` is "thesis" or "normal"; ``significance`` None prunes by size alone, which
+    is the thesis' rule.
     """
     from problems.thesis.joint_descent import joint_descent
 
     chosen, force = descent_settings(system, kind, start, settings)
-    model = (
-        mass_spring_descent_model() if system.name == "mass_spring" else system.model()
-    )
-    return joint_descent(model, data, chosen, seed, force, significance)
+    return joint_descent(descent_model(system), data, chosen, seed, force, significance)
+
+
+def descent_model(system: System) -> Any:
+    """The model that gradient descent begins with."""
+    is_spring = system.name == "mass_spring"
+    return mass_spring_descent_model() if is_spring else system.model()
 
 
 def descent_settings(
-    system: System,
-    kind: str,
-    start: str = "thesis",
-    settings: str = TUNED,
+    system: System, kind: str, start: str = "thesis", settings: str = TUNED
 ) -> tuple[Any, Any]:
     """Settings of the descent, and the force beside it."""
     chosen = system.descent if kind == "clean" else system.descent_noisy
@@ -162,27 +180,22 @@ def bsi_descent(
     return gradient_descent(system.first_order(), data, replace(chosen, l1={}), seed)
 
 
-def stlsq(
-    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+def sindy(
+    system: System, data: ph.Measurements, kind: str, seed: int, *, optimizer: str
 ) -> Any:
-    """SINDy by sequentially thresholded least squares (pysindy)."""
-    from problems.peers.sindy import sindy
+    """SINDy by pysindy: "stlsq" or "sr3"."""
+    from problems.peers.sindy import sindy as by_sindy
 
-    return sindy(
-        system.first_order(), data, "stlsq", 0.05, 1e-10, fixed=_frequencies(system)
+    large = optimizer == "sr3" and system.name in ("henon_heiles", "schrodinger")
+    threshold, ridge = 0.5 if large else 0.05, 1e-10
+    fixed = _frequencies(system)
+    return by_sindy(
+        system.first_order(), data, optimizer, threshold, ridge, fixed=fixed
     )
 
 
-def sr3(
-    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
-) -> Any:
-    """SINDy by SR3 (pysindy)."""
-    from problems.peers.sindy import sindy
-
-    threshold = {"henon_heiles": 0.5, "schrodinger": 0.5}.get(system.name, 0.05)
-    return sindy(
-        system.first_order(), data, "sr3", threshold, fixed=_frequencies(system)
-    )
+stlsq: Method = partial(sindy, optimizer="stlsq")
+sr3: Method = partial(sindy, optimizer="sr3")
 
 
 def lasso(
@@ -197,17 +210,16 @@ def lasso(
     model, fixed = system.first_order(), _frequencies(system)
     train, test = data.split(0.8)
 
-    def left_out(weight: float) -> float:
+    def fitted(weight: float, of: ph.Measurements) -> Any:
+        return by_lasso(model, of, weight * of.n_samples, fixed=fixed)
+
+    def held_out_loss(weight: float) -> float:
         try:
-            return phsi_loss(
-                by_lasso(model, train, weight * train.n_samples, fixed=fixed), test
-            )
+            return phsi_loss(fitted(weight, train), test)
         except ph.ModelError:  # the weight leaves no term
             return np.inf
 
-    found = by_lasso(
-        model, data, min(LASSO_WEIGHTS, key=left_out) * data.n_samples, fixed=fixed
-    )
+    found = fitted(min(LASSO_WEIGHTS, key=held_out_loss), data)
     return replace(found, seconds=time.perf_counter() - began)
 
 
@@ -234,31 +246,24 @@ def phnn(
 
     The thesis trains it on the mass-spring alone (appendix B.3); the others get the
     same settings. Its loss is a mean over the states, the one here a sum: penalty and
-    weight decay are multiplied by their number. ``epochs``: fewer of them, for a quick
-    run.
+    weight decay are multiplied by their number. ``epochs``: fewer, for a quick run.
     """
     from problems.peers.phnn import NetworkDescent
     from problems.peers.phnn import phnn as by_phnn
 
-    S = (
-        tank_structure()
-        if system.name == "tanks"
-        else ph.canonical(len(system.states) // 2)
-    )
-    damping = {"mass_spring": ["p"], "tanks": list(FLOWS)}.get(system.name, [])
-    force = {"mass_spring": (["p"], ["t"]), "tanks": (["mu4"], ["mu4"])}.get(
-        system.name
-    )
-    chosen = NetworkDescent(**PHNN_SETTINGS[settings])
     n_states = len(system.states)
+    is_tanks = system.name == "tanks"
+    S = tank_structure() if is_tanks else ph.canonical(n_states // 2)
+    damping = {"mass_spring": ["p"], "tanks": list(FLOWS)}.get(system.name, [])
+    forces = {"mass_spring": (["p"], ["t"]), "tanks": (["mu4"], ["mu4"])}
+    chosen = NetworkDescent(**PHNN_SETTINGS[settings])
     chosen = replace(
         chosen,
+        epochs=epochs or chosen.epochs,
         penalty=chosen.penalty * n_states,
         weight_decay=chosen.weight_decay * n_states,
     )
-    if epochs is not None:
-        chosen = replace(chosen, epochs=epochs)
-    return by_phnn(data, S, chosen, damping, force, seed)
+    return by_phnn(data, S, chosen, damping, forces.get(system.name), seed)
 
 
 def _frequencies(system: System) -> dict[str, float] | None:

@@ -13,7 +13,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +22,12 @@ import pandas as pd
 import phsi_opt as ph
 from phsi_opt.sweeps.sweep import sweep
 from problems.thesis.methods import descent, likelihood, solver, solver_threshold
-from problems.thesis.scores import coverage, distilled, free_run, score, trained
+from problems.thesis.scores import attempted, coverage, free_run, score, trained
 from problems.thesis.systems import SYSTEMS, System
-from problems.tools import markdown, provenance
+from problems.tools import provenance
 from problems.tools.command_line import chosen, flag, option
 from problems.tools.kept_tables import rewrite
+from problems.tools.pages import render
 from problems.tools.workers import workers
 
 N_DRAWS = 10
@@ -39,17 +39,6 @@ COMPARED = {
     "inside": "free run inside",
     "whole": "whole free run",
 }
-FAILED = {
-    "relative": np.inf,
-    "spurious": np.nan,
-    "missed": np.nan,
-    "inside": np.inf,
-    "whole": np.inf,
-    "covered": np.nan,
-    "seconds": np.nan,
-}
-
-Task = tuple[str, int, bool]  # system, draw, whether quick
 
 
 def draw(system: System, seed: int, n: int | None = None) -> list[dict[str, Any]]:
@@ -67,33 +56,27 @@ def draw(system: System, seed: int, n: int | None = None) -> list[dict[str, Any]
     }
     rows = []
     for name, run in methods.items():
-        key = {"draw": seed, "method": name}
-        label = f"... {system.name}, draw {seed}, {name}"
-        try:
-            row = _row(system, run(), t, tests)
-        except ph.PhsiOptError as error:
-            print(f"{label}: {error}", flush=True)
-            rows.append(key | FAILED)
-            continue
-        rows.append(key | row)
-        print(f"{label}: {row['relative']:.3g} {row['whole']:.3g}", flush=True)
+        found = _row(system, attempted(run), t, tests)
+        print(f"... {system.name}, draw {seed}, {name}: {found}", flush=True)
+        rows.append({"draw": seed, "method": name, **found})
     return rows
 
 
 def _row(
     system: System, result: Any, t: np.ndarray, tests: np.ndarray
 ) -> dict[str, Any]:
-    s = score(system, result)
+    if isinstance(result, ph.PhsiOptError):
+        return dict.fromkeys(COMPARED, np.inf)
+    found = score(system, result)
     curve = free_run(result, t, tests)
-    known = [name for name in system.truth if name in result.std_errors]
-    finite = [name for name in known if np.isfinite(result.std_errors[name])]
+    errors = result.std_errors
+    known = [name for name in system.truth if np.isfinite(errors.get(name, np.nan))]
     return {
-        "relative": s.relative,
-        "spurious": len(s.spurious) - len(distilled(s.spurious)),
-        "missed": len(s.missed),
+        "relative": found.relative,
+        **found.counts,
         "inside": curve[trained(system, t)].mean(),
         "whole": curve.mean(),
-        "covered": coverage(system, result, finite),
+        "covered": coverage(system, result, known),
         "seconds": result.seconds,
     }
 
@@ -101,10 +84,14 @@ def _row(
 def main(
     quick: bool = False, names: list[str] | None = None
 ) -> dict[str, pd.DataFrame]:
-    """A table per system."""
+    """A table per system; one draw at a time unless ``--jobs`` says otherwise."""
     tables = {}
     for name in names or SYSTEMS:
-        tables[name] = study(name, quick)
+        seeds = range(FIRST_DRAW, FIRST_DRAW + (1 if quick else N_DRAWS))
+        tasks = {f"{name}, draw {seed}": (name, seed, quick) for seed in seeds}
+        with workers(1 if quick else int(option("jobs", "1"))) as executor:
+            found = {d.key: d.result for d in sweep(_drawn, tasks, executor=executor)}
+        tables[name] = pd.DataFrame([row for key in tasks for row in found[key]])
         if not quick:
             rewrite(_path(name), tables[name], "%.6g")
     if not quick:
@@ -112,48 +99,30 @@ def main(
     return tables
 
 
-def study(name: str, quick: bool) -> pd.DataFrame:
-    """All draws of one system; one at a time unless ``--jobs`` says otherwise."""
-    tasks = {}
-    for k in range(1 if quick else N_DRAWS):
-        tasks[f"{name}, draw {FIRST_DRAW + k}"] = (name, FIRST_DRAW + k, quick)
-    found = {}
-    with workers(1 if quick else int(option("jobs", "1"))) as executor:
-        for done in sweep(_drawn, tasks, executor=executor):
-            found[done.key] = done.result
-    rows = []
-    for key in tasks:
-        rows += found[key]
-    return pd.DataFrame(rows)
-
-
-def _drawn(task: Task) -> list[dict[str, Any]]:
+def _drawn(task: tuple[str, int, bool]) -> list[dict[str, Any]]:
     name, seed, quick = task
-    system = SYSTEMS[name]
-    if not quick:
-        return draw(system, seed)
-    short = replace(system.descent_noisy, epochs=2)
-    system = replace(system, descent_noisy=short)
-    return draw(system, seed, QUICK_N.get(name, 20))
+    if quick:
+        return draw(SYSTEMS[name].shortened(2), seed, QUICK_N.get(name, 20))
+    return draw(SYSTEMS[name], seed)
 
 
 def _path(name: str) -> Path:
     return provenance.RESULTS / "thesis" / f"noise_draws_{name}.csv"
 
 
-# --- the page
-
-
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Medians over the draws per method; shares of draws with exact support."""
     exact = (table["spurious"] == 0) & (table["missed"] == 0)
     by = table.assign(exact=exact).groupby("method", sort=False)
-    medians = by[list(COMPARED)].median()
-    return medians.assign(
-        exact=by["exact"].mean(),
-        spurious=by["spurious"].mean(),
-        covered=by["covered"].mean(),
-        seconds=by["seconds"].median(),
+    return (
+        by[list(COMPARED)]
+        .median()
+        .assign(
+            exact=by["exact"].mean(),
+            spurious=by["spurious"].mean(),
+            covered=by["covered"].mean(),
+            seconds=by["seconds"].median(),
+        )
     )
 
 
@@ -165,36 +134,12 @@ def write_page() -> None:
 
 def page(tables: Mapping[str, pd.DataFrame]) -> str:
     """The page as Markdown."""
-    lines = ["# Noisy data, many draws", "", INTRODUCTION, ""]
-    for name, table in tables.items():
-        system = SYSTEMS[name]
-        found = summary(table)
-        n_draws = table["draw"].nunique()
-        lines += [f"## {system.title}: noise {system.noise:g}, {n_draws} draws", ""]
-        lines += markdown.block(found.map("{:.3g}".format).to_string())
-        lines += [_reading(found), ""]
-    return "\n".join(lines)
-
-
-INTRODUCTION = markdown.paragraph(f"""
-    Medians over the draws. relative: largest relative error of any true coefficient;
-    inside and whole: l2 of free runs within the training time and over the test time,
-    {N_TESTS} unseen starts a draw; exact: share of draws with exact support; spurious:
-    mean number of spurious terms; covered: share of the 95 % intervals of true
-    coefficients that hold the truth (selection not accounted for).
-    """)
-
-
-def _reading(found: pd.DataFrame) -> str:
-    ours = found.loc["solver"]
-    theirs = found.loc["descent"]
-    verdicts = []
-    for name, what in COMPARED.items():
-        verdict = "not worse" if ours[name] <= theirs[name] else "WORSE"
-        verdicts.append(
-            f"{what} {ours[name]:.3g} against {theirs[name]:.3g} ({verdict})"
-        )
-    return f"Solver against gradient descent: {', '.join(verdicts)}."
+    found = [
+        (SYSTEMS[name], table["draw"].nunique(), summary(table))
+        for name, table in tables.items()
+    ]
+    values = {"found": found, "compared": COMPARED, "n_tests": N_TESTS}
+    return render("thesis/pages/noise_draws.md", **values)
 
 
 if __name__ == "__main__":

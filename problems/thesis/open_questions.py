@@ -23,7 +23,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -31,8 +32,7 @@ import pandas as pd
 import phsi_opt as ph
 from phsi_opt.model.terms import Dictionary, Term
 from problems.thesis.methods import SIGNIFICANCE
-from problems.thesis.open_questions_page import page
-from problems.thesis.scores import score
+from problems.thesis.scores import attempted, score
 from problems.thesis.systems import (
     FLOWS,
     LEAK_LIMIT,
@@ -43,7 +43,9 @@ from problems.thesis.systems import (
 )
 from problems.tools import provenance
 from problems.tools.command_line import chosen, flag, option
+from problems.tools.intervals import share
 from problems.tools.kept_tables import append_rows
+from problems.tools.pages import render
 
 MASS_SPRING = SYSTEMS["mass_spring"]
 TANKS = SYSTEMS["tanks"]
@@ -53,33 +55,19 @@ N_DRAWS = 50
 QUICK_DRAW = 0
 # Trajectories of a quick run, in which the questions have the same answers.
 QUICK_N = {"mass_spring": 20, "tanks": 20, "henon_heiles": 1500}
-# Trajectories of a diagnosis, which re-fits many times.
-DIAGNOSED = 3
-HELD_OUT = 2
+DIAGNOSED, HELD_OUT = 3, 2  # trajectories of a diagnosis, which re-fits many times
 TANK_STATES = FLOWS + LEVELS
 # L1 of the thesis (appendix B); with 0.01 on H too, polynomials of the time take the
 # place of the wave (draw 0).
 MASS_SPRING_L1 = {"H": 0.1, "F": 0.01}
 TANKS_L1 = {"H": 1e-3}  # what the directions need that the tanks' structure leaves free
+COLUMNS = ["system", "ask", "draw", "answer", "is_right", "n_candidates"]
+COLUMNS += ["superfluous", "missed", "said", "nearest", "seconds"]
 
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Question:
-    """One question about a system.
-
-    ``ask`` takes a draw's seed and the number of trajectories (None: as in the thesis)
-    and gives a row for each answer.
-    """
-
-    system: str
-    ask: Callable[[int, int | None], list[Row]]
-
-    @property
-    def name(self) -> str:
-        """As on the command line and in the rows."""
-        return self.ask.__name__
+# From a draw's seed and the number of trajectories (None: as in the thesis) to a row
+# for each answer.
+Question = Callable[[int, int | None], list[Row]]
 
 
 # --- where the force acts
@@ -201,12 +189,13 @@ def without_force(system: System) -> ph.Model:
     return model.without(terms - set(system.truth))
 
 
-QUESTIONS = (
-    Question("tanks", tanks_place),
-    Question("mass_spring", mass_spring_place),
-    Question("henon_heiles", large),
-    Question("mass_spring", guess),
-)
+# The system of each question, which is named after its function.
+QUESTIONS: dict[Question, str] = {
+    tanks_place: "tanks",
+    mass_spring_place: "mass_spring",
+    large: "henon_heiles",
+    guess: "mass_spring",
+}
 
 
 # --- runs
@@ -214,68 +203,96 @@ QUESTIONS = (
 
 def asked(question: Question, seed: int, n: int | None = None) -> list[Row]:
     """The rows of a question on one draw; a failure is an answer that is not right."""
-    key = {"system": question.system, "ask": question.name, "draw": seed}
-    try:
-        rows = question.ask(seed, n)
-    except ph.PhsiOptError as error:
-        rows = [{"answer": "failed", "is_right": False, "said": str(error)[:200]}]
+    key = {"system": QUESTIONS[question], "ask": question.__name__, "draw": seed}
+    rows = attempted(lambda: question(seed, n))
+    if isinstance(rows, ph.PhsiOptError):
+        rows = [{"answer": "failed", "is_right": False, "said": str(rows)[:200]}]
     return [key | row for row in rows]
 
 
 def quick() -> pd.DataFrame:
     """One draw of each question with few trajectories; nothing is written."""
     rows = []
-    for question in QUESTIONS:
-        rows += asked(question, QUICK_DRAW, QUICK_N[question.system])
+    for question, system in QUESTIONS.items():
+        rows += asked(question, QUICK_DRAW, QUICK_N[system])
     return pd.DataFrame(rows)
 
 
 def main(names: list[str] | None = None, n_draws: int = N_DRAWS) -> None:
     """Ask what has not been answered yet, draw by draw, and write the page."""
-    done = kept()
-    wanted = [q for q in QUESTIONS if not names or q.name in names]
+    done: set[tuple[str, int]] = set()
+    if _path().exists():
+        kept = pd.read_csv(_path())
+        done = set(zip(kept["ask"], kept["draw"], strict=True))
     for seed in range(FIRST_DRAW, FIRST_DRAW + n_draws):
-        for question in wanted:
-            if (question.name, seed) not in done:
-                _keep(asked(question, seed))
-                print(f"... {question.name}, draw {seed}", flush=True)
+        for question in QUESTIONS:
+            name = question.__name__
+            if (name, seed) not in done and (not names or name in names):
+                rows = pd.DataFrame(asked(question, seed), columns=COLUMNS)
+                append_rows(_path(), rows, "%.4g")
+                print(f"... {name}, draw {seed}", flush=True)
     write_page()
 
 
-COLUMNS = [
-    "system",
-    "ask",
-    "draw",
-    "answer",
-    "is_right",
-    "n_candidates",
-    "superfluous",
-    "missed",
-    "said",
-    "nearest",
-    "seconds",
-]
-
-
-def _path() -> Any:
+def _path() -> Path:
     return provenance.RESULTS / "thesis" / "open_questions.csv"
-
-
-def kept() -> set[tuple[str, int]]:
-    """Question and draw of the rows that are there."""
-    if not _path().exists():
-        return set()
-    table = pd.read_csv(_path())
-    return set(zip(table["ask"], table["draw"], strict=True))
-
-
-def _keep(rows: list[Row]) -> None:
-    append_rows(_path(), pd.DataFrame(rows, columns=COLUMNS), "%.4g")
 
 
 def write_page() -> None:
     """The page from the rows that are kept."""
     provenance.write("thesis/open_questions.md", page(pd.read_csv(_path())))
+
+
+# --- the page
+
+# What is wanted, by question and answer, in the order of the page.
+WANTED = {
+    ("mass_spring_place", "place"): "force in p, and in no other equation",
+    ("tanks_place", "place"): "force in tank 4, and in no other equation",
+    ("large", "large"): "every superfluous term goes, no true one",
+    ("guess", "small"): "the verdict says that something is missing",
+    ("guess", "wrong"): "the verdict is missing: unexplained",
+}
+
+
+def page(rows: pd.DataFrame) -> str:
+    """The page as Markdown; every number of its sentences is counted from the rows."""
+    parts = {}
+    for ask, answer in WANTED:
+        # A draw that failed counts for each of the answers of its question.
+        is_meant = (rows["ask"] == ask) & rows["answer"].isin([answer, "failed"])
+        if is_meant.any():
+            parts[ask, answer] = rows[is_meant]
+    shares: dict[str, list[Row]] = {}
+    for (ask, answer), part in parts.items():
+        exact = (part["superfluous"] == 0) & (part["missed"] == 0)
+        is_right = exact if answer == "large" else part["is_right"].astype(bool)
+        line = _line(part, WANTED[ask, answer], is_right)
+        shares.setdefault(answer, []).append(line)
+        if answer == "place":  # these dictionaries are too large too
+            line = _line(part, WANTED["large", "large"], exact)
+            shares.setdefault("also large", []).append(line)
+    large = shares.get("large", []) + shares.pop("also large", [])
+    return render(
+        "thesis/pages/open_questions.md",
+        parts=parts,
+        shares=shares | {"large": large},
+        titles={name: system.title for name, system in SYSTEMS.items()},
+        failed=rows[rows["answer"] == "failed"].to_dict("records"),
+        significance=SIGNIFICANCE,
+    )
+
+
+def _line(part: pd.DataFrame, wanted: str, is_right: pd.Series) -> Row:
+    """One row: a share with n."""
+    return {
+        "system": SYSTEMS[part["system"].iloc[0]].title,
+        "wanted": wanted,
+        "share of draws": share(int(is_right.sum()), len(part)),
+        "n": len(part),
+        "draws": f"{part['draw'].min()} to {part['draw'].max()}",
+        "seconds of processor time": f"{part['seconds'].median():.2g}",
+    }
 
 
 if __name__ == "__main__":

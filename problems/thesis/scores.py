@@ -2,7 +2,7 @@
 the PHSI loss by one function.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,8 +14,10 @@ from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
 from problems.thesis.systems import System, thesis_data_present
 from problems.tools.data_paths import folder
+from problems.tools.intervals import HALF_WIDTH
 
-HALF_WIDTH = 1.96  # of a normal 95 % interval, in standard errors
+KNOWN_FORM = ("slope", "limit")  # of the tanks' leak where its form is given; no terms
+HINGES = "F_mu4"  # how the names of hinges begin, which stand for a network
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Score:
 
     ``largest`` is the largest absolute error of any coefficient, terms that are missing
     or too many included, ``relative`` the largest relative error of a true coefficient.
+    Both are NaN for a network.
     """
 
     largest: float
@@ -31,15 +34,22 @@ class Score:
     spurious: tuple[str, ...]
     missed: tuple[str, ...]
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many terms are too many and too few."""
+        return {"spurious": len(self.spurious), "missed": len(self.missed)}
+
 
 def score(system: System, result: Any) -> Score:
-    """Score of a pseudo-Hamiltonian or a first-order result.
-
-    The network of a hybrid is not a coefficient.
-    """
+    """Score of a pseudo-Hamiltonian or a first-order result."""
+    if not hasattr(result, "model"):
+        return Score(np.nan, np.nan, (), ())
     first_order = isinstance(result.model, ph.FirstOrder)
     truth = system.truth_first_order if first_order else system.truth
-    found = _coefficients(result, truth)
+    found = {}
+    for name, value in result.values.items():
+        if is_coefficient(common_name(name), truth):
+            found[common_name(name)] = value
     errors = {}
     for name in {*found, *truth}:
         errors[name] = abs(found.get(name, 0.0) - truth.get(name, 0.0))
@@ -51,18 +61,16 @@ def score(system: System, result: Any) -> Score:
     )
 
 
-def _coefficients(result: Any, truth: Mapping[str, float]) -> dict[str, float]:
-    """Values by common name.
-
-    Frequencies count where their wave is there; those of waves that are not true have
-    no true value.
+def is_coefficient(name: str, truth: Mapping[str, float]) -> bool:
+    """Whether a parameter counts: frequencies of waves that are not true do not, nor
+    what stands for a force that the truth has not as terms.
     """
-    found = {}
-    for name, value in result.values.items():
-        known_as = common_name(name)
-        if known_as in truth or not is_frequency(known_as):
-            found[known_as] = value
-    return found
+    if name in truth:
+        return True
+    stands_for_force = name.startswith(HINGES) and not any(
+        true.startswith(HINGES) for true in truth
+    )
+    return not (is_frequency(name) or stands_for_force or name in KNOWN_FORM)
 
 
 def common_name(name: str) -> str:
@@ -77,30 +85,13 @@ def is_frequency(name: str) -> bool:
     return "omega" in name.split("[")[0]
 
 
-def distilled(names: Iterable[str]) -> list[str]:
-    """The hinges that stand for the network of the tanks, which are no coefficients."""
-    return [name for name in names if name.startswith("F_mu4")]
-
-
 def coverage(system: System, result: Any, names: Sequence[str]) -> float:
     """Share of the 95 % intervals of ``names`` that hold the truth; NaN without any."""
-    if not names:
-        return np.nan
-    z = []
-    for name in names:
-        error = result.values[name] - system.truth[name]
-        z.append(abs(error) / result.std_errors[name])
-    return float(np.mean(np.array(z) < HALF_WIDTH))
-
-
-def test_set(system: System) -> tuple[np.ndarray, np.ndarray]:
-    """Times and true trajectories from unseen starts: those of the thesis where
-    present, else newly drawn.
-    """
-    if not thesis_data_present():
-        return system.tests()
-    with np.load(folder("thesis") / f"{system.name}.npz") as stored:
-        return stored["test_t"], stored["test_x"]
+    z = [
+        abs(result.values[name] - system.truth[name]) / result.std_errors[name]
+        for name in names
+    ]
+    return float(np.mean(np.array(z) < HALF_WIDTH)) if z else np.nan
 
 
 def free_run(result: Any, t: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -122,11 +113,16 @@ def trained(system: System, t: np.ndarray) -> np.ndarray:
     return t <= system.n_steps * system.step + 1e-9
 
 
-def inside_and_beyond(system: System, result: Any) -> tuple[float, float]:
+def inside_and_beyond(
+    system: System, result: Any, n_tests: int | None = None
+) -> tuple[float, float]:
     """Mean l2 error of free runs within the training time, and over the whole test
-    time.
+    time, from unseen starts: so many, else those of the thesis where present.
     """
-    t, truth = test_set(system)
+    t, truth = system.tests(n_tests or 10)
+    if n_tests is None and thesis_data_present():
+        with np.load(folder("thesis") / f"{system.name}.npz") as stored:
+            t, truth = stored["test_t"], stored["test_x"]
     curve = free_run(result, t, truth)
     return float(curve[trained(system, t)].mean()), float(curve.mean())
 
@@ -137,8 +133,7 @@ def phsi_loss(result: Any, data: ph.Measurements, scheme: str = "srk4") -> float
     Networks are included. Computed in NumPy alone.
     """
     grid = grid_of(data)
-    x0 = grid.y[grid.begin]
-    x1 = grid.y[grid.begin + 1]
+    x0, x1 = grid.y[grid.begin], grid.y[grid.begin + 1]
     t0 = grid.t[grid.begin]
     h = grid.h[:, None]
 
@@ -151,19 +146,20 @@ def phsi_loss(result: Any, data: ph.Measurements, scheme: str = "srk4") -> float
 
 def rates(result: Any, x: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Right-hand side (n, n_states) of a result at states x and times t."""
-    model = result.model
-    n = len(t)
-    values = [model.values[name] for name in model.free]
-    theta = ca.repmat(ca.DM(values), 1, n)
-    no_inputs = np.zeros((0, n))
-    dx = np.array(model.rhs().map(n)(x.T, no_inputs, t[None, :], theta)).T
+    dx = model_rates(result.model, x, t)
     force = getattr(result, "force", None)
     if force is None:
         return dx
     of_force = force if hasattr(force, "equations") else result.neural
-    equations = [model.index(name) for name in of_force.equations]
-    dx[:, equations] += force(x)
+    dx[:, [result.model.index(name) for name in of_force.equations]] += force(x)
     return dx
+
+
+def model_rates(model: ph.Model, x: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Right-hand side (n, n_states) of a model without inputs."""
+    n = len(t)
+    theta = ca.repmat(ca.DM([model.values[name] for name in model.free]), 1, n)
+    return np.array(model.rhs().map(n)(x.T, np.zeros((0, n)), t[None, :], theta)).T
 
 
 def leak_of(result: Any, levels: np.ndarray) -> np.ndarray:
@@ -181,3 +177,11 @@ def without_leak(result: Any) -> Any:
     if hasattr(result, "without_force"):
         return result.without_force()
     return replace(result, model=replace(result.model, F={}))
+
+
+def attempted(run: Any) -> Any:
+    """The result of a call, or the error of the package that it raised."""
+    try:
+        return run()
+    except ph.PhsiOptError as error:
+        return error

@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,10 +26,10 @@ import pandas as pd
 import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import DescentRun, gradient_descent
 from phsi_opt.sweeps.local_workers import one_thread
-from problems.thesis.methods import SIGNIFICANCE, descent_settings
-from problems.thesis.systems import SYSTEMS, System, mass_spring_descent_model
-from problems.tools import markdown
+from problems.thesis.methods import SIGNIFICANCE, descent_model, descent_settings
+from problems.thesis.systems import SYSTEMS
 from problems.tools.command_line import flag
+from problems.tools.pages import render
 from problems.tools.provenance import write
 
 NAMES = ("henon_heiles", "schrodinger", "mass_spring")
@@ -37,151 +37,102 @@ N_RUNS = 3  # of the solver; the median is told
 WITHIN = {"1 %": 1e-2, "0.1 %": 1e-3, "1e-6": 1e-6}  # of the best loss
 ASKED = 8  # times as fast as the schedule of gradient descent
 QUICK_EPOCHS = 2
+QUICK_N = {"henon_heiles": 400}  # trajectories of a quick run; others: 8
 
 
-@dataclass
-class Trace:
-    """Loss over processor seconds, without the seconds that tracing takes."""
+class Traced(DescentRun):
+    """A descent that keeps its loss after every epoch, over processor seconds without
+    those that this takes.
+    """
 
-    seconds: list[float] = field(default_factory=list)
-    loss: list[float] = field(default_factory=list)
-    began: float = field(default_factory=time.process_time)
-    spent: float = 0.0
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.trace: list[tuple[float, float]] = []
+        self.began = time.process_time()
+        self.spent = 0.0
 
-    def note(self, evaluate: Callable[[], float]) -> None:
+    def after_epoch(self, epoch: int) -> int:
         """Keep the loss of now."""
         now = time.process_time()
-        self.seconds.append(now - self.began - self.spent)
-        self.loss.append(evaluate())
+        loss = float(self.loss(self.tables).detach())
+        self.trace.append((now - self.began - self.spent, loss))
         self.spent += time.process_time() - now
-
-    def reached(self, limit: float) -> float:
-        """Seconds until the loss was first below a limit; infinite where never."""
-        for seconds, loss in zip(self.seconds, self.loss, strict=True):
-            if loss <= limit:
-                return seconds
-        return np.inf
+        return super().after_epoch(epoch)
 
 
-def solver_row(system: System, data: ph.Measurements) -> dict[str, Any]:
-    """The whole of the solver."""
-    pruning = ph.Pruning(system.threshold, significance=SIGNIFICANCE)
-    lines: list[str] = []
-
-    def run() -> ph.Fit:
-        return ph.identify(
-            system.model(),
-            data,
-            ph.PHSILoss(),
-            dict(system.l1),
-            pruning,
-            progress=lines.append,
-        )
-
-    run()  # what is imported once is no work of the solver
-    solves = len(lines)
-    return {"solves": solves, "solver (s)": median_seconds(run)}
-
-
-def median_seconds(run: Callable[[], Any]) -> float:
-    """Processor seconds of a call, the median of `N_RUNS`."""
+def median_seconds(run: Callable[[], Any], n: int = N_RUNS) -> float:
+    """Processor seconds of a call, the median of some runs."""
     seconds = []
-    for _ in range(N_RUNS):
+    for _ in range(n):
         began = time.process_time()
         run()
         seconds.append(time.process_time() - began)
     return float(np.median(seconds))
 
 
-def descent_model(system: System) -> Any:
-    """The model that gradient descent begins with."""
-    is_spring = system.name == "mass_spring"
-    return mass_spring_descent_model() if is_spring else system.model()
-
-
-def schedule_seconds(system: System, data: ph.Measurements) -> float:
-    """Of the whole schedule of gradient descent."""
-    settings, _ = descent_settings(system, "noisy")
-    began = time.process_time()
-    gradient_descent(descent_model(system), data, settings, 0)
-    return time.process_time() - began
-
-
-def descent_trace(system: System, data: ph.Measurements) -> Trace:
-    """The loss of all terms by gradient descent, after each epoch."""
-    settings, _ = descent_settings(system, "noisy")
-    settings = replace(settings, l1={}, prune_every=None)
-    trace = Trace()
-
-    class Traced(DescentRun):
-        def after_epoch(self, epoch: int) -> int:
-            trace.note(lambda: float(self.loss(self.tables).detach()))
-            return super().after_epoch(epoch)
-
-    with one_thread():
-        Traced(descent_model(system), data, settings, 0).result()
-    return trace
-
-
 def measured(name: str, quick: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """Rows of both tables for one system."""
-    system = SYSTEMS[name].with_epochs(QUICK_EPOCHS) if quick else SYSTEMS[name]
-    data = system.training_data("noisy")
-    whole: dict[str, Any] = {"system": system.title, "samples": data.n_samples}
-    whole |= solver_row(system, data)
-    whole["descent (s)"] = schedule_seconds(system, data)
+    system = SYSTEMS[name].shortened(QUICK_EPOCHS) if quick else SYSTEMS[name]
+    data = system.few("noisy", QUICK_N) if quick else system.training_data("noisy")
+    settings, _ = descent_settings(system, "noisy")
+    pruning = ph.Pruning(system.threshold, significance=SIGNIFICANCE)
+    lines: list[str] = []
+
+    def whole_solver() -> ph.Fit:
+        weights = dict(system.l1)
+        say = lines.append
+        loss = ph.PHSILoss()
+        return ph.identify(system.model(), data, loss, weights, pruning, progress=say)
+
+    def solver() -> ph.Fit:
+        return ph.identify(system.model(), data, ph.PHSILoss())
+
+    def descent() -> Any:
+        return gradient_descent(descent_model(system), data, settings, 0)
+
+    whole_solver()  # what is imported once is no work of the solver
+    whole: dict[str, Any] = {
+        "system": system.title,
+        "samples": data.n_samples,
+        "solves": len(lines),
+    }
+    whole["solver (s)"] = median_seconds(whole_solver)
+    whole["descent (s)"] = median_seconds(descent, 1)
     whole["times as fast"] = whole["descent (s)"] / whole["solver (s)"]
-    by_descent = descent_trace(system, data)
-    exact = ph.identify(system.model(), data, ph.PHSILoss())
-    best = min(exact.loss_value, *by_descent.loss)
-    alone: dict[str, Any] = {
+    exact = solver()
+    with one_thread():
+        alone = replace(settings, l1={}, prune_every=None)
+        run = Traced(descent_model(system), data, alone, 0)
+        run.result()
+    seconds, losses = np.array(run.trace).T
+    best = min(exact.loss_value, losses.min())
+    row: dict[str, Any] = {
         "system": system.title,
         "best loss": best,
         "solver, last": exact.loss_value / best - 1,
         "iterations": exact.outcome.iterations,
-        "solver (s)": median_seconds(
-            lambda: ph.identify(system.model(), data, ph.PHSILoss())
-        ),
-        "descent, last": min(by_descent.loss) / best - 1,
+        "solver (s)": median_seconds(solver),
+        "descent, last": losses.min() / best - 1,
     }
     for said, share in WITHIN.items():
-        alone[f"descent, {said} (s)"] = by_descent.reached(best * (1 + share))
-    return whole, alone
+        is_near = losses <= best * (1 + share)
+        row[f"descent, {said} (s)"] = min(seconds[is_near], default=np.inf)
+    return whole, row
 
 
 def page(whole: pd.DataFrame, alone: pd.DataFrame, quick: bool) -> str:
     """The page with both tables, and what they say."""
-    slowest = whole["times as fast"].min()
-    n_asked = int((whole["times as fast"] >= ASKED).sum())
-    first = alone["descent, 1 % (s)"].to_numpy(dtype=float)
-    n_first = int((alone["solver (s)"].to_numpy(dtype=float) < first).sum())
-    n = len(whole)
-    lines = ["# The solver's speed on the PHSI loss", ""]
-    if quick:
-        lines += [f"Quick: {QUICK_EPOCHS} epochs of gradient descent, no result.", ""]
-    lines += [
-        markdown.paragraph(
-            f"""Noisy data of the thesis, processor seconds on one thread, everything
-            from the call on; of the solver the median of {N_RUNS} runs. Each program is
-            symbolic and IPOPT solves it. Asked: {ASKED} times as fast as the schedule
-            of gradient descent ({n_asked} of {n} systems; the least is {slowest:.1f}
-            times), and the loss alone faster than its first 1 % ({n_first} of
-            {n})."""
-        ),
-        "",
-        "## The whole: L1, pruning by size and significance, all re-solves",
-        "",
-        *markdown.frame(whole),
-        "## The loss alone: all terms, no penalty",
-        "",
-        *markdown.frame(alone),
-        markdown.paragraph(
-            """"last" is by how much a method's loss is above the best one at its end;
-            seconds of gradient descent until its loss is so near to the best one; inf:
-            never."""
-        ),
-    ]
-    return "\n".join(lines)
+    return render(
+        "thesis/pages/solver_speed.md",
+        whole=whole,
+        alone=alone,
+        quick=quick,
+        n_asked=(whole["times as fast"] >= ASKED).sum(),
+        n_first=(alone["solver (s)"] < alone["descent, 1 % (s)"]).sum(),
+        n_runs=N_RUNS,
+        asked=ASKED,
+        epochs=QUICK_EPOCHS,
+    )
 
 
 def main(quick: bool = False) -> tuple[pd.DataFrame, pd.DataFrame]:
