@@ -1,19 +1,14 @@
-"""The grid: which node is which, and defects whose derivatives are those of finite
-differences.
+"""Measurements in the model's order and laid out: which node is which, and defects
+whose derivatives are those of finite differences.
 """
 
 from functools import partial
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
-from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import damping, formula, trigonometric
+import phsi_opt as ph
 from phsi_opt.optimization.column_function import AT_ONCE
 from phsi_opt.transcription.defects import (
     KnownDefects,
@@ -21,32 +16,40 @@ from phsi_opt.transcription.defects import (
     defect,
     defects,
 )
-from phsi_opt.transcription.grid import grid_of, steps_per_gap
+from phsi_opt.transcription.grid import (
+    AlignedData,
+    Grid,
+    aligned,
+    grid_of,
+    steps_per_gap,
+)
 from phsi_opt.transcription.integrators import INTEGRATORS
 
 
-def data(hold: str = "linear") -> Measurements:
+def data(hold: str = "linear") -> ph.Measurements:
     """Two irregular runs with a gap, two states, one input."""
     rng = np.random.default_rng(0)
     ts = [np.cumsum(rng.uniform(0.05, 0.2, n)) for n in (6, 4)]
     xs = [rng.normal(size=(len(t), 2)) for t in ts]
     xs[0][2, 1] = np.nan
     us = [rng.normal(size=(len(t), 1)) for t in ts]
-    return Measurements.from_arrays(
+    return ph.Measurements.from_arrays(
         ts, xs, us, states=["q", "p"], inputs=["u"], hold=hold
     )
 
 
-def model() -> PseudoHamiltonian:
-    made = PseudoHamiltonian(
+def model() -> ph.PseudoHamiltonian:
+    energy = "k*q**2/2 + a*q**4 + p**2/(2*m)"
+    made = ph.PseudoHamiltonian(
         states=("q", "p"),
         inputs=("u",),
-        S=canonical(1),
-        R=damping("p"),
-        H=formula(
-            "k*q**2/2 + a*q**4 + p**2/(2*m)", k=Parameter(3.0), a=Parameter(0.4), m=1.5
-        ),
-        F={"p": formula("b*u", b=Parameter(0.9)) + trigonometric("t", frequency=2.0)},
+        S=ph.canonical(1),
+        R=ph.damping("p"),
+        H=ph.formula(energy, k=ph.Parameter(3.0), a=ph.Parameter(0.4), m=1.5),
+        F={
+            "p": ph.formula("b*u", b=ph.Parameter(0.9))
+            + ph.trigonometric("t", frequency=2.0)
+        },
     )
     values = {"R_p": 0.3, "F_p[sin(omega_t*t)]": 0.5, "F_p[cos(omega_t*t)]": -0.2}
     return made.with_values(values)
@@ -55,32 +58,39 @@ def model() -> PseudoHamiltonian:
 # ---- layout
 
 
-def test_states_between_samples_follow_the_model_from_the_sample_before() -> None:
-    runs = data()
-    own = model()
-    theta = own.theta
-    grid = grid_of(runs, [np.full(5, 4), np.full(3, 4)])
-    x = np.random.default_rng(1).normal(size=(10, 2))
-    nodes = between_samples(own, grid, x, theta)
-    assert np.array_equal(nodes[grid.sample], x)
-    within = grid.intervals(np.flatnonzero(~grid.sample[grid.begin + 1]))
-    left = np.array(defects(own, within, "srk4", nodes.T, theta))
-    assert len(within.h) == 3 * 8
-    assert np.max(np.abs(left)) < 1e-5  # of the scheme
-    across = grid.intervals(np.flatnonzero(grid.sample[grid.begin + 1]))
-    assert np.max(np.abs(np.array(defects(own, across, "srk4", nodes.T, theta)))) > 0.1
+@pytest.mark.parametrize("steps", [1, 2, 7])
+def test_every_sample_is_a_node_and_no_interval_leaves_its_trajectory(
+    steps: int,
+) -> None:
+    record = data()
+    grid = grid_of(record, steps)
+    assert grid.n_nodes == (5 + 3) * steps + 2
+    assert grid.n_intervals == (5 + 3) * steps
+    np.testing.assert_array_equal(grid.y[grid.sample], record.stacked("x"))
+    assert np.isnan(grid.y[~grid.sample]).all()
+    # A node's time is left + fraction * step, which rounds once or twice.
+    times = grid.t[grid.sample]
+    np.testing.assert_allclose(times, record.stacked("t"), rtol=1e-15)
+    ends = grid.trajectory[grid.begin + 1]
+    np.testing.assert_array_equal(grid.trajectory[grid.begin], ends)
+    np.testing.assert_array_equal(grid.h, grid.t[grid.begin + 1] - grid.t[grid.begin])
+    assert grid.t[grid.first].tolist() == [run.t[0] for run in record.trajectories]
 
 
-def test_states_that_would_run_away_between_samples_stay_where_they_were() -> None:
-    runs = Measurements.from_arrays(
-        [0.0, 1.0, 2.0], [[1.0], [2.0], [1.5]], states=["x"]
-    )
-    growing = FirstOrder(["x"], {"x": formula("a*x", a=Parameter(400.0))})
-    grid = grid_of(runs, [np.full(2, 3)])
-    nodes = between_samples(
-        growing, grid, np.array([[1.0], [2.0], [1.5]]), np.r_[400.0]
-    )
-    assert nodes[:, 0].tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 1.5]
+@pytest.mark.parametrize("steps", [1, 3])
+def test_an_input_is_interpolated_between_the_samples_or_held(steps: int) -> None:
+    record = data()
+    grid = grid_of(record, steps)
+    for run, t, u in zip(record, grid.split(grid.t), grid.split(grid.u), strict=True):
+        # Interpolation in another order of operations: rounding only.
+        expected = np.interp(t, run.t, run.u[:, 0])
+        np.testing.assert_allclose(u[:, 0], expected, atol=1e-14)
+    np.testing.assert_array_equal(grid.u0, grid.u[grid.begin])
+    np.testing.assert_array_equal(grid.u1, grid.u[grid.begin + 1])
+    held = grid_of(data("zero"), steps)
+    before = np.concatenate([np.repeat(run.u[:-1], steps, axis=0) for run in record])
+    np.testing.assert_array_equal(held.u0, before)
+    np.testing.assert_array_equal(held.u1, before)
 
 
 def test_measured_values_are_counted_once_and_by_their_state() -> None:
@@ -95,60 +105,8 @@ def test_measured_values_are_counted_once_and_by_their_state() -> None:
 
 def test_steps_of_a_gap_are_counted_by_trajectory() -> None:
     steps = [np.array([1, 2, 1, 3, 1]), np.array([2, 1, 4])]
-    found = steps_per_gap(grid_of(data(), steps))
-    assert [of_run.tolist() for of_run in found] == [of.tolist() for of in steps]
-
-
-@pytest.mark.parametrize("steps", [1, 2, 3, 7])
-def test_every_sample_is_a_node_and_no_interval_leaves_its_trajectory(
-    steps: int,
-) -> None:
-    record = data()
-    grid = grid_of(record, steps)
-    assert grid.n_nodes == (5 + 3) * steps + 2
-    assert grid.n_intervals == (5 + 3) * steps
-    np.testing.assert_array_equal(
-        grid.y[grid.sample], np.concatenate([run.x for run in record.trajectories])
-    )
-    assert np.isnan(grid.y[~grid.sample]).all()
-    # A node's time is left + fraction * step, which rounds once or twice.
-    np.testing.assert_allclose(
-        grid.t[grid.sample],
-        np.concatenate([r.t for r in record.trajectories]),
-        rtol=1e-15,
-    )
-    np.testing.assert_array_equal(
-        grid.trajectory[grid.begin], grid.trajectory[grid.begin + 1]
-    )
-    np.testing.assert_array_equal(grid.h, grid.t[grid.begin + 1] - grid.t[grid.begin])
-    np.testing.assert_array_equal(
-        grid.t[grid.first], [run.t[0] for run in record.trajectories]
-    )
-
-
-@pytest.mark.parametrize("steps", [1, 3])
-def test_a_linear_input_is_interpolated_between_the_samples(steps: int) -> None:
-    record = data()
-    grid = grid_of(record, steps)
-    for k, run in enumerate(record.trajectories):
-        node = grid.trajectory == k
-        # Interpolation in another order of operations: rounding only.
-        np.testing.assert_allclose(
-            grid.u[node, 0], np.interp(grid.t[node], run.t, run.u[:, 0]), atol=1e-14
-        )
-    np.testing.assert_array_equal(grid.u0, grid.u[grid.begin])
-    np.testing.assert_array_equal(grid.u1, grid.u[grid.begin + 1])
-
-
-@pytest.mark.parametrize("steps", [1, 3])
-def test_a_held_input_keeps_the_value_of_the_sample_before(steps: int) -> None:
-    record = data("zero")
-    grid = grid_of(record, steps)
-    expected = np.concatenate(
-        [np.repeat(run.u[:-1], steps, axis=0) for run in record.trajectories]
-    )
-    np.testing.assert_array_equal(grid.u0, expected)
-    np.testing.assert_array_equal(grid.u1, expected)
+    counted = steps_per_gap(grid_of(data(), steps))
+    assert [of_run.tolist() for of_run in counted] == [of.tolist() for of in steps]
 
 
 def test_a_defect_is_named_by_trajectory_times_and_row() -> None:
@@ -159,82 +117,188 @@ def test_a_defect_is_named_by_trajectory_times_and_row() -> None:
     assert label(0).endswith("row 1")
     assert label(2 * 10 + 1).startswith(f"trajectory 2, t = {t[10]:g} to ")
     assert label(2 * 10 + 1).endswith("row 2")
-    assert label(2 * 15).startswith(f"trajectory 2, t = {t[15]:g} to ")
+
+
+# ---- the model's order
+
+T, X, U = (
+    np.arange(6.0),
+    np.arange(12.0).reshape(6, 2),
+    np.arange(12.0, 24).reshape(6, 2),
+)
+
+
+def record(states: str, inputs: str = "", **options: object) -> ph.Measurements:
+    x, u = X[:, : len(states)], U[:, : len(inputs)]
+    names = {"states": list(states), "inputs": list(inputs)}
+    return ph.Measurements.from_arrays(T, x, u if inputs else None, **names, **options)
+
+
+def bare(inputs: str = "") -> ph.PseudoHamiltonian:
+    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0))
+    return ph.PseudoHamiltonian(
+        states=("q", "p"), inputs=list(inputs), S=ph.canonical(1), H=energy
+    )
+
+
+def test_columns_and_units_follow_the_names_of_states_and_inputs() -> None:
+    same = record("qp")
+    assert aligned(bare(), same) is same
+    run = aligned(bare("uv"), record("pq", "vu")).trajectories[0]
+    np.testing.assert_array_equal(run.x, X[:, ::-1])
+    np.testing.assert_array_equal(run.u, U[:, ::-1])
+    units = {"t": "s", "q": "m", "p": "kg m/s", "v": "V", "w": "A"}
+    fewer = aligned(bare("v"), record("pq", "wv", units=units))
+    assert fewer.inputs == ("v",)
+    assert fewer.units == {"t": "s", "q": "m", "p": "kg m/s", "v": "V"}
+    np.testing.assert_array_equal(fewer.trajectories[0].u, U[:, 1:])
+
+
+def test_the_memory_of_an_effect_is_added_as_never_measured() -> None:
+    larger = bare().add("hysteresis", "p")
+    extended = aligned(larger, record("qp"))
+    assert extended.states == larger.states
+    assert np.isnan(extended.trajectories[0].x[:, 2:]).all()
+    assert aligned(larger, extended) is extended
+
+
+ONLY_Q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
+
+
+@pytest.mark.parametrize(
+    ("model", "measured", "error", "message"),
+    [
+        (
+            bare(),
+            record("q"),
+            ph.DataError,
+            r"state 'p' of the model is not in the measurements \(q\); declare it as "
+            r"not measured: states=\{\.\.\., 'p': None\}",
+        ),
+        (bare(), record("pz"), ph.DataError, r"state 'q' .* measurements \(p, z\)"),
+        (
+            bare("u"),
+            record("qp", "vw"),
+            ph.DataError,
+            r"input 'u' of the model is not in the measurements \(v, w\)",
+        ),
+        (
+            ONLY_Q,
+            record("qp"),
+            ph.DataError,
+            "state 'p' of the measurements is not in the model; leave",
+        ),
+        (
+            "spring",
+            record("qp"),
+            ph.ModelError,
+            "model='spring' is no model; expected a PseudoHamiltonian or a FirstOrder",
+        ),
+        (
+            bare(),
+            7,
+            ph.DataError,
+            r"data=7 are no Measurements; make them with Measurements\.from_arrays or",
+        ),
+    ],
+)
+def test_what_does_not_match_is_named(
+    model: ph.Model, measured: ph.Measurements, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=f"^{message}"):
+        AlignedData.of(model, measured)
+
+
+def test_alignments_and_layouts_are_made_once() -> None:
+    first = AlignedData.of(bare(), record("pq"))
+    assert first.for_model(bare()) is first
+    assert first.for_model(bare().add("cubic stiffness", "p")) is first
+    larger = bare().add("hysteresis", "p")
+    extended = first.for_model(larger)
+    assert extended.data.states == larger.states
+    assert first.for_model(larger) is extended
+    ones = np.ones(5, dtype=int)
+    assert first.grid_with([ones]) is first.grid
+    assert first.grid_with([2 * ones]).n_nodes == 11
 
 
 # ---- defects
 
 
-def complete() -> tuple[Any, np.ndarray]:
+def complete() -> tuple[Grid, np.ndarray]:
     grid = grid_of(data())
     return grid, np.nan_to_num(grid.y)
 
 
 @pytest.mark.parametrize("scheme", INTEGRATORS)
-def test_the_jacobian_of_the_defects_is_that_of_finite_differences(scheme: str) -> None:
+def test_defects_are_those_of_the_intervals_and_slopes_those_of_differences(
+    scheme: str,
+) -> None:
     made, (grid, x) = model(), complete()
     theta, step = made.theta, 1e-6
-    jacobian = KnownDefects(made, grid, scheme, x).at(theta).slopes
+    slopes = KnownDefects(made, grid, scheme, x).at(theta).slopes
 
-    def flat(at: np.ndarray) -> np.ndarray:
-        return np.array(defects(made, grid, scheme, x.T, at)).T.ravel()
+    def all_defects(at: np.ndarray) -> np.ndarray:
+        return np.array(defects(made, grid, scheme, x.T, at)).T
 
-    numeric = np.column_stack(
-        [
-            (flat(theta + e) - flat(theta - e)) / (2 * step)
-            for e in step * np.eye(len(theta))
-        ]
-    )
+    one = defect(made, scheme)
+    for k, (i, together) in enumerate(zip(grid.begin, all_defects(theta), strict=True)):
+        known = (grid.t[i], grid.h[k], grid.u0[k], grid.u1[k])
+        alone = np.array(one(x[i], x[i + 1], *known, theta)).ravel()
+        np.testing.assert_array_equal(together, alone)
+    columns = []
+    for e in step * np.eye(len(theta)):
+        change = all_defects(theta + e) - all_defects(theta - e)
+        columns.append(change.ravel() / (2 * step))
     # Central differences: rounding of defects near 10 over the step, 1e-15 * 10 / 1e-6.
-    np.testing.assert_allclose(jacobian, numeric, atol=1e-7)
-
-
-@pytest.mark.parametrize("scheme", INTEGRATORS)
-def test_all_defects_are_those_of_the_intervals_one_by_one(scheme: str) -> None:
-    made, (grid, x) = model(), complete()
-    theta, one = made.theta, defect(model(), scheme)
-    together = np.array(defects(made, grid, scheme, x.T, theta)).T
-    for k, i in enumerate(grid.begin):
-        alone = np.array(
-            one(x[i], x[i + 1], grid.t[i], grid.h[k], grid.u0[k], grid.u1[k], theta)
-        ).ravel()
-        np.testing.assert_array_equal(together[k], alone)
-
-
-def test_chosen_columns_are_those_of_the_whole_jacobian() -> None:
-    made, (grid, x) = model(), complete()
-    whole = KnownDefects(made, grid, "srk4", x).at(made.theta).slopes
-    some = KnownDefects(made, grid, "srk4", x, only=[4, 1]).at(made.theta).slopes
-    np.testing.assert_allclose(
-        some, whole[:, [4, 1]], rtol=1e-13
-    )  # the same derivatives, perhaps reordered sums
+    np.testing.assert_allclose(slopes, np.column_stack(columns), atol=1e-7)
 
 
 def test_intervals_that_are_left_out_take_their_defects_with_them() -> None:
     made, (grid, x) = model(), complete()
     keep = np.array([0, 3, 6])
     fewer = np.array(defects(made, grid.intervals(keep), "rk4", x.T, made.theta))
-    np.testing.assert_array_equal(
-        fewer, np.array(defects(made, grid, "rk4", x.T, made.theta))[:, keep]
-    )
+    every = np.array(defects(made, grid, "rk4", x.T, made.theta))
+    np.testing.assert_array_equal(fewer, every[:, keep])
 
 
 @pytest.mark.parametrize("only", [None, [1]])
 def test_defects_of_known_states_are_those_of_the_symbols(
     only: list[int] | None,
 ) -> None:
-    start = Parameter(0.5)
-    model = FirstOrder(["x"], F={"x": formula("-a*x + b*x**3", a=start, b=start)})
+    start = ph.Parameter(0.5)
+    rate = ph.formula("-a*x + b*x**3", a=start, b=start)
+    cubic = ph.FirstOrder(["x"], F={"x": rate})
     rng = np.random.default_rng(1)
     t = np.cumsum(0.1 + 0.05 * rng.random(AT_ONCE + 7))
-    record = Measurements.from_arrays([t], [rng.normal(size=(len(t), 1))], states=["x"])
-    grid = grid_of(record)
+    x = rng.normal(size=(len(t), 1))
+    grid = grid_of(ph.Measurements.from_arrays([t], [x], states=["x"]))
     theta = np.array([0.4, 0.3])
-    found = KnownDefects(model, grid, "srk4", only=only).at(theta)
-    d = defects(model, grid, "srk4", ca.DM(grid.y.T), theta)
+    known = KnownDefects(cubic, grid, "srk4", only=only).at(theta)
     symbol = ca.SX.sym("theta", 2)
-    in_symbols = ca.vec(defects(model, grid, "srk4", ca.DM(grid.y.T), symbol))
-    slopes = ca.Function("J", [symbol], [ca.jacobian(in_symbols, symbol)])(theta)
-    slopes = np.array(slopes)[:, [0, 1] if only is None else only]
-    np.testing.assert_allclose(found.d, np.array(d).T, rtol=1e-13)
-    np.testing.assert_allclose(found.slopes, np.array(slopes), rtol=1e-12)
+    d = ca.vec(defects(cubic, grid, "srk4", ca.DM(grid.y.T), symbol))
+    both = ca.Function("J", [symbol], [d, ca.jacobian(d, symbol)])(theta)
+    values, slopes = (np.array(one) for one in both)
+    np.testing.assert_allclose(known.d, values, rtol=1e-12)
+    chosen = [0, 1] if only is None else only
+    np.testing.assert_allclose(known.slopes, slopes[:, chosen], rtol=1e-12)
+
+
+def test_states_between_samples_follow_the_model_from_the_sample_before() -> None:
+    own = model()
+    grid = grid_of(data(), [np.full(5, 4), np.full(3, 4)])
+    x = np.random.default_rng(1).normal(size=(10, 2))
+    nodes = between_samples(own, grid, x, own.theta)
+    assert np.array_equal(nodes[grid.sample], x)
+    d = np.abs(np.array(defects(own, grid, "srk4", nodes.T, own.theta)))
+    ends_at_sample = grid.sample[grid.begin + 1]
+    assert np.max(d[:, ~ends_at_sample]) < 1e-5  # of the scheme
+    assert np.max(d[:, ends_at_sample]) > 0.1
+
+
+def test_states_that_would_run_away_between_samples_stay_where_they_were() -> None:
+    x = np.array([[1.0], [2.0], [1.5]])
+    runs = ph.Measurements.from_arrays([0.0, 1.0, 2.0], x, states=["x"])
+    growing = ph.FirstOrder(["x"], {"x": ph.formula("a*x", a=ph.Parameter(400.0))})
+    nodes = between_samples(growing, grid_of(runs, [np.full(2, 3)]), x, np.r_[400.0])
+    assert nodes[:, 0].tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 1.5]

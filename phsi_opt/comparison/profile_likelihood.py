@@ -1,9 +1,14 @@
-"""Profile likelihood: how the best fit worsens as one parameter is held elsewhere.
+"""How far an estimate may be off where the curvature at the optimum misleads.
 
-Where the curvature at the estimate misleads (a bent valley, a bound near by), the
-interval in which the profile stays below the threshold is the better one. Every point
-is a re-fit of all other parameters, started from the one before (Venzon and Moolgavkar
-1988).
+The profile likelihood: how the best fit worsens as one parameter is held elsewhere. In
+a bent valley, or near a bound, the interval in which the profile stays below the
+threshold is the better one. Every point is a re-fit of all other parameters, started
+from the one before (Venzon and Moolgavkar 1988).
+
+The parametric bootstrap: the fit repeated on records that the fitted model draws. A
+bent valley, a bias, or an optimum that another draw of the noise would miss shows in
+how the estimates scatter (Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
+chapter 6).
 """
 
 import hashlib
@@ -36,6 +41,7 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 
@@ -204,13 +210,9 @@ class _Line:
         self.name = name
         self.say = say
         sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
-        self.solved = partial(
-            maximum_along,
-            aligned,
-            sigma,
-            likelihood_of(fit),
-            steps=steps_on(fit, aligned.data),
-        )
+        steps = steps_on(fit, aligned.data)
+        loss = likelihood_of(fit)
+        self.solved = partial(maximum_along, aligned, sigma, loss, steps=steps)
         lengths = [run.n_samples for run in aligned.data.trajectories]
         x: Sequence[np.ndarray] = fit.states
         if list(map(len, x)) != lengths:  # other data: beside a missing force
@@ -280,8 +282,7 @@ class _Line:
         return self.value + side * crossing
 
 
-if TYPE_CHECKING:
-    import pandas as pd
+# ---- the parametric bootstrap
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,10 +402,8 @@ def bootstrap(
             f"{list(map(len, fit.states))}; give the measurements of the fit."
         )
     theta = parameter_matrix(fit.model, parameters_of(fit, data))
-    # What the fitted model shows at the samples, (n_samples, n_channels) each.
     shown = outputs_at_samples(fit.model, aligned.grid, fit.states, theta)
-    cut = [np.array(one[:, : data.n_states]) for one in shown]
-    draw = partial(_drawn_estimates, fit.model, data, cut, dict(fit.noise))
+    drawn = partial(_drawn_estimates, fit.model, data, shown, dict(fit.noise))
     # What the draws follow from.
     content = {
         "model": model_content(fit.model),
@@ -416,28 +415,28 @@ def bootstrap(
     }
     text = json.dumps(content, sort_keys=True)
     seeds = np.random.SeedSequence(seed).spawn(n_draws)
-    cases = {f"draw {number}": one for number, one in enumerate(seeds)}
-    found: dict[int, Mapping[str, float]] = {}
-    failed: dict[int, str] = {}
+    results: dict[int, dict[str, Any]] = {}
     for done in sweep(
-        partial(draw, likelihood_of(fit)),
-        cases,
+        partial(drawn, likelihood_of(fit)),
+        {f"draw {number}": one for number, one in enumerate(seeds)},
         executor=executor,
         folder=folder,
         of=f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}",
         progress=progress,
     ):
-        number = int(done.key.removeprefix("draw "))
-        if "failed" in done.result:
-            failed[number] = done.result["failed"]
+        results[int(done.key.removeprefix("draw "))] = done.result
+    failed: dict[int, str] = {}
+    rows: dict[int, Mapping[str, float]] = {}
+    for number, result in sorted(results.items()):
+        if "failed" in result:
+            failed[number] = result["failed"]
         else:
-            found[number] = done.result["estimates"]
-    if len(found) < 2:
+            rows[number] = result["estimates"]
+    if len(rows) < 2:
         reason = next(iter(failed.values()), "")
         raise SolveError(f"{len(failed)} of {n_draws} draws have no fit: {reason}")
-    rows = dict(sorted(found.items()))
     table = printed_table(rows.values(), index=list(rows), columns=list(fit.estimates))
-    return Bootstrap(fit, table, dict(sorted(failed.items())))
+    return Bootstrap(fit, table, failed)
 
 
 def _drawn_estimates(

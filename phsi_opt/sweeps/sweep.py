@@ -8,19 +8,12 @@ alike. An executor that was given is never shut down here.
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    Executor,
-    Future,
-    wait,
-)
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 from urllib.parse import quote
 
 from phsi_opt.arguments import is_count
@@ -296,13 +289,18 @@ def _check(
         )
 
 
+# ---- a few cases, begun before their results are asked for
+
 Say = Callable[[str], None]
 T = TypeVar("T")
 Result = TypeVar("Result")
 
 
 class Ahead(Generic[T, Result]):
-    """Results by key; close it, and what is not begun is cancelled.
+    """Results by key, in any order; close it, and what is not begun is cancelled.
+
+    The lines of a case and its error come when its result is asked for, as if it had
+    been computed in that moment.
 
     Args:
         function: Of a case and of what takes a line of text; at the top level of a
@@ -322,48 +320,50 @@ class Ahead(Generic[T, Result]):
     ) -> None:
         self._function = function
         self._cases = cases
+        self._executor = executor if len(cases) > 1 else None
         self._say = say
-        self._found: dict[str, _Told] = {}
-        self._swept: Iterator[Done] | None = None
-        if executor is not None and len(cases) > 1:
-            self._swept = sweep(partial(_told, function), cases, executor=executor)
+        self._waiting = iter(cases.items())
+        self._begun: dict[str, Future[_Heard]] = {}
 
     def result(self, key: str) -> Result:
-        """The result of a case, once.
+        """The result of a case.
 
         Raises:
             PhsiOptError: What the function raised, or a worker ended.
         """
-        if self._swept is None:
+        if self._executor is None:
             return self._function(self._cases[key], self._say)
-        while key not in self._found:
-            done = next(self._swept)
-            self._found[done.key] = done.result
-        told = self._found.pop(key)
-        for line in told.lines:
+        while key not in self._begun:
+            for other, case in self._waiting:
+                future = self._executor.submit(_heard, self._function, case)
+                self._begun[other] = future
+                if future.done():  # one that computes at once is asked for no more
+                    break
+        heard = _result_of(self._begun[key], key)
+        for line in heard.lines:
             self._say(line)
-        if told.error is not None:
-            raise told.error
-        result: Result = told.result
+        if heard.error is not None:
+            raise heard.error
+        result: Result = heard.result
         return result
 
     def close(self) -> None:
         """Cancel what is not begun."""
-        self._swept = None  # a sweep ends with its iterator
+        for future in self._begun.values():
+            future.cancel()
 
 
-@dataclass(frozen=True, eq=False)
-class _Told:
-    """What a case gave or raised, and what it said before."""
+class _Heard(NamedTuple):
+    """The result or error of a case, and its lines."""
 
     result: Any
     lines: list[str]
     error: PhsiOptError | None = None
 
 
-def _told(function: Callable[[Any, Say], Any], case: Any) -> _Told:
+def _heard(function: Callable[[Any, Say], Any], case: Any) -> _Heard:
     lines: list[str] = []
     try:
-        return _Told(function(case, lines.append), lines)
+        return _Heard(function(case, lines.append), lines)
     except PhsiOptError as error:
-        return _Told(None, lines, error)
+        return _Heard(None, lines, error)

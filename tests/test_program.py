@@ -1,0 +1,348 @@
+"""Programs and IPOPT: against an independent convex formulation, closed forms and the
+faster steps; what is refused, and how an end is told.
+"""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import cvxpy as cp
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.initialization.scaling import MOST_RATIO, theta_scale
+from phsi_opt.optimization import ipopt
+from phsi_opt.optimization.ipopt import _is_settled, solve
+from phsi_opt.optimization.program import Program
+from phsi_opt.transcription.defects import KnownDefects
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.parameter_vector import Point
+from problems.judges.fit_cases import PROBLEMS
+from problems.thesis.systems import SYSTEMS, known_leak, tank_model
+
+# ---- a convex loss, written out by hand
+
+POWERS = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)]
+
+
+def features(x: np.ndarray) -> np.ndarray:
+    """dx/dt of the canonical system per unit of each coefficient, (n, 2, 9)."""
+    q, p = x.T
+    columns = []
+    for a, b in POWERS:
+        dh_dq = a * q ** max(a - 1, 0) * p**b
+        dh_dp = b * q**a * p ** max(b - 1, 0)
+        columns.append(np.column_stack([dh_dp, -dh_dq]))
+    return np.stack(columns, axis=2)
+
+
+@pytest.mark.parametrize("scheme", ["euler", "midpoint"])
+@pytest.mark.parametrize("lam", [0.0, 0.1, 1.0])
+def test_ipopt_with_slacks_agrees_with_cvxpy_where_the_loss_is_convex(
+    scheme: str, lam: float
+) -> None:
+    rng = np.random.default_rng(0)
+    t = np.linspace(0.0, 6.0, 80)
+    x = np.column_stack([np.cos(1.5 * t) + 0.4, -1.5 * np.sin(1.5 * t)])
+    x = x + 0.02 * rng.normal(size=x.shape)
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], 3),
+    )
+    grid = grid_of(ph.Measurements.from_arrays([t], [x], states=["q", "p"]))
+    point = Point(np.zeros(9), grid.y, np.ones(9), np.ones(2))
+    program = ph.PHSILoss(scheme).program(model, grid, point, {"H": lam})
+    solution = solve(program, ph.SolverSettings(tolerance=1e-13))
+    at = x[:-1] if scheme == "euler" else (x[:-1] + x[1:]) / 2
+    rates = np.diff(x, axis=0) / np.diff(t)[:, None]
+    matrix = features(at).reshape(-1, 9)
+    xi = cp.Variable(9)
+    squares = cp.sum_squares(matrix @ xi - rates.ravel()) / len(rates)
+    tight = {"tol_gap_abs": 1e-13, "tol_gap_rel": 1e-13, "tol_feas": 1e-13}
+    problem = cp.Problem(cp.Minimize(squares + lam * cp.norm1(xi)))
+    problem.solve(solver=cp.CLARABEL, **tight)
+    # The barrier leaves coefficients off by about the tolerance over the curvature
+    # (1e-13 over 1e-5 at the least).
+    np.testing.assert_allclose(solution.values["theta"], xi.value, atol=1e-7)
+    assert lam < 0.1 or np.sum(np.abs(xi.value) < 1e-6) >= 4  # the L1 term acts
+    size = np.mean(np.sum(rates**2, axis=1))
+    of_thesis = np.sum((matrix @ solution.values["theta"] - rates.ravel()) ** 2)
+    # The same sum in another order: rounding only.
+    ours = np.sum(solution.residual**2) / 2 * size
+    assert ours == pytest.approx(of_thesis / len(rates), rel=1e-9)
+
+
+# ---- small programs
+
+
+def test_scaling_a_variable_changes_the_iteration_but_not_the_solution() -> None:
+    for scale in (1.0, 1e3, 1e-3):
+        program = Program()
+        x = program.variable("x", np.array([5.0, 5.0]), scale=scale)
+        program.add_residual(ca.vertcat(x[0] - 3, 2 * (x[1] + 1)))
+        program.constrain("sum", x[0] + x[1] - 1)
+        # By Lagrange ((a - 3)^2 + 4 (b + 1)^2) / 2 on a + b = 1 has its minimum at
+        # a = 2.2, b = -1.2; the solver's tolerance is 1e-8.
+        np.testing.assert_allclose(solve(program).values["x"], [2.2, -1.2], rtol=1e-7)
+
+
+def test_bounds_are_kept_and_reported_by_name() -> None:
+    program = Program()
+    label = "stiffness".format
+    theta = program.variable("theta", np.array([1.0]), lower=0.5, label=label)
+    program.add_residual(theta)
+    solution = solve(program)
+    # the barrier's distance from a bound
+    assert 0.5 <= solution.values["theta"][0] <= 0.5 + 1e-6
+    assert solution.outcome.at_bounds == ("stiffness",)
+
+
+def test_an_entry_is_named_by_its_block_and_label() -> None:
+    program = Program()
+    program.variable("x", np.zeros(2))
+    y = program.variable("y", np.zeros(3), label=lambda i: f"node={i}")
+    program.constrain("defect", y - 1)
+    assert program.name_of(3, program.variables) == "y (node=1)"
+    assert program.name_of(2, program.constraints) == "defect (2)"
+
+
+def test_a_start_that_is_not_finite_is_refused() -> None:
+    match = "the start of x has 1 values that are not finite"
+    with pytest.raises(ph.ModelError, match=match):
+        Program().variable("x", np.array([0.0, np.nan]))
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3])
+def test_slopes_that_are_given_lead_where_casadis_own_lead(weight: float) -> None:
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(40, 3))
+    b = A @ np.array([1.0, 0.0, -2.0]) + 0.1 * rng.normal(size=40)
+
+    def made(has_slopes: bool) -> Program:
+        program = Program()
+        scale = np.array([2.0, 0.5, 10.0])
+        x = program.variable("x", np.zeros(3), -1.5, 5.0, scale)
+        curved = 0.7 * (ca.DM(A) @ x + 0.1 * x[0] ** 2 - ca.DM(b))
+        first = ca.DM(A[:, :1]) + 0.2 * x[0]
+        slopes = 0.7 * ca.horzcat(first, ca.DM(A[:, 1:]))
+        program.add_residual(curved, slopes if has_slopes else None)
+        if weight:
+            program.add_l1("x", x, np.full(3, weight), np.zeros(3), scale)
+        return program
+
+    given = solve(made(has_slopes=True))
+    own = solve(made(has_slopes=False))
+    # The same numbers in another order: rounding only.
+    np.testing.assert_allclose(given.values["x"], own.values["x"], atol=1e-10)
+    assert given.outcome.iterations == own.outcome.iterations
+    assert given.values["x"][2] == pytest.approx(-1.5)
+
+
+@pytest.mark.parametrize(
+    ("limit", "status", "advice"),
+    [
+        ({"max_seconds": 1e-9}, "Maximum_WallTime_Exceeded", "allow more time"),
+        ({"max_iterations": 1}, "Maximum_Iterations_Exceeded", "more iterations"),
+    ],
+)
+def test_a_limit_is_named_where_it_ends_a_solve(
+    limit: dict[str, Any], status: str, advice: str
+) -> None:
+    program = Program()  # Rosenbrock's valley, which takes more than one iteration
+    x = program.variable("x", np.array([-1.2, 1.0]))
+    program.add_residual(ca.vertcat(10 * (x[1] - x[0] ** 2), 1 - x[0]))
+    settings = ph.SolverSettings(**limit)
+    assert solve(program, settings, raise_on_failure=False).outcome.status == status
+    with pytest.raises(ph.SolveError, match=f"{status}.*{advice}"):
+        solve(program, settings)
+    assert solve(program).outcome.status == "Solve_Succeeded"
+
+
+def test_a_solve_that_goes_to_and_fro_over_a_kink_has_settled() -> None:
+    def ended(objectives: list[float], violation: float = 1e-8) -> bool:
+        violations = [violation] * len(objectives)
+        stats = {"iterations": {"obj": objectives, "inf_pr": violations}}
+        return _is_settled(stats, n_residuals=1000)
+
+    over_and_back = [3.0, 1.2] + 5 * [0.96299157, 0.96299151]
+    assert ended(over_and_back)
+    assert not ended(over_and_back, violation=1e-3)  # the constraints do not hold
+    assert not ended([1.0 - 1e-3 * k for k in range(12)])  # still falling
+    assert not ended(over_and_back[:6])  # too few to tell
+    assert not ended([*over_and_back, float("nan")])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("max_seconds", -1), ("tolerance", "a"), ("max_iterations", 0), ("solver", "x")],
+)
+def test_a_setting_that_no_solver_takes_is_refused_by_name(
+    name: str, value: Any
+) -> None:
+    with pytest.raises(ph.ModelError, match=f"{name}={re.escape(repr(value))}"):
+        ph.SolverSettings(**{name: value})
+
+
+# ---- the program of the PHSI loss
+
+
+@pytest.fixture
+def solved(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Program, ipopt.Solution]]:
+    """Every program that IPOPT is given, with its solution."""
+    kept: list[tuple[Program, ipopt.Solution]] = []
+    original = ipopt.Solver.solve
+
+    def solve(self: ipopt.Solver, *args: Any, **kwargs: Any) -> ipopt.Solution:
+        solution = original(self, *args, **kwargs)
+        kept.append((self.program, solution))
+        return solution
+
+    monkeypatch.setattr(ipopt.Solver, "solve", solve)
+    return kept
+
+
+def test_every_program_is_symbolic_and_its_answer_is_the_fit(
+    solved: list[tuple[Program, ipopt.Solution]],
+) -> None:
+    system = replace(SYSTEMS["mass_spring"], n_trajectories=6)
+    data = system.training_data("noisy")
+    pruning = ph.Pruning(0.05, significance=0.01)
+    fit = ph.identify(system.model(), data, ph.PHSILoss(), dict(system.l1), pruning)
+    for program, solution in solved:
+        assert solution.outcome.iterations > 0
+        # CasADi expands MX to scalar instructions only where no callback is inside.
+        whole = ca.Function("f", [program.z, program.settings], [program.objective])
+        assert np.isfinite(float(whole.expand()(program.start, program.set_to)))
+    (found,) = [solution for _, solution in solved if solution.outcome == fit.outcome]
+    np.testing.assert_array_equal(found.values["theta"], list(fit.values.values()))
+    said = f"IPOPT: Solve_Succeeded, {fit.outcome.iterations} iterations"
+    assert said in str(fit)
+
+
+def test_defects_and_slopes_in_symbols_are_those_in_numbers(
+    solved: list[tuple[Program, ipopt.Solution]],
+) -> None:
+    data = SYSTEMS["tanks"].data(5, 0.01, n=2)
+    model = tank_model(known_leak())
+    ph.identify(model, data, ph.PHSILoss(), {"H": 1e-3})
+    program, solution = solved[-1]
+    known = KnownDefects(model, grid_of(data), "srk4").at(solution.values["theta"])
+    in_numbers = known.d.T.ravel()
+    share = np.linalg.norm(solution.residual) / np.linalg.norm(in_numbers)
+    # Rounding alone: the same operations in the same order, but for the weight.
+    np.testing.assert_allclose(solution.residual, share * in_numbers, rtol=1e-9)
+    slopes = known.slopes.reshape(-1, model.n_states, len(model.free))
+    by_equation = slopes.transpose(1, 0, 2).reshape(-1, len(model.free))
+    scale = share * program.scale[: len(model.free)]
+    expected = (by_equation * scale).T @ (by_equation * scale)
+    no_multipliers = np.zeros(program.g.numel())
+    upper = program.hessian()(solution.z, program.set_to, 1.0, no_multipliers)
+    upper = np.array(upper)[: len(model.free), : len(model.free)]
+    hessian = upper + np.triu(upper, 1).T
+    np.testing.assert_allclose(hessian, expected, atol=1e-9 * np.max(expected))
+
+
+def test_without_l1_it_ends_where_directions_leave_no_trace_and_names_them() -> None:
+    """Casimirs of S: any function of the tanks' whole volume adds to H unseen."""
+    data = SYSTEMS["tanks"].data(5, 0.0, n=12)
+    fit = ph.identify(SYSTEMS["tanks"].model(), data, ph.PHSILoss())
+    assert fit.outcome.iterations < 50
+    assert np.max(np.abs(list(fit.values.values()))) < 100
+    notes = [note for note in fit.warnings if "cannot tell" in note]
+    volume = "H[mu1], H[mu2], H[mu3], H[mu4]"
+    starts = f"the data cannot tell {volume} apart"
+    assert any(note.startswith(starts) for note in notes)
+    squared = [note for note in notes if "H[mu1*mu2]" in note and "H[mu4**2]" in note]
+    assert len(squared) == 1 and len(notes) == 2
+    assert np.isnan(fit.std_errors["H[mu1]"])
+    assert fit.std_errors["R_phi3"] > 0
+
+
+def swing() -> ph.Measurements:
+    t = np.linspace(0, 8, 81)
+    x = np.column_stack([np.cos(t), -np.sin(t)])
+    return ph.Measurements.from_arrays([t], [x], states=["q", "p"])
+
+
+def test_the_size_of_a_frequency_follows_no_vanishing_amplitude() -> None:
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], degree=2),
+        F={"p": ph.trigonometric("t")},
+    )
+    grid = grid_of(swing())
+    theta = np.full(len(model.free), 1.0)
+    place = model.free.index("F_p.omega_t")
+    theta[place] = 0.3
+    for name in ("F_p[sin(omega_t*t)]", "F_p[cos(omega_t*t)]"):
+        theta[model.free.index(name)] = 1e-12
+    sizes = theta_scale(model, grid, theta, grid.y, np.ones(2))
+    assert sizes[place] == pytest.approx(MOST_RATIO * 0.3)
+
+
+def test_the_size_of_a_parameter_at_its_bound_is_that_of_its_effect() -> None:
+    t = np.linspace(0, 8, 81)
+    data = ph.Measurements.from_arrays([t], [np.exp(-t)[:, None]], states=["v"])
+    a, b = ph.Parameter(3.0, lower=0), ph.Parameter(0.5, lower=0)
+    model = ph.FirstOrder(["v"], {"v": ph.formula("-a - b*v", a=a, b=b)})
+    grid = grid_of(data)
+
+    def size_of(a: float, *held: str) -> float:
+        sizes = theta_scale(model, grid, np.array([a, 0.5]), grid.y, np.ones(1), held)
+        return float(sizes[model.free.index("a")])
+
+    assert size_of(1e-12, "a") == pytest.approx(size_of(3.0))
+    assert size_of(1e-12) == pytest.approx(MOST_RATIO * 1e-12)
+
+
+# ---- the program of a likelihood, and the faster steps
+
+BOTH_WAYS = (
+    "mass-spring, likelihood, free frequency",
+    "Duffing, half of the values",
+    "Duffing, irregular times",
+    "double pendulum",
+    "pendulum, half off",
+    "driven oscillator, random force",
+    "a mass for each trajectory",
+    "only ratios can be told",
+    "demonstration, friction",
+    "demonstration, stiffness at a bound",
+    "hysteresis",
+    "sensor offset",
+    "heated bodies",
+)
+
+
+@pytest.mark.parametrize("name", BOTH_WAYS)
+def test_ipopt_and_the_faster_steps_agree_in_the_objective(name: str) -> None:
+    """With the noise and the steps between samples given: else both are estimated, to
+    half a percent and to a tenth of a standard error.
+    """
+    problem = PROBLEMS[name]()
+    first = ph.identify(problem.model, problem.data, **problem.options)
+    loss = problem.options.get("loss", ph.MaximumLikelihood())
+    loss = replace(loss, noise=first.noise, steps=loss.steps or 2)
+    by_steps, by_ipopt = (
+        ph.identify(problem.model, problem.data, loss, start=first, settings=settings)
+        for settings in (ph.SolverSettings(), ph.SolverSettings(solver="ipopt"))
+    )
+    assert by_ipopt.outcome.solver == "IPOPT"
+    expected = by_steps.outcome.objective
+    assert by_ipopt.outcome.objective == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_reference_needs_no_start() -> None:
+    problem = PROBLEMS["Duffing, q alone"]()
+    only = ph.SolverSettings(solver="ipopt")
+    by_steps = ph.identify(problem.model, problem.data)
+    by_ipopt = ph.identify(problem.model, problem.data, settings=only)
+    assert by_steps.outcome.solver != by_ipopt.outcome.solver == "IPOPT"
+    assert "(IPOPT: Solve_Succeeded" in str(by_ipopt)
+    for name, error in by_steps.std_errors.items():
+        close = pytest.approx(by_steps.values[name], abs=1e-3 * error)
+        assert by_ipopt.values[name] == close
