@@ -14,13 +14,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.sweeps.local_workers import local_workers
 from tests.sweep_tasks import Counted
 
-EFFECTS = [
-    "coulomb friction",
-    "hysteresis",
-    "quadratic drag",
-    "cubic stiffness",
-    "gravity torque",
-]
+EFFECTS = ["coulomb friction", "quadratic drag", "cubic stiffness", "gravity torque"]
 STIFFENS = "1.2*q**3"
 STICKS = "0.8*tanh(200*dH_dp)"
 
@@ -68,14 +62,9 @@ def fit() -> ph.Fit:
 
 def diagnosed(fit: ph.Fit, executor: Any) -> tuple[Diagnosis, list[str]]:
     said: list[str] = []
-    found = ph.diagnose(
-        fit,
-        record(120, 0),
-        record(60, 1),
-        effects=EFFECTS,
-        executor=executor,
-        progress=said.append,
-    )
+    records = record(120, 0), record(60, 1)
+    options: Any = {"effects": EFFECTS, "executor": executor, "progress": said.append}
+    found = ph.diagnose(fit, *records, **options)
     # a solver that fails says at the end how many seconds it took
     return found, [line.split("(")[0] for line in said]
 
@@ -153,7 +142,7 @@ def test_a_study_gives_the_bits_of_one_process(workers: Executor) -> None:
     model = fitted(train).model
     found = []
     for executor in (None, workers):
-        study = ph.Study(model, train, held_out, effects=EFFECTS[:4])
+        study = ph.Study(model, train, held_out, effects=EFFECTS)
         study.auto(max_steps=1, executor=executor)
         found.append(study)
     one, other = found

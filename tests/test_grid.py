@@ -3,6 +3,7 @@ whose derivatives are those of finite differences.
 """
 
 from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -128,10 +129,10 @@ T, X, U = (
 )
 
 
-def record(states: str, inputs: str = "", **options: object) -> ph.Measurements:
+def record(states: str, inputs: str = "", **options: Any) -> ph.Measurements:
     x, u = X[:, : len(states)], U[:, : len(inputs)]
-    names = {"states": list(states), "inputs": list(inputs)}
-    return ph.Measurements.from_arrays(T, x, u if inputs else None, **names, **options)
+    options |= {"states": list(states), "inputs": list(inputs)}
+    return ph.Measurements.from_arrays(T, x, u if inputs else None, **options)
 
 
 def bare(inputs: str = "") -> ph.PseudoHamiltonian:

@@ -24,7 +24,7 @@ from phsi_opt.errors import DataError, ModelError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.sweeps.local_workers import InThisProcess, local_workers
-from phsi_opt.sweeps.sweep import Done, KeptResults, sweep
+from phsi_opt.sweeps.sweep import KeptResults, sweep
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.writing import write_whole
 from problems.tools.kept_tables import append_rows
@@ -77,23 +77,15 @@ def test_processes_and_threads_give_the_bits_of_one_process(
     serial: dict[str, Any],
 ) -> None:
     assert len({one["k"] for one in serial.values()}) == len(serial)
-    with local_workers(N_WORKERS) as workers:
-        found = results(sweep(sweep_tasks.estimates, draws(6), executor=workers))
-        pids = results(
-            sweep(
-                sweep_tasks.process_and_threads,
-                {str(n): n for n in range(8)},
-                executor=workers,
-            )
-        )
-    assert found == serial
-    processes = {pid for pid, _ in pids.values()}
-    assert os.getpid() not in processes
-    assert {threads for _, threads in pids.values()} == {"1"}
-    with ThreadPoolExecutor(N_WORKERS) as threads:
-        assert results(sweep(sweep_tasks.estimates, draws(6), executor=threads)) == (
-            serial
-        )
+    cases = {str(n): n for n in range(8)}
+    with local_workers(N_WORKERS) as workers, ThreadPoolExecutor(N_WORKERS) as threads:
+        for executor in (workers, threads):
+            swept = sweep(sweep_tasks.estimates, draws(6), executor=executor)
+            assert results(swept) == serial
+        where = sweep(sweep_tasks.process_and_threads, cases, executor=workers)
+        of_each = set(results(where).values())
+    assert os.getpid() not in {pid for pid, _ in of_each}
+    assert {n_threads for _, n_threads in of_each} == {"1"}
 
 
 def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
@@ -101,15 +93,11 @@ def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
         "distributed.logging.distributed": "critical",
         "distributed.comm.timeouts.connect": "30s",
     }
+    cluster = partial(distributed.LocalCluster, 3, 1, True, dashboard_address=None)
     with (
         dask.config.set(quiet),
-        distributed.LocalCluster(
-            n_workers=3,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,
-        ) as cluster,
-        distributed.Client(cluster) as client,
+        cluster() as three,
+        distributed.Client(three) as client,
     ):
         pids = list(client.run(os.getpid).values())
         found: dict[str, Any] = {}
@@ -134,6 +122,12 @@ def test_a_sweep_asks_no_more_of_an_executor_than_it_may_hold() -> None:
     watched.pool.shutdown()
 
 
+def test_a_worker_that_dies_is_told_with_its_case() -> None:
+    match = "a worker ended while 'a'"
+    with local_workers(2) as workers, pytest.raises(SolveError, match=match):
+        list(sweep(sweep_tasks.dies, {"a": 1}, executor=workers))
+
+
 def test_leaving_the_loop_and_an_error_cancel_what_is_not_begun() -> None:
     watched = Watched()
     cases = {str(n): n for n in range(100)}
@@ -151,9 +145,8 @@ def test_leaving_the_loop_and_an_error_cancel_what_is_not_begun() -> None:
 def test_a_restart_computes_only_what_is_not_kept(tmp_path: Path) -> None:
     folder = tmp_path / "kept"
     cases = {f"case {n}/of:9": n for n in range(9)}
-    swept = sweep(
-        sweep_tasks.square, cases, executor=InThisProcess(), folder=folder, of="squares"
-    )
+    squared = partial(sweep, sweep_tasks.square, cases, executor=InThisProcess())
+    swept = squared(folder=folder, of="squares")
     first = [next(swept) for _ in range(4)]
     swept.close()  # type: ignore[attr-defined]
     assert len(list(folder.glob("*.json"))) == 4
@@ -161,22 +154,13 @@ def test_a_restart_computes_only_what_is_not_kept(tmp_path: Path) -> None:
     cut = kept.path_of(first[0].key)
     cut.write_text(cut.read_text()[:20])  # as an older program's kill would leave it
     said: list[str] = []
-    again: list[Done] = list(
-        sweep(
-            sweep_tasks.square,
-            cases,
-            executor=InThisProcess(),
-            folder=folder,
-            of="squares",
-            progress=said.append,
-        )
-    )
+    again = list(squared(folder=folder, of="squares", progress=said.append))
     assert [done.was_kept for done in again] == [True] * 3 + [False] * 6
     assert results(again) == {key: n**2 for key, n in cases.items()}
     assert said[-1].startswith("9 of 9: ")
     assert not list(folder.glob("*.part"))
     with pytest.raises(DataError, match="another sweep"):
-        list(sweep(sweep_tasks.square, cases, folder=folder, of="cubes"))
+        list(squared(folder=folder, of="cubes"))
 
 
 def test_keys_of_any_kind_have_files_of_their_own(tmp_path: Path) -> None:
@@ -221,14 +205,6 @@ def test_what_cannot_be_swept_is_refused_at_once(
 ) -> None:
     with pytest.raises(DataError, match=said):
         sweep(function, cases, in_flight=in_flight)
-
-
-def test_a_worker_that_dies_is_told_with_its_case() -> None:
-    with (
-        local_workers(N_WORKERS) as workers,
-        pytest.raises(SolveError, match="a worker ended while 'a'"),
-    ):
-        list(sweep(sweep_tasks.dies, {"a": 1}, executor=workers))
 
 
 COMPUTING = """
@@ -318,16 +294,10 @@ def test_a_bootstrap_scatters_as_the_standard_errors_say(
     fitted: Fit, tmp_path: Path
 ) -> None:
     data = sweep_tasks.data(3)
-    few = bootstrap(fitted, data, 4, executor=InThisProcess(), folder=tmp_path)
+    drawn = partial(bootstrap, fitted, data, folder=tmp_path, executor=InThisProcess())
+    few = drawn(4)
     said: list[str] = []
-    found = bootstrap(
-        fitted,
-        data,
-        20,
-        executor=InThisProcess(),
-        folder=tmp_path,
-        progress=said.append,
-    )
+    found = drawn(20, progress=said.append)
     assert sum("kept before" in line for line in said) == 4
     assert list(found.estimates.index) == list(range(20))
     assert found.estimates.iloc[:4].equals(few.estimates)
@@ -361,11 +331,6 @@ def test_a_bootstrap_refuses_what_it_cannot_draw(fitted: Fit, tmp_path: Path) ->
     measured = type(data).from_arrays(data.trajectories[0].t, both, states=["x", "v"])
     with pytest.raises(ModelError, match="PHSILoss"):
         bootstrap(identify(sweep_tasks.model(), measured, PHSILoss()), measured)
-
-
-def test_a_partial_function_is_swept() -> None:
-    found = results(sweep(partial(pow, 2), {"a": 3, "b": 5}, executor=InThisProcess()))
-    assert found == {"a": 8, "b": 32}
 
 
 def test_one_process_computes_no_further_than_the_loop_has_come() -> None:

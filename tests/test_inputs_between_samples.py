@@ -1,0 +1,300 @@
+"""Inputs between their samples: smooth ones (`hold="cubic"`), and ways that differ from
+input to input (`hold={"valve": "zero"}`).
+"""
+
+import pickle
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.data.trajectory import SmoothInputs
+from phsi_opt.page.drafts import StudyDraft
+from phsi_opt.simulation.simulate import free_run
+from phsi_opt.study_file.study_file import section_of, write_table
+from phsi_opt.study_file.toml_text import toml_tables
+from phsi_opt.transcription.grid import aligned, grid_of
+from tests.pushed_mass import pushed_mass
+
+# ---- smooth inputs
+
+MASS = 2.0
+OMEGA = 6.0  # rad/s of the faster wave of the push; six samples a period
+NOISE = 1e-4  # m
+TIMES = np.arange(0.0, 6.4, 0.17)
+
+
+def push(t: np.ndarray) -> np.ndarray:
+    return 3 * np.sin(OMEGA * t) + 2 * np.cos(OMEGA / 2 * t + 1)
+
+
+def place(t: np.ndarray) -> np.ndarray:
+    """Where a free mass is that the push moves from rest."""
+    slow = OMEGA / 2
+    fast_part = 3 / OMEGA * (t - np.sin(OMEGA * t) / OMEGA)
+    turned = np.cos(1) - np.cos(slow * t + 1)
+    slow_part = 2 / slow * (turned / slow - np.sin(1) * t)
+    return np.asarray((fast_part + slow_part) / MASS)
+
+
+def moved(hold: str) -> ph.Measurements:
+    q = place(TIMES) + NOISE * np.random.default_rng(0).normal(size=len(TIMES))
+    x = np.column_stack([q, np.full(len(TIMES), np.nan)])
+    return ph.Measurements.from_arrays(
+        TIMES, x, push(TIMES), states=["q", "p"], inputs=["u"], hold=hold
+    )
+
+
+def test_a_spline_between_and_beyond_the_samples() -> None:
+    t = np.sort(np.random.default_rng(1).uniform(0, 5, 40))
+    smooth = SmoothInputs(t, np.column_stack([t**3 - t, np.cos(t)]))
+    at = np.linspace(t[0], t[-1], 7)
+    np.testing.assert_allclose(smooth(at)[:, 0], at**3 - at, atol=1e-10)
+    np.testing.assert_array_equal(smooth(np.array([-9.0, 99.0])), smooth(t[[0, -1]]))
+
+
+@pytest.mark.parametrize("n_samples", [2, 3, 5])
+def test_a_line_has_the_mean_and_the_first_moment_of_the_spline(n_samples: int) -> None:
+    t = np.array([0.0, 0.7, 1.0, 2.2, 3.0])[:n_samples]
+    smooth = SmoothInputs(t, np.exp(t)[:, None])
+    first, last = smooth.lines(t[:-1], t[1:])
+    s, weight = np.polynomial.legendre.leggauss(4)  # exact for these polynomials
+    for k, (a, b) in enumerate(pairwise(t)):
+        spline = smooth((a + b) / 2 + (b - a) / 2 * s)[:, 0]
+        line = (first[k, 0] + last[k, 0]) / 2 + (last[k, 0] - first[k, 0]) / 2 * s
+        np.testing.assert_allclose(weight @ spline, weight @ line, rtol=1e-12)
+        np.testing.assert_allclose(weight @ (spline * s), weight @ (line * s))
+
+
+def test_simulate_free_run_and_closed_form_agree() -> None:
+    u = push(TIMES)[:, None]
+    x = ph.simulate(pushed_mass(MASS), TIMES, [0.0, 0.0], u, hold="cubic")
+    y = free_run(pushed_mass(MASS), TIMES, np.zeros(2), u, "cubic")
+    np.testing.assert_allclose(y, x, atol=1e-6)
+    lines = ph.simulate(pushed_mass(MASS), TIMES, [0.0, 0.0], u)
+    error = np.max(np.abs(x[:, 0] - place(TIMES)))
+    assert error < 0.2 * np.max(np.abs(lines[:, 0] - place(TIMES)))
+
+
+def test_the_mass_is_found_from_six_samples_a_period() -> None:
+    model = pushed_mass(ph.Parameter(1.0, lower=0))
+    smooth = ph.identify(model, moved("cubic"))
+    straight = ph.identify(model, moved("linear"))
+    assert smooth.values["m"] == pytest.approx(MASS, abs=3e-3)
+    assert abs(straight.values["m"] - MASS) > 0.03
+    assert smooth.noise["q"] < 0.1 * straight.noise["q"]
+    assert ph.compare(smooth, moved("cubic")).rmse < 3 * NOISE
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_nodes_lie_on_the_spline_of_their_trajectory(steps: int) -> None:
+    t = TIMES
+    x = [np.zeros((len(t), 1)), np.zeros((9, 1))]
+    data = ph.Measurements.from_arrays(
+        [t, t[:9]], x, [push(t), -push(t[:9])], states=["q"], inputs=["u"], hold="cubic"
+    )
+    grid = grid_of(data, steps)
+    for number, run in enumerate(data):
+        smooth = SmoothInputs(run.t, run.u)
+        own = grid.trajectory == number
+        np.testing.assert_allclose(grid.u[own], smooth(grid.t[own]))
+        begin = grid.begin[grid.runs == number]
+        first, last = smooth.lines(grid.t[begin], grid.t[begin + 1])
+        np.testing.assert_array_equal(grid.u0[grid.runs == number], first)
+        np.testing.assert_array_equal(grid.u1[grid.runs == number], last)
+
+
+def test_a_model_without_inputs_takes_it() -> None:
+    data = ph.Measurements.from_arrays(
+        TIMES, np.exp(-TIMES), states=["a"], hold="cubic"
+    )
+    assert grid_of(data).u0.shape == (len(TIMES) - 1, 0)
+    model = ph.FirstOrder(["a"], {"a": ph.formula("-k*a", k=ph.Parameter(0.5))})
+    assert ph.identify(model, data).values["k"] == pytest.approx(1.0, abs=1e-5)
+
+
+# ---- a way for each input
+
+T = np.arange(0.0, 12.0, 0.25)
+PUSH = 2 * np.sin(2.5 * T)  # smooth, and coarsely sampled: ten samples a period
+VALVE = np.where((T // 1.5) % 2 == 0, 1.0, -1.0)  # a digital output: it steps
+U = np.column_stack([PUSH, VALVE])
+HOLD = {"push": "cubic", "valve": "zero"}
+
+
+def tank(k: float | ph.Parameter = 0.8) -> ph.FirstOrder:
+    """A leaking tank with two inputs that add up."""
+    rate = ph.formula("push + valve - k*q", k=k)
+    return ph.FirstOrder(["q"], {"q": rate}, inputs=["push", "valve"])
+
+
+def record(hold: Any = HOLD) -> ph.Measurements:
+    """The tank's level where the push is smooth and the valve steps."""
+    x = ph.simulate(tank(), T, [0.5], U, hold=HOLD)
+    return ph.Measurements.from_arrays(
+        T, x, U, states=["q"], inputs=["push", "valve"], hold=hold
+    )
+
+
+def test_inputs_that_are_left_out_are_linear_and_one_word_stays_a_word() -> None:
+    assert record({"valve": "zero"}).hold == {"push": "linear", "valve": "zero"}
+    assert record({"push": "zero", "valve": "zero"}).hold == "zero"
+    assert record({}).hold == "linear"
+    data = record()
+    assert pickle.loads(pickle.dumps(data)).hold == data.hold
+    with pytest.raises(TypeError):
+        data.hold["valve"] = "linear"  # type: ignore[index]
+
+
+UNKNOWN_NAME = r"hold names the unknown 'valv'; expected one of push, valve\. Did you "
+UNKNOWN_WAY = "hold: 'valve' has the hold 'zeros'; expected 'linear', 'zero' or 'cubic'"
+
+
+@pytest.mark.parametrize(
+    ("hold", "message"),
+    [
+        ({"valv": "zero"}, UNKNOWN_NAME + r"mean 'valve'\?"),
+        ({"q": "zero"}, "hold names the unknown 'q'"),
+        ({"valve": "zeros"}, UNKNOWN_WAY + r". Did you mean 'zero'\?"),
+        ({"valve": None}, "hold: 'valve' has the hold None"),
+        (["zero", "linear"], r"hold=\['zero', 'linear'\] is unknown"),
+    ],
+)
+def test_an_unknown_input_or_way_is_refused(hold: Any, message: str) -> None:
+    with pytest.raises(ph.DataError, match=message):
+        record(hold)
+    for run in (ph.simulate, free_run):
+        with pytest.raises(ph.DataError, match=message):
+            run(tank(), T, [0.5], U, hold=hold)
+
+
+def test_each_column_is_that_of_its_own_way() -> None:
+    thin = record().thinned(3)
+    assert thin.hold == HOLD
+    assert all(part.hold == HOLD for part in record().split())
+    grid = grid_of(record(), 3)
+    for number, hold in enumerate(HOLD.values()):
+        alone = grid_of(record(hold), 3)
+        for name in ("u", "u0", "u1"):
+            column = getattr(grid, name)[:, number]
+            np.testing.assert_array_equal(column, getattr(alone, name)[:, number])
+        thinned = record(hold).thinned(3).trajectories[0].u[:, number]
+        np.testing.assert_array_equal(thin.trajectories[0].u[:, number], thinned)
+
+
+@pytest.mark.parametrize("way", ["linear", "cubic"])
+def test_a_simulation_is_the_sum_of_what_each_input_does(way: str) -> None:
+    """A linear system adds up the responses to its inputs."""
+    both = {"push": way, "valve": "zero"}
+    x = ph.simulate(tank(), T, [0.0], U, hold=both)
+    of_push = ph.simulate(tank(), T, [0.0], U * [1, 0], hold=way)
+    of_valve = ph.simulate(tank(), T, [0.0], U * [0, 1], hold="zero")
+    np.testing.assert_allclose(x, of_push + of_valve, atol=1e-6)  # of the integrator
+    fast = free_run(tank(), T, np.zeros(1), U, both)
+    np.testing.assert_allclose(fast, x, atol=1e-5)  # its tolerance, of the spread
+
+
+def test_a_fit_needs_the_right_way_for_each_input_and_keeps_it(tmp_path: Path) -> None:
+    model = tank(ph.Parameter(1.0, lower=0))
+    fit = ph.identify(model, record())
+    assert fit.values["k"] == pytest.approx(0.8, abs=1e-4)
+    for hold in ("linear", "zero"):
+        other = ph.identify(model, record(hold))
+        assert abs(other.values["k"] - 0.8) > 20 * abs(fit.values["k"] - 0.8)
+    path = tmp_path / "fit.json"
+    fit.save(path)
+    expected = fit.simulate(T, [0.5], U)
+    for again in (fit, ph.Fit.load(path), pickle.loads(pickle.dumps(fit))):
+        assert again.hold == HOLD
+        np.testing.assert_array_equal(again.simulate(T, [0.5], U), expected)
+    # As long as the record is, errors of the integrators and of k show.
+    assert ph.compare(fit, record()).rmse < 1e-3
+
+
+def test_columns_in_another_order_or_left_out_keep_their_way() -> None:
+    rate = ph.formula("push + valve - q")
+    turned = ph.FirstOrder(["q"], {"q": rate}, inputs=["valve", "push"])
+    assert aligned(turned, record()).hold == HOLD
+    of_turned = grid_of(aligned(turned, record())).u1
+    np.testing.assert_array_equal(of_turned, grid_of(record()).u1[:, ::-1])
+    rate = ph.formula("valve - k*q", k=ph.Parameter(1.0))
+    alone = ph.FirstOrder(["q"], {"q": rate}, inputs=["valve"])
+    assert ph.identify(alone, record()).hold == "zero"
+
+
+def test_only_inputs_that_are_not_held_separate_pairs() -> None:
+    pairs: dict[str, Any] = {
+        "x_start": [1.0, 2.0, 3.0],
+        "x_end": [2.0, 3.0, 4.0],
+        "t_start": [0, 1, 2],
+        "t_end": [1, 2, 3],
+        "u_start": [[0.0, 5.0], [1.0, 6.0], [3.0, 6.0]],
+        "u_end": [[1.0, 5.0], [2.0, 6.0], [4.0, 6.0]],
+        "inputs": ["push", "valve"],
+    }
+    data = ph.Measurements.from_pairs(**pairs, hold={"valve": "zero"})
+    assert [run.n_samples for run in data] == [3, 2]  # the push jumps at t = 2
+    with pytest.raises(ph.DataError, match="only one of u_start and u_end"):
+        ph.Measurements.from_pairs(**(pairs | {"u_end": None}), hold={"valve": "zero"})
+    both = dict.fromkeys(pairs["inputs"], "zero")
+    held = ph.Measurements.from_pairs(**(pairs | {"u_end": None}), hold=both)
+    assert held.n_samples == 4
+
+
+STUDY = """
+[data]
+files = "tank.csv"
+hold = "cubic"
+time = { column = "t" }
+
+[data.states]
+q = { column = "q" }
+
+[data.inputs]
+push = { column = "push" }
+valve = { column = "valve", hold = "zero" }
+
+[model]
+type = "FirstOrder"
+states = ["q"]
+inputs = ["push", "valve"]
+F = { q = "push + valve - k*q" }
+
+[parameters]
+k = { start = 1.0 }
+"""
+
+
+def test_a_study_file_its_page_and_its_report_say_it(tmp_path: Path) -> None:
+    table = tmp_path / "tank.csv"
+    record().to_dataframe().to_csv(table, index=False)
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY)
+    file = ph.StudyFile.read(path)
+    assert file.measurements().hold == HOLD
+    again = ph.StudyFile.read(file.write(path.with_name("again.toml")))
+    assert again.data == file.data
+    assert again.measurements().hold == HOLD
+    seen: dict[str, Any] = {"__file__": str(path)}
+    exec(file.script().partition("study = ph.Study(")[0], seen)
+    assert seen["data"].hold == HOLD
+    draft = StudyDraft.of(toml_tables(STUDY), {table.name: table})
+    inputs = {"push": {"column": "push"}, "valve": {"column": "valve", "hold": "zero"}}
+    assert draft.content()["data"]["inputs"] == inputs
+    report = file.study().report(path.with_name("report.html")).read_text()
+    assert "push: smooth, on the cubic spline" in report
+    assert "valve: constant until the next sample" in report
+    path.write_text(STUDY.replace('"zero"', '"zeros"'))
+    with pytest.raises(ph.StudyFileError, match=r"data.inputs.valve.hold = .*'zero'\?"):
+        ph.StudyFile.read(path)
+
+
+def test_measurements_of_a_study_are_written_with_it(tmp_path: Path) -> None:
+    section = section_of(record(), "tank.csv")
+    write_table(record(), tmp_path / "tank.csv")
+    again = section.measurements(tmp_path)
+    assert again.hold == record().hold
+    assert again.digest == record().digest
