@@ -19,7 +19,6 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.errors import Complaint
-from phsi_opt.force_analysis.localization import Window
 from phsi_opt.page.draft_views import unknown_names
 from phsi_opt.page.drafts import (
     INPUT,
@@ -33,11 +32,11 @@ from phsi_opt.page.drafts import (
 from phsi_opt.page.gallery import GALLERY, BaseModel, match_states
 from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words
-from phsi_opt.page.serve import MOST_SESSIONS, Sessions, is_loopback, serve
+from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import words
-from phsi_opt.page.worker import Order, Refused, Shown, WorkerHandle
+from phsi_opt.page.worker import Order, Shown, WorkerHandle
 from phsi_opt.presentation.charts import force_chart, plotly, run_chart
 from phsi_opt.presentation.content import (
     Channel,
@@ -49,7 +48,7 @@ from phsi_opt.presentation.content import (
 )
 from phsi_opt.presentation.units import Scale
 from phsi_opt.study.content import worst_moment
-from tests.page_tools import bad_table, spring_table, wait_for
+from tests.page_tools import bad_table, contrast, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
 ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
@@ -127,67 +126,52 @@ def test_a_bad_table_is_refused_with_its_line_and_column(session: Session) -> No
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("content", "said"),
     [
-        ("", "is empty"),
-        ("t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
-        ("t,q,q\n0,1,1\n1,2,2\n", "q: 2 columns are called so"),
+        (b"", "is empty"),
+        (b"t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
+        (b"t,q,q\n0,1,1\n1,2,2\n", "q: 2 columns are called so"),
+        (b"0" * (MOST_UPLOADED + 1), "at most 20 MB"),
     ],
+    ids=["empty", "short", "twice", "large"],
 )
-def test_what_is_no_table_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    session = Session(tmp_path)
-    assert not session.upload("x.csv", text.encode())
-    assert said in session.upload_error
-
-
-def test_decimal_commas_are_numbers(tmp_path: Path) -> None:
-    session = Session(tmp_path)
-    assert session.upload("x.csv", b"t;q\n0;1,5\n1;2,5\n2;2,0\n"), session.upload_error
-    session.close()
-    assert session.draft.data is not None
-    assert [one.is_numeric for one in session.draft.data.columns] == [True, True]
-
-
-def test_a_table_that_is_too_large_is_refused(tmp_path: Path) -> None:
-    session = Session(tmp_path)
-    assert not session.upload("large.csv", b"0" * (MOST_UPLOADED + 1))
-    assert "at most 20 MB" in session.upload_error
-
-
-def test_a_name_with_a_path_stays_in_the_folder_of_the_session(tmp_path: Path) -> None:
+def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     session = Session(tmp_path / "own")
-    session.upload("../../outside.csv", b"t,q\n0,1\n1,2\n2,4\n")
+    assert not session.upload("../../x.csv", content)
+    assert said in session.upload_error
+    assert [one.key for one in session.complaints] == ["data.files"]
+    assert not list(tmp_path.rglob("x.csv")), "a name with a path is no path"
+    session.undo()
+    wait_for(lambda: session.job is None)
+    assert session.message == "Nothing has been fitted yet; press Fit first."
+    with pytest.raises(ph.DataError, match="nothing has been fitted yet"):
+        session.study_file()
+    assert session.failure
+    session.check()
+    assert session.failure == "", "a failure is told until the draft changes"
     session.close()
-    assert not list(tmp_path.rglob("outside.csv"))
 
 
-def test_a_second_table_with_the_same_columns_is_a_second_run(tmp_path: Path) -> None:
-    session = Session(tmp_path)
-    session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
-    assert session.draft.data is not None
-    session.draft.data.columns[1].table["unit"] = "mm"
-    session.upload("b.csv", b"t,q\n0,2\n1,1\n2,4\n")
-    session.close()
-    assert session.draft.data.files == ["a.csv", "b.csv"]
-    assert session.draft.data.runs == ["a", "b"]
-    assert session.draft.data.columns[1].unit == "mm", "what was said of it stays"
-
-
-def test_a_table_with_other_columns_takes_the_place_of_a_wrong_one(
+def test_tables_with_the_same_columns_are_runs_and_others_take_their_place(
     tmp_path: Path,
 ) -> None:
     session = Session(tmp_path)
-    session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
-    assert session.upload("b.csv", b"Zeit,Weg\n0,2\n1,1\n2,4\n"), session.upload_error
+    session.upload("a.csv", b"t;q\n0;1,5\n1;3,5\n2;2,0\n")
+    data = session.draft.data
+    assert data is not None
+    data.columns[1].table["unit"] = "mm"
+    session.upload("b.csv", b"t;q\n0;2,5\n1;1\n2;4\n")
+    assert data.runs == ["a", "b"]
+    session.remove_file("a.csv")
+    assert data.files == ["b.csv"]
+    assert data.columns[1].unit == "mm", "what was said of it stays"
+    assert session.upload("c.csv", b"Zeit,Weg\n0,2\n1,1\n2,4\n"), session.upload_error
+    assert session.draft.places.keys() == {"c.csv"}
+    assert "c.csv has other columns: it takes the place of b.csv" in session.message
+    session.remove_file("c.csv")
     session.close()
-    assert session.draft.data is not None
-    assert session.draft.data.files == ["b.csv"]
-    assert "b.csv has other columns: it takes the place of a.csv" in session.message
-
-
-def test_nothing_can_be_fitted_before_there_are_data(tmp_path: Path) -> None:
-    session = Session(tmp_path)
-    assert [one.key for one in session.complaints] == ["data.files"]
+    assert session.draft.data is None
+    assert "there is no table yet" in session.complaints[0].said
 
 
 # ---- the model -----------------------------------------------------------------------
@@ -224,66 +208,28 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
         ColumnDraft("u", INPUT, {"name": "u", "unit": "N"}),
     ]
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
+    match_states(data, {"q": "rad", "p": "kg m^2 rad/s"})
+    assert columns[1].role == "not used"
     match_states(data, {"q": "m", "p": "kg m/s"})
-    assert data.column_named(STATE, "q") is columns[1]
+    assert data.column_named(STATE, "q") is columns[1], "it comes back"
     assert columns[0].role == "not used", "a velocity is no momentum"
     assert data.unmeasured == {"p": "kg m/s"}
 
 
-def test_a_column_that_one_base_model_has_no_state_for_comes_back_with_another() -> (
-    None
-):
-    column = ColumnDraft("x", STATE, {"name": "x", "unit": "m"})
-    data = DataDraft({"a.csv": Path("a.csv")}, [column])
-    match_states(data, {"q": "rad", "p": "kg m^2 rad/s"})
-    assert column.role == "not used"
-    match_states(data, {"q": "m", "p": "kg m/s"})
-    assert (column.role, column.name) == (STATE, "q")
-
-
-def test_a_column_that_fits_no_state_is_told_with_its_unit(session: Session) -> None:
-    pendulum = GALLERY["Pendulum"]
-    session.choose(pendulum)
+def test_what_the_gallery_assumes_or_cannot_use_is_told(session: Session) -> None:
+    session.choose(GALLERY["Pendulum"])
     assert session.left_over.startswith(
         "position_m in m fits no state of Pendulum (q in rad,"
     )
     session.choose(GALLERY["Spring"])
     assert session.left_over == ""
-
-
-def test_a_mass_of_the_gallery_is_an_assumption_until_it_is_given(
-    session: Session,
-) -> None:
-    session.choose(GALLERY["Spring"])
-    (mass,) = [one for one in session.draft.model.parameters if one.name == "m"]
-    assert mass.is_assumed
-    assert not any(
-        p.is_assumed for p in session.draft.model.parameters if p is not mass
-    )
-
-
-def test_the_live_check_evaluates_the_formulas_at_the_data(session: Session) -> None:
-    assert session.check() == ()
-    (mass,) = [one for one in session.draft.model.parameters if one.name == "m"]
+    parameters = session.draft.model.parameters
+    (mass,) = [one for one in parameters if one.is_assumed]
+    assert mass.words == "m = 1 kg"
     mass.table["value"] = 0
     (found,) = session.check()
     assert "has no finite value at" in found.said
     assert "m = 0" in found.said
-
-
-def test_tables_are_taken_away_one_by_one(tmp_path: Path) -> None:
-    session = Session(tmp_path)
-    session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
-    session.upload("b.csv", b"t,q\n0,2\n1,1\n2,4\n")
-    assert session.draft.data is not None
-    session.draft.data.columns[1].table["unit"] = "mm"
-    session.remove_file("a.csv")
-    assert session.draft.data.files == ["b.csv"]
-    assert session.draft.data.columns[1].unit == "mm", "what was said of it stays"
-    session.remove_file("b.csv")
-    session.close()
-    assert session.draft.data is None
-    assert "there is no table yet" in session.complaints[0].said
 
 
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
@@ -302,20 +248,7 @@ def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     assert "cannot be fitted yet" in session.message
 
 
-def test_a_state_that_no_column_shows_is_told_in_words_of_the_page() -> None:
-    said = (
-        'the model has it: give { column = "..." }, or { measured = false }. '
-        "Did you mean 'q'?"
-    )
-    words = complaint_words(Complaint("data.states.x", "", said))
-    assert words.startswith("Column of x: the model has it: choose a column")
-
-
-def test_a_study_file_becomes_drafts_and_comes_back(tmp_path: Path) -> None:
-    (tmp_path / "spring.csv").write_bytes(spring_table())
-    path = tmp_path / "study.toml"
-    path.write_text(
-        """
+SPRING_FILE = """
 [data]
 files = ["spring.csv"]
 trajectory = "run"
@@ -344,23 +277,8 @@ without = ["harmonic force"]
 [loss]
 huber = 1.5
 """
-    )
-    session = Session(tmp_path / "session", path)
-    assert session.complaints == ()
-    (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
-    again = ph.StudyFile.read(tmp_path / "again.toml")
-    first = ph.StudyFile.read(path)
-    assert again.text() == first.text()
-
-
-def test_a_table_without_header_or_times_is_kept_as_the_study_file_tells_it(
-    tmp_path: Path,
-) -> None:
-    numbers = "\n".join(f"{0.1 * number} {number % 3}" for number in range(30))
-    (tmp_path / "bare.txt").write_text(numbers)
-    path = tmp_path / "study.toml"
-    path.write_text(
-        """
+# Without a header or times.
+BARE_FILE = """
 [data]
 files = ["bare.txt"]
 time = { step = 0.5, unit = "s" }
@@ -372,23 +290,8 @@ F = { x = "-a*x" }
 [parameters]
 a = { start = 1.0 }
 """
-    )
-    session = Session(tmp_path / "session", path)
-    assert session.complaints == ()
-    assert session.draft.data is not None
-    assert session.draft.data.time["step"] == 0.5
-    assert [one.column for one in session.draft.data.with_role(STATE)] == [1]
-    (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
-    again = ph.StudyFile.read(tmp_path / "again.toml")
-    assert again.text() == ph.StudyFile.read(path).text()
-
-
-def test_one_text_stands_for_a_list_of_it_in_the_drafts_too(tmp_path: Path) -> None:
-    lines = [f"{run},{t},{t % 3}" for run in ("one", "two") for t in range(9)]
-    (tmp_path / "a.csv").write_text("\n".join(["run,t,level", *lines]))
-    path = tmp_path / "study.toml"
-    path.write_text(
-        """
+# Where one text stands for a list of it.
+ONE_FILE = """
 [data]
 files = "a.csv"
 trajectory = "run"
@@ -405,10 +308,19 @@ a = { start = 1.0 }
 [study]
 added = "constant force on level"
 """
-    )
+
+
+@pytest.mark.parametrize("text", [SPRING_FILE, BARE_FILE, ONE_FILE])
+def test_a_study_file_becomes_drafts_and_comes_back(text: str, tmp_path: Path) -> None:
+    (tmp_path / "spring.csv").write_bytes(spring_table())
+    numbers = "\n".join(f"{0.1 * number} {number % 3}" for number in range(30))
+    (tmp_path / "bare.txt").write_text(numbers)
+    lines = [f"{run},{t},{t % 3}" for run in ("one", "two") for t in range(9)]
+    (tmp_path / "a.csv").write_text("\n".join(["run,t,level", *lines]))
+    path = tmp_path / "study.toml"
+    path.write_text(text)
     session = Session(tmp_path / "session", path)
     assert session.complaints == ()
-    assert session.draft.model.names("states") == ["level"]
     (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.text() == ph.StudyFile.read(path).text()
@@ -473,27 +385,27 @@ def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None
         assert "dp/dt lacks" in words("at_time", [force], run, 1.0, content.time, 2.0)
 
 
-def test_the_charts_open_where_the_verdict_says(studied: Session) -> None:
+def test_the_charts_open_where_the_verdict_says_and_stay_there(
+    studied: Session,
+) -> None:
     known = studied.content
     assert known is not None and known.glance is not None
     studied._show(replace(known, glance=Glance(2, 0, "", t=3.5)))
     assert studied.look == Look(2, 0, 3.5)
     assert not studied.look.is_of(known)
-    nowhere = replace(known, glance=None)
-    studied._show(nowhere)
+    studied._show(replace(known, glance=None))
     assert studied.look == Look(known.shown, 0, None)
+    studied.job = Job("Adding an effect", compares=True)
+    studied.look = looked = Look(run=1, t=2.0)
+    studied._show(known)
+    assert studied.look is looked, "before and after are compared"
+    studied.job = None
     # Of a model that lacks nothing, no moment is the worst one.
     studied._show(known)
     assert not studied.look.is_of(known)
     lacks = replace(known, diagnoses=known.diagnoses[:1])
     assert studied.look.is_of(lacks)
-
-
-def test_the_charts_open_on_the_channel_that_is_farthest_off() -> None:
-    t = np.linspace(0.0, 10.0, 101)
-    q = Channel("q", "rad", 0.01, t, t, (t,), (0.1,), movement=0.7)
-    v = replace(q, name="v", errors=(1.4,), movement=3.5)
-    assert Run("run 1", "training", (q, v)).worst(0) is v
+    assert known.runs[0].holds(1.0) and not known.runs[0].holds(99.0)
 
 
 def test_the_worst_moment_is_where_the_model_is_off_while_the_force_is_sure() -> None:
@@ -531,27 +443,6 @@ def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
     assert line["y"][0] == 1.0
 
 
-def test_after_a_step_the_charts_stay_where_the_user_looked(studied: Session) -> None:
-    assert studied.content is not None
-    known = studied.content
-    before = studied.look
-    looked = Look(run=1, t=2.0)
-    studied.look = looked
-    studied.job = Job("Adding an effect", compares=True)
-    studied._show(known)
-    assert studied.look is looked
-    studied.job = None
-    studied._show(known)
-    assert studied.look == Look.at(known)
-    studied.look = before
-
-
-def test_a_window_is_told_in_a_table_with_three_digits() -> None:
-    assert str(Window("run 1", 1.0, 1.5, is_whole=False)) == "1 to 1.5"
-    assert str(Window("run 1", -2e-5, 3.0, is_whole=False)) == "-2e-05 to 3"
-    assert str(Window("run 1", 0.0, 10.0, is_whole=True)) == "0 to 10 (throughout)"
-
-
 def test_work_says_what_it_does_now_and_how_much_longer() -> None:
     job = Job("Fitting the base model", done="Fitted")
     assert job.words == "Fitting the base model: starting"
@@ -565,41 +456,13 @@ def test_work_says_what_it_does_now_and_how_much_longer() -> None:
     )
 
 
-def test_a_fit_that_failed_is_told_until_the_draft_changes(session: Session) -> None:
-    session._ready_worker()
-    worker = session._worker
-    assert worker is not None
-    session._receive(worker, Refused("no solution was found"))
-    assert session.failure == "no solution was found"
-    session.check()
-    assert session.failure == ""
-
-
-def test_a_time_beyond_a_record_is_not_of_the_record(studied: Session) -> None:
-    assert studied.content is not None
-    run = studied.content.runs[0]
-    assert run.holds(1.0)
-    assert not run.holds(99.0)
-
-
 def test_a_table_of_a_study_file_is_taken_away_where_it_lies(tmp_path: Path) -> None:
     for name in ("a.csv", "b.csv"):
         (tmp_path / name).write_text("t,x\n0,1\n1,3\n2,2\n3,4\n")
     path = tmp_path / "study.toml"
-    path.write_text(
-        """
-[data]
-files = ["a.csv", "b.csv"]
-time = { column = "t" }
-states = { x = { column = "x" } }
-[model]
-type = "FirstOrder"
-states = ["x"]
-F = { x = "-a*x" }
-[parameters]
-a = { start = 1.0 }
-"""
-    )
+    files = BARE_FILE.replace('["bare.txt"]', '["a.csv", "b.csv"]')
+    columns = files.replace("column = 1", 'column = "x"')
+    path.write_text(columns.replace("step = 0.5", 'column = "t"'))
     session = Session(tmp_path / "session", path)
     session.remove_file("a.csv")
     assert session.upload_error == ""
@@ -678,6 +541,9 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     del session.draft.model.table["states"]
     said = [complaint_words(one) for one in session.check()]
     assert "Field states: expected the names of the states, such as q, p." in said
+    advice = 'the model has it: give { column = "..." }, or { measured = false }. Other'
+    words = complaint_words(Complaint("data.states.x", "", advice))
+    assert words.startswith("Column of x: the model has it: choose a column")
 
 
 def test_what_was_added_before_a_cancel_is_said_to_be_added(
@@ -742,14 +608,6 @@ def test_a_worker_that_is_lost_is_told(session: Session) -> None:
     assert "ended unexpectedly" in session.message
 
 
-def test_what_cannot_be_done_is_told(session: Session) -> None:
-    session.undo()
-    wait_for(lambda: session.job is None)
-    assert session.message == "Nothing has been fitted yet; press Fit first."
-    with pytest.raises(ph.DataError, match="nothing has been fitted yet"):
-        session.study_file()
-
-
 PARENT = """
 import sys, tempfile, time
 from pathlib import Path
@@ -788,26 +646,6 @@ def test_a_worker_ends_with_its_parent_in_the_middle_of_a_solve(
 # ---- sessions and limits -------------------------------------------------------------
 
 
-def test_every_browser_has_a_session_of_its_own_and_the_oldest_is_forgotten() -> None:
-    sessions = Sessions()
-    first = sessions.of("a")
-    assert sessions.of("a") is first
-    assert sessions.of("b") is not first
-    first.seen -= 1000.0
-    for number in range(MOST_SESSIONS - 1):
-        sessions.of(f"further {number}")
-    assert len(sessions) == MOST_SESSIONS
-    assert not first.folder.exists()
-    sessions.of("b").seen -= 1e6
-    sessions.tidy()
-    assert len(sessions) == MOST_SESSIONS - 1
-    again = sessions.begin_again("further 0")
-    assert again.folder.exists()
-    sessions.close()
-    assert len(sessions) == 0
-    assert not again.folder.exists()
-
-
 def received(limit: UploadLimit, body: bytes, told: int | None) -> int:
     """The status of an answer to a request; 200 where it was passed on whole."""
     headers = [] if told is None else [(b"content-length", str(told).encode())]
@@ -839,41 +677,21 @@ def test_requests_that_are_too_large_are_refused(
     assert received(limit, b"0" * n_bytes, told) == status
 
 
-def test_the_page_is_for_this_machine_alone_unless_told_otherwise() -> None:
-    assert serve.__defaults__ is not None
-    assert is_loopback(serve.__defaults__[1])
-    assert is_loopback("localhost")
-    assert is_loopback("::1")
-    assert not is_loopback("0.0.0.0")
-    assert not is_loopback("example.org")
-
-
-def test_a_study_file_that_cannot_be_used_is_told_before_anything_is_served(
+def test_the_page_is_for_this_machine_alone_unless_told_otherwise(
     tmp_path: Path,
 ) -> None:
+    assert serve.__defaults__ is not None
+    for host in (serve.__defaults__[1], "localhost", "::1"):
+        assert is_loopback(host)
+    assert not is_loopback("0.0.0.0")
+    assert not is_loopback("example.org")
     path = tmp_path / "study.toml"
-    path.write_text("[data]\n")
+    path.write_text("[data]\n")  # told before anything is served
     with pytest.raises(ph.StudyFileError, match="things to correct"):
         serve(path)
 
 
 # ---- colours -------------------------------------------------------------------------
-
-
-def luminance(color: str) -> float:
-    """As WCAG 2.2 defines it."""
-    total = 0.0
-    for place, weight in ((1, 0.2126), (3, 0.7152), (5, 0.0722)):
-        share = int(color[place : place + 2], 16) / 255
-        is_dark = share <= 0.04045
-        linear = share / 12.92 if is_dark else ((share + 0.055) / 1.055) ** 2.4
-        total += weight * linear
-    return total
-
-
-def contrast(one: str, other: str) -> float:
-    high, low = sorted((luminance(one), luminance(other)), reverse=True)
-    return (high + 0.05) / (low + 0.05)
 
 
 def colors(block: str) -> dict[str, str]:

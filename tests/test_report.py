@@ -31,6 +31,7 @@ from phsi_opt.presentation.charts import glance_chart, rounded, svg
 from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
+    SEVERITY_WORDS,
     Channel,
     ForceRun,
     ParameterRow,
@@ -42,7 +43,6 @@ from phsi_opt.presentation.content import (
 from phsi_opt.presentation.html_report import (
     html_report,
     markdown_report,
-    packed,
 )
 from phsi_opt.presentation.numbers import (
     estimate_text,
@@ -82,8 +82,10 @@ from phsi_opt.study.content import (
     is_just_below,
     study_content,
 )
+from phsi_opt.study.record import StudyRecord
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
+from tests.page_tools import contrast
 
 MOST_BYTES = 6_000_000
 ORDER = ["verdict", "errors", "equations", "runs", "where", "ranked", "checks"]
@@ -130,7 +132,7 @@ def page(study: ph.Study, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 class Reader(HTMLParser):
-    """Elements, ids and texts of a page, as a browser would see them."""
+    """Elements and texts of a page, as a browser would see them."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -143,15 +145,13 @@ class Reader(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.elements.append((tag, dict(attrs)))
         self._inside = tag
-        if tag == "script":
-            self.scripts.append("")
 
     def handle_endtag(self, tag: str) -> None:
         self._inside = ""
 
     def handle_data(self, data: str) -> None:
         if self._inside == "script":
-            self.scripts[-1] += data
+            self.scripts.append(data)
         elif self._inside != "style":
             self.text += data
 
@@ -159,9 +159,19 @@ class Reader(HTMLParser):
         return [attributes for name, attributes in self.elements if name == tag]
 
 
-def test_the_parts_stand_in_the_order_in_which_one_asks(page: str) -> None:
-    ids = [one["id"] for one in Reader(page).all("section")]
-    assert ids == [*ORDER, "settings"]
+def with_diagnoses(study: ph.Study, *diagnoses: ph.Diagnosis) -> StudyRecord:
+    """The study with as many steps as there are diagnoses of them."""
+    record = study.record
+    found = dict(enumerate(diagnoses))
+    return replace(
+        record, steps=record.steps[: len(found)], diagnoses=found, stopped=""
+    )
+
+
+def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
+    """The same of a catalogue that has no name for what is missing."""
+    left = {"findings": (), "proposed": (), "reason": "none", **changes}
+    return replace(diagnosis, verdict=ph.Verdict.UNEXPLAINED, **left)
 
 
 def test_the_first_screen_says_what_where_since_when_and_what_to_add(
@@ -196,11 +206,9 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
 def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     study: ph.Study,
 ) -> None:
-    named = study.record.diagnoses[0]
-    nearest = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
-    still = replace(nearest, proposed=(), reason="nothing else explains it")
-    record = replace(study.record, diagnoses={0: nearest, 1: still}, stopped="")
-    headline = study_content(record).headline
+    named, silent = study.record.diagnoses.values()
+    open_ = unexplained(named)
+    headline = study_content(with_diagnoses(study, open_, open_)).headline
     assert re.match(
         r"Added, but not established: coulomb friction on p \(decisive, log evidence "
         r"[\d.]+\)\. With it, the held-out error fell from",
@@ -211,15 +219,8 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     assert "dp/dt is off by" in answers["What is wrong"]
     assert "What to do next" in answers
 
-
-def test_nothing_is_said_to_be_right_beside_what_is_not_established(
-    study: ph.Study,
-) -> None:
-    named = study.record.diagnoses[0]
-    open_ = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=())
-    silent = study.record.diagnoses[1]
     assert silent.verdict == ph.Verdict.NOTHING_MISSING
-    record = replace(study.record, diagnoses={0: open_, 1: silent})
+    record = with_diagnoses(study, open_, silent)
     assert [one.name for one in record.unestablished] == ["coulomb friction on p"]
     headline = study_content(record).headline
     assert headline.sentence.endswith("No force is evident beside the present model.")
@@ -237,14 +238,8 @@ def test_nothing_is_said_to_be_right_beside_what_is_not_established(
 def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     study: ph.Study,
 ) -> None:
-    named = study.record.diagnoses[0]
-    unknown = replace(
-        named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
-    )
-    record = replace(
-        study.record, steps=study.record.steps[:1], diagnoses={0: unknown}, stopped=""
-    )
-    content = study_content(record)
+    unknown = unexplained(study.record.diagnoses[0])
+    content = study_content(with_diagnoses(study, unknown))
     headline = content.headline
     tried = r"(none of the \d+ effects tried explains|the one effect tried does not)"
     assert re.match(f"Something is missing; {tried}", headline.sentence)
@@ -281,7 +276,7 @@ def test_one_line_says_how_sure_it_is(
         r"\(log evidence [\d.]+\)\. ± is one standard error\.",
         said,
     )
-    unknown = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
+    unknown = unexplained(named)
     # The error alone, a little above the noise, makes nothing certain.
     begin = "The residuals are no noise: the error is 1."
     assert certainty_words(unknown).startswith(begin)
@@ -305,25 +300,9 @@ def test_one_line_says_how_sure_it_is(
     assert disturbance_word(unknown) == ""
 
 
-def test_parameters_that_the_data_leave_open_are_named_on_the_first_screen(
-    study: ph.Study, page: str
-) -> None:
-    table = study.fit.parameters
-    assert undetermined_words(table) == ""
-    table = table.assign(std_error=[2 * abs(value) for value in table["value"]])
-    assert undetermined_words(table.head(2)) == (
-        "Parameters that these data do not determine: k, m (standard error above the "
-        "value); "
-        "do not rely on them."
-    )
-
-
 def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None:
     partly = replace(study.record.diagnoses[0], verdict=ph.Verdict.PARTLY_NAMED)
-    record = replace(
-        study.record, steps=study.record.steps[:1], diagnoses={0: partly}, stopped=""
-    )
-    headline = study_content(record).headline
+    headline = study_content(with_diagnoses(study, partly)).headline
     told = "Coulomb friction on p is missing. With it, the held-out error falls"
     assert headline.sentence.startswith(told)
     facts = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
@@ -342,13 +321,7 @@ def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
     study: ph.Study, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     base: Any = SimpleNamespace(rmse=1.04, noise_floor=1.0)
-    unknown = replace(
-        study.record.diagnoses[0],
-        verdict=ph.Verdict.UNEXPLAINED,
-        findings=(),
-        proposed=(),
-        base=base,
-    )
+    unknown = unexplained(study.record.diagnoses[0], base=base)
     monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
     monkeypatch.setattr(EquationForce, "is_uncertain", True)
     begin = "The residuals are as small as noise, but not as random"
@@ -371,9 +344,7 @@ def test_the_nearest_effect_is_told_where_there_is_evidence_of_it(
     study: ph.Study,
 ) -> None:
     named = with_errors(study.record.diagnoses[0], after=0.4)
-    unknown = replace(
-        named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
-    )
+    unknown = unexplained(named)
     (first, *_) = unknown.ranking
     assert nearest_candidate(unknown) is first
     told = answer("to_do", unknown, is_held_out=True).detail
@@ -389,18 +360,6 @@ def test_the_nearest_effect_is_told_where_there_is_evidence_of_it(
     worse = with_errors(unknown, after=1.1)
     assert "less error" not in answer("to_do", worse, is_held_out=True).detail
     assert nearest_candidate(named) is None
-
-
-def test_a_further_storage_that_helps_is_what_to_try(
-    study: ph.Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    named = with_errors(study.record.diagnoses[0], after=0.4)
-    unknown = replace(
-        named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
-    )
-    monkeypatch.setattr("phsi_opt.study.answers.is_second_storage", lambda _: True)
-    told = answer("to_do", unknown, is_held_out=True)
-    assert told.lead == "Try coulomb friction on p: 60 % less error, but not proven."
 
 
 def test_a_class_whose_members_act_at_several_places_has_no_one_place(
@@ -422,22 +381,16 @@ def test_samples_that_are_missing_where_it_is_strongest_are_told(
 ) -> None:
     named = study.record.diagnoses[0]
     assert "Samples of" not in since_when(named, named.base).lead
-    where = named.where.iloc[0]
-    number_of = named.data.trajectory_number(str(where["trajectory"]))
-    begin, end = map(float, str(where["time_window"]).split(" to "))
+    window = named.analysis.force_in().window
+    number_of = named.data.trajectory_number(window.trajectory)
     run = named.data.trajectories[number_of]
+    middle = (window.begin + window.end) / 2
     x = run.x.copy()
-    x[(run.t >= begin) & (run.t <= (begin + end) / 2), 0] = np.nan
+    x[(run.t >= window.begin) & (run.t <= middle), 0] = np.nan
     runs = list(named.data.trajectories)
     runs[number_of] = replace(run, x=x)
-    data = SimpleNamespace(
-        trajectories=runs,
-        trajectory_number=named.data.trajectory_number,
-        states=named.data.states,
-        measured=named.data.measured,
-    )
-    force = named.analysis.force_in()
-    assert gaps_of(SimpleNamespace(data=data), force) == ["q"]  # type: ignore[arg-type]
+    data: Any = SimpleNamespace(data=replace(named.data, trajectories=tuple(runs)))
+    assert gaps_of(data, named.analysis.force_in()) == ["q"]
 
 
 def test_what_the_parameters_make_up_for_shows_in_the_data_held_out(
@@ -496,58 +449,41 @@ def test_what_comes_and_goes_is_said_to() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shares", "kind", "expected"),
+    ("shares", "kind", "variable", "expected"),
     [
-        ({}, "thermal", "a further store of heat"),
-        ({}, "", "a part that moves by itself (play"),
-        ({"parameters": 0.8}, "electrical", "Fit each half of the record by itself"),
-        ({"parameters": 0.8}, "electrical", "second resistor and capacitor"),
+        ({}, "thermal", "p", "a further store of heat"),
+        ({}, "", "p", "a part that moves by itself (play"),
         (
-            {"inputs": 0.8},
-            "",
-            "Measure the force on p directly, or give",
+            {"parameters": 0.8},
+            "electrical",
+            "p",
+            "Fit each half of the record by itself",
         ),
-        ({"time": 0.8}, "", "Repeat the run"),
-        ({"conserved": 0.8}, "", "depends on q and p"),
-        ({"dissipated": 0.4}, "", "follows nothing that was measured"),
+        ({"parameters": 0.8}, "electrical", "p", "second resistor and capacitor"),
+        ({"inputs": 0.8}, "", "p", "Measure the force on p directly, or give"),
+        ({"time": 0.8}, "", "p", "Repeat the run"),
+        ({"dissipated": 0.4}, "", "p", "follows nothing that was measured"),
+        ({"conserved": 0.8}, "", "q", "depends on q."),
+        ({"conserved": 0.8}, "", "q, p", "depends on q and p."),
+        ({"conserved": 0.8}, "", "dH_dp", "on p."),
     ],
 )
 def test_what_to_do_follows_from_what_the_force_looks_like(
-    shares: dict[str, float], kind: str, expected: str
+    shares: dict[str, float], kind: str, variable: str, expected: str
 ) -> None:
     kinds = dict.fromkeys(("q", "p"), kind) if kind == "electrical" else {}
     model: ph.Model = replace(spring(), inputs=("u",), kind=kinds)
     if kind == "thermal":
         model = ph.FirstOrder(["p"], {"p": ph.formula("-a*p", a=1.0)}, kind=kind)
-    follows = pd.DataFrame({"equation": ["p"], "variable": ["p"], "share": [0.0]})
-    force = SimpleNamespace(
+    row = {"equation": ["p"], "variable": [variable], "share": [0.93]}
+    force: Any = SimpleNamespace(
         wave=None,
         equation="p",
         causes=Causes(shares, {}),
         record=SimpleNamespace(model=model),
-        follows=follows,
+        follows=pd.DataFrame(row),
     )
-    said = advice_of_cause({}, force)  # type: ignore[arg-type]
-    assert expected in str(said)
-
-
-@pytest.mark.parametrize(
-    ("variable", "expected"),
-    [("q", "depends on q."), ("q, p", "depends on q and p."), ("dH_dp", "on p.")],
-)
-def test_a_term_of_ones_own_depends_on_what_predicts_the_force(
-    variable: str, expected: str
-) -> None:
-    force = SimpleNamespace(
-        equation="p",
-        causes=Causes({"conserved": 0.8}, {}),
-        wave=None,
-        record=SimpleNamespace(model=spring()),
-        follows=pd.DataFrame(
-            {"equation": ["p"], "variable": [variable], "share": [0.93]}
-        ),
-    )
-    assert expected in advice_of_cause({}, force).lead  # type: ignore[arg-type]
+    assert expected in str(advice_of_cause({}, force))
 
 
 @pytest.mark.parametrize(
@@ -562,15 +498,13 @@ def test_a_term_of_ones_own_depends_on_what_predicts_the_force(
 def test_the_likely_cause_comes_before_the_symptom(
     shares: dict[str, float], expected: str
 ) -> None:
-    model = ph.FirstOrder(
-        ["Ti"], {"Ti": ph.formula("-a*Ti", a=1.0)}, kind="thermal", inputs=["Q"]
+    law = {"Ti": ph.formula("-a*Ti", a=1.0)}
+    model = ph.FirstOrder(["Ti"], law, kind="thermal", inputs=["Q"])
+    record = SimpleNamespace(model=model)
+    force: Any = SimpleNamespace(
+        equation="Ti", causes=Causes(shares, {}), record=record
     )
-    force = SimpleNamespace(
-        equation="Ti",
-        causes=Causes(shares, {}),
-        record=SimpleNamespace(model=model),
-    )
-    assert likely_cause({}, force) == expected  # type: ignore[arg-type]
+    assert likely_cause({}, force) == expected
 
 
 def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
@@ -588,46 +522,48 @@ def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
     assert "thinned = 6" in told.detail
 
 
-def test_units_have_their_powers_raised_and_formulas_stay() -> None:
-    assert typeset("714 rad/s^2, 3 +- 1 kg m^2") == "714 rad/s², 3 ± 1 kg m²"
-    assert typeset("1/(%^2 s^2)") == "1/(%² s²)"
-    assert typeset("k*q**2/2 + x^n + 2^3") == "k*q**2/2 + x^n + 2^3"
-
-
 def test_digits_stop_where_they_say_nothing() -> None:
     assert p_value_words(6.8e-292) == "below 1e-06"
     assert p_value_words(0.034) == "0.034"
     assert listed("abcd") == "a, b, c, d" and listed("", "nothing") == "nothing"
     assert listed("abcde") == "a, b, c and 2 more"
     assert estimate_text(39.9871, 0.104) == "39.99 +- 0.1"
-    assert estimate_text(1.87766, 0.0612) == "1.878 +- 0.061"
     assert estimate_text(0.00402, 0.006) == "0.004 +- 0.006"
     assert estimate_text(2.5, np.nan) == "2.5"
     assert estimate_text(263.3, 1895.4) == "260 +- 1900"
+    assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
+    assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
     assert number(2.6e2, 2) == "260" and number(748.6, 2) == "750"
     assert number(2.79e-6, 3) == "2.79×10⁻⁶" and number(3.1e9, 2) == "3.1×10⁹"
     assert said("a floor of 2.79e-06 m, run_1e5") == "a floor of 2.79×10⁻⁶ m, run_1e5"
     assert short_constants("(0.00474972 m/s)**4") == "(0.00475 m/s)**4"
     kept = "(0.123456 +- 0.000012 N) + 9.81*x"
     assert short_constants(kept) == kept
-
-
-def test_coulomb_has_a_capital_where_people_read() -> None:
+    assert typeset("714 rad/s^2, 3 +- 1 kg m^2") == "714 rad/s², 3 ± 1 kg m²"
+    assert typeset("1/(%^2 s^2)") == "1/(%² s²)"
+    assert typeset("k*q**2/2 + x^n + 2^3") == "k*q**2/2 + x^n + 2^3"
     assert proper_names("+ coulomb friction on p") == "+ Coulomb friction on p"
     code = "study.add('coulomb friction', 'p'); coulomb_friction_p.v0"
-    assert said("coulomb_friction_p.v0") == "coulomb_friction_p.v0"
-    assert proper_names(code).startswith("study.add('Coulomb") is False
+    assert said(code) == code
+    assert rounded(np.array([1000.123456, np.nan, 1e3 + 1])) == [1000.12346, None, 1001]
+    assert rounded(np.zeros(2)) == [0.0, 0.0]
 
 
-def test_bounds_cut_an_interval() -> None:
+def test_bounds_cut_an_interval_and_open_parameters_are_named(study: ph.Study) -> None:
     damping = ph.Parameter(0.04, lower=0)
     assert damping.nearest_bound(9.6e-19) == 0
     assert ends_within(damping, -0.12, 0.2) == (0, 0.2)
-    assert ends_within(damping, 0.01, 0.2) == (0.01, 0.2)
     assert ends_within(damping, np.nan, 0.2) == (None, None)
     row = ParameterRow("c", 0.1, 0.05, 0.0, 0.2, "cut at its bound", "")
     assert row.interval == "0 to 0.2, cut at its bound"
     assert replace(row, lower=None, remark="fixed").interval == "fixed"
+    table = study.fit.parameters
+    assert undetermined_words(table) == ""
+    table = table.assign(std_error=2 * table["value"].abs())
+    assert undetermined_words(table.head(2)) == (
+        "Parameters that these data do not determine: k, m (standard error above the "
+        "value); do not rely on them."
+    )
 
 
 @pytest.mark.parametrize(
@@ -637,7 +573,6 @@ def test_bounds_cut_an_interval() -> None:
         ((2, 3), "h", "2 to 3 h"),
         ((100, 300), "min", "1.67 to 5 h"),
         ((0.197, 0.39), "s", "0.197 to 0.39 s"),
-        ((7.93e5, 1.06e6), "s", "9.18 to 12.3 days"),
         ((7.93e5, 1.06e6), "ms", "7.93e+05 to 1.06e+06 ms"),
         ((0, 1.5e4), "s", "0 to 4.17 h"),
         ((4, 5), "", "4 to 5"),
@@ -649,17 +584,27 @@ def test_long_times_are_told_in_hours_and_days(
     assert times_words(*times, unit) == said
 
 
+def test_rates_and_periods_of_long_records_are_told_by_the_hour() -> None:
+    units = {"Ti": "degC", "p": "kg m/s", "q": "m", "t": "s"}
+    day = 86400.0
+    assert scale_of_rate("Ti", units, day) == Scale("degC/h", 1 / 3600)
+    assert scale_of_rate("Ti", units, 600.0) == Scale("degC/s")
+    assert scale_of_rate("p", units, day) == Scale("N")
+    assert scale_of_rate("Ti", units | {"t": "h"}, 300.0) == Scale("degC/h")
+    assert frequency_words(1.157e-5, {"t": "s"}) == "with a period of 24 h"
+    assert frequency_words(51.1, {"t": "s"}) == "at 51.1 Hz"
+    assert scale_of_errors("standard deviations") == (100.0, "% of the movement")
+
+
 def test_times_that_were_dates_are_told_as_dates() -> None:
     origin = dt.datetime(2021, 11, 22, 6, 30)
     assert date_words(0.0, origin) == "2021-11-22 06:30"
     assert date_words(90.0, origin) == "2021-11-22 06:31:30"
-    assert date_words(90.0, None) == ""
+    assert date_words(90.0, None) == dates_words(0, 1, None) == ""
     assert dates_words(3600, 7200, origin) == "2021-11-22 07:30 to 08:30"
-    told = dates_words(0, 1e5, origin)
-    assert told == "2021-11-22 to 2021-11-23"
+    assert dates_words(0, 1e5, origin) == "2021-11-22 to 2021-11-23"
     late = dates_words(6e4, 7e4, origin)
     assert late == "2021-11-22 23:10 to 2021-11-23 01:56"
-    assert dates_words(0, 1, None) == ""
 
 
 def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
@@ -690,34 +635,6 @@ def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
     assert "(2021-11-22 06:30" in since["Since when"]
 
 
-def test_rates_of_long_records_are_told_per_hour() -> None:
-    units = {"Ti": "degC", "p": "kg m/s", "q": "m", "t": "s"}
-    day = 86400.0
-    assert scale_of_rate("Ti", units, day) == Scale("degC/h", 1 / 3600)
-    assert scale_of_rate("Ti", units, 600.0) == Scale("degC/s")
-    assert scale_of_rate("p", units, day) == Scale("N")
-    assert scale_of_rate("q", units, day) == Scale("m/s")
-    assert scale_of_rate("Ti", units | {"t": "h"}, 300.0) == Scale("degC/h")
-
-
-def test_a_period_of_a_day_is_told_as_one() -> None:
-    assert frequency_words(1.157e-5, {"t": "s"}) == "with a period of 24 h"
-    assert frequency_words(1 / 24, {"t": "h"}) == "with a period of 24 h"
-    assert frequency_words(51.1, {"t": "s"}) == "at 51.1 Hz"
-
-
-def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:
-    found = replace(study.record.diagnoses[0], reason="a tie " * 100)
-    record = replace(
-        study.record, steps=study.record.steps[:1], diagnoses={0: found}, stopped=""
-    )
-    sentence = study_content(record).headline.sentence
-    assert sentence == (
-        "Coulomb friction on p is missing. With it, the held-out error falls to the "
-        "noise."
-    )
-
-
 def test_verdict_table_and_picture_use_the_same_words(
     page: str, content: StudyContent, study: ph.Study
 ) -> None:
@@ -732,6 +649,11 @@ def test_verdict_table_and_picture_use_the_same_words(
     assert f"{last['held_out_rmse']:.4g}" in text and number(last["bic"], 6) in text
     held_out = [step.held_out for step in content.steps]
     assert held_out == list(study.history["held_out_rmse"])
+    items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)
+    assert len(items) == len(content.checks) > 0
+    assert all(SEVERITY_WORDS[severity] == word for severity, word in items)
+    again = html_report(study_content(study.record, study.record.laws()))
+    assert again == page
 
 
 def test_the_file_is_small_and_loads_nothing(page: str) -> None:
@@ -749,13 +671,6 @@ def test_the_file_is_small_and_loads_nothing(page: str) -> None:
     style = page.split("<style>")[1].split("</style>")[0]
     assert "url(" not in style and "@import" not in style
     assert "http:" not in page and "https:" not in page
-
-
-def test_the_chart_library_is_in_the_file_once(page: str) -> None:
-    from plotly.offline import get_plotlyjs
-
-    (library,) = re.findall(r'id="library">([^<]*)</script>', page)
-    assert gzip.decompress(base64.b64decode(library)).decode() == get_plotlyjs()
 
 
 def test_every_chart_has_a_picture_with_words_for_paper(page: str) -> None:
@@ -781,19 +696,7 @@ def test_the_page_has_title_landmarks_language_and_headings(page: str) -> None:
     assert len(ids) == len(set(ids))
     for link in reader.all("a"):
         assert (link["href"] or "")[1:] in ids
-
-
-def test_a_severity_is_said_in_a_word(page: str, content: StudyContent) -> None:
-    assert content.checks
-    items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)
-    words = {"good": "In order", "look": "Worth a look", "bad": "Not in order"}
-    assert len(items) == len(content.checks)
-    assert all(words[severity] == word for severity, word in items)
-
-
-def test_the_same_study_gives_the_same_file(page: str, study: ph.Study) -> None:
-    again = html_report(study_content(study.record, study.record.laws()))
-    assert again == page
+    assert [one["id"] for one in reader.all("section")] == [*ORDER, "settings"]
 
 
 def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None:
@@ -820,6 +723,7 @@ def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None
     )
     reader = Reader(html_report(hostile))
     assert len(reader.scripts) == 3  # data, chart library, our own
+    assert b"plotly" in gzip.decompress(base64.b64decode(reader.scripts[1]))
     data = unpacked(reader.scripts[0])
     title = data["measured"][0][0]["layout"]["yaxis1"]["title"]["text"]
     assert title.startswith("&lt;/script&gt;&lt;script&gt;")
@@ -837,14 +741,9 @@ def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None
 
 
 def unpacked(text: str) -> Any:
-    """What the browser unpacks of a script element."""
+    """What the browser unpacks of a script element, which no text can end."""
+    assert re.fullmatch(r"[\w+/=]*", text)
     return json.loads(gzip.decompress(base64.b64decode(text)))
-
-
-def test_a_text_cannot_end_its_script() -> None:
-    told = packed(json.dumps("</script> <!-- & \u2028"))
-    assert re.fullmatch(r"[\w+/=]*", told)
-    assert unpacked(told) == "</script> <!-- & \u2028"
 
 
 def test_a_study_that_was_not_diagnosed_says_so_and_what_to_do(tmp_path: Path) -> None:
@@ -939,24 +838,6 @@ def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
     )
 
 
-def test_errors_of_several_channels_are_told_in_percent(study: ph.Study) -> None:
-    assert scale_of_errors("standard deviations") == (100.0, "% of the movement")
-    assert scale_of_errors("m") == (1.0, "m")
-
-
-def test_numbers_are_rounded_to_what_is_seen() -> None:
-    assert rounded(np.array([1000.123456, np.nan, 1001.0])) == [
-        1000.12346,
-        None,
-        1001.0,
-    ]
-    assert rounded(np.array([np.nan])) == [None]
-    assert rounded(np.zeros(2)) == [0.0, 0.0]
-    assert with_error(1.87766, 0.061) == "1.878 ± 0.061"
-    assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
-    assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
-
-
 @pytest.mark.parametrize(
     ("unit", "of_time", "rate"),
     [
@@ -992,20 +873,4 @@ def test_texts_have_a_contrast_of_four_and_a_half_in_both_modes(page: str) -> No
         colours = dict(re.findall(r"--(\w+): (#\w{6})", block))
         for ground in ("page", "card"):
             for name in TEXT_COLOURS:
-                ratio = _contrast(colours[name], colours[ground])
-                assert ratio >= 4.5, (name, ground, ratio)
-
-
-def _contrast(first: str, second: str) -> float:
-    """Ratio of luminances by the Web Content Accessibility Guidelines 2."""
-    lights = sorted([_luminance(first), _luminance(second)])
-    return (lights[1] + 0.05) / (lights[0] + 0.05)
-
-
-def _luminance(colour: str) -> float:
-    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-    linear: list[Any] = []
-    for part in parts:
-        is_dark = part <= 0.04045
-        linear.append(part / 12.92 if is_dark else ((part + 0.055) / 1.055) ** 2.4)
-    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+                assert contrast(colours[name], colours[ground]) >= 4.5, (name, ground)
