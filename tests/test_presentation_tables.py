@@ -38,34 +38,19 @@ def squeezed(text: str) -> str:
     return re.sub(r"\s+", "", text)
 
 
-def printed(table: Any, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    print(table)
-    return capsys.readouterr().out.splitlines()
-
-
-def test_a_history_prints_all_of_its_columns_within_80_characters(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    lines = printed(history("base model", "coulomb friction on p"), capsys)
+def test_long_names_of_effects_cost_lines_and_no_column() -> None:
+    lines = str(history("base model", "coulomb friction on p")).splitlines()
     assert lines[0].split() == HISTORY
-    assert len(lines) == 3
     assert lines[2].split()[-4:] == ["0.05658", "0.06032", "0.04245", "-2.907e+05"]
-    assert max(map(len, lines)) <= 80
-
-
-def test_long_names_of_effects_cost_lines_and_no_column(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    lines = printed(history("base model", LONG, LONG), capsys)
-    assert max(map(len, lines)) <= 80
-    text = "\n".join(lines)
+    text = str(history("base model", LONG, LONG))
+    assert len(lines) == 3 and max(map(len, [*lines, *text.splitlines()])) <= 80
     for value in ("0.05658", "0.06032", "0.04245", "-2.907e+05"):
         assert text.count(value) == 3
     for word in LONG.split():
         assert text.count(word.rstrip(",")) >= 2
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(12))
 def test_no_cell_of_any_table_is_lost_and_no_number_is_broken(seed: int) -> None:
     rng = np.random.default_rng(seed)
     width = int(rng.integers(40, 120))
@@ -114,10 +99,7 @@ def test_of_long_tables_the_ends_are_printed_and_the_number_of_rows() -> None:
     assert lines[-2].split() == ["999", "x"]
     assert lines[-1] == "(1000 rows)"
     assert text_of_table(table.head(0)).splitlines()[-1] == "(no rows)"
-
-
-def test_names_in_the_index_are_printed_and_numbers_of_rows_are_not() -> None:
-    by_name = pd.DataFrame({"value": [1.0]}, index=["R_p"])
+    by_name = pd.DataFrame({"value": [1.0]}, index=["R_p"])  # names, no numbers of rows
     assert text_of_table(by_name).split() == ["value", "R_p", "1"]
     assert text_of_table(by_name.reset_index(drop=True)).split() == ["value", "1"]
 
@@ -209,18 +191,13 @@ def test_what_shows_itself_does_so_by_html_and_rich_with_names_escaped(
         assert squeezed(EVIL) in squeezed(rich_text(shown, width=200))
 
 
-def test_a_model_prints_its_equations_and_parameters() -> None:
+def test_a_model_prints_its_equations_and_the_catalogue_a_table() -> None:
     text = str(spring())
     assert "dp/dt = - dH_dq - R_p*dH_dp + F_p" in text
-    assert "H = k*q**2/2 + p**2/(2*m)" in text
     assert "F_p = u + c2*q + c3*q**2" in text
     assert re.search(r"^m +2\.5 +yes", text, re.MULTILINE)
-
-
-def test_the_catalogue_prints_as_a_table_and_is_a_list() -> None:
     effects = ph.catalogue(spring())
     assert isinstance(effects, list)
-    assert effects == list(effects)
     assert effects[:2] == [effects[0], effects[1]]
     lines = str(effects).splitlines()
     assert lines[0] == f"{len(effects)} effects"
