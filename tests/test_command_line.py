@@ -119,9 +119,9 @@ def test_help_tells_the_commands_and_the_exit_codes_and_loads_nothing_slow() -> 
     for code, meaning in MEANINGS.items():
         assert f"{code.value}: {meaning[:20]}" in text
     assert said("chek").code == ExitCode.BAD_INPUT
-    code = "import sys, phsi_opt.command_line.app; print(*sys.modules)"
+    script = "import sys, phsi_opt.command_line.app; print(*sys.modules)"
     imported = subprocess.run(
-        [sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True
+        [sys.executable, "-c", script], env=ENVIRONMENT, capture_output=True, text=True
     ).stdout.split()
     assert "typer" in imported
     assert not {"numpy", "casadi", "pandas", "scipy"} & set(imported)
