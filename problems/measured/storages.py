@@ -1,0 +1,293 @@
+"""Measured storages of water, heat and charge: loaders and models.
+
+As in `machines`: a loader and a base model each; states that nobody measured are NaN.
+"""
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+
+import phsi_opt as ph
+from problems.measured.machines import Array, positive, with_unmeasured
+from problems.tools.data_paths import folder
+
+# --- the cascaded tanks
+
+FULL = 10.0  # V, what the sensor shows at most
+TANKS_SHARE = 0.7  # of the fit record, which is fitted in the study
+# By parameter: a rough value (each outflow empties its tank in a few minutes, a rim at
+# the height of the sensor's limit) and an upper bound.
+TANKS = {
+    "k1": (0.01, 1),
+    "k4": (0.05, 1),
+    "q0": (0.05, 0.2),
+    "c": (0.5, 2),
+    "rim1": (10.0, 80),
+    "k3": (0.03, 1),
+    "h0": (2.0, 2.9),
+    "s": (0.5, 1),
+    "c2": (0.5, 2),
+}
+FIRST_LEVELS = (6.0, 5.0)  # V, where the search for the test's starting levels begins
+
+
+def tanks(record: str = "Est", is_censored: bool = True) -> ph.Measurements:
+    """Pump voltage u and level h2 of the lower tank (V), every 4 s, 1024 samples;
+    record "Val" tests. Nobody measured h1.
+
+    Samples at the sensor's limit are missing if ``is_censored``.
+    """
+    path = folder("cascaded_tanks") / "dataBenchmark.csv"
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    y = table[f"y{record}"].copy()
+    if is_censored:
+        y[~_is_below_limit(y)] = np.nan
+    return ph.Measurements.from_arrays(
+        4.0 * np.arange(len(y)),
+        np.column_stack([np.full(len(y), np.nan), y]),
+        table[f"u{record}"][:, None],
+        states=["h1", "h2"],
+        inputs=["u"],
+        hold="zero",
+        units={"h1": "V", "h2": "V", "u": "V", "t": "s"},
+    )
+
+
+def _is_below_limit(level: Array) -> Array:
+    return level < FULL - 1e-3
+
+
+def textbook_tanks() -> ph.FirstOrder:
+    """Pump, two square-root outflows, no overflow."""
+    k1, k3, k4 = (ph.Parameter(k, lower=0, upper=1) for k in (0.046, 0.03, 0.024))
+    out1 = f"k1*{_root('h1')}"
+    rates = {
+        "h1": ph.formula(f"k4*u - {out1}", k1=k1, k4=k4),
+        "h2": ph.formula(f"{out1} - k3*{_root('h2')}", k1=k1, k3=k3),
+    }
+    return ph.FirstOrder(["h1", "h2"], rates, inputs=["u"])
+
+
+def tanks_model() -> ph.FirstOrder:
+    """Both overflows, a linear upper outflow, a square-root lower outflow from h0 on.
+
+        dh1/dt = k4 u - q0 - out1 - c over(h1 - rim1)
+        dh2/dt = out1 - out2 + s c over(h1 - rim1) - c2 over(h2 - 10 V)
+
+    A part s of what the upper tank spills falls into the lower one. ``over`` is a ramp
+    with its corner rounded over 0.1 V. That the lower tank overflows at the sensor's
+    limit is this model's assumption.
+    """
+    spilled = f"c*{_over('h1', 'rim1')}"
+    over = f"c2*{_over('h2', str(FULL))}"
+    upper = f"k4*u - q0 - k1*h1 - {spilled}"
+    lower = f"k1*h1 - k3*{_root('(h2 - h0)')} + s*{spilled} - {over}"
+    rates = {}
+    for state, text, names in (
+        ("h1", upper, ("k1", "k4", "q0", "c", "rim1")),
+        ("h2", lower, ("k1", "k3", "h0", "c", "rim1", "s", "c2")),
+    ):
+        parameters = {}
+        for name in names:
+            start, bound = TANKS[name]
+            parameters[name] = ph.Parameter(start, lower=0, upper=bound)
+        rates[state] = ph.formula(text, **parameters)
+    return ph.FirstOrder(["h1", "h2"], rates, inputs=["u"])
+
+
+def _root(level: str) -> str:
+    """A square root of a level, rounded at zero."""
+    return f"{level}*({level}**2 + 0.01)**(-0.25)"
+
+
+def _over(level: str, rim: str) -> str:
+    """By how much a level is above a rim, rounded at the rim."""
+    return f"({level} - {rim} + sqrt(({level} - {rim})**2 + 0.01))/2"
+
+
+def tanks_error(fit: ph.Fit, run: ph.Trajectory, n_first: int) -> float:
+    """Root mean square error (V) over every sample of a record, the free run cut at the
+    sensor's limit, from the levels that fit the first ``n_first`` samples best.
+    """
+    y = run.x[:n_first, 1]
+    seen = _is_below_limit(y)
+
+    def misfit(x0: Array) -> Array:
+        found = fit.simulate(run.t[:n_first], x0, run.u[:n_first])
+        return (found[:, 1] - y)[seen]
+
+    settings = {"bounds": (0.1, 20.0), "diff_step": 1e-4, "max_nfev": 12}
+    x0 = least_squares(misfit, FIRST_LEVELS, **settings).x
+    h2 = np.minimum(fit.simulate(run.t, x0, run.u)[:, 1], FULL)
+    return float(np.sqrt(np.mean((h2 - run.x[:, 1]) ** 2)))
+
+
+# --- two heaters on a board
+
+HEATERS_STATES = ("S1", "S2", "T1", "T2")
+
+
+def heaters() -> ph.Measurements:
+    """Heaters Q1, Q2 (%) and the temperatures S1, S2 (degC) that two sensors show, 1 s,
+    ten minutes; the heaters' own temperatures T1, T2 are measured by nobody.
+    """
+    path = folder("heaters") / "tclab.txt"
+    t, Q1, Q2, S1, S2 = np.genfromtxt(
+        path, delimiter=",", skip_header=1, usecols=range(5)
+    ).T
+    return ph.Measurements.from_arrays(
+        t,
+        with_unmeasured(S1, S2, n=2),
+        np.column_stack([Q1, Q2]),
+        states=HEATERS_STATES,
+        inputs=["Q1", "Q2"],
+        hold="zero",
+        units=dict.fromkeys(HEATERS_STATES, "degC") | {"t": "s"},
+    )
+
+
+def heaters_model() -> ph.FirstOrder:
+    """Two heaters that lose heat to the room (Ta) and to each other, two sensors.
+
+    dT1/dt = loss (Ta - T1) + coupling (T2 - T1) + a1 Q1,   dS1/dt = (T1 - S1)/lag
+    """
+    shared = {
+        "loss": positive(0.006, "1/s"),
+        "coupling": positive(0.002, "1/s"),
+        "Ta": ph.Parameter(20.0, unit="degC"),
+    }
+    lag = positive(20.0, "s", 1)
+    heater1 = "loss*(Ta - T1) + coupling*(T2 - T1) + a1*Q1"
+    heater2 = "loss*(Ta - T2) + coupling*(T1 - T2) + a2*Q2"
+    rates = {
+        "S1": ph.formula("(T1 - S1)/lag", lag=lag),
+        "S2": ph.formula("(T2 - S2)/lag", lag=lag),
+        "T1": ph.formula(heater1, a1=positive(0.004, "degC/s"), **shared),
+        "T2": ph.formula(heater2, a2=positive(0.002, "degC/s"), **shared),
+    }
+    return ph.FirstOrder(HEATERS_STATES, rates, inputs=["Q1", "Q2"])
+
+
+# --- two heated houses
+
+HOUSE_INPUTS = ("Ta", "Ps", "Q")
+
+
+def house(number: int, n_storages: int = 2) -> ph.Measurements:
+    """Indoor temperature Ti and outdoor temperature Ta (degC), solar gain Ps and heat
+    delivered Q, every 15 min, six and ten weeks of a winter.
+
+    Time is in hours and heat in the unit of Q, which the set does not tell. The
+    envelope Te is a state that nobody measured.
+    """
+    table = pd.read_csv(folder("building") / f"blg_{number}.csv", sep=";")
+    return ph.Measurements.from_arrays(
+        0.25 * np.arange(len(table)),
+        with_unmeasured(table["yTi"].to_numpy(), n=n_storages - 1),
+        table[["Ta", "Ps", "Thm"]].to_numpy(),
+        states=["Ti", "Te"][:n_storages],
+        inputs=HOUSE_INPUTS,
+        hold="zero",
+        units={"Ti": "degC", "Ta": "degC", "t": "h"},
+    )
+
+
+def house_model(n_storages: int = 2) -> ph.FirstOrder:
+    """Air, furniture and walls as one heat capacity, or the air and the envelope.
+
+    C dTi/dt = (Ta - Ti)/R + A Ps + Q
+
+    Ci dTi/dt = (Te - Ti)/Ri + A Ps + Q
+    Ce dTe/dt = (Ti - Te)/Ri + (Ta - Te)/Re
+    """
+
+    def free(start: float, unit: str = "") -> ph.Parameter:
+        return positive(start, unit, 1e-3)
+
+    if n_storages == 1:
+        one = {"C": free(40.0), "R": free(1.0, "degC/Q"), "A": free(10.0)}
+        rates = {"Ti": ph.formula("((Ta - Ti)/R + A*Ps + Q)/C", **one)}
+        return ph.FirstOrder(["Ti"], rates, inputs=HOUSE_INPUTS)
+    inner = free(0.3, "degC/Q")
+    indoor = {"Ci": free(10.0), "Ri": inner, "A": free(10.0)}
+    envelope = {"Ce": free(60.0), "Ri": inner, "Re": free(0.7, "degC/Q")}
+    rates = {
+        "Ti": ph.formula("((Te - Ti)/Ri + A*Ps + Q)/Ci", **indoor),
+        "Te": ph.formula("((Ti - Te)/Ri + (Ta - Te)/Re)/Ce", **envelope),
+    }
+    return ph.FirstOrder(["Ti", "Te"], rates, inputs=HOUSE_INPUTS)
+
+
+# --- a battery cell
+
+CELL_FILE = "hppc_25c.csv"
+PULSE = 6  # the number of the step by which a cycle begins
+DISCHARGE = 9
+CYCLES = slice(1, 7)  # of ten; the voltage at rest bends most above and below
+THIN = 10  # samples of the discharge, which is sampled each second
+N_REST = 5  # samples of the rest before a cycle
+RAMP = 1e-3  # s, over which a jump of the current is drawn
+JUMP = 1.0  # A, from which a change between two samples is a jump
+
+
+def cell(n_pairs: int = 2) -> ph.Measurements:
+    """Current I (A, positive while charging) and voltage (V) of one cell, in cycles at
+    falling charge: a pulse of -30 A, a short rest, a pulse of 22.5 A, 18 min of
+    discharge at 10 A, an hour of rest.
+
+    Used are the `CYCLES` in the middle of the charge, each a trajectory that begins in
+    the rest before it. The record tells the current that flowed until a sample, so each
+    jump is put right after the sample before it, at a point without a voltage.
+    """
+    table = pd.read_csv(folder("battery_cell") / CELL_FILE, index_col=False)
+    step = table["Step"].to_numpy()
+    columns = table[["Time(s)", "Voltage(V)", "Current(A)"]].to_numpy()
+    begins = np.flatnonzero((step[1:] == PULSE) & (step[:-1] != PULSE)) + 1
+    ends = np.append(begins[1:], len(step))
+    cycles = []
+    for begin, end in zip(begins[CYCLES], ends[CYCLES], strict=True):
+        rows = np.arange(begin - N_REST, end)
+        is_jump = np.abs(np.diff(columns[rows, 2])) > JUMP
+        at_jump = np.append(is_jump, False) | np.append(False, is_jump)
+        is_every = np.arange(len(rows)) % THIN == 0
+        rows = rows[(step[rows] != DISCHARGE) | is_every | at_jump]
+        samples = columns[rows]
+        before = np.flatnonzero(np.abs(np.diff(samples[:, 2])) > JUMP)
+        after = with_unmeasured(samples[before, 0] + RAMP, n=2)
+        after[:, 2] = samples[before + 1, 2]
+        cycles.append(np.insert(samples, before + 1, after, axis=0))
+    states = ["v", *(f"v{i}" for i in range(1, n_pairs + 1))]
+    return ph.Measurements.from_arrays(
+        [nodes[:, 0] for nodes in cycles],
+        [with_unmeasured(nodes[:, 1], n=n_pairs) for nodes in cycles],
+        [nodes[:, 2] for nodes in cycles],
+        states=states,
+        inputs=["I"],
+        units=dict.fromkeys(states, "V") | {"I": "A", "t": "s"},
+    )
+
+
+def cell_model(n_pairs: int = 2) -> ph.FirstOrder:
+    """An inner resistance R0, and one or two pairs of a resistor and a capacitor.
+
+        dv1/dt = (R1 I - v1)/tau1,   dv/dt = I/C + dv1/dt,   shown: v + R0 I
+
+    v is the voltage without what falls off at the inner resistance, C stands for the
+    slope of the voltage at rest in the charge.
+    """
+    starts = ((0.002, 30.0), (0.003, 600.0))  # Ohm, s
+    rates = {}
+    slow = ""
+    parameters: dict[str, ph.Parameter] = {}
+    for i, (resistance, constant) in enumerate(starts[:n_pairs], start=1):
+        tau = ph.Parameter(constant, lower=0.1, upper=1e4, unit="s")
+        own = {f"R{i}": positive(resistance, "Ohm"), f"tau{i}": tau}
+        rate = f"(R{i}*I - v{i})/tau{i}"
+        rates[f"v{i}"] = ph.formula(rate, **own)
+        slow += f" + {rate}"
+        parameters |= own
+    capacity = positive(3e4, "A s/V", 100)
+    rates["v"] = ph.formula(f"I/C{slow}", C=capacity, **parameters)
+    shown = ph.formula("R0*I", R0=positive(0.002, "Ohm"))
+    states = ["v", *(f"v{i}" for i in range(1, n_pairs + 1))]
+    return ph.FirstOrder(states, rates, inputs=["I"], sensor={"v": shown})
