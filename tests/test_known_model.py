@@ -1,12 +1,9 @@
-"""A model whose values are all known, beside measurements: compared, diagnosed, studied
-without a parameter to estimate.
+"""A model whose values are all known: compared, diagnosed, studied without a parameter
+to estimate.
 """
 
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -32,9 +29,7 @@ def oscillator(
     )
 
 
-def measured(
-    truth: ph.PseudoHamiltonian, seed: int, hidden: bool = True
-) -> ph.Measurements:
+def measured(truth: ph.Model, seed: int, hidden: bool = True) -> ph.Measurements:
     rng = np.random.default_rng(seed)
     runs = []
     for x0 in STARTS:
@@ -47,78 +42,61 @@ def measured(
 
 
 @pytest.fixture(scope="module")
-def complete() -> tuple[ph.Fit, ph.Measurements]:
-    data = measured(oscillator(), seed=1)
-    return ph.identify(oscillator(), data), data
+def data() -> ph.Measurements:
+    return measured(oscillator(), seed=1)
+
+
+@pytest.fixture(scope="module")
+def fit(data: ph.Measurements) -> ph.Fit:
+    return ph.identify(oscillator(), data)
 
 
 # ---- the fit without estimates -------------------------------------------------------
 
 
 def test_a_model_without_free_parameters_gets_noise_and_states_alone(
-    complete: tuple[ph.Fit, ph.Measurements],
+    fit: ph.Fit, data: ph.Measurements, tmp_path: Path
 ) -> None:
-    fit, data = complete
     assert fit.names == ()
-    assert fit.covariance.shape == (0, 0)
     # 423 values: a standard error of 3.4 %.
     assert fit.noise["q"] == pytest.approx(NOISE, rel=0.08)
     for states, run, x0 in zip(fit.states, data.trajectories, STARTS, strict=True):
         assert states.shape == run.x.shape
         np.testing.assert_allclose(states[0], x0, atol=5 * NOISE)
     assert np.isfinite(fit.bic)
-
-
-def test_every_form_of_a_fit_without_estimates_is_there(
-    complete: tuple[ph.Fit, ph.Measurements], tmp_path: Path
-) -> None:
-    fit, _ = complete
+    # Every form of a fit is there.
     assert "noise: q" in str(fit)
-    assert len(fit.parameters) == 0
-    assert len(fit.intervals()) == 0
-    assert fit.correlations.shape == (0, 0)
+    assert len(fit.parameters) == len(fit.intervals()) == 0
+    assert fit.correlations.shape == fit.covariance.shape == (0, 0)
     assert "No parameter was estimated" in fit.plot().get_title()
     plt.close("all")
     fit.save(tmp_path / "fit.json")
     loaded = ph.Fit.load(tmp_path / "fit.json")
     assert loaded.covariance.shape == (0, 0)
     assert loaded.noise == fit.noise
-    np.testing.assert_array_equal(
-        loaded.simulate(T, [1.0, 0.0]), fit.simulate(T, [1.0, 0.0])
-    )
+    runs = [one.simulate(T, [1.0, 0.0]) for one in (loaded, fit)]
+    np.testing.assert_array_equal(runs[0], runs[1])
 
 
-def test_known_parameters_stay_in_the_table_as_fixed() -> None:
+def test_known_parameters_stay_in_the_table_as_fixed(data: ph.Measurements) -> None:
     k = ph.Parameter(2.3, fixed=True, unit="N/m")
     model = oscillator("k*q**2/2 + p**2/2", k=k)
-    fit = ph.identify(model, measured(model, seed=2))
-    row = fit.parameters.set_index("name").loc["k"]
-    assert row["fixed"]
-    assert row["value"] == 2.3
-    assert np.isnan(row["std_error"])
+    row = ph.identify(model, data).parameters.set_index("name").loc["k"]
+    assert row["fixed"] and row["value"] == 2.3 and np.isnan(row["std_error"])
 
 
-@pytest.mark.parametrize(
-    "loss",
-    [
-        ph.MaximumLikelihood(starts=2),
-        ph.MaximumLikelihood(huber=1.345),
-        ph.MaximumLikelihood(steps=2),
-    ],
-    ids=["starts", "huber", "steps"],
-)
+@pytest.mark.parametrize("option", [{"starts": 2}, {"huber": 1.345}, {"steps": 2}])
 def test_every_likelihood_takes_a_model_without_free_parameters(
-    loss: ph.MaximumLikelihood,
+    option: dict[str, float], data: ph.Measurements
 ) -> None:
-    fit = ph.identify(oscillator(), measured(oscillator(), seed=3), loss)
-    assert fit.noise["q"] == pytest.approx(NOISE, rel=0.1)
+    loss = ph.MaximumLikelihood(**option)  # type: ignore[arg-type]
+    found = ph.identify(oscillator(), data, loss)
+    assert found.noise["q"] == pytest.approx(NOISE, rel=0.1)
 
 
-def test_l1_and_pruning_find_nothing_to_remove() -> None:
-    data = measured(oscillator(), seed=3)
+def test_l1_and_pruning_find_nothing_to_remove(data: ph.Measurements) -> None:
     pruning = ph.Pruning(threshold=0.1, significance=0.01)
-    fit = ph.identify(oscillator(), data, l1=0.1, pruning=pruning)
-    assert fit.removed == ()
+    assert ph.identify(oscillator(), data, l1=0.1, pruning=pruning).removed == ()
 
 
 # ---- compared ------------------------------------------------------------------------
@@ -146,28 +124,20 @@ def test_a_model_is_compared_as_its_fit_is() -> None:
 
 # ---- diagnosed and studied -----------------------------------------------------------
 
-HIDDEN = {
-    "cubic stiffness on p": (oscillator(WITH_CUBIC), 0.5),
-    "coulomb friction on p": (oscillator(R=WITH_FRICTION), 0.08),
-    # A value that was given wrong is a missing effect too.
-    "linear stiffness on p": (oscillator("2.1*q**2/2 + p**2/2"), -0.2),
-}
-
 
 @pytest.mark.parametrize(
-    ("name", "hidden"),
+    ("name", "truth", "size", "hidden"),
     [
-        ("cubic stiffness on p", True),
-        ("coulomb friction on p", True),
-        ("coulomb friction on p", False),
-        ("linear stiffness on p", True),
-        ("linear stiffness on p", False),
+        ("cubic stiffness on p", oscillator(WITH_CUBIC), 0.5, True),
+        ("coulomb friction on p", oscillator(R=WITH_FRICTION), 0.08, True),
+        ("coulomb friction on p", oscillator(R=WITH_FRICTION), 0.08, False),
+        # A value that was given wrong is a missing effect too.
+        ("linear stiffness on p", oscillator("2.1*q**2/2 + p**2/2"), -0.2, True),
     ],
 )
 def test_the_missing_effect_of_a_known_model_is_named_with_its_size(
-    name: str, hidden: bool
+    name: str, truth: ph.Model, size: float, hidden: bool
 ) -> None:
-    truth, size = HIDDEN[name]
     train, test = measured(truth, seed=6, hidden=hidden).split(0.6)
     found = ph.diagnose(oscillator(), train, test)
     assert found.verdict is ph.Verdict.NAMED
@@ -176,10 +146,9 @@ def test_the_missing_effect_of_a_known_model_is_named_with_its_size(
     assert first.coefficient == pytest.approx(size, abs=4 * first.std_error)
     assert found.proposed_fit is not None
     # The base's own values are no parameters and stay.
-    new = found.effects[0]
-    assert set(found.proposed_fit.model.free) <= set(
-        oscillator().add(new).entries
-    ) - set(oscillator().entries)
+    larger = oscillator().add(found.effects[0])
+    added = set(larger.entries) - set(oscillator().entries)
+    assert set(found.proposed_fit.model.free) <= added
 
 
 def test_nothing_is_missing_where_the_known_model_is_the_truth() -> None:
@@ -214,31 +183,19 @@ def test_a_learned_force_takes_the_place_of_what_a_known_model_lacks() -> None:
 # ---- refusals ------------------------------------------------------------------------
 
 
-def test_a_model_with_free_parameters_is_to_be_fitted_first() -> None:
-    model = oscillator("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0))
-    data = measured(oscillator(), seed=1)
+def test_what_has_to_be_fitted_or_is_no_model_is_refused(
+    fit: ph.Fit, data: ph.Measurements
+) -> None:
+    k = ph.Parameter(2.0, lower=0)
+    model = oscillator("k*q**2/2 + p**2/2", k=k)
     with pytest.raises(ph.ModelError, match=r"free parameters \(k\).*identify\(model"):
         ph.compare(model, data)
     with pytest.raises(ph.ModelError, match=r"diagnose\(identify\(model, data\), data"):
         ph.diagnose(model, data)
     assert ph.compare(model.with_fixed({"k": 2.3}), data).rmse < 2 * NOISE
-
-
-def test_what_is_neither_fit_nor_model_is_refused_by_its_kind() -> None:
-    data = measured(oscillator(), seed=1)
     with pytest.raises(ph.ModelError, match="compare got a str; expected a Fit"):
         ph.compare("fit.json", data)  # type: ignore[arg-type]
-
-
-def test_the_phsi_loss_refuses_a_model_without_free_parameters() -> None:
-    data = measured(oscillator(), seed=1, hidden=False)
     with pytest.raises(ph.ModelError, match="no free parameter, and the PHSI loss"):
         ph.identify(oscillator(), data, ph.PHSILoss())
-
-
-def test_a_profile_needs_a_parameter(
-    complete: tuple[ph.Fit, ph.Measurements],
-) -> None:
-    fit, data = complete
     with pytest.raises(ph.ModelError, match="the fit has no free parameter"):
         ph.profile(fit, data, "k")

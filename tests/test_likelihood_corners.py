@@ -2,180 +2,123 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.errors import ModelError
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.transcription.grid import AlignedData
 
 NOISE = 0.02
+HUBER = ph.MaximumLikelihood(huber=1.345)
 
 
 def decay(
-    rate: ph.Parameter | float, sensor: dict[str, Dictionary] | None = None
+    sensor: dict[str, Dictionary] | None = None,
 ) -> ph.FirstOrder:
-    return ph.FirstOrder(["x"], {"x": ph.formula("-a*x", a=rate)}, sensor=sensor or {})
+    falling = ph.formula("-a*x", a=ph.Parameter(0.5))
+    return ph.FirstOrder(["x"], {"x": falling}, sensor=sensor or {})
 
 
 def decaying(
     n: int = 60, seed: int = 0, noise: float = NOISE
 ) -> tuple[np.ndarray, np.ndarray]:
     t = np.linspace(0.0, 4.0, n)
-    return t, 2 * np.exp(-0.7 * t)[:, None] + noise * np.random.default_rng(
-        seed
-    ).normal(size=(n, 1))
+    normal = np.random.default_rng(seed).normal(size=(n, 1))
+    return t, 2 * np.exp(-0.7 * t)[:, None] + noise * normal
 
 
-def spring(mass: ph.Parameter | float) -> ph.PseudoHamiltonian:
+def of_x(t: np.ndarray, y: np.ndarray) -> ph.Measurements:
+    return ph.Measurements.from_arrays(t, y, states=["x"])
+
+
+def spring(mass: ph.Parameter | float, **slots: Any) -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
         states=["q", "p"],
         S=ph.canonical(1),
         H=ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=mass),
         R=ph.damping("p"),
+        **slots,
     )
 
 
-@pytest.fixture(scope="module")
-def loads() -> ph.Measurements:
-    """Three springs with masses 2, 3, 4; position only."""
-    t = np.linspace(0.0, 4.0, 120)
-    runs = []
-    for seed, mass in enumerate((2.0, 3.0, 4.0)):
-        x = ph.simulate(spring(mass).with_values({"R_p": 1.0}), t, [1.0, 0.0])
-        runs.append(x + NOISE * np.random.default_rng(seed).normal(size=x.shape))
-        runs[-1][:, 1] = np.nan
-    return ph.Measurements.from_arrays([t] * 3, runs, states=["q", "p"])
-
-
-@pytest.fixture(scope="module")
-def loaded_fit(loads: ph.Measurements) -> ph.Fit:
-    return ph.identify(spring(ph.Parameter(2.5, lower=0.1, per_trajectory=True)), loads)
-
-
-# ---- parameters per trajectory -------------------------------------------------------
-
-
-def test_a_known_run_is_compared_with_its_own_parameters(
-    loaded_fit: ph.Fit, loads: ph.Measurements, tmp_path: Path
-) -> None:
-    loaded_fit.save(tmp_path / "fit.json")
-    again = ph.Fit.load(tmp_path / "fit.json")
-    for fit, data in ((loaded_fit, loads[0]), (again, loads), (again, loads[1:])):
-        comparison = ph.compare(fit, data)
-        assert comparison.rmse < 1.1 * comparison.noise_floor
-
-
-def test_renamed_runs_are_other_runs(
-    loaded_fit: ph.Fit, loads: ph.Measurements
-) -> None:
-    renamed = replace(
-        loads,
-        trajectories=tuple(
-            replace(run, name=f"again {i}") for i, run in enumerate(loads.trajectories)
-        ),
-    )
-    comparison = ph.compare(loaded_fit, renamed)
-    assert comparison.rmse < 1.1 * comparison.noise_floor
-    assert comparison.values["again 2"]["m"] == pytest.approx(4.0, rel=0.02)
+# ---- names ---------------------------------------------------------------------------
 
 
 def test_a_name_that_would_stand_for_two_parameters_is_refused() -> None:
     t, y = decaying()
     own = Dictionary((Term("1", ph.Parameter(per_trajectory=True)),))
     model = ph.FirstOrder(["x"], {"x": own + ph.polynomials(["x"], 2)})
-    data = ph.Measurements.from_arrays(
-        [t, t], [y, 1.01 * y], states=["x"], names=["x", "b"]
-    )
-    with pytest.raises(
-        ModelError, match=r"the name 'F_x\[x\]' stands for two parameters"
-    ):
-        ph.identify(model, data)
-    fit = ph.identify(
-        model,
-        replace(data, trajectories=tuple(replace(r, name=f"{r.name} 1") for r in data)),
-    )
-    assert fit.parameters["name"].is_unique
 
+    def named(*names: str) -> ph.Measurements:
+        runs = [y, 1.01 * y]
+        return ph.Measurements.from_arrays([t, t], runs, states=["x"], names=names)
 
-def test_a_scan_of_a_frequency_per_trajectory_is_refused() -> None:
-    with pytest.raises(
-        ModelError, match="a scanned frequency is one for all trajectories"
-    ):
+    said = r"the name 'F_x\[x\]' stands for two parameters"
+    with pytest.raises(ph.ModelError, match=said):
+        ph.identify(model, named("x", "b"))
+    assert ph.identify(model, named("x 1", "b 1")).parameters["name"].is_unique
+    with pytest.raises(ph.ModelError, match="a scanned frequency is one for all"):
         ph.Parameter(guess=Scan("t"), per_trajectory=True)
 
 
 # ---- sensors -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gain", [2.0, 5.0, 10.0])
+@pytest.mark.parametrize("gain", [2.0, 10.0])
 def test_a_known_gain_of_any_size_changes_neither_the_estimate_nor_the_noise_floor(
     gain: float,
 ) -> None:
     t, y = decaying()
-    plain = ph.identify(
-        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
-    )
-    data = ph.Measurements.from_arrays(t, gain * y, states=["x"])
-    fit = ph.identify(
-        decay(ph.Parameter(0.5), {"x": ph.formula("(g - 1)*x", g=gain)}), data
-    )
+    plain = ph.identify(decay(), of_x(t, y))
+    data = of_x(t, gain * y)
+    fit = ph.identify(decay({"x": ph.formula("(g - 1)*x", g=gain)}), data)
     assert fit.values["a"] == pytest.approx(plain.values["a"], rel=1e-4)
     assert fit.noise["x"] == pytest.approx(gain * plain.noise["x"], rel=1e-3)
     comparison = ph.compare(fit, data)
     assert comparison.noise["x"] == pytest.approx(fit.noise["x"], rel=0.1)
-    assert comparison.bands is not None
     # The band is that of what the sensor shows.
-    unscaled = ph.compare(plain, ph.Measurements.from_arrays(t, y, states=["x"])).bands
-    assert unscaled is not None
+    unscaled = ph.compare(plain, of_x(t, y)).bands
+    assert comparison.bands is not None and unscaled is not None
     np.testing.assert_allclose(comparison.bands[0], gain * unscaled[0], rtol=0.1)
 
 
 def test_the_band_knows_that_the_offset_of_the_sensor_is_uncertain() -> None:
     shown, bands = [], []
+    model = decay({"x": ph.formula("b", b=ph.Parameter(0.0))})
     for seed in range(24):
         t, y = decaying(30, seed)
-        data = ph.Measurements.from_arrays(t, y + 0.3, states=["x"])
-        model = decay(ph.Parameter(0.5), {"x": ph.formula("b", b=ph.Parameter(0.0))})
-        comparison = ph.compare(
-            ph.identify(model, data, ph.MaximumLikelihood(noise={"x": NOISE})), data
-        )
+        data = of_x(t, y + 0.3)
+        fit = ph.identify(model, data, ph.MaximumLikelihood(noise={"x": NOISE}))
+        comparison = ph.compare(fit, data)
         assert comparison.bands is not None
         shown.append(comparison.shown[0][:, 0])
         bands.append(comparison.bands[0][:, 0])
-    error = np.array(shown) - (2 * np.exp(-0.7 * decaying(30)[0]) + 0.3)
+    error = np.array(shown) - (2 * np.exp(-0.7 * t) + 0.3)
+    ratio = np.sqrt(np.mean(error**2, axis=0)) / np.mean(bands, axis=0)
     # 24 draws tell the spread at one time to 14 %; without the offset's part the last
     # ones would be off by more than 3.
-    np.testing.assert_allclose(
-        np.sqrt(np.mean(error**2, axis=0)) / np.mean(bands, axis=0), 1.0, atol=0.5
-    )
+    np.testing.assert_allclose(ratio, 1.0, atol=0.5)
 
 
 def test_a_drifting_sensor_does_not_hide_the_friction() -> None:
     t = np.linspace(0.0, 6.0, 200)
     friction = ph.formula("-0.5*dH_dp*(dH_dp**4 + v0**4)**(-0.25)", v0=0.05)
-    truth = replace(spring(2.5).with_values({"R_p": 0.5}), F={"p": friction})
+    truth = spring(2.5, F={"p": friction}).with_values({"R_p": 0.5})
     runs = []
     for seed, start in enumerate(([1.0, 0.0], [0.6, 1.0])):
-        x = ph.simulate(truth, t, start)
-        y = (
-            x[:, 0]
-            + 1.0
-            + 0.5 * t
-            + 0.01 * np.random.default_rng(seed).normal(size=len(t))
-        )
-        runs.append(np.column_stack([y, np.full(len(t), np.nan)]))
+        noise = 0.01 * np.random.default_rng(seed).normal(size=len(t))
+        q = ph.simulate(truth, t, start)[:, 0] + 1.0 + 0.5 * t + noise
+        runs.append(np.column_stack([q, np.full(len(t), np.nan)]))
     data = ph.Measurements.from_arrays([t, t], runs, states=["q", "p"])
-    drift = {"q": ph.formula("b + d*t", b=ph.Parameter(0.0), d=ph.Parameter(0.0))}
-    model = replace(spring(2.5), sensor=drift)
-    fit = ph.identify(model, data)
+    drift = ph.formula("b + d*t", b=ph.Parameter(0.0), d=ph.Parameter(0.0))
+    fit = ph.identify(spring(2.5, sensor={"q": drift}), data)
     assert str(ph.diagnose(fit, data).effects[0]) == "coulomb friction on p"
 
 
@@ -183,30 +126,20 @@ def test_a_drifting_sensor_does_not_hide_the_friction() -> None:
 
 
 def test_the_standard_errors_of_huber_are_those_of_repeated_draws() -> None:
-    fits = []
-    for seed in range(60):
-        t, y = decaying(60, seed)
-        data = ph.Measurements.from_arrays(t, y, states=["x"])
-        fits.append(
-            ph.identify(
-                decay(ph.Parameter(0.5)), data, ph.MaximumLikelihood(huber=1.345)
-            )
-        )
+    draws = [of_x(*decaying(60, seed)) for seed in range(40)]
+    fits = [ph.identify(decay(), data, HUBER) for data in draws]
     spread = np.std([fit.values["a"] for fit in fits], ddof=1)
-    # 60 draws tell a standard deviation to 9 %.
-    assert np.mean([fit.std_errors["a"] for fit in fits]) == pytest.approx(
-        spread, rel=0.2
-    )
-    assert min(fit.std_errors["a"] for fit in fits) > 0.7 * spread
+    errors = [fit.std_errors["a"] for fit in fits]
+    # 40 draws tell a standard deviation to 11 %.
+    assert np.mean(errors) == pytest.approx(spread, rel=0.2)
+    assert min(errors) > 0.7 * spread
 
 
 def test_a_comparison_keeps_the_loss_of_the_fit() -> None:
     t, y = decaying(100, 1, 0.01)
-    data = ph.Measurements.from_arrays(t, y, states=["x"])
-    wrong = y.copy()
-    wrong[::12] += 1.0
-    fit = ph.identify(decay(ph.Parameter(0.5)), data, ph.MaximumLikelihood(huber=1.345))
-    comparison = ph.compare(fit, ph.Measurements.from_arrays(t, wrong, states=["x"]))
+    fit = ph.identify(decay(), of_x(t, y), HUBER)
+    y[::12] += 1.0
+    comparison = ph.compare(fit, of_x(t, y))
     assert comparison.simulated[0][0, 0] == pytest.approx(2.0, abs=0.02)
 
 
@@ -217,49 +150,29 @@ def test_a_loaded_fit_is_a_start_and_has_the_profile_of_the_fit_it_was(
     tmp_path: Path,
 ) -> None:
     t = np.linspace(0.0, 12.0, 150)
-    y = (0.8 * np.sin(3.3 * t) + 0.05 * np.random.default_rng(0).normal(size=150))[
-        :, None
-    ]
-    model = ph.FirstOrder(
-        ["x"],
-        {"x": ph.formula("A*w*cos(w*t)", A=ph.Parameter(1.0), w=ph.Parameter(3.2))},
-    )
-    data = ph.Measurements.from_arrays(t, y, states=["x"])
+    y = 0.8 * np.sin(3.3 * t) + 0.05 * np.random.default_rng(0).normal(size=150)
+    A, w = ph.Parameter(1.0), ph.Parameter(3.2)
+    model = ph.FirstOrder(["x"], {"x": ph.formula("A*w*cos(w*t)", A=A, w=w)})
+    data = of_x(t, y[:, None])
     fit = ph.identify(model, data)
     assert fit.values["w"] == pytest.approx(3.3, rel=0.01)
     fit.save(tmp_path / "fit.json")
     loaded = ph.Fit.load(tmp_path / "fit.json")
-    far = model.with_values({"A": 1.0, "w": 1.0})
-    assert ph.identify(far, data, start=loaded).values["w"] == pytest.approx(
-        fit.values["w"], rel=1e-5
-    )
+    again = ph.identify(model.with_values({"A": 1.0, "w": 1.0}), data, start=loaded)
+    assert again.values["w"] == pytest.approx(fit.values["w"], rel=1e-5)
     assert [n.tolist() for n in loaded.steps] == [n.tolist() for n in fit.steps]
-    assert ph.profile(loaded, data, "w").ci_lower == pytest.approx(
-        ph.profile(fit, data, "w").ci_lower, rel=1e-5
-    )
+    lower = ph.profile(fit, data, "w").ci_lower
+    assert ph.profile(loaded, data, "w").ci_lower == pytest.approx(lower, rel=1e-5)
 
 
-def test_a_profile_of_other_measurements_is_refused() -> None:
+def test_a_fit_of_another_record_is_a_start_but_has_no_profile_there() -> None:
     t, y = decaying()
-    fit = ph.identify(
-        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
-    )
-    with pytest.raises(
-        ph.SolveError,
-        match=r"could not be repeated on these measurements: a is .* in the fit, now",
-    ):
-        ph.profile(fit, ph.Measurements.from_arrays(t, y**2, states=["x"]), "a")
-
-
-def test_a_fit_of_shorter_records_is_still_a_start() -> None:
-    (t, y), (t2, y2) = decaying(60), decaying(90)
-    fit = ph.identify(
-        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
-    )
-    longer = ph.Measurements.from_arrays(t2, y2, states=["x"])
-    assert ph.identify(decay(ph.Parameter(0.5)), longer, start=fit).values[
-        "a"
-    ] == pytest.approx(0.7, abs=0.05)
+    fit = ph.identify(decay(), of_x(t, y))
+    longer = ph.identify(decay(), of_x(*decaying(90)), start=fit)
+    assert longer.values["a"] == pytest.approx(0.7, abs=0.05)
+    said = r"could not be repeated on these measurements: a is .* in the fit, now"
+    with pytest.raises(ph.SolveError, match=said):
+        ph.profile(fit, of_x(t, y**2), "a")
 
 
 # ---- noise ---------------------------------------------------------------------------
@@ -276,11 +189,8 @@ def test_noise_may_be_known_of_one_channel_and_estimated_of_the_other() -> None:
     assert ph.compare(fit, data).noise["p"] == pytest.approx(0.2, rel=0.2)
 
 
-def test_data_without_noise_are_explained_and_the_fit_says_so() -> None:
-    t, y = decaying(noise=0.0)
-    fit = ph.identify(
-        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
-    )
+def test_data_without_noise_are_explained() -> None:
+    fit = ph.identify(decay(), of_x(*decaying(noise=0.0)))
     assert fit.outcome.success
     assert fit.values["a"] == pytest.approx(0.7, rel=1e-5)
 
@@ -288,17 +198,11 @@ def test_data_without_noise_are_explained_and_the_fit_says_so() -> None:
 @pytest.mark.parametrize("value", [3.0, 0.0])
 def test_a_channel_that_never_changes_does_not_harm_the_other(value: float) -> None:
     t, y = decaying()
-    model = ph.FirstOrder(
-        ["x", "z"],
-        {
-            "x": ph.formula("-a*x", a=ph.Parameter(0.5)),
-            "z": ph.formula("c", c=ph.Parameter(0.1)),
-        },
-    )
-    data = ph.Measurements.from_arrays(
-        t, np.column_stack([y[:, 0], np.full(len(t), value)]), states=["x", "z"]
-    )
-    fit = ph.identify(model, data)
+    a, c = ph.Parameter(0.5), ph.Parameter(0.1)
+    rates = {"x": ph.formula("-a*x", a=a), "z": ph.formula("c", c=c)}
+    both = np.column_stack([y[:, 0], np.full(len(t), value)])
+    data = ph.Measurements.from_arrays(t, both, states=["x", "z"])
+    fit = ph.identify(ph.FirstOrder(["x", "z"], rates), data)
     assert fit.values["a"] == pytest.approx(0.7, abs=0.05)
     assert fit.values["c"] == pytest.approx(0.0, abs=1e-4)
 
@@ -307,44 +211,38 @@ def test_other_data_are_started_from_states_as_accurate_as_the_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     t = np.linspace(0.0, 30.0, 101)
-    runs = [
-        ph.simulate(spring(2.0).with_values({"R_p": 0.05}), t, x0)
-        for x0 in ([1.0, 0.0], [0.0, 3.0])
-    ]
     rng = np.random.default_rng(0)
-    train, other = (
-        ph.Measurements.from_arrays(
-            t,
-            x + 0.005 * np.std(x, axis=0) * rng.normal(size=x.shape),
-            states=["q", "p"],
-        )
-        for x in runs
-    )
+    truth = spring(2.0).with_values({"R_p": 0.05})
+    records = []
+    for x0 in ([1.0, 0.0], [0.0, 3.0]):
+        x = ph.simulate(truth, t, x0)
+        noise = 0.005 * np.std(x, axis=0)
+        y = x + noise * rng.normal(size=x.shape)
+        records.append(ph.Measurements.from_arrays(t, y, states=["q", "p"]))
+    train, other = records
     fit = ph.identify(spring(ph.Parameter(2.1, lower=0.1)), train)
     coarse = replace(fit, steps=tuple(np.ones_like(n) for n in fit.steps))
-    noise = 0.005 * np.std(runs[1], axis=0)
 
     def error() -> float:
-        (left,) = ph.compare(coarse, other).residuals
-        return float(np.sqrt(np.mean((left / noise) ** 2)))
+        (residual,) = ph.compare(coarse, other).residuals
+        return float(np.sqrt(np.mean((residual / noise) ** 2)))
 
     fine = error()
     monkeypatch.setattr("phsi_opt.estimation.record.STEP_REFINEMENTS", 0)
     assert fine < 1.1 and error() > 1.3
 
 
-def test_the_change_of_the_deviance_by_a_fixed_number_needs_no_fit(
-    loads: ph.Measurements,
-) -> None:
+def test_the_change_of_the_deviance_by_a_fixed_number_needs_no_fit() -> None:
+    t = np.linspace(0.0, 4.0, 120)
+    x = ph.simulate(spring(2.0).with_values({"R_p": 1.0}), t, [1.0, 0.0])
+    y = x + NOISE * np.random.default_rng(0).normal(size=x.shape)
+    y[:, 1] = np.nan
+    data = ph.Measurements.from_arrays(t, y, states=["q", "p"])
+
     def estimate(damping: float) -> LikelihoodEstimate:
-        model = ph.PseudoHamiltonian(
-            states=["q", "p"],
-            S=ph.canonical(1),
-            H=ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=ph.Parameter(2.0)),
-            R={"p": ph.formula("c", c=damping)},
-        )
-        aligned = AlignedData.of(model, loads[:1])
-        task = Task(model, aligned, {}, None, SolverSettings())
+        model = spring(ph.Parameter(2.0)).with_fixed({"R_p": damping})
+        aligned = AlignedData.of(model, data)
+        task = Task(model, aligned, {}, None, ph.SolverSettings())
         found = estimate_by(ph.MaximumLikelihood(), task, None)
         assert isinstance(found, LikelihoodEstimate)
         return found

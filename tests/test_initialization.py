@@ -1,0 +1,104 @@
+"""Where a solver begins: rough states, sizes, and formulas that have values."""
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.initialization.scaling import first_point, kinematic_states
+from phsi_opt.transcription.grid import Grid, grid_of
+
+T = np.linspace(0.0, 20.0, 201)
+
+
+def hamiltonian(H: str, R: str, **parameters: ph.Parameter | float) -> ph.Model:
+    of_loss = {name: parameters.pop(name) for name in ("c",) if name in parameters}
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula(H, **parameters),
+        R={"p": ph.formula(R, **of_loss)},
+    )
+
+
+def first_state(model: ph.Model, shown: np.ndarray, t: np.ndarray = T) -> Grid:
+    """A record of the first state alone."""
+    y = np.full((len(t), model.n_states), np.nan)
+    y[:, 0] = shown
+    data = ph.Measurements.from_arrays(t, y, states=list(model.states))
+    return grid_of(data)
+
+
+# ---- states by kinematics ------------------------------------------------------------
+
+
+def test_a_momentum_follows_from_the_rate_of_its_position() -> None:
+    model = hamiltonian("1.7*q**2/2 + p**2/3", "0.15")
+    x = ph.simulate(model, T, [1.0, 0.0])
+    q = x[:, 0].copy()
+    q[50:60] = np.nan  # a gap
+    found, is_complete = kinematic_states(model, first_state(model, q))
+    assert is_complete
+    is_known = np.isfinite(q)
+    np.testing.assert_array_equal(found[is_known, 0], q[is_known])
+    inside = slice(70, 190)
+    # Differences over two intervals of 0.1: the third derivative times h^2 / 6.
+    np.testing.assert_allclose(found[inside, 1], x[inside, 1], atol=0.01)
+
+
+def test_states_follow_in_turn_from_rates_that_follow() -> None:
+    rates = {"a": ph.formula("b"), "b": ph.formula("c"), "c": ph.formula("-a")}
+    chain = ph.FirstOrder(["a", "b", "c"], rates)
+    x = ph.simulate(chain, T, [1.0, 0.0, 0.0])
+    found, is_complete = kinematic_states(chain, first_state(chain, x[:, 0]))
+    assert is_complete
+    size = np.max(np.abs(x), axis=0)
+    # Differences of differences; the third derivative is of the size of the motion.
+    inside = slice(10, -10)
+    np.testing.assert_allclose(found[inside] / size, x[inside] / size, atol=0.02)
+
+
+def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
+    rates = {"a": ph.formula("-a"), "b": ph.formula("a - b"), "c": ph.formula("b - c")}
+    model = ph.FirstOrder(["a", "b", "c"], rates)
+    found, is_complete = kinematic_states(model, first_state(model, np.exp(-T)))
+    assert not is_complete
+    np.testing.assert_array_equal(found[:, 1:], 0.0)
+
+
+def test_slopes_without_a_number_leave_the_size_of_a_hidden_state() -> None:
+    # A damper without bound where the position is zero: at both ends of the record.
+    c = ph.Parameter(0.1, lower=0.0)
+    model = hamiltonian("q**2/2 + p**2/(2*m)", "c/q**2", m=2.0, c=c)
+    t = np.linspace(0.0, 4.0, 401)
+    shown = np.sin(2 * np.pi * t)
+    shown[[0, -1]] = 0.0
+    sizes = first_point(model, first_state(model, shown, t)).x_scale.reshape(-1, 2)
+    # p is m dq/dt: 2 pi m over the root of two.
+    np.testing.assert_allclose(sizes[:, 1], 2.0 * 2 * np.pi / np.sqrt(2), rtol=0.1)
+
+
+# ---- formulas without values ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("energy", "said"),
+    [
+        ("k*exp(1000*q) + p**2/(2*m)", "term .*exp.* in H .*at [0-9]+ of 100 samples"),
+        ("k*log(q)+ p**2/(2*m)", "in H .*at 53 of 100 samples"),
+        ("k*sqrt(q)+ p**2/(2*m)", "in H .*q = -0.0292"),
+        ("k*q**2/2 + p**2/(2*zero)", "in H .*100 of 100 samples.*zero = 0"),
+        ("k*q**2/2 + p**2/(2*m)", None),
+    ],
+)
+def test_what_has_no_value_is_refused(energy: str, said: str | None) -> None:
+    known: dict[str, ph.Parameter | float] = {"k": ph.Parameter(1.0), "m": 1.0}
+    known["zero"] = 0.0
+    model = hamiltonian(energy, "0", **{n: v for n, v in known.items() if n in energy})
+    t = np.arange(0, 5, 0.05)
+    x = np.column_stack([np.cos(2 * t), np.full(t.shape, np.nan)])
+    data = ph.Measurements.from_arrays([t], [x], states=["q", "p"])
+    if said is None:
+        ph.identify(model, data, raise_on_failure=False)
+        return
+    with pytest.raises(ph.ModelError, match=f"(?s){said}"):
+        ph.identify(model, data)
