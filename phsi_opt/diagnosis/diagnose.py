@@ -114,17 +114,8 @@ def diagnose_comparison(
 ) -> Diagnosis:
     """`diagnose` for a fit that was compared before.
 
-    Nothing of the comparisons is computed again: not the missing force, not the free
-    run.
-
-    Args:
-        trained: the fit on the training record.
-        judged: the fit on data held out.
-        effects: candidates; default: `catalogue` of the model.
-        loss, progress, executor: as in `diagnose`.
-
-    Returns:
-        As `diagnose`.
+    Nothing of the comparisons is computed again. Without ``effects`` the candidates are
+    the `catalogue` of the model.
 
     Raises:
         ModelError: one of the ``effects`` does not fit the model, or has no free
@@ -151,15 +142,9 @@ def diagnose_comparison(
 def candidate_of(
     trained: Comparison, effect: Effect, loss: MaximumLikelihood
 ) -> Candidate | None:
-    """One effect, weighed and re-fitted whatever it is worth.
+    """One effect, weighed and re-fitted whatever its evidence.
 
-    Args:
-        trained: the fit on the training record.
-        effect: that is added.
-        loss: how.
-
-    Returns:
-        None where it leaves no trace in the record; without a re-fit where that failed.
+    None where it leaves no trace in the record; without a re-fit where that failed.
 
     Raises:
         ModelError: the effect does not fit the model, or has no free number.

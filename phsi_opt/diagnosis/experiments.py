@@ -193,21 +193,13 @@ def _not_simulated(trajectory: str, model: Model) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One experiment, derived from a record.
-
-    Attributes:
-        name: in words.
-        t: (n_samples,) times.
-        u: (n_samples, n_inputs) inputs, in the order of the measurements.
-        measured: names of the measured states.
-        x0: (n_states,) starting state of the model that is simulated.
-    """
+    """An experiment with times and inputs (n_samples, n_inputs), in words."""
 
     name: str
     t: np.ndarray
     u: np.ndarray
     measured: tuple[str, ...]
-    x0: np.ndarray
+    x0: np.ndarray  # (n_states,) of the model that is simulated
 
     @property
     def n_values(self) -> int:
@@ -217,14 +209,9 @@ class Experiment:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRecord:
-    """What experiments are derived from: a record as a fitted model runs along it.
+    """A record as a fitted model runs along it, from which experiments are derived.
 
-    Attributes:
-        experiment: the record itself.
-        data: the measurements it is taken from, for names and units.
-        model: the fitted model.
-        shown: (n_samples, n_data_states) what sensors of all states of the measurements
-            show.
+    Sensors of all states show (n_samples, n_data_states).
     """
 
     experiment: Experiment

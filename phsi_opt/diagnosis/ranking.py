@@ -24,13 +24,10 @@ from phsi_opt.sweeps.sweep import Ahead
 def ranked(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
 ) -> tuple[EvidenceRecord, list[Candidate]]:
-    """All candidates, the likeliest first.
+    """The candidates, the likeliest first, and the record beside the likeliest base.
 
     Screening tells which of them may gain anything; these are weighed. Where the base
     is likelier from where the likeliest of them ended, all begins again from there.
-
-    Returns:
-        The record with the base where it is most likely, and the candidates.
     """
     while True:  # the evidence of the base rises each time
         candidates, likeliest = _ranked_beside(base, record, effects)

@@ -70,21 +70,13 @@ NEARBY_WIDTH = 0.99
 
 @dataclass(frozen=True, eq=False)
 class DiagnosedModel:
-    """A fit with its free runs, and how larger models are fitted.
+    """A fit with its free runs, and how larger models are fitted."""
 
-    Attributes:
-        trained: the free run on the training record.
-        judged: the same on the record that judges; ``trained`` where none is held out.
-        loss: how larger models are fitted.
-        say: called with a line of text as the work goes on.
-        executor: where candidates are weighed side by side; None: here.
-    """
-
-    trained: Comparison
-    judged: Comparison
+    trained: Comparison  # on the training record
+    judged: Comparison  # on the record that judges; ``trained`` if none is held out
     loss: MaximumLikelihood
     say: Callable[[str], None] = silent
-    executor: Executor | None = None
+    executor: Executor | None = None  # for weighing candidates in parallel
 
     @classmethod
     def of(
@@ -378,13 +370,9 @@ def finer_at_corner(
 ) -> tuple[np.ndarray, ...]:
     """More steps in gaps between samples in which a formula passes its corner.
 
-    Args:
-        fit: with states at the samples.
-        data: the measurements of the fit.
-        of: formula that is zero at the corner, such as a velocity.
-        width: of the corner, in the unit of the formula.
-        steps: at present, one (n_samples - 1,) per trajectory.
-        n_steps: in gaps beside a corner, at least.
+    The formula ``of`` is zero at the corner, such as a velocity, and ``width`` in its
+    unit. Steps are (n_samples - 1,) per trajectory; beside a corner they are at least
+    ``n_steps``.
     """
     formula = fit.model.function(of)
     theta = fit.model.theta
@@ -406,9 +394,9 @@ def _n_intervals(steps: Sequence[np.ndarray]) -> int:
 
 
 def distance_from_states(trained: Comparison) -> float:
-    """Distance of a free run from the states of its fit, in noise deviations.
+    """Root mean square distance of a free run from its fit, in noise deviations.
 
-    The root mean square over the measured values of what the sensors show.
+    Over the measured values, of what the sensors show.
     """
     record = trained.record
     fitted = outputs_at_samples(

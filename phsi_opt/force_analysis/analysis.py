@@ -58,12 +58,7 @@ RATES = {
 
 @dataclass(frozen=True, eq=False)
 class ForceAnalysis:
-    """The missing forces of a record and what is said of them.
-
-    Attributes:
-        record: the forces, beside everything that they may depend on.
-        forces: of every equation that may lack one.
-    """
+    """The missing forces of a record, with all that they may depend on, by equation."""
 
     record: ForceRecord
     forces: tuple[EquationForce, ...]
@@ -172,14 +167,9 @@ def sentence(force: EquationForce) -> str:
 def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
     """The equation of a force, and what it follows or else where it is largest.
 
-    What is clearly followed comes first, a place beside it. Where nothing is followed
-    a place is a detail: it would promise a cause.
-
-    Args:
-        force: the missing force.
-        is_named: whether an effect is named; then nothing is said of what does not
-            explain the force.
-        is_known: whether effects say all that the force is; then no shares are told.
+    Where nothing is followed a place is a detail: it would promise a cause. With
+    ``is_named`` nothing is said of what does not explain the force; with ``is_known``,
+    where effects say all that the force is, no shares are given.
     """
     model = force.record.model
     shares = force.causes.shares
@@ -281,9 +271,9 @@ def plain_name(force: EquationForce, name: str) -> str:
 
 
 def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
-    """What to do next about the surest missing force, for which there is no name.
+    """What to do about the surest missing force, for which there is no name.
 
-    ``units`` are as in `Measurements`; they tell of which field an equation is.
+    The units tell of which field an equation is, as in `Measurements`.
     """
     force = analysis.force_in()
     if force.is_uncertain:
@@ -294,18 +284,12 @@ def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answ
 
 
 def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
-    """What seems to be wrong, by what a force follows: the begin of a sentence.
-
-    Empty where one is as likely as another; ``units`` are as in `step_without_name`.
-    """
+    """What seems to be wrong: the begin of a sentence; "" if nothing stands out."""
     return _advice("likely", units, force).lead
 
 
 def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
-    """What follows from the strongest cause of a force, or from there being none.
-
-    ``units`` are as in `step_without_name`.
-    """
+    """What follows from the strongest cause of a force, or from there being none."""
     return _advice("advice", units, force)
 
 

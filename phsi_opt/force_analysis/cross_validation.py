@@ -60,13 +60,10 @@ def left_out_error(
 ) -> float:
     """Sum of squares of a force that fits leave on stretches of time left out.
 
-    Their coefficients are slightly drawn to zero: as by a thousandth of the samples.
-
-    Args:
-        w: the force, (n_intervals,).
-        fold: number of the fold that leaves each interval out, (n_intervals,).
-        bases: columns of functions, each (n_intervals, k), fitted together.
-        sought: further functions, which differ from fold to fold.
+    The columns (n_intervals, k) of all bases are fitted together, and those that
+    ``sought`` finds for each fold; ``fold`` is the number of the fold that leaves each
+    interval out. Coefficients are slightly drawn to zero: as by a thousandth of the
+    samples.
     """
     columns = np.hstack(bases)
     normal = normal_equations(columns, w)

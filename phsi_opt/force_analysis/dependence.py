@@ -188,18 +188,14 @@ def leading(follows: "pd.DataFrame", equation: str) -> "pd.Series | None":
 class Causes:
     """What explains a missing force, judged on stretches of time that were left out.
 
-    Attributes:
-        contributions: part of the force's mean square that each cause adds to the
-            stronger ones, strongest first. The model's parameters come before all
-            others; further ones are there while they add a fifth.
-        gains: what each cause adds to other values of the parameters alone.
-        goes_together: whether inputs and effort are not told apart, as it is where a
-            controller is at work.
+    Contributions are the part of the force's mean square that each cause adds to the
+    stronger ones, strongest first, after the model's parameters; further causes are
+    there while they add a fifth. Gains are what each adds to the parameters alone.
     """
 
     contributions: Mapping[str, float]
     gains: Mapping[str, float]
-    goes_together: bool = False
+    goes_together: bool = False  # inputs and effort, as beside a controller
 
     @property
     def shares(self) -> dict[str, float]:

@@ -27,14 +27,7 @@ from phsi_opt.statistics import TINY
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Arguments of a model's functions.
-
-    Attributes:
-        x: states, (n, n_states).
-        u: inputs, (n, n_inputs).
-        t: times, (n,).
-        theta: free parameters, (n_free, n).
-    """
+    """States (n, n_states), inputs, times, and parameters (n_free, n) of functions."""
 
     x: np.ndarray
     u: np.ndarray
@@ -64,16 +57,10 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class ForceRecord:
-    """The missing forces and what they may depend on.
-
-    Attributes:
-        along: the fit whose model lacks the forces, along measurements.
-        model: that model, with the values beside which the forces were estimated.
-        points: states, inputs, times and parameters, n_intervals of each.
-    """
+    """The missing forces along a fit, and what they may depend on, by interval."""
 
     along: Record
-    model: Model
+    model: Model  # with the values beside which the forces were estimated
     points: Points
 
     @classmethod
@@ -185,12 +172,7 @@ def _losses(parts: Expressions) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """The missing force of one equation.
-
-    Attributes:
-        record: all forces.
-        equation: the state in whose equation it acts.
-    """
+    """The missing force (n_intervals,) of one equation."""
 
     record: ForceRecord
     equation: str
@@ -221,13 +203,10 @@ class Force:
         return self.record.efforts[:, self.row]
 
     def shown(self, forces: np.ndarray) -> np.ndarray:
-        """What the estimate would show of forces on the equation, (n_intervals, k).
+        """What the estimate would show of forces (n_intervals, k) on the equation.
 
-        It is less than the forces by what noise and prior hide::
-
-            w_shown = w - C P^-1 w
-
-        with the force's covariance P before and C after the measurements.
+        They are less what noise and prior hide, w_shown = w - C P^-1 w, with the force's
+        covariance P before and C after the measurements.
         """
         return self.record.estimate.posterior.shown(self.number, forces)
 

@@ -35,13 +35,7 @@ VIBRATION = 10.0
 
 @dataclass(frozen=True)
 class Window:
-    """Where along a trajectory a force is strongest.
-
-    Attributes:
-        trajectory: its name.
-        begin: of the times; ``end``: of them.
-        is_whole: whether these are all of it, because none stand out.
-    """
+    """Times of a trajectory where a force is strongest; all of it if none stand out."""
 
     trajectory: str
     begin: float
@@ -78,10 +72,7 @@ def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
 class StrongRange:
     """Values of a variable between which a force is strong.
 
-    Attributes:
-        begin: of the range; ``end``: of it.
-        is_lowest: whether no smaller values were visited (but a few).
-        is_highest: whether no larger ones were.
+    The lowest or highest where no values beyond were visited, but a few.
     """
 
     begin: float
@@ -145,25 +136,14 @@ def region_words(region: Region) -> str:
 
 @dataclass(frozen=True)
 class Pace:
-    """A force beside the motion and the samples.
+    """How fast a force is beside the motion and the samples, and how large."""
 
-    Attributes:
-        frequency: at which the force is strongest, in cycles per unit of time; 0 where
-            it is mostly constant.
-        motion: frequency at which the fastest of the states is strongest.
-        time: in which the fastest of the states, by the rms of its rate, moves by as
-            much as its standard deviation.
-        interval: typical time between samples.
-        strength: rms of the force.
-        own: rms of what the model itself has in the equation.
-    """
-
-    frequency: float
-    motion: float
-    time: float
-    interval: float
-    strength: float
-    own: float
+    frequency: float  # of the force; 0 where it is mostly constant
+    motion: float  # frequency of the fastest state
+    time: float  # in which the fastest state moves by its standard deviation
+    interval: float  # typical time between samples
+    strength: float  # rms of the force
+    own: float  # rms of what the model itself has in the equation
 
     @classmethod
     def of(cls, force: Force) -> "Pace":

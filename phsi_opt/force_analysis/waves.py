@@ -29,12 +29,9 @@ REPEATS = np.arange(2, 200, 0.25)
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Amplitudes by frequency.
+    """Amplitudes by frequency, of one signal (n_frequencies,) or k (n_frequencies, k).
 
-    Attributes:
-        frequencies: cycles per unit of time, (n_frequencies,), increasing.
-        amplitudes: (n_frequencies,), or (n_frequencies, k) for k signals; a sine of
-            amplitude A has the peak A.
+    Frequencies are in cycles per unit of time; a sine of amplitude A has the peak A.
     """
 
     frequencies: np.ndarray
@@ -180,13 +177,10 @@ def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class PositionWave:
-    """A force that repeats along a position.
+    """A force that repeats along a position after a period, in its unit.
 
-    Attributes:
-        position: the name of the state.
-        period: after which the force comes again, in the unit of the position.
-        waves: both harmonics, as the estimate of the force shows them, (n_intervals,
-            4).
+    The waves are both harmonics as the estimate of the force shows them, (n_intervals,
+    4).
     """
 
     position: str

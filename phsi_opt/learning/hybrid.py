@@ -275,15 +275,10 @@ def _from_content(content: dict[str, Any]) -> Hybrid:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What stays the same in all turns.
+    """What stays the same in all turns: the grid without the force, where it acts.
 
     The defects are linear in the output weights of the network, and nearly linear in
     the coefficients of the dictionary. Forces are (n_intervals, n_stages, n_equations).
-
-    Attributes:
-        grid: the intervals, without the force.
-        equations: in which the force acts; ``rows``: their numbers.
-        rule: the integrator.
     """
 
     grid: Grid

@@ -78,19 +78,11 @@ class NeuralForce:
 
 @dataclass(frozen=True, eq=False)
 class TrainedForce:
-    """A trained network: force(x, t, u) for states x, times t and inputs u.
+    """A trained network: force(x, t, u), with states (n_samples, n_states)."""
 
-    Attributes:
-        equations: states in whose equations it acts.
-        variables: states, inputs and "t" that it depends on.
-        names: all states, inputs and "t" of the model.
-        n_states: number of the states among the names.
-        network: of the variables.
-    """
-
-    equations: tuple[str, ...]
-    variables: tuple[str, ...]
-    names: tuple[str, ...]
+    equations: tuple[str, ...]  # states in whose equations it acts
+    variables: tuple[str, ...]  # states, inputs and "t" that it depends on
+    names: tuple[str, ...]  # all states, inputs and "t" of the model
     n_states: int
     network: Network
 
@@ -170,19 +162,11 @@ class TrainedForce:
 
 @dataclass(frozen=True, eq=False)
 class TrainingSet:
-    """What a force must be at the stages of the steps.
+    """What a force must be, (n_intervals, ...), at the stages of the steps."""
 
-    Attributes:
-        stages: (n_intervals, n_stages, n_names), states, inputs and time at the stages
-            of the integrator.
-        weights: of the stages, (n_stages,); their sum is 1.
-        target: (n_intervals, n_equations), the mean of the force over the stages.
-        folds: (n_intervals,), number of the fold of every interval.
-    """
-
-    stages: np.ndarray
-    weights: np.ndarray
-    target: np.ndarray
+    stages: np.ndarray  # (n_intervals, n_stages, n_names) states, inputs and time
+    weights: np.ndarray  # of the stages, (n_stages,); their sum is 1
+    target: np.ndarray  # mean over the stages, (n_intervals, n_equations)
     folds: np.ndarray
 
     def mean(self, values: np.ndarray) -> np.ndarray:

@@ -29,24 +29,17 @@ SINGULAR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A network of variables v: layers of (v - shift) / spread.
+    """A network of variables v: layers of (v - shift) / spread, each (n_variables,).
 
     It knows nothing beyond the data: outside the range of its training its variables
     are held at the edge.
-
-    Attributes:
-        shift: (n_variables,), subtracted from the variables.
-        spread: (n_variables,), by which they are then divided.
-        seen: (2, n_variables), least and largest value in training.
-        activation: of the hidden layers, 'relu' or 'tanh'.
-        layers: the hidden ones, and the output.
     """
 
     shift: np.ndarray
     spread: np.ndarray
-    seen: np.ndarray
-    activation: str
-    layers: Layers = ()
+    seen: np.ndarray  # (2, n_variables), least and largest value in training
+    activation: str  # of the hidden layers, 'relu' or 'tanh'
+    layers: Layers = ()  # the hidden ones, and the output
 
     @classmethod
     def scaled(cls, v: np.ndarray, activation: str) -> "Network":
@@ -114,20 +107,11 @@ def ridge_solutions(
 def cross_validated_ridge(
     columns: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray
 ) -> np.ndarray:
-    """Least squares with a ridge, by cross-validation.
-
-    The z, (n_columns,), that minimises::
-
-        |d + columns z|^2 + weight |z_ridged|^2
+    """The z (n_columns,) that minimises |d + columns z|^2 + weight |z_ridged|^2.
 
     The weight is the largest within a standard error of the one that predicts the folds
-    best when they are left out.
-
-    Args:
-        columns: (n_intervals, n_equations, n_columns).
-        d: (n_intervals, n_equations).
-        folds: (n_intervals,), numbers below `N_FOLDS`.
-        ridged: (n_columns,), whether the weight acts on the column.
+    (numbers below `N_FOLDS`) best when they are left out. Columns are (n_intervals,
+    n_equations, n_columns), d (n_intervals, n_equations).
     """
     parts = []
     for fold in range(N_FOLDS):

@@ -50,20 +50,12 @@ RANK_TOLERANCE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class ForceSamples:
-    """The missing force of one equation, in the middle of every interval of a record.
+    """The missing force (n,) of one equation in the middle of every interval."""
 
-    Attributes:
-        v: (n, n_variables), the variables it may depend on.
-        w: (n,), the force.
-        std: (n,), its standard deviation.
-        physics: (n, n_columns), orthonormal basis of the forces over ``std`` that the
-            free parameters can produce.
-    """
-
-    v: np.ndarray
+    v: np.ndarray  # (n, n_variables), the variables it may depend on
     w: np.ndarray
     std: np.ndarray
-    physics: np.ndarray
+    physics: np.ndarray  # (n, n_columns), orthonormal: forces of free parameters / std
 
     @classmethod
     def of(cls, record: Record, equation: str, on: Sequence[str]) -> "ForceSamples":
@@ -107,17 +99,11 @@ class ForceSamples:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """The linearised response of the residuals to a force in one equation.
+    """The linearised response of the residuals (n_values,) to a force."""
 
-    Attributes:
-        linearized: the likelihood of the record, at the states of its missing force.
-        row: of the equation.
-        residual: (n_values,), that of the fit, in units of the noise.
-    """
-
-    linearized: LinearizedRecord
-    row: int
-    residual: np.ndarray
+    linearized: LinearizedRecord  # at the states of the missing force
+    row: int  # of the equation
+    residual: np.ndarray  # in units of the noise
 
     @classmethod
     def of(cls, record: Record, row: int) -> "Response":
