@@ -205,8 +205,8 @@ class Force:
     def shown(self, forces: np.ndarray) -> np.ndarray:
         """What the estimate would show of forces (n_intervals, k) on the equation.
 
-        They are less what noise and prior hide, w_shown = w - C P^-1 w, with the force's
-        covariance P before and C after the measurements.
+        They are less what noise and prior hide, w_shown = w - C P^-1 w, with the
+        covariance P of the force before and C after the measurements.
         """
         return self.record.estimate.posterior.shown(self.number, forces)
 
