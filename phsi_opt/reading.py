@@ -31,34 +31,48 @@ def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     Args:
         path: Of the file.
         most: Bytes that it may have; None: `LARGEST_FILE`.
+
+    Raises:
+        OSError: It cannot be read, is no regular file or is too large; `why_not_read`
+            says why.
+        TypeError: This is no path.
     """
-    allowed = LARGEST_FILE if most is None else most
+    most = LARGEST_FILE if most is None else most
     try:
         status = os.stat(Path(path))
     except ValueError:  # what Python says of a NUL
         raise OSError("a path has no NUL") from None
-    _check_regular(status.st_mode)
-    _check_size(status.st_size, allowed)
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError
+    if not stat.S_ISREG(status.st_mode):
+        kind = OTHER_KINDS.get(stat.S_IFMT(status.st_mode), "of another kind")
+        raise OSError(
+            f"it is {kind} and no regular file; write its content into a file and give "
+            "the path of that"
+        )
+    _check_size(status.st_size, most)
     with open(path, "rb") as file:
-        content: bytes = read_at_most(file, allowed)
+        content: bytes = read_at_most(file, most)
     return content
 
 
 def file_text(path: str | os.PathLike[str], most: int | None = None) -> str:
-    """The UTF-8 text of a file, its lines ended by "\\n", without a byte order mark."""
+    """The UTF-8 text of a file, its lines ended by "\\n", without a byte order mark.
+
+    Raises:
+        OSError: As in `file_bytes`.
+        TypeError: This is no path.
+        UnicodeDecodeError: It is not UTF-8.
+    """
     text = file_bytes(path, most).decode("utf-8-sig")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_at_most(file: Any, most: int) -> Any:
-    """What an open file still holds: bytes or text, whichever it gives.
+    """What an open file still holds, bytes or text; or what it gives instead of these.
 
-    Args:
-        file: The open file.
-        most: Bytes or characters that it may hold.
-
-    Returns:
-        The content; or what the file gave, where that is neither bytes nor text.
+    Raises:
+        OSError: It holds more than ``most`` bytes or characters, or cannot be read.
     """
     parts = []
     size = 0
@@ -71,17 +85,6 @@ def read_at_most(file: Any, most: int) -> Any:
         _check_size(size, most)
         if not part:
             return part.join(parts)  # type: ignore[arg-type]
-
-
-def _check_regular(mode: int) -> None:
-    if stat.S_ISDIR(mode):
-        raise IsADirectoryError
-    if not stat.S_ISREG(mode):
-        kind = OTHER_KINDS.get(stat.S_IFMT(mode), "of another kind")
-        raise OSError(
-            f"it is {kind} and no regular file; write its content into a file and give "
-            "the path of that"
-        )
 
 
 def _check_size(size: int, most: int) -> None:

@@ -28,6 +28,9 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
 
     Returns:
         The path.
+
+    Raises:
+        DataError: The file cannot be written; what was there stays.
     """
     place = written_path(path)
     try:
@@ -38,7 +41,11 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
 
 
 def written_path(path: str | Path) -> Path:
-    """The path of a file that will be written, before the work for it begins."""
+    """The path of a file that will be written, before the work for it begins.
+
+    Raises:
+        DataError: This is no path, or of a folder that does not exist.
+    """
     try:
         place = Path(path)
         if not place.parent.is_dir():
@@ -49,14 +56,24 @@ def written_path(path: str | Path) -> Path:
 
 
 def _unwritable(path: str | Path, error: Exception) -> DataError:
-    return DataError(f"file {str(path)!r} cannot be written: {_why(error)}.")
+    """The error of a file that cannot be written, with what to do."""
+    why = f"expected a path ({error})"
+    if isinstance(error, OSError):
+        why = f"{error.strerror}; give another path" if error.strerror else str(error)
+    for kind, said in WHY_NOT_WRITTEN.items():
+        if isinstance(error, kind):
+            why = said
+    return DataError(f"file {str(path)!r} cannot be written: {why}.")
 
 
 def _replace(place: Path, content: bytes) -> None:
     if place.is_dir():
         raise IsADirectoryError
     place = place.resolve()  # where the name is a link, the file that it leads to
-    rights = place.stat().st_mode & 0o777 if place.exists() else _usual_rights()
+    mask = os.umask(0)
+    os.umask(mask)
+    # The rights of a new file; a temporary one is its owner's alone.
+    rights = place.stat().st_mode & 0o777 if place.exists() else 0o666 & ~mask
     # in the same folder, because a file system is not renamed across
     handle, name = tempfile.mkstemp(".part", f".{place.name[:40]}.", place.parent)
     try:
@@ -67,20 +84,3 @@ def _replace(place: Path, content: bytes) -> None:
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
-
-
-def _why(error: Exception) -> str:
-    """Why a file cannot be written, with what to do."""
-    for kind, said in WHY_NOT_WRITTEN.items():
-        if isinstance(error, kind):
-            return said
-    if isinstance(error, OSError):
-        return f"{error.strerror}; give another path" if error.strerror else str(error)
-    return f"expected a path ({error})"
-
-
-def _usual_rights() -> int:
-    """The rights of a new file; a temporary one is its owner's alone."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return 0o666 & ~mask

@@ -10,6 +10,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from phsi_opt import reading
@@ -40,6 +41,7 @@ def table_of_excel(
     wanted: Iterable[Any],
     sheet: str | None,
     form: TextFormat,
+    may_be_several: bool = False,
 ) -> Table:
     """The cells of a sheet; empty rows, and empty columns behind the last, are skipped.
 
@@ -49,30 +51,29 @@ def table_of_excel(
         sheet: The sheet's name; None: the only one that is not empty.
         form: The columns of a table without a header, and the sign before decimals in
             cells that hold text.
+        may_be_several: Whether the first of several sheets is taken.
     """
     sheets = _sheets(file)
+    filled = [name for name, rows in sheets.items() if rows]
     if sheet is not None:
         said = f"{file.title} has no sheet {sheet!r}"
         require_known(sheet, sheets, said, DataError)
-    filled = [name for name, rows in sheets.items() if rows and sheet in (None, name)]
-    if not filled:
+    elif len(filled) > 1 and not may_be_several:
+        raise DataError(
+            f"{file.title} has several sheets with content: {filled}. "
+            f'Say which one: sheet = "{filled[0]}".'
+        )
+    elif filled:
+        sheet = filled[0]
+    if sheet not in filled:
         what = "is empty" if sheet is None else f"has nothing on its sheet {sheet!r}"
         raise DataError(
             f"{file.title} {what}; "
             "expected a header row and at least 2 rows of numbers."
         )
-    if len(filled) > 1:
-        raise DataError(
-            f"{file.title} has several sheets with content: {filled}. "
-            f'Say which one: sheet = "{filled[0]}".'
-        )
-    title = f"{file.title}, sheet {filled[0]!r}"
-    return table_of_rows(file, title, "row", sheets[filled[0]], wanted, form, ",")
-
-
-def filled_sheets(file: OpenedFile) -> list[str]:
-    """The names of the sheets with content, in the order of the workbook."""
-    return [name for name, rows in _sheets(file).items() if rows]
+    title = f"{file.title}, sheet {sheet!r}"
+    table = table_of_rows(file, title, "row", sheets[sheet], wanted, form, ",")
+    return replace(table, sheets=tuple(filled))
 
 
 def _sheets(file: OpenedFile) -> dict[str, Rows]:

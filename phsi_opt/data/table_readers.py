@@ -301,28 +301,22 @@ def _runs_in(
     There are none where there is a fault, and no moments where times are numbers.
     """
     rows: dict[str, np.ndarray] = {}
-    n_rows = len(table.frame)
-    t = np.empty(n_rows)
+    t = np.empty(len(table.frame))
     origins: list[Moment] = []
-    empty = np.empty((n_rows, 0))
-    values: dict[str, list[np.ndarray]] = {"states": [empty], "inputs": [empty]}
+    none = np.empty((len(t), 0))
+    columns: dict[str, list[np.ndarray]] = {"states": [none], "inputs": [none]}
     for part, column in layout.parts.items():
         try:
             _check_column(table, column, layout)
             if part == RUN_PART:
                 rows = _rows_by_name(table, column)
-            elif part == TIME_PART and layout.step is not None:
-                for own in rows.values():
-                    t[own] = layout.step * np.arange(len(own))
             elif part == TIME_PART:
-                runs = list(rows.values())
-                form = layout.date_format
-                t, origins = times_in(table, column, runs, layout.start, form)
-            elif column is None:
-                values[part[0]].append(np.full(n_rows, np.nan))
+                t, origins = _times(table, layout, list(rows.values()))
             else:
-                numbers = numbers_in(table, column, part[0] == "states")
-                values[part[0]].append(numbers)
+                values = np.full(len(t), np.nan)
+                if column is not None:
+                    values = numbers_in(table, column, part[0] == "states")
+                columns[part[0]].append(values)
         except DataError as error:
             faults.setdefault(part, error)
     if faults:
@@ -332,14 +326,25 @@ def _runs_in(
             f"{table.title} has no samples; "
             "expected at least 2 rows of numbers below the header."
         )
-    x, u = map(np.column_stack, values.values())
+    x, u = map(np.column_stack, columns.values())
     trajectories = []
     for i, (name, own) in enumerate(rows.items()):
         is_date = bool(origins) and isinstance(origins[i], dt.datetime)
         origin: Any = origins[i] if is_date else None
-        run = Trajectory(prefix + name, t[own], x[own], u[own], origin)
-        trajectories.append(run)
+        trajectories.append(Trajectory(prefix + name, t[own], x[own], u[own], origin))
     return trajectories, origins
+
+
+def _times(
+    table: Table, layout: Layout, runs: list[np.ndarray]
+) -> tuple[np.ndarray, list[Moment]]:
+    """The times of all rows, and the moments at which t is 0, where they are dates."""
+    if layout.step is None:
+        return times_in(table, layout.time, runs, layout.start, layout.date_format)
+    t = np.empty(len(table.frame))
+    for rows in runs:
+        t[rows] = layout.step * np.arange(len(rows))
+    return t, []
 
 
 def _with_seconds(units: Any, are_dates: bool) -> Any:

@@ -44,6 +44,7 @@ class Table:
     # the sign before decimals in cells of text; None where they show two
     decimal: str | None = "."
     remark: str = ""  # what was guessed of the file's encoding; "" where nothing was
+    sheets: tuple[str, ...] = ()  # those of a workbook that have content
     # what a MATLAB file holds besides the table, where nobody said which columns are
     # looked for
     further: tuple[Variable, ...] = ()

@@ -261,38 +261,34 @@ def joined_pairs(
             "only one of u_start and u_end is given; expected both. "
             "If u keeps its value: hold='zero'."
         )
-    sides = []
-    for k, side in enumerate(("start", "end")):
-        given = {"x": (x[k], 2), "t": (from_first(t[k], t[0]), 1), "u": (u[k], 2)}
-        arrays = {}
-        for label, (values, n_axes) in given.items():
-            title = f"{label}_{side}"
-            arrays[title] = read_only_floats(values, n_axes, title)
-        sides.append(arrays)
-    _check_pairs(*sides)
-    start, end = (np.column_stack(list(arrays.values())) for arrays in sides)
-    same = (start[1:] == end[:-1]) | (np.isnan(start[1:]) & np.isnan(end[:-1]))
-    if n_inputs == len(names):  # else refused with the names
-        same[:, same.shape[1] - n_inputs :] |= is_held
-    runs = np.split(np.arange(len(start)), np.flatnonzero(~same.all(axis=1)) + 1)
-    samples = [np.vstack([start[rows], end[rows[-1:]]]) for rows in runs]
-    k = sides[0]["x_start"].shape[1]
-    return (
-        [run[:, k] for run in samples],
-        [run[:, :k] for run in samples],
-        [run[:, k + 1 :] for run in samples],
-    )
-
-
-def _check_pairs(starts: dict[str, np.ndarray], ends: dict[str, np.ndarray]) -> None:
-    for (name, start), (other, end) in zip(starts.items(), ends.items(), strict=True):
-        if start.shape != end.shape:
+    times = (from_first(t[0], t[0]), from_first(t[1], t[0]))
+    starts: dict[str, np.ndarray] = {}
+    ends: dict[str, np.ndarray] = {}
+    for label, values, n_axes in (("x", x, 2), ("t", times, 1), ("u", u, 2)):
+        start, end = f"{label}_start", f"{label}_end"
+        starts[start] = read_only_floats(values[0], n_axes, start)
+        ends[end] = read_only_floats(values[1], n_axes, end)
+        shapes = starts[start].shape, ends[end].shape
+        if shapes[0] != shapes[1]:
             raise DataError(
-                f"{name} has the shape {start.shape} and {other} {end.shape}; "
+                f"{start} has the shape {shapes[0]} and {end} {shapes[1]}; "
                 "expected the same shape."
             )
     check_same_length(starts, "one row per pair")
-    t, t_end = starts["t_start"], ends["t_end"]
+    _check_forward(starts["t_start"], ends["t_end"])
+    first, last = (np.column_stack(list(side.values())) for side in (starts, ends))
+    same = (first[1:] == last[:-1]) | (np.isnan(first[1:]) & np.isnan(last[:-1]))
+    if n_inputs == len(names):  # else refused with the names
+        same[:, same.shape[1] - n_inputs :] |= is_held
+    runs = np.split(np.arange(len(first)), np.flatnonzero(~same.all(axis=1)) + 1)
+    samples = [np.vstack([first[rows], last[rows[-1:]]]) for rows in runs]
+    k = starts["x_start"].shape[1]
+    parts = (k, slice(k), slice(k + 1, None))  # times, states, inputs
+    return tuple([run[:, columns] for run in samples] for columns in parts)
+
+
+def _check_forward(t: np.ndarray, t_end: np.ndarray) -> None:
+    """Refuse pairs that do not go forward in time, or none at all."""
     if not len(t):
         raise DataError(
             "there are no pairs; expected at least one row in x_start and t_start."

@@ -186,6 +186,7 @@ IS_SPAN = _two(is_number, operator.lt)
 ARE_PAIRS = _many(_two(IS_TEXT, operator.ne))
 ARE_TERMS = _one_or_many(str, int, float, dict)
 IS_COUNT = _between(0, float("inf"), _is(int))
+
 FORMS = {
     "text": Form(IS_TEXT, 'text in quotes, such as "m"'),
     "formula": Form(IS_TEXT, 'a formula in quotes, such as "q**2"'),
@@ -195,9 +196,7 @@ FORMS = {
         "a positive number, such as 0.1, or nothing where it is not known",
     ),
     "number from 0 to 1": Form(_between(0, 1), "a number between 0 and 1, such as 0.3"),
-    "whole number": Form(
-        _between(0, float("inf"), _is(int)), "a whole number of at least 1"
-    ),
+    "whole number": Form(IS_COUNT, "a whole number of at least 1"),
     "true or false": Form(_is(bool), "true or false, without quotes"),
     "text or position": Form(
         lambda value: IS_TEXT(value) or IS_POSITION(value),
@@ -221,9 +220,7 @@ FORMS = {
     "table of parameters": Form(_is(dict), "a table: { omega = 2.0 }", "parameters"),
     "table of terms": Form(_is(dict), 'a table, such as { lag = "-lag/2" }', "model.F"),
     "formula, term, or list of these": Form(
-        _one_or_many(str, int, float, dict),
-        'a formula in quotes, such as "c*dH_dp", or a list of them',
-        "term",
+        ARE_TERMS, 'a formula in quotes, such as "c*dH_dp", or a list of them', "term"
     ),
 }
 LISTS = ("list of texts", "list of files", "list of effects")  # one text stands for one

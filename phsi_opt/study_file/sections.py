@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.copies import check_can_judge
-from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
+from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import DataFile, NamedFile, opened_files, run_names
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
@@ -230,17 +230,9 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
     if reader == TEXT_READER:
         form = TextFormat(given.columns, given.separator, given.decimal)
         return table_of_csv(file, given.wanted, form)
-    sheet = given.sheet if section else next(iter(filled_sheets(file)), None)
     form = TextFormat(given.columns, None, given.decimal)
-    return table_of_excel(file, given.wanted, sheet, form)
-
-
-def sheets_in(path: DataFile) -> list[str]:
-    """The sheets of a workbook that have content; none of another file."""
-    if reader_of(path) != "from_excel":
-        return []
-    (file,) = opened_files(path, as_text=False)
-    return filled_sheets(file)
+    is_unknown = section is None
+    return table_of_excel(file, given.wanted, given.sheet, form, is_unknown)
 
 
 @dataclass(frozen=True)

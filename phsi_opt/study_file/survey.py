@@ -37,7 +37,7 @@ from phsi_opt.study_file.columns import (
 )
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
 from phsi_opt.study_file.reading import tables_of
-from phsi_opt.study_file.sections import DataSection, sheets_in, table_at
+from phsi_opt.study_file.sections import DataSection, table_at
 from phsi_opt.study_file.toml_text import text_template
 
 # From 2000 to 2050 as clocks count it: the unit, with its first and last number.
@@ -58,7 +58,6 @@ class TableSurvey:
     # file holds beside the columns
     table: Table
     columns: list[Column]  # in the order of the table
-    sheets: list[str]  # those of a workbook with content; the first was looked at
     run: Column | None  # the column that names each line's run; None: there is none
     time: Column | None  # the column of the times; None: there is none
     step: float | None  # the time between samples, where no column has the times
@@ -66,6 +65,11 @@ class TableSurvey:
     def of_part(self, part: str) -> list[Column]:
         """The columns that are one thing."""
         return [column for column in self.columns if column.part == part]
+
+    @property
+    def sheets(self) -> tuple[str, ...]:
+        """Those of a workbook with content; the first was looked at."""
+        return self.table.sheets
 
     @property
     def n_lines(self) -> int:
@@ -149,9 +153,8 @@ def survey(path: DataFile) -> TableSurvey:
     time = _time(others, run, step)
     for one in columns:
         _take_part(one, time, run, of_step)
-    seen = TableSurvey(
-        path, table, columns, sheets_in(path), run, time, step if time is None else None
-    )
+    step = step if time is None else None
+    seen = TableSurvey(path, table, columns, run, time, step)
     if not seen.of_part(STATE):
         for one in seen.of_part(INPUT):
             one.becomes(STATE, PERHAPS_INPUT)
