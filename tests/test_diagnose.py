@@ -244,7 +244,7 @@ def test_an_effect_outside_the_catalogue_is_unexplained_until_it_is_given() -> N
     assert found.verdict == ph.Verdict.UNEXPLAINED and found.findings == ()
     assert "the nearest" in found.reason
     own = ph.Effect("own", "F", "p", ph.formula("-c*q*abs(dH_dp)", c=ph.Parameter(0.0)))
-    rivals = ["quadratic drag", "cubic stiffness", own]
+    rivals: list[ph.Effect | str] = ["quadratic drag", "cubic stiffness", own]
     found = ph.diagnose(fit, train, test, effects=rivals)
     assert (found.verdict, found.effects[0].name) == ("missing: named", "own")
     assert is_near(found.candidates.iloc[0], 1.2)

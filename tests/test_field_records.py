@@ -4,21 +4,23 @@ A clip with a wrong zero, a coast-down, runs whose sensor was mounted anew each 
 times in hours.
 """
 
+from collections.abc import Callable
+
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 import phsi_opt as ph
 
 
-def correlated(rng: np.random.Generator, n: int, size: float) -> np.ndarray:
-    """Noise whose neighbours have a correlation of 0.6."""
-    noise = np.zeros(n)
-    for k in range(1, n):
-        noise[k] = 0.6 * noise[k - 1] + size * rng.normal()
-    return noise
+def solved(rates: Callable, t: np.ndarray, x0: list[float], step: float) -> np.ndarray:
+    """The first state."""
+    found = solve_ivp(rates, (0, t[-1]), x0, t_eval=t, rtol=1e-8, max_step=step)
+    return np.asarray(found.y[0])
 
 
-def with_unmeasured(y: np.ndarray) -> np.ndarray:
+def only_first(y: np.ndarray) -> np.ndarray:
     """A measured state, and one that nobody measured, (n, 2)."""
     return np.column_stack([y, np.full(len(y), np.nan)])
 
@@ -31,12 +33,12 @@ def test_the_wrong_zero_of_a_clip_is_a_force_or_a_sensor_and_no_spring() -> None
         drag = 0.02 * x[1] + 0.005 * x[1] * abs(x[1])
         return [x[1], -24.0 * np.sin(x[0]) - drag]
 
-    solved = solve_ivp(
-        rates, (0, t[-1]), [0.9, 0.0], t_eval=t, rtol=1e-9, max_step=0.02
-    )
-    y = solved.y[0] + 0.009 + 0.014 * np.exp(-t / 4) + correlated(rng, len(t), 0.006)
+    y = solved(rates, t, [0.9, 0.0], 0.02)
+    # Neighbours of the noise have a correlation of 0.6.
+    noise = lfilter([1.0], [1.0, -0.6], 0.006 * rng.normal(size=len(t)))
+    y = y + 0.009 + 0.014 * np.exp(-t / 4) + noise
     data = ph.Measurements.from_arrays(
-        [t], [with_unmeasured(y)], states=["q", "w"], units={"t": "s", "q": "rad"}
+        [t], [only_first(y)], states=["q", "w"], units={"t": "s", "q": "rad"}
     )
     train, test = data.split(0.6)
     model = ph.PseudoHamiltonian(
@@ -47,12 +49,11 @@ def test_the_wrong_zero_of_a_clip_is_a_force_or_a_sensor_and_no_spring() -> None
     )
     found = ph.diagnose(ph.identify(model, train), train, held_out=test)
     (finding,) = found.findings
-    assert {str(effect) for effect in finding.effects} == {
-        "constant force on w",
-        "sensor offset on q",
-    }
+    names = {str(effect) for effect in finding.effects}
+    assert names == {"constant force on w", "sensor offset on q"}
 
 
+@pytest.mark.slow
 def test_a_coast_down_lacks_rolling_resistance_and_no_step_makes_it_worse() -> None:
     rng = np.random.default_rng(21)
     times, speeds = [], []
@@ -64,7 +65,7 @@ def test_a_coast_down_lacks_rolling_resistance_and_no_step_makes_it_worse() -> N
             wind = 0.015 * np.cos(2 * np.pi * s / 35)
             return -7e-4 * v * abs(v) - rolling - slope + wind
 
-        v = solve_ivp(rate, (0, t[-1]), [8.0], t_eval=t, rtol=1e-8, max_step=1.0).y[0]
+        v = solved(rate, t, [8.0], 1.0)
         end = int(np.argmax(v < 0.3)) if (v < 0.3).any() else len(v)
         times.append(t[:end])
         speeds.append((v + 0.25 * rng.normal(size=len(v)))[:end, None])
@@ -80,6 +81,7 @@ def test_a_coast_down_lacks_rolling_resistance_and_no_step_makes_it_worse() -> N
     assert study.added[0].name in ("coulomb friction", "constant force")
 
 
+@pytest.mark.slow
 def test_a_sensor_mounted_anew_for_each_run_hides_no_friction() -> None:
     rng = np.random.default_rng(22)
     t = np.arange(0, 8, 0.04)
@@ -89,12 +91,8 @@ def test_a_sensor_mounted_anew_for_each_run_hides_no_friction() -> None:
 
     shown = []
     for zero, start in ((0.2, 1.2), (-0.4, 2.0), (0.7, 1.7)):
-        solved = solve_ivp(
-            rates, (0, t[-1]), [start, 0.0], t_eval=t, rtol=1e-8, max_step=0.01
-        )
-        shown.append(
-            with_unmeasured(solved.y[0] + zero + 0.04 * rng.normal(size=len(t)))
-        )
+        y = solved(rates, t, [start, 0.0], 0.01)
+        shown.append(only_first(y + zero + 0.04 * rng.normal(size=len(t))))
     data = ph.Measurements.from_arrays([t] * 3, shown, states=["q", "p"])
     model = ph.PseudoHamiltonian(
         states=["q", "p"],
@@ -109,7 +107,7 @@ def test_a_sensor_mounted_anew_for_each_run_hides_no_friction() -> None:
     found = ph.diagnose(fit, train, held_out=test, effects=rivals)
     (finding,) = found.findings
     assert str(finding.effects[0]) == "coulomb friction on p"
-    assert abs(finding.coefficient - 0.9) < 0.06
+    assert finding.coefficient == pytest.approx(0.9, abs=0.06)
     assert found.ranking[0].held_out_rmse < 1.1 * 0.04
 
 
@@ -121,15 +119,11 @@ def test_a_delay_in_hours_is_told_in_hours() -> None:
     def rate(s: float, x: np.ndarray) -> np.ndarray:
         return (5 - x) / 10 + np.interp(s - 1.5, t, heating) / 1000
 
-    solved = solve_ivp(rate, (0, t[-1]), [9.0], t_eval=t, rtol=1e-8, max_step=0.1)
-    y = solved.y[0] + 0.05 * rng.normal(size=len(t))
+    y = solved(rate, t, [9.0], 0.1) + 0.05 * rng.normal(size=len(t))
+    u = np.column_stack([heating, 5 + 0 * t])
+    units = {"t": "h", "T": "degC", "P": "W", "Te": "degC"}
     data = ph.Measurements.from_arrays(
-        [t],
-        [y[:, None]],
-        [np.column_stack([heating, 5 + 0 * t])],
-        states=["T"],
-        inputs=["P", "Te"],
-        units={"t": "h", "T": "degC", "P": "W", "Te": "degC"},
+        [t], [y[:, None]], [u], states=["T"], inputs=["P", "Te"], units=units
     )
     train, test = data.split(0.7)
     resistance = ph.Parameter(0.01, lower=0, unit="K/W")
@@ -140,6 +134,5 @@ def test_a_delay_in_hours_is_told_in_hours() -> None:
     fit = ph.identify(model, train)
     found = ph.diagnose(fit, train, held_out=test, effects=rivals)
     (finding,) = found.findings
-    assert str(finding.effects[0]) == "input delay of P on T"
-    assert finding.unit == "h"
+    assert str(finding.effects[0]) == "input delay of P on T" and finding.unit == "h"
     assert abs(finding.coefficient - 1.5) < 4 * finding.std_error
