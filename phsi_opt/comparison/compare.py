@@ -532,13 +532,9 @@ def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> b
     """Whether a larger model explains what was missing.
 
     Its residuals on the training record look like noise, or are as small as the noise
-    there and on the record that judges. Noise that lasts must have been seen beside the
-    smaller model too: what an effect leaves that imitates another one looks like it.
-
-    Args:
-        base: the smaller model on the record that judges.
-        trained: the larger model on the training record.
-        judged: the larger model on the record that judges.
+    there and on the record that judges, where ``base`` is the smaller model. Noise that
+    lasts must have been seen beside that too: an effect that imitates another one
+    leaves residuals that look like it.
     """
     has_lasting = base.record.shows_correlated_noise
     if is_white_noise(trained) or (has_lasting and is_like_noise(trained)):

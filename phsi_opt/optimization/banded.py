@@ -50,13 +50,6 @@ class BandLayout:
         columns: (n_entries,) its column.
         order: (n,), the unknowns in the order in which they make a band.
         is_symmetric: whether the matrices are.
-
-    Attributes:
-        rank: (n,) place of every unknown in that order.
-        kl: number of diagonals below the main one.
-        ku: number of diagonals above it.
-        height: of the band's storage, (height, n).
-        places: (n_entries,) of the entries in it, column after column.
     """
 
     def __init__(
@@ -239,9 +232,8 @@ class Passage:
     def _carried(self, blocks: csr_matrix, place: np.ndarray) -> csr_matrix:
         """What intervals inside add to whole gaps, but for rounding.
 
-        Args:
-            blocks: (n_inside, n_columns) in one block of columns per gap.
-            place: (n_gaps,) number of that block.
+        ``blocks`` (n_inside, n_columns) has one block of columns per gap, that of the
+        number ``place`` (n_gaps,).
         """
         apart = min(APART, self._n)
         while (carried := self._carried_by(apart, blocks, place)) is None:
@@ -295,10 +287,7 @@ def neighbours_first(row: np.ndarray, column: np.ndarray, n_states: int) -> np.n
 class Chain:
     """Nodes along the time, and intervals that join neighbours.
 
-    Attributes:
-        begin: (n_intervals,) first node of each interval; the next node is its end.
-        n_nodes: number of nodes.
-        n_states: number of states at a node.
+    ``begin`` (n_intervals,) is the first node of each interval; the next is its end.
     """
 
     begin: np.ndarray
@@ -314,9 +303,7 @@ class Chain:
         """Nodes of which all states are measured, (n_nodes,); of the others none is.
 
         None where it is not so, or where a trajectory begins or ends between samples.
-
-        Args:
-            curvature: (n_nodes, n_states) diagonal of H.
+        ``curvature`` (n_nodes, n_states) is the diagonal of H.
         """
         largest = np.max(curvature, initial=0.0)
         # What lies between the two limits would cost digits.
@@ -334,11 +321,8 @@ class ChainLayout:
     Attributes:
         chain: nodes and intervals, in the order of time.
         order: (n_states,) the states of a node, those that touch near each other.
-        curved: entries of the diagonal of H among all.
-        state: (n_curved,) unknown on which each of them stands.
-        sloped: entries of J among all.
-        row: (n_sloped,) row of J of each of them.
-        column: (n_sloped,) its column.
+        curved: entries of the diagonal of H among all; ``state``: where they stand.
+        sloped: entries of J among all; ``row`` and ``column``: where they stand.
     """
 
     chain: Chain
@@ -353,13 +337,7 @@ class ChainLayout:
     def of(
         cls, rows: np.ndarray, columns: np.ndarray, chain: Chain
     ) -> "ChainLayout | None":
-        """Of a pattern; None where it is not of this kind, or too small to gain.
-
-        Args:
-            rows: (n_entries,) row of every entry; entries at one place are added.
-            columns: (n_entries,) its column.
-            chain: nodes and intervals.
-        """
+        """Of a pattern; None where it is not of this kind, or too small to gain."""
         begin, n, n_x = chain.begin, chain.n_states, chain.n_x
         n_unknowns = n_x + len(begin) * n
         is_larger = max(np.max(rows, initial=0), np.max(columns, initial=0))
@@ -402,10 +380,6 @@ class Chained:
         slopes: J, (n_intervals * n_states, n_nodes * n_states).
         curvature: (n_nodes, n_states) diagonal of H.
         is_sample: (n_nodes,) whether a node's states are measured.
-
-    Attributes:
-        n: number of unknowns and multipliers.
-        log_abs_det: logarithm of the absolute value of the determinant.
 
     Raises:
         SolveError: a node between samples does not follow.
@@ -489,11 +463,8 @@ def _band_of_squares(slopes: csr_matrix, inverse: np.ndarray) -> np.ndarray:
 class TimeLayout:
     """A symmetric pattern of states and multipliers, filled again and again.
 
-    Attributes:
-        rows: (n_entries,) row of every entry; entries at one place are added.
-        columns: (n_entries,) its column.
-        order: (n,), the unknowns in the order in which they make a band.
-        chain: nodes and intervals that the unknowns belong to; None: a band is all.
+    ``rows``, ``columns`` and ``order`` are those of a `BandLayout`; ``chain`` has the
+    nodes and intervals that the unknowns belong to; None: a band is all.
     """
 
     rows: np.ndarray

@@ -67,12 +67,10 @@ def _instructions(
     operation_of: Callable[[int, int], Any],
     number: Callable[[float], Any],
 ) -> list[Instruction]:
-    """The instructions of a function of scalars.
+    """The instructions of a function of scalars with dense arguments.
 
-    Args:
-        function: with dense arguments.
-        operation_of: the operation of CasADi's number, for a number of operands.
-        number: makes a value of a constant.
+    ``operation_of`` gives the operation of CasADi's number for a number of operands,
+    ``number`` makes a value of a constant.
     """
     listed = []
     for k in range(function.n_instructions()):
@@ -154,12 +152,8 @@ def in_columns(
 
     Args:
         function: of scalars (SX), with dense arguments.
-        arguments: the entries of each argument: a column (n_places,), or a number that
-            all places share.
-
-    Returns:
-        Entries of each result, column by column as CasADi stores them; what is the same
-        at all places may be a number.
+        arguments: the entries of each argument, and so are the results: a column
+            (n_places,), or a number where it is the same at all places.
     """
     symbols = [list(map(ca.MX, entries)) for entries in arguments]
     results = [[ca.MX(0)] * function.nnz_out(i) for i in range(function.n_out())]
@@ -172,11 +166,7 @@ def in_columns(
 def in_rows(function: ca.Function, n: int) -> ca.Function:
     """A function of a column and parameters, for n columns that are rows of a table.
 
-    By `in_columns`; every result is a table too, a row for each.
-
-    Args:
-        function: of scalars (SX), with dense arguments and results.
-        n: number of rows.
+    Every result is a table too, a row for each.
     """
     rows = ca.MX.sym("rows", n, function.size1_in(0))
     theta = ca.MX.sym("theta", function.size1_in(1))

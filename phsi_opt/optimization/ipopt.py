@@ -1,8 +1,8 @@
 """The one file that names IPOPT: it solves a `Program` and says in words what came out.
 
-It turns symbols into NumPy arrays; nothing symbolic leaves it but the program's own
-functions. Where to start, what to try after a failure and whether the noise has to be
-estimated anew is decided by its callers.
+Nothing symbolic leaves it but the program's own functions. Where to start, what to try
+after a failure and whether the noise has to be estimated anew is decided by its
+callers. A failure is data: its sentence says what happened and its advice what to try.
 
 IPOPT is the interior-point method of Wächter and Biegler (2006), here with MUMPS for
 its linear systems.
@@ -127,13 +127,10 @@ def words_of_ipopt(status: str, max_seconds: float) -> tuple[str, str]:
 
 
 def is_level(deviances: np.ndarray) -> bool:
-    """Whether the last eight steps went to and fro over a kink of the model.
+    """Whether the last eight deviances (-2 log likelihood) go to and fro over a kink.
 
     Beside one (a dead zone, a gap) no step becomes short. Without the curvature of the
     constraints, or where these do not hold, it would also be slow progress.
-
-    Args:
-        deviances: (n_steps,) -2 log likelihood after each.
     """
     last = deviances[-8:]
     return len(last) == 8 and float(np.ptp(last)) < 0.05
@@ -287,13 +284,7 @@ class Solver:
         return self.solution(np.array(result["x"]).ravel(), set_to, outcome)
 
     def solution(self, z: np.ndarray, set_to: np.ndarray, outcome: Outcome) -> Solution:
-        """What is known at a point, together with how it was found.
-
-        Args:
-            z: scaled variables, (n_variables,).
-            set_to: values of ``program.settings``.
-            outcome: of the solve that led there.
-        """
+        """What is known at scaled variables z, with the outcome that led there."""
         residual = np.array(self._residual(z, set_to)).ravel()
         return Solution(self.program.values(z), z, residual, outcome)
 

@@ -7,13 +7,11 @@
 
 A loss adds named blocks of variables, residuals and constraints in the units of the
 model. Variables are scaled where they enter, so that the solver sees numbers near one
-and its tolerance means the same for every block. The Hessian is the Gauss-Newton one,
-J'J of the residuals: it leaves out the curvature of the constraints, which is nearly
-all of the cost of the exact Hessian and of use only where residuals are large
-(docs/design.md). A loss that knows this curvature adds it as a second choice.
-
-No solver is named here. Expressions and their derivatives are CasADi's (Andersson,
-Gillis, Horn, Rawlings and Diehl 2019).
+and its tolerance means the same for every block. The Hessian is Gauss-Newton's, J'J of
+the residuals: the curvature of the constraints is nearly all of the cost of the exact
+one, and of use only where residuals are large. A loss that knows it adds it as a second
+choice. Expressions and their derivatives are CasADi's (Andersson, Gillis, Horn,
+Rawlings and Diehl 2019).
 """
 
 from collections.abc import Callable, Mapping
@@ -122,13 +120,8 @@ class Program:
     ) -> None:
         """Add 0 <= expression <= upper.
 
-        Args:
-            name: of the block.
-            expression: scaled by the caller to numbers near one.
-            upper: bound of every entry.
-            label: names an entry in messages.
-            jacobian: in the first variables, scaled, where the caller knows one that
-                costs less than automatic differentiation of the whole.
+        The expression is scaled by the caller to numbers near one. ``jacobian``, in the
+        first variables, scaled, is given where the caller knows a cheaper one.
         """
         column = ca.vec(expression)
         first = self.g.numel()
@@ -142,11 +135,8 @@ class Program:
     def add_residual(self, expression: ca.MX, slopes: ca.MX | None = None) -> None:
         """Add 1/2 sum(expression^2) to the objective.
 
-        Args:
-            expression: of any shape.
-            slopes: where it is the only one, and depends on the first variables alone:
-                its slopes in their values, dense. The Gauss-Newton Hessian is then a
-                product of dense matrices, made by BLAS.
+        ``slopes`` in the values of the first variables, dense, may be given where it is
+        the only residual: the Gauss-Newton Hessian is then a product made by BLAS.
         """
         self.residual = ca.vertcat(self.residual, ca.vec(expression))
         self._dense_slopes = slopes
@@ -192,9 +182,8 @@ class Program:
     def hessian(self, exact: bool = False) -> ca.Function:
         """Function (z, settings, factor, multipliers) -> upper triangle of the Hessian.
 
-        Args:
-            exact: with the curvature of the constraints, where it is known. That of the
-                residuals is zero but for sensors, which are linear or nearly so.
+        An exact one has the curvature of the constraints, where it is known; that of
+        the residuals is zero but for sensors, which are linear or nearly so.
         """
         slopes = self._dense_slopes
         if slopes is None:

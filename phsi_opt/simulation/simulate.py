@@ -135,15 +135,10 @@ def simulate_forced(
 
 @dataclass(frozen=True, eq=False)
 class SampledInputs:
-    """The inputs of a record at any time.
+    """The inputs (n_samples, n_inputs) of a record at any time.
 
-    Attributes:
-        t: (n_samples,) times.
-        u: (n_samples, n_inputs) inputs at t.
-        slope: (n_samples - 1, n_inputs) of the straight lines between the samples;
-            zero for inputs that are held.
-        is_smooth: (n_inputs,) of bool, which go on a spline instead.
-        smooth: the splines; None where no input is smooth.
+    ``slope`` is that of the straight lines between the samples, zero for inputs that
+    are held; those that are smooth (``is_smooth``) go on a spline instead.
     """
 
     t: np.ndarray
@@ -198,12 +193,9 @@ def _pieces(
 
 
 class BufferedFunction:
-    """A CasADi function that is called many times, on NumPy's own memory.
+    """A CasADi function with dense arguments and results, on NumPy's own memory.
 
     CasADi's own conversion of a result walks over it as a list of Python's numbers.
-
-    Args:
-        function: with dense arguments and results.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -501,13 +493,7 @@ class Runs:
 
 
 class _Steps(NamedTuple):
-    """The steps of a run, all arrays (n_steps,).
-
-    Attributes:
-        interval: between samples that each step is in.
-        since: its time since the sample before.
-        h: its length.
-    """
+    """Steps, (n_steps,): their interval, time since its sample, and length h."""
 
     interval: np.ndarray
     since: np.ndarray

@@ -31,10 +31,8 @@ DIGEST_LENGTH = 16  # hexadecimal digits that tell long keys apart
 class KeptResults:
     """The results of one sweep, in a folder that is made when the first one is kept.
 
-    Attributes:
-        folder: Where the files are.
-        of: What the results depend on beside their keys, in a word or a digest; a file
-            that says something else is refused.
+    ``of`` names what they depend on beside their keys, in a word or a digest; a file
+    that says something else is refused.
     """
 
     folder: Path
@@ -300,15 +298,9 @@ class Ahead(Generic[T, Result]):
     """Results by key, in any order; close it, and what is not begun is cancelled.
 
     The lines of a case and its error come when its result is asked for, as if it had
-    been computed in that moment.
-
-    Args:
-        function: Of a case and of what takes a line of text; at the top level of a
-            module, or a `functools.partial` of such a function.
-        cases: The argument by key.
-        executor: Where to compute; None: here, each case when it is asked for. So is a
-            single case.
-        say: Called with the lines of a case when its result is asked for.
+    been computed in that moment; so it is without an executor, and where there is one
+    case. The function takes a case and what is called with lines of text; it stands at
+    the top level of a module, or is a `functools.partial` of such a function.
     """
 
     def __init__(

@@ -29,14 +29,9 @@ def with_memory(
 ) -> np.ndarray:
     """States (n_nodes, n_states) with the memory of the model's effects as the last.
 
-    The memory is integrated along the other states. It begins at rest where its
-    equation is linear in it, else at zero.
-
-    Args:
-        model: the model with its effects.
-        grid: nodes and intervals.
-        x: (n_nodes, n_old) the other states, and those of older effects.
-        theta: (n_free,) parameters, or (n_free, n_trajectories).
+    The memory is integrated along the other states x (n_nodes, n_old). It begins at
+    rest where its equation is linear in it, else at zero. Parameters theta are
+    (n_free,), or (n_free, n_trajectories).
     """
     if x.shape[1] == model.n_states:
         return x
@@ -46,21 +41,12 @@ def with_memory(
 def memory_start_bounds(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
-    """Bounds of the memory that a trajectory begins with; other states have none.
+    """Bounds (2, n_nodes, n_states) of the memory that a trajectory begins with.
 
     It is such as the records show later on: within the values that it takes from rest,
     widened by their range to both sides. Free of bounds, the memory of a delay shorter
-    than a sample takes any value for the sake of one residual.
-
-    Args:
-        model: whose last states may be a memory.
-        grid: nodes and intervals.
-        x: states (n_nodes, n_states); those of the memory do not count.
-        theta: parameters, as those of `with_memory`.
-
-    Returns:
-        (2, n_nodes, n_states), or what is broadcast to it where the model has no
-        memory, or not as its last states.
+    than a sample takes any value for the sake of one residual. Other states have none;
+    nor has a model without memory, or one whose last states it is not.
     """
     n_old = model.n_states - len(model.memory)
     if n_old == model.n_states or model.states[n_old:] != model.memory:
@@ -95,14 +81,9 @@ class MemoryRecord(NamedTuple):
 
 
 class MemoryIntegration:
-    """The memory of a model's effects along given states, of the parameters.
+    """The memory of effects along states x (n_nodes, n_old), of the parameters.
 
     Made once and called for many parameters; `with_memory` is for a single call.
-
-    Args:
-        model: the model with its effects.
-        grid: nodes and intervals.
-        x: (n_nodes, n_old) the other states, and those of older effects.
     """
 
     def __init__(self, model: Model, grid: Grid, x: np.ndarray) -> None:

@@ -32,9 +32,7 @@ FINE_STEPS = 8  # of RK4 along the interval by which one step of a scheme is che
 def interval_arguments(grid: Grid, x: Any) -> list[Any]:
     """x0, x1, t0, h, u0 and u1 of every interval, as columns.
 
-    Args:
-        grid: nodes and intervals.
-        x: (n_states, n_nodes) states, symbols or numbers.
+    The states x (n_states, n_nodes) are symbols or numbers.
     """
     begin = _places(grid.begin, x)
     end = _places(grid.begin + 1, x)
@@ -64,11 +62,8 @@ def map_intervals(
 ) -> Any:
     """The function in every interval with the parameters of its trajectory.
 
-    Args:
-        function: its last argument are the parameters.
-        grid: nodes and intervals.
-        arguments: the other arguments, a column per interval.
-        theta: (n_free,) parameters, or (n_free, n_trajectories).
+    Its last argument are the parameters, (n_free,) or (n_free, n_trajectories); the
+    others have a column per interval.
     """
     return _mapped(function, arguments, theta, grid.runs)
 
@@ -171,13 +166,8 @@ def _defect(model: Model, scheme: str, n_moving: int | None) -> ca.Function:
 def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
     """Defects of all intervals, (n_states, n_intervals).
 
-    Args:
-        model: the model.
-        grid: nodes and intervals.
-        scheme: name of the integrator.
-        x: (n_states, n_nodes) states, symbols or numbers.
-        theta: (n_free,) parameters, or (n_free, n_trajectories) where trajectories
-            have parameters of their own.
+    States x (n_states, n_nodes) are symbols or numbers; parameters theta are (n_free,),
+    or (n_free, n_trajectories) where trajectories have parameters of their own.
     """
     function = defect(model, scheme)
     return map_intervals(function, grid, interval_arguments(grid, x), theta)
@@ -201,9 +191,8 @@ class SparseSlopes(NamedTuple):
 def linear_function(function: ca.Function, n_states: int) -> SparseSlopes:
     """The value of a function, and its slopes in its states and parameters.
 
-    Args:
-        function: of one interval or node; its last argument are the parameters.
-        n_states: number of its first arguments that are states.
+    Of one interval or node: its first ``n_states`` arguments are states, its last one
+    the parameters.
     """
     arguments = argument_symbols(function)
     value = function(*arguments)
@@ -313,17 +302,10 @@ class KnownDefects:
 def known_defects(
     model: Model, grid: Grid, scheme: str, theta: ca.MX
 ) -> tuple[ca.MX, ca.MX]:
-    """Defects between the measurements in symbols, and their slopes.
+    """Defects between the measurements in symbols, and their slopes in theta (n_free,).
 
-    Args:
-        model: the model.
-        grid: nodes and intervals, every state measured at both ends.
-        scheme: name of the integrator.
-        theta: (n_free,) parameters.
-
-    Returns:
-        Defects (n_states * n_intervals,), one equation after the other, and slopes
-        (n_states * n_intervals, n_free).
+    Every state is measured at both ends of the intervals. Defects are (n_states *
+    n_intervals,), one equation after the other; slopes have a column per parameter.
     """
     n_free = len(model.free)
     arguments: list[Sequence[ca.DM | ca.MX]] = []
@@ -370,18 +352,9 @@ def local_errors(
 ) -> np.ndarray:
     """Error of one step of the scheme: exact end minus state at the end.
 
-    For states that obey the scheme. The exact end of an interval is found by
-    `FINE_STEPS` steps of RK4 from its beginning.
-
-    Args:
-        model: the model.
-        grid: nodes and intervals.
-        x: (n_nodes, n_states) states at the nodes.
-        theta: (n_free,) parameters, or (n_free, n_trajectories).
-
-    Returns:
-        (n_intervals, n_states); NaN where the exact solution leaves the range of
-        numbers.
+    For states x (n_nodes, n_states) that obey the scheme. The exact end of an interval
+    is found by `FINE_STEPS` steps of RK4 from its beginning; (n_intervals, n_states),
+    NaN where it leaves the range of numbers.
     """
     return _ends(model, grid, x, theta) - x[grid.begin + 1]
 
@@ -392,17 +365,14 @@ def between_samples(
     """States at all nodes, those between samples as the model goes on from a sample.
 
     So the model is violated at the ends of gaps alone: a straight line would cut the
-    corners of dry friction, and a search that begins there does not come back.
+    corners of dry friction, and a search that begins there does not come back. A state
+    that the model would carry further than it ever moves stays.
 
     Args:
         model: the model.
         grid: nodes and intervals, those of every gap between samples.
         x: (n_samples, n_states) states at the samples of all trajectories.
         theta: (n_free,) parameters, or (n_free, n_trajectories).
-
-    Returns:
-        (n_nodes, n_states); a state that the model would carry further than it ever
-        moves stays.
     """
     if grid.sample.all():
         return x

@@ -88,8 +88,7 @@ class Grid:
     def rms_by_channel(self, values: np.ndarray) -> np.ndarray:
         """Root mean square per state, (n_states,); zero where nothing is measured.
 
-        Args:
-            values: (n_values,) one per measured value, in the order of the nodes.
+        ``values`` (n_values,) are one per measured value, in the order of the nodes.
         """
         n_states = self.y.shape[1]
         squares = np.bincount(self.channel, values**2, minlength=n_states)
@@ -216,13 +215,8 @@ def steps_per_gap(grid: Grid) -> list[np.ndarray]:
 class AlignedData:
     """Measurements with states and inputs in a model's order, and their layout.
 
-    Made once and handed on: alignments for larger models are kept, so that none is made
-    twice however often it is asked for.
-
-    Attributes:
-        data: the measurements.
-        grid: the same laid out with one interval between neighbouring samples.
-        notes: what a user should know of them: runs that are copies of others.
+    Made once and handed on: alignments for larger models are kept. The grid has one
+    interval between neighbouring samples; notes say which runs are copies of others.
     """
 
     data: Measurements
@@ -268,11 +262,9 @@ class AlignedData:
         return self._larger[states]
 
     def grid_with(self, steps: Sequence[np.ndarray]) -> Grid:
-        """The layout with further nodes between samples.
+        """The layout with other numbers of intervals in every gap between samples.
 
-        Args:
-            steps: intervals in every gap between samples, one (n_samples - 1,) per
-                trajectory.
+        ``steps`` has one array (n_samples - 1,) per trajectory.
         """
         if all(np.all(n == 1) for n in steps):
             return self.grid
@@ -280,11 +272,7 @@ class AlignedData:
 
 
 def aligned_once(model: Model, data: Measurements) -> Measurements:
-    """`aligned`, without runs that are exact copies of others.
-
-    Raises:
-        DataError: as `aligned`.
-    """
+    """`aligned`, without runs that are exact copies of others."""
     ordered = aligned(model, data)
     return counted_once(ordered, copies_in(ordered))
 

@@ -129,14 +129,9 @@ class LikelihoodValues:
         return LikelihoodValues, own
 
     def places(self, node: np.ndarray, n_nodes: int) -> np.ndarray:
-        """Places in z of the states at a node and the next ones, then of parameters.
+        """Places in z of the states at nodes (n,) and the next ones, and of parameters.
 
-        Args:
-            node: (n,) first of the nodes.
-            n_nodes: how many follow each other.
-
-        Returns:
-            (n, n_nodes * n_states + n_free).
+        (n, n_nodes * n_states + n_free) for ``n_nodes`` that follow each other.
         """
         first = len(self.unknown) + self.n_states * node[:, None]
         states = first + np.arange(n_nodes * self.n_states)
@@ -215,11 +210,9 @@ class LikelihoodValues:
         return self.scale[self.curvature.rows] * self.scale[self.curvature.columns]
 
     def curvature_at(self, z: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
-        """Second derivatives of multipliers'g in z, entries of `curvature`.
+        """Second derivatives of multipliers'g at z, entries of `curvature`.
 
-        Args:
-            z: (n_variables,).
-            multipliers: (n_constraints,) of the scaled defects.
+        ``multipliers`` (n_constraints,) are those of the scaled defects.
         """
         x, theta = self._unscaled(z)
         weighted = multipliers.reshape(-1, self.n_states) * self.per_size
@@ -235,10 +228,7 @@ class LikelihoodValues:
 def constraint_jacobian(values: LikelihoodValues, x: ca.MX, theta: Any) -> ca.MX:
     """Sparse Jacobian of the scaled defects in the scaled parameters and states.
 
-    Args:
-        values: of the likelihood.
-        x: (n_states, n_nodes) states.
-        theta: (n_free,) parameters, or (n_free, n_trajectories).
+    States x are (n_states, n_nodes), parameters (n_free,) or (n_free, n_trajectories).
     """
     grid = values.grid
     function = values.linear_defect.function

@@ -143,10 +143,8 @@ class Point:
     """A point to start from, with the size of each quantity.
 
     Attributes:
-        theta: (n_theta,) parameters, in the order of `Theta`.
-        x: (n_nodes, n_states) states at the nodes.
-        theta_scale: (n_theta,) size of each parameter.
-        x_scale: (n_states,) size of each state.
+        theta: (n_theta,) parameters, in the order of `Theta`; ``theta_scale``: sizes.
+        x: (n_nodes, n_states) states at the nodes; ``x_scale``: (n_states,) sizes.
         x_bounds: lower and upper bounds of ``x``, (2, n_nodes, n_states).
     """
 

@@ -32,11 +32,8 @@ class OutputSlopes(NamedTuple):
 def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
     """The output of the sensors at the nodes, (n_states, n_nodes).
 
-    Args:
-        model: the model with its sensors.
-        grid: nodes, their times and inputs.
-        x: (n_states, n_nodes) states, symbols or numbers.
-        theta: (n_free,) parameters, or (n_free, n_trajectories).
+    States x (n_states, n_nodes) are symbols or numbers; parameters theta are (n_free,),
+    or (n_free, n_trajectories).
     """
     return map_nodes(model.output(), grid, x, theta)
 
@@ -44,13 +41,9 @@ def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
 def outputs_at_samples(
     model: Model, grid: Grid, states: Sequence[np.ndarray], theta: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """The output of the sensors, one (n_samples, n_states) per trajectory.
+    """The output of the sensors per trajectory, (n_samples, n_states) as the states.
 
-    Args:
-        model: with the terms of its sensors.
-        grid: one interval between neighbouring samples.
-        states: one (n_samples, n_states) per trajectory.
-        theta: the free parameters, (n_free, n_trajectories).
+    The grid has one interval between samples; theta is (n_free, n_trajectories).
     """
     if not model.sensor:
         return tuple(states)
