@@ -67,13 +67,10 @@ def test_what_is_not_asked_for_is_cancelled() -> None:
     assert not any(future.cancelled() for future in slow.begun)
     ahead.close()
     assert [future.cancelled() for future in slow.begun] == [False, *4 * [True]]
-
-
-def test_one_case_gains_nothing_elsewhere() -> None:
     counted: Any = Counted()
-    ahead = Ahead(sweep_tasks.halved, {"1": 1}, counted, print)
-    assert ahead.result("1") == 0.5
-    assert not counted.begun
+    one_case = Ahead(sweep_tasks.halved, {"1": 1}, counted, print)
+    assert one_case.result("1") == 0.5
+    assert not counted.begun  # it would gain nothing elsewhere
 
 
 # ---- starts --------------------------------------------------------------------------
@@ -108,18 +105,14 @@ def test_starts_in_processes_give_the_bits_of_one_process(workers: Executor) -> 
     serial, said = identified(None)
     found, said_of_workers = identified(workers)
     assert_same_fit(found, serial)
+    counted = Counted()
+    identified(counted)
+    assert len(counted.begun) == STARTS.starts
     assert "4 of 4 starting points led to the best solution" in found.warnings
     # each line tells of a solve, and ends with its seconds
     assert [line.split("(")[0] for line in said_of_workers] == [
         line.split("(")[0] for line in said
     ]
-
-
-def test_every_start_is_solved_by_the_executor() -> None:
-    counted = Counted()
-    identified(counted)
-    assert len(counted.begun) == STARTS.starts
-    assert not hasattr(counted, "shutdown")
 
 
 def test_a_start_that_fails_ends_the_call_as_in_one_process(

@@ -65,15 +65,10 @@ def test_a_start_sixty_percent_off_leads_to_the_optimum_that_the_truth_leads_to(
     assert near.values["k"] == pytest.approx(1.0, abs=0.02)
     assert off.values["k"] == pytest.approx(near.values["k"], rel=1e-4)
     assert off.bic == pytest.approx(near.bic, abs=0.1)
-
-
-def test_the_warning_of_large_residuals_names_what_helps(
-    swinging: ph.Measurements,
-) -> None:
-    fit = ph.identify(from_start(1.0), swinging)
-    (said,) = [w for w in fit.warnings if "neighbouring samples scatter" in w]
+    (said,) = [w for w in near.warnings if "neighbouring samples scatter" in w]
     assert "start the parameters elsewhere" in said
-    assert "starts=5" not in said
+    compared = ph.compare(near, swinging)
+    assert compared.flat == () and "flat" not in str(compared)
 
 
 # ---- flat free runs ------------------------------------------------------------------
@@ -92,14 +87,6 @@ def test_a_comparison_names_the_state_whose_free_run_is_flat(
     assert compared.table["fit_percent"].max() < 5
     assert compared.flat == ("q",)
     assert "The free run of q is flat" in str(compared)
-
-
-def test_a_comparison_of_a_run_that_moves_says_nothing_of_flatness(
-    swinging: ph.Measurements,
-) -> None:
-    compared = ph.compare(ph.identify(from_start(1.0), swinging), swinging)
-    assert compared.flat == ()
-    assert "flat" not in str(compared)
 
 
 def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
@@ -132,7 +119,7 @@ def test_flat_is_a_run_that_neither_moves_nor_explains() -> None:
 # ---- a fit that ended in the wrong optimum -------------------------------------------
 
 
-@pytest.mark.parametrize("stuck", [0.55, 7.7, 10.8])
+@pytest.mark.parametrize("stuck", [0.55, 10.8])
 def test_a_diagnosis_finds_the_optimum_that_a_fit_has_missed(stuck: float) -> None:
     rng = np.random.default_rng(3)
     t = np.arange(0, 40, 0.1)

@@ -126,27 +126,3 @@ def test_slack_variables_are_told_without_a_program() -> None:
     assert not loss.has_slacks(sparse, {})
     assert loss.has_slacks(sparse, {"F": 0.1})
     assert not loss.has_slacks(sparse, {"H": 0.1})
-
-
-def test_a_fit_by_full_steps_puts_no_program_together(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    rng = np.random.default_rng(3)
-    t = np.linspace(0.0, 20.0, 201)
-    spring = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.5)),
-        R=ph.damping("p"),
-    )
-    x = ph.simulate(spring.with_values({"k": 2.0, "R_p": 0.2}), t, [1.0, 0.0])
-    data = ph.Measurements.from_arrays(
-        t, x + 0.02 * rng.normal(size=x.shape), states=["q", "p"]
-    )
-
-    def never(*_: object) -> None:
-        raise AssertionError("a program was put together")
-
-    monkeypatch.setattr(MaximumLikelihood, "program", never)
-    fit = ph.identify(spring.with_values({"R_p": 0.1}), data)
-    assert fit.values["k"] == pytest.approx(2.0, abs=4 * fit.std_errors["k"])

@@ -9,7 +9,6 @@ import pytest
 from scipy.sparse import coo_matrix, csr_matrix
 
 from phsi_opt.errors import SolveError
-from phsi_opt.optimization import banded
 from phsi_opt.optimization.banded import (
     APART,
     FEWEST_STATES,
@@ -262,15 +261,6 @@ def test_states_share_a_column_where_they_are_far_apart(
     passed.slopes()
     assert fewest <= sum(widths) <= most  # several tries where they are not
     assert max(widths) == PANEL
-
-
-def test_rounding_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    sparse = Gaps(150, 1).passage().slopes()
-    assert sparse.nnz < 0.2 * len(N_STEPS) * 2 * 150**2
-    monkeypatch.setattr(banded, "NEGLIGIBLE", 0.0)
-    whole = Gaps(150, 1).passage().slopes()
-    assert whole.nnz > 2 * sparse.nnz
-    np.testing.assert_allclose(sparse.toarray(), whole.toarray(), atol=1e-17)
 
 
 # ---- the covariance of parameters

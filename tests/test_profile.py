@@ -92,15 +92,3 @@ def test_a_parameter_without_a_profile_is_refused(
     one_step = identify(fit.model, data, PHSILoss())
     with pytest.raises(ModelError, match="fit is one by PHSILoss"):
         profile(one_step, data, "r")
-
-
-def test_the_picture_is_drawn_where_it_is_asked_for(
-    loose: tuple[Fit, Measurements],
-) -> None:
-    import matplotlib.pyplot as plt
-
-    fit, data = loose
-    found = profile(fit, data, "r")
-    _, ax = plt.subplots()
-    assert found.plot(ax) is ax
-    plt.close("all")

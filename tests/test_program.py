@@ -101,16 +101,15 @@ def test_bounds_are_kept_and_reported_by_name() -> None:
     assert solution.outcome.at_bounds == ("stiffness",)
 
 
-def test_an_entry_is_named_by_its_block_and_label() -> None:
+def test_an_entry_is_named_by_its_block_and_a_start_that_is_not_finite_refused() -> (
+    None
+):
     program = Program()
     program.variable("x", np.zeros(2))
     y = program.variable("y", np.zeros(3), label=lambda i: f"node={i}")
     program.constrain("defect", y - 1)
     assert program.name_of(3, program.variables) == "y (node=1)"
     assert program.name_of(2, program.constraints) == "defect (2)"
-
-
-def test_a_start_that_is_not_finite_is_refused() -> None:
     match = "the start of x has 1 values that are not finite"
     with pytest.raises(ph.ModelError, match=match):
         Program().variable("x", np.array([0.0, np.nan]))
