@@ -17,7 +17,7 @@ from problems.battery.draw import KINDS, ROWS, Row, draw
 from problems.battery.effects import EFFECTS, Drive, Hidden, Moment
 from problems.battery.field_machines import cubic, spring, viscous
 from problems.battery.masses import Machine, measured, simulate
-from problems.battery.pages import field_page
+from problems.battery.page import field_page
 from problems.battery.records import (
     FIELD,
     HIDDEN,

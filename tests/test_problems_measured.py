@@ -11,7 +11,7 @@ from scipy.io import loadmat
 
 import phsi_opt as ph
 from problems.examples import demo
-from problems.measured import halves, machines, pages, sets, storages, stories
+from problems.measured import halves, long_stories, machines, sets, storages, stories
 from problems.measured.halves import AT_BOUND, Run, halved, measured_halves
 from problems.measured.sets import Case
 from problems.tools import provenance
@@ -33,7 +33,7 @@ def test_a_script_of_measured_data_says_where_it_looked_for_them(
 ) -> None:
     monkeypatch.setattr("sys.argv", ["x.py", f"--data={tmp_path}"])
     assert sets.chosen_cases(["heaters", "pendulum"]) == {}
-    pages.main(["emps", "silverbox"])
+    long_stories.main(["emps", "silverbox"])
     stories.main(["house 1"])
     said = capsys.readouterr().out
     for name in ("heaters", "torque_pendulum", "emps", "silverbox", "building"):
@@ -153,14 +153,14 @@ def test_a_story_tells_each_step_and_why_it_ends(
     found.tests = {"again": [1.0, 0.5]}
     assert found.how == ["base model", "named"]
     assert [d.verdict for d in found.diagnoses] == ["missing: named", "nothing missing"]
-    page = pages.Page("spring", "Spring", "A spring.", scale=1e3, unit="mm")
-    text = pages.story_page("spring", page, found)
+    page = long_stories.Page("EMPS", 1e3, "mm")
+    text = long_stories.story_page("ball_and_hoop", page, found)
     assert "| 1 | coulomb friction on p | named |" in text
     assert "Added: coulomb friction on p. The last verdict is" in text
     assert '"nothing missing"' in text
     assert "### The base model" in text and "### After step 1" in text
     pictures = {path.name for path in (tmp_path / "measured").iterdir()}
-    assert pictures == {"spring_history.png", "spring_missing_force.png"}
+    assert pictures == {f"ball_and_hoop_{n}.png" for n in ("history", "missing_force")}
     monkeypatch.setitem(stories.SETS, "spring", sets.SETS["EMPS"])
     short = stories.page({"spring": found})
     assert "1 sets, a study each" in short and "## spring" in short

@@ -133,7 +133,7 @@ def test_the_chaotic_systems(readme: str) -> None:
 def test_the_hidden_effects(readme: str) -> None:
     from problems.battery.draw import ROWS
     from problems.battery.effects import ONE
-    from problems.battery.pages import of_new_seeds
+    from problems.battery.page import of_new_seeds
     from problems.battery.score import scored
 
     found = {}

@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from problems.battery import store
 from problems.battery.ask import Found, Task
 from problems.battery.draw import TABLES
-from problems.battery.pages import FIRST_OF_PAGE, write_field, write_hidden
+from problems.battery.page import FIRST_OF_PAGE, write_field, write_hidden
 from problems.battery.records import FIELD, HIDDEN
 from problems.tools.command_line import chosen, flag, option
 

@@ -208,5 +208,5 @@ def disagreements(rows: pd.DataFrame) -> dict[str, object]:
         n_silent += int((said & ~own).sum())
         n_named += int((own & ~said).sum())
     n_others = int((~agreeing).sum()) - n_silent - n_named
-    counts = {"silent": n_silent, "named": n_named, "others": n_others}
+    counts = {"silent": n_silent, "named": n_named, "differing": n_others}
     return {"agreeing": share_of(agreeing), "n": len(agreeing), **counts}

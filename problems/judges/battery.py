@@ -25,41 +25,11 @@ from problems.battery.ask import ROW, Task
 from problems.battery.records import FIELD, HIDDEN
 from problems.battery.score import by_kind, by_noise, confusions, hidden_rows
 from problems.judges.cases import IN_ROUND, path_of, rounds
-from problems.tools import markdown
 from problems.tools.command_line import option
+from problems.tools.pages import render
 from problems.tools.provenance import write
 
 SECONDS_A_CASE = 7.0  # of a processor: the mean of a round on a busy machine
-PAGE = """
-    # Both batteries on fresh seeds
-
-    {{ n_hidden }} hidden effects and {{ n_field }} machines of the field on seeds from
-    {{ first }} on, {{ "%.1f" % mean }} processor seconds a case,
-    {{ "%.2f" % (total / 3600) }} hours in all; what counts as right is said in
-    `results/hidden_effects.md` and `results/field_machines.md`. Commits: {{ commits }}.
-
-    {% if n_hidden %}
-
-    ## Hidden effects
-
-    {{ hidden }}
-
-    What came instead:
-
-    {{ instead }}
-
-    {% endif %}
-
-    {% if n_field %}
-
-    ## Machines of the field
-
-    {{ by_kind }}
-
-    {{ by_noise }}
-
-    {% endif %}
-    """
 
 
 def task_list(first: int, minutes: float, processes: int) -> list[Task]:
@@ -90,22 +60,20 @@ def run(name: str, tasks: list[Task], processes: int) -> None:
 def page(hidden: pd.DataFrame, field: pd.DataFrame, first: int) -> str:
     """What was right, by class, with 95 % intervals (Wilson)."""
     both = pd.concat([hidden, field])
-    shown = {}
+    shown: dict[str, object] = {}
     if len(hidden):
-        shown["hidden"] = markdown.table(hidden_rows(hidden))
-        shown["instead"] = markdown.table(confusions(hidden))
+        shown = {"hidden": hidden_rows(hidden), "instead": confusions(hidden)}
     if len(field):
         kinds = {str(name): rows for name, rows in field.groupby("kind")}
-        shown["by_kind"] = markdown.table(by_kind(kinds))
-        shown["by_noise"] = markdown.table(by_noise(field))
-    return markdown.page(
-        PAGE,
+        shown |= {"by_kind": by_kind(kinds), "by_noise": by_noise(field)}
+    return render(
+        "judges/pages/battery.md",
         n_hidden=len(hidden),
         n_field=len(field),
         first=first,
         mean=both["processor"].mean(),
         total=both["processor"].sum(),
-        commits=", ".join(map(str, both["commit"].unique())),
+        commits=both["commit"].unique(),
         **shown,
     )
 

@@ -30,6 +30,7 @@ from problems.measured.sets import CASES, Case, chosen_cases
 from problems.tools import markdown
 from problems.tools.command_line import chosen, flag
 from problems.tools.kept_tables import rewrite
+from problems.tools.pages import render
 from problems.tools.provenance import RESULTS, write
 
 FIRST_AND_SECOND, ALTERNATING, DEALT = "first and second", "alternating", "dealt"
@@ -189,53 +190,6 @@ def held_values() -> str:
 
 # --- the page
 
-PAGE = """
-    # Halves of measured records
-
-    The training record of every measured set is cut into two disjoint halves, the model
-    is fitted to both with the default loss, and every free parameter is compared: z is
-    the difference of the two estimates over the standard error of that difference.
-    Honest standard errors give a root mean square near 1. First and second: of every
-    trajectory; of the battery cell's cycles, the earlier and the later. Alternating and
-    dealt: windows with starting states of their own, dealt at random from one fixed
-    seed. The halves of the quarter drone are cut into windows always, for its free runs
-    drift. n: parameters compared. What ended at a bound in a half, or has no standard
-    error, is left out and listed below.
-
-    {{ honest }}
-
-    Asked for: at most {{ allowed }}. Over all cuts {{ n_kept }} of {{ n_sets }} sets
-    with their models keep it; all together {{ "%.2f" % together }}.
-
-    {% if white is defined %}
-
-    ## By standard errors that take residuals as independent
-
-    {{ white }}
-
-    {% endif %}
-
-    ## The EMPS drive
-
-    {{ held }}
-
-    ## Windows and seconds of the fits
-
-    {{ efforts }}
-
-    {% if failures %}
-
-    ## Fits that failed
-
-    {{ failures }}
-
-    {% endif %}
-
-    ## Every parameter
-
-    {{ parameters }}
-    """
-
 
 def page(rows: pd.DataFrame, runs: Sequence[Run], held: str, is_white: bool) -> str:
     """The page in Markdown.
@@ -261,9 +215,9 @@ def page(rows: pd.DataFrame, runs: Sequence[Run], held: str, is_white: bool) -> 
     fits = ["set, model", "window", "cut", "trajectories", "seconds"]
     messages = markdown.lines(["set, model", "cut", "message"], failed)
     white = {"white": _sizes(compared, "z_white")} if is_white else {}
-    return markdown.page(
-        PAGE,
-        allowed=f"{ALLOWED:g}",
+    return render(
+        "measured/pages/halves.md",
+        allowed=ALLOWED,
         honest=_sizes(compared, "z"),
         n_kept=int(np.sum(by_case <= ALLOWED)),
         n_sets=len(by_case),

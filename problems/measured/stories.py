@@ -3,9 +3,9 @@ beside the published one, what share it explains, what remains.
 
     python -m problems.measured.stories [NAME ...] [--data=FOLDER]
 
-tells all ten sets in short (results/measured_stories.md); `pages` tells some at length.
-Each study gets a base model that lacks what the set is known for, two records, nothing
-else. Its loop (`Study.auto`) adds what a verdict names, wholly or partly.
+tells all ten sets in short (results/measured_stories.md); `long_stories` tells some at
+length. Each study gets a base model that lacks what the set is known for, two records,
+nothing else. Its loop (`Study.auto`) adds what a verdict names, wholly or partly.
 """
 
 import os
@@ -27,6 +27,7 @@ from problems.measured.sets import SETS, Records, Set, with_effects
 from problems.tools import markdown
 from problems.tools.command_line import chosen
 from problems.tools.data_paths import folder, is_present
+from problems.tools.pages import render
 from problems.tools.provenance import write
 
 MOST_STEPS = 3  # that are added; the model after them is diagnosed too
@@ -157,63 +158,13 @@ def _error_by_hand(chosen: Set, records: Records) -> float:
         return np.nan
 
 
-PAGE = """
-    # Measured machines, told in short
-
-    {{ n }} sets, a study each with a base model that lacks what the set is known for. A
-    step was asked for in {{ asked }} s: {{ n_quick }} of {{ n }} sets keep to it in
-    every step (processor seconds). By hand: what is known is added to the base model,
-    which is fitted to the same data by maximum likelihood.
-
-    {{ summary }}
-
-    {% for name, chapter in chapters %}
-
-    ## {{ name }}
-
-    Base model: {{ chapter.machine }}. Known: {{ chapter.known }}.
-
-    {{ chapter.steps }}
-
-    {% if chapter.remains %}
-
-    What remains: {{ chapter.remains }}
-
-    {% endif %}
-
-    {% if chapter.next_step %}
-
-    What to do next: {{ chapter.next_step }}
-
-    {% endif %}
-
-    Errors of the free run{{ chapter.unit }}:
-
-    {{ chapter.errors }}
-
-    {% if chapter.n_averaged %}
-
-    As advised, from means of {{ chapter.n_averaged }} samples:
-
-    {{ chapter.averaged_steps }}
-
-    Errors of the free run{{ chapter.unit }}:
-
-    {{ chapter.averaged_errors }}
-
-    {% endif %}
-
-    {% endfor %}
-    """
-
-
 def page(stories: Mapping[str, Story]) -> str:
     """The page of all sets that were told."""
     quick = [max(story.seconds) < SECONDS_ASKED for story in stories.values()]
-    return markdown.page(
-        PAGE,
+    return render(
+        "measured/pages/stories.md",
         n=len(stories),
-        asked=f"{SECONDS_ASKED:.0f}",
+        asked=SECONDS_ASKED,
         n_quick=sum(quick),
         summary=summary(stories),
         chapters=[(name, _chapter(SETS[name], s)) for name, s in stories.items()],
@@ -249,7 +200,7 @@ def _steps(story: Story) -> str:
         lines.append(f"{number}. **{verdict}** ({seconds:.0f} s): {reason}.")
     if "failed" in story.stopped:
         lines.append(f"   {story.stopped}")
-    return "\n".join(lines)
+    return "\n\n".join(lines)
 
 
 def _errors(story: Story) -> str:
@@ -264,9 +215,9 @@ def _errors(story: Story) -> str:
     return markdown.lines(header, rows)
 
 
-def summary(stories: Mapping[str, Story]) -> str:
+def summary(stories: Mapping[str, Story]) -> list[dict[str, object]]:
     """A line per set: verdicts, findings, error, seconds."""
-    rows = []
+    rows: list[dict[str, object]] = []
     for name, story in stories.items():
         findings = [str(f) for d in story.diagnoses for f in d.findings]
         steps = story.study.steps
@@ -282,7 +233,7 @@ def summary(stories: Mapping[str, Story]) -> str:
                 "slowest step (s)": f"{max(story.seconds):.0f}",
             }
         )
-    return markdown.table(rows)
+    return rows
 
 
 def main(names: list[str]) -> None:

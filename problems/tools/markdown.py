@@ -4,12 +4,9 @@ Prose stands wrapped in the code and on one line in the page. A number in it tha
 result is computed from the table beside it.
 """
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
-from textwrap import dedent
 
 import pandas as pd
-from jinja2 import Environment, StrictUndefined
 
 
 def table(records: pd.DataFrame | Sequence[Mapping[str, object]]) -> str:
@@ -54,15 +51,3 @@ def enumerated(words: Iterable[object]) -> str:
 def number(value: float) -> str:
     """Two digits, without an exponent where the number is large."""
     return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
-
-
-def page(template: str, **values: object) -> str:
-    """A page from a template of Jinja2, whose paragraphs are wrapped in the code.
-
-    Lines that touch become one line of prose; so a heading, a table (``{{ ... }}``) and
-    a tag each stand between blank lines.
-    """
-    joined = re.sub(r"(?<=\S)\n *(?=\S)", " ", dedent(template).strip())
-    rendering = Environment(undefined=StrictUndefined, autoescape=False)
-    shown = rendering.from_string(joined).render(values)
-    return re.sub(r"\n{3,}", "\n\n", shown).strip()
