@@ -908,8 +908,7 @@ def test_the_rest_is_known_as_well_as_in_a_model_without_what_is_silent() -> Non
 
 
 def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() -> None:
-    hidden = search_of(0)._promising
-    assert hidden.forces
+    assert "forces" in search_of(0).promising
     nothing = estimated(simulated(0, size=0.0), MaximumLikelihood())
     assert isinstance(nothing, LikelihoodEstimate)
     assert not nothing.plain.search.is_promising

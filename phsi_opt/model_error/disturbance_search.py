@@ -1,6 +1,6 @@
 """Which disturbances a record shows, and how large they are.
 
-By marginal likelihood, one kind after the other: forces and sensors that wander, then
+By marginal likelihood, one kind after the other: forces and sensors that last, then
 functions of states. A kind is taken only where the evidence for it is clear: a
 disturbance that the record does not show would widen every interval for nothing.
 """
@@ -8,6 +8,7 @@ disturbance that the record does not show would widen every interval for nothing
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -62,23 +63,6 @@ class Evidence:
     information: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class _Promising:
-    """Kinds of disturbances that a search may find.
-
-    Attributes:
-        noises: of the trajectories, each its own.
-        forces: that wander.
-        sensors: that wander.
-        functions: of states.
-    """
-
-    noises: bool
-    forces: bool
-    sensors: bool
-    functions: bool
-
-
 @dataclass(frozen=True, eq=False)
 class DisturbanceSearch:
     """A search for the disturbances of a linearised record.
@@ -99,16 +83,9 @@ class DisturbanceSearch:
     channels: tuple[int, ...]
     is_brief: bool = False
 
-    @cached_property
-    def white(self) -> Evidence:
-        """White noise alone, as the plain likelihood has it.
-
-        The evidence is that of the best white noise: it is what others are compared
-        with. SolveError where the states do not follow from the data.
-        """
-        plain = self.evidence(Disturbances(self.plain))
-        best = self.best_of([plain.disturbances])
-        return replace(plain, log_evidence=max(best.log_evidence, plain.log_evidence))
+    def likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
+        """The marginal likelihood for disturbances of this structure."""
+        return MarginalLikelihood(self.problem, disturbances, self.moving)
 
     def evidence(self, disturbances: Disturbances) -> Evidence:
         """Of given disturbances.
@@ -120,13 +97,97 @@ class DisturbanceSearch:
         return Evidence(disturbances, system.log_evidence)
 
     @cached_property
+    def white(self) -> Evidence:
+        """White noise alone, as the plain likelihood has it.
+
+        The evidence is that of the best white noise: it is what others are compared
+        with. SolveError where the states do not follow from the data.
+        """
+        plain = self.evidence(Disturbances(self.plain))
+        best = self.best_of([plain.disturbances])
+        return replace(plain, log_evidence=max(best.log_evidence, plain.log_evidence))
+
+    @cached_property
+    def pieces(self) -> "DisturbanceSearch | None":
+        """The same search on a part of a long record; None for one that is short.
+
+        Sizes and times are known to a few percent from so many intervals and states,
+        and the whole record has the last word.
+        """
+        spread = self.problem.evenly_spread()
+        if spread is None:
+            return None
+        problem, runs = spread
+        plain, scatter = self.plain[runs], self.scatter[runs]
+        return replace(self, problem=problem, plain=plain, scatter=scatter)
+
+    # --- What promises to be found
+
+    @property
     def is_promising(self) -> bool:
         """Whether any kind of disturbance promises to be found.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        return any(vars((self.pieces or self)._promising).values())
+        return bool((self.pieces or self).promising)
+
+    @cached_property
+    def promising(self) -> frozenset[str]:
+        """Which of noises, forces, sensors and functions may be clear enough.
+
+        By the first step of a search, which costs a small part of the whole
+        (`PROMISING_SHARE`).
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        white = Disturbances(self.plain)
+        if not self.is_brief:
+            white = replace(white, functions=self._function_candidates())
+        system = self.likelihood(white).at(white)
+        n_processes = max(
+            len(self.problem.forced), len(np.unique(self.problem.channel))
+        )
+        is_tied = len(self.channels) + n_processes > MOST_SIZES
+        test = ScoreTest(system.without_functions(), self.channels, is_tied)
+        gains = []
+        for time in self.first_times():
+            gains.append(test.gains(self._forces(1.0, time), self._sensors(1.0, time)))
+        by_forces, by_sensors = np.max(gains, axis=0)
+        share = PROMISING_SHARE_TIED if is_tied else PROMISING_SHARE
+        limit = share * STRONG_EVIDENCE
+        sizes = _chosen_sizes(system.border, self._rates_of(white.functions))
+        kinds = {
+            "noises": self.noise_differs and self._noise_by_run_promises(),
+            "forces": by_forces > limit,
+            "sensors": by_sensors > limit,
+            "functions": np.any(sizes > 0),
+        }
+        return frozenset(kind for kind, promises in kinds.items() if promises)
+
+    @property
+    def noise_differs(self) -> bool:
+        """Whether the scatter says that trajectories have noises of their own."""
+        return bool(np.ptp(self.scatter, axis=0).max() > 0)
+
+    def _noise_by_run_promises(self) -> bool:
+        """Whether noises in the ratios of the scatter may explain the residuals."""
+        sigma = self._noises()[0]
+        in_noise = (self.problem.residual / self.problem.of_values(sigma)) ** 2
+        for channel in self.channels:
+            own = self.problem.channel == channel
+            sigma[:, channel] *= np.sqrt(np.mean(in_noise[own]))
+        by_run = self.evidence(Disturbances(sigma)).log_evidence
+        together = self.evidence(Disturbances(self.plain)).log_evidence
+        return by_run > together + PROMISING_SHARE * self._evidence_of_runs
+
+    @property
+    def _evidence_of_runs(self) -> float:
+        """Gain that is asked for where each trajectory's noise is from the data."""
+        return STRONG_EVIDENCE + self.problem.n_trajectories
+
+    # --- What is found
 
     def found(self) -> Evidence:
         """What the record shows, white noise where it shows no more.
@@ -146,99 +207,32 @@ class DisturbanceSearch:
         in_pieces = pieces._found_directly().disturbances
         if in_pieces.is_white and not self.noise_differs:
             return self.evidence(Disturbances(self.plain))
-        white = self.white
         # Noises keep the ratios that neighbouring samples show.
-        ratios = np.log(in_pieces.sigma / pieces.noises()[0])
-        sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
+        ratios = np.log(in_pieces.sigma / pieces._noises()[0])
+        sigma = self._noises()[0] * np.exp(np.mean(ratios, axis=0))
         start = replace(in_pieces, sigma=sigma)
         best = self.best_of([start], most_steps=4)
-        is_clear = best.log_evidence > white.log_evidence + STRONG_EVIDENCE
-        return best if is_clear else white
-
-    @cached_property
-    def _promising(self) -> "_Promising":
-        """Which kinds of disturbances may be clear enough to be taken.
-
-        By the first step of a search, which costs a small part of the whole
-        (`PROMISING_SHARE`).
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
-        white = Disturbances(self.plain)
-        if not self.is_brief:
-            white = replace(white, functions=self._function_candidates())
-        system = self.likelihood(white).at(white)
-        sensors = np.unique(self.problem.channel)
-        n_processes = max(len(self.problem.forced), len(sensors))
-        is_tied = len(self.channels) + n_processes > MOST_SIZES
-        test = ScoreTest(system.without_functions(), self.channels, is_tied)
-        gains = []
-        for time in self.first_times():
-            gains.append(test.gains(self._forces(1.0, time), self._sensors(1.0, time)))
-        by_forces, by_sensors = np.max(gains, axis=0)
-        share = PROMISING_SHARE_TIED if is_tied else PROMISING_SHARE
-        limit = share * STRONG_EVIDENCE
-        sizes = _chosen_sizes(system.border, self._rates_of(white.functions))
-        return _Promising(
-            noises=self.noise_differs and self._noise_by_run_promises(),
-            forces=by_forces > limit,
-            sensors=by_sensors > limit,
-            functions=bool(np.any(sizes > 0)),
-        )
-
-    def _noise_by_run_promises(self) -> bool:
-        """Whether noises in the ratios of the scatter may explain the residuals."""
-        squares = self.problem.residual**2
-        sigma = self.noises()[0]
-        weights = self.problem.of_values(sigma) ** -2
-        for channel in self.channels:
-            own = self.problem.channel == channel
-            sigma[:, channel] *= np.sqrt(np.mean((weights * squares)[own]))
-        by_run = self.evidence(Disturbances(sigma)).log_evidence
-        together = self.evidence(Disturbances(self.plain)).log_evidence
-        return by_run > together + PROMISING_SHARE * self._evidence_of_runs
-
-    @property
-    def _evidence_of_runs(self) -> float:
-        """Gain that is asked for where each trajectory's noise is from the data."""
-        return STRONG_EVIDENCE + self.problem.n_trajectories
-
-    @cached_property
-    def pieces(self) -> "DisturbanceSearch | None":
-        """The same search on a part of a long record; None for one that is short.
-
-        Sizes and times are known to a few percent from so many intervals and states,
-        and the whole record has the last word.
-        """
-        spread = self.problem.evenly_spread()
-        if spread is None:
-            return None
-        problem, runs = spread
-        return replace(
-            self, problem=problem, plain=self.plain[runs], scatter=self.scatter[runs]
-        )
+        is_clear = best.log_evidence > self.white.log_evidence + STRONG_EVIDENCE
+        return best if is_clear else self.white
 
     def _found_directly(self) -> Evidence:
-        promising = self._promising
         best = self.white
-        if promising.noises:
-            noises = Disturbances(self.noises()[0])
+        if "noises" in self.promising:
+            noises = Disturbances(self._noises()[0])
             best = self._clearer(best, [noises], self._evidence_of_runs)
-        force_starts = self._force_starts() if promising.forces else []
-        sensor_starts = self._sensor_starts() if promising.sensors else []
-        of_forces = self._clearer(best, force_starts)
-        of_sensors = self._clearer(best, sensor_starts)
-        one = max(of_forces, of_sensors, key=lambda found: found.log_evidence)
+        of_forces = self._clearer(best, self._force_starts())
+        of_sensors = self._clearer(best, self._sensor_starts())
+        found = max(of_forces, of_sensors, key=lambda one: one.log_evidence)
         if self.is_brief:
-            return one
+            return found
         # Both kinds promise, and one was found.
-        if one is not best and promising.forces and promising.sensors:
-            one = self._clearer(one, self._with_the_other_kind(one.disturbances))
-        functions = self._chosen_functions(one.disturbances)
+        if found is not best and {"forces", "sensors"} <= self.promising:
+            found = self._clearer(found, self._with_the_other_kind(found.disturbances))
+        functions = self._chosen_functions(found.disturbances)
         if not functions:
-            return one
-        return self._clearer(one, [replace(one.disturbances, functions=functions)])
+            return found
+        with_functions = replace(found.disturbances, functions=functions)
+        return self._clearer(found, [with_functions])
 
     def _clearer(
         self,
@@ -248,7 +242,7 @@ class DisturbanceSearch:
     ) -> Evidence:
         """What is found from some starts, where the evidence for it is clear."""
         worth = best.log_evidence + needed
-        found = self.best_of(starts, worth=worth)
+        found = self.best_of(starts, worth=worth) if starts else best
         return found if found.log_evidence > worth else best
 
     def best_of(
@@ -262,24 +256,21 @@ class DisturbanceSearch:
         The starts have the same structure; ``most_steps`` uphill, at most. Log evidence
         below ``worth`` is of no use.
         """
-        if not starts:
-            return Evidence(Disturbances(self.plain), -np.inf)
         likelihood = self.likelihood(starts[0])
-        values = [_log_evidence(likelihood, start) for start in starts]
-        origin = starts[int(np.argmax(values))]
+        origin = starts[0]
+        if len(starts) > 1:
+            values = [_log_evidence(likelihood, start) for start in starts]
+            origin = starts[int(np.argmax(values))]
+        largest = FUNCTION_SHARES[-1] * self._rates_of(origin.functions)
         coordinates = Coordinates(
             origin=origin,
             channels=self.channels,
             # The scatter is noise and what a cubic does not follow.
             least_noise=0.1 * np.mean(self.scatter, axis=0),
-            shortest=self.shortest,
+            shortest=0.3 * self._interval,  # as good as white
             longest=self._longest,
-            largest_functions=tuple(
-                FUNCTION_SHARES[-1] * float(rate)
-                for rate in self._rates_of(origin.functions)
-            ),
+            largest_functions=tuple(largest.tolist()),
         )
-
         least_gain = BRIEF_GAIN if self.is_brief else LEAST_GAIN
         found = climbed(
             likelihood, coordinates, self.channels, most_steps, worth, least_gain
@@ -288,17 +279,10 @@ class DisturbanceSearch:
         moved = replace(coordinates, origin=disturbances)
         return Evidence(disturbances, found.log_evidence, moved, found.information)
 
-    def likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
-        """The marginal likelihood for disturbances of this structure."""
-        return MarginalLikelihood(self.problem, disturbances, self.moving)
+    # --- Where searches begin
 
     @property
-    def noise_differs(self) -> bool:
-        """Whether the scatter says that trajectories have noises of their own."""
-        return bool(np.ptp(self.scatter, axis=0).max() > 0)
-
-    @property
-    def interval(self) -> float:
+    def _interval(self) -> float:
         """Typical interval between nodes."""
         return float(np.median(self.problem.grid.h))
 
@@ -307,25 +291,20 @@ class DisturbanceSearch:
         grid = self.problem.grid
         return float(grid.t[-1] - grid.t[grid.first[-1]])
 
-    @property
-    def shortest(self) -> float:
-        """Shortest correlation time, as good as white."""
-        return 0.3 * self.interval
-
     def first_times(self) -> list[float]:
         """Correlation times to begin a search with.
 
         Three intervals, a tenth of a record, and one between.
         """
-        short = 3 * self.interval
+        short = 3 * self._interval
         long = max(0.1 * self._longest, 2 * short)
         return [short, float(np.sqrt(short * long)), long]
 
-    def noises(self) -> list[np.ndarray]:
-        """White noises to begin with: of the residuals, and of neighbouring samples."""
-        scatter = self.scatter / np.max(self.scatter, axis=0)
-        largest = np.minimum(np.max(self.scatter, axis=0), np.max(self.plain, axis=0))
-        lower = scatter * largest
+    def _noises(self) -> list[np.ndarray]:
+        """White noises to begin with: of neighbouring samples, and of the residuals."""
+        highest = np.max(self.scatter, axis=0)
+        largest = np.minimum(highest, np.max(self.plain, axis=0))
+        lower = self.scatter / highest * largest
         known = [k for k in range(lower.shape[1]) if k not in self.channels]
         lower[:, known] = self.plain[:, known]
         return [lower, self.plain]
@@ -336,84 +315,80 @@ class DisturbanceSearch:
         typical: np.ndarray = np.sqrt(np.mean(rates**2, axis=0))
         return np.maximum(typical, TINY ** (1 / 4))
 
+    def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
+        """Typical rate in the equation of each function, (n_functions,)."""
+        return self.rates()[[function.equation for function in functions]]
+
     def _force_starts(self) -> list[Disturbances]:
+        if "forces" not in self.promising:
+            return []
         starts = []
-        for sigma in self.noises():
-            for time in self.first_times():
-                for share in FORCE_SHARES:
-                    starts.append(Disturbances(sigma, self._forces(share, time)))
-        return starts if self.problem.forced else []
+        for sigma, time, share in product(
+            self._noises(), self.first_times(), FORCE_SHARES
+        ):
+            starts.append(Disturbances(sigma, self._forces(share, time)))
+        return starts
 
     def _sensor_starts(self) -> list[Disturbances]:
+        if "sensors" not in self.promising:
+            return []
         starts = []
-        for sigma in self.noises():
-            for time in self.first_times():
-                sensors = self._sensors(0.7, time)  # of the residuals
-                starts.append(Disturbances(sigma, sensors=sensors))
+        for sigma, time in product(self._noises(), self.first_times()):
+            sensors = self._sensors(0.7, time)  # of the residuals
+            starts.append(Disturbances(sigma, sensors=sensors))
         return starts
 
     def _forces(self, share: float, time: float) -> tuple[Process, ...]:
-        rates = self.rates()
-        forces = []
-        for equation in self.problem.forced:
-            forces.append(Process(equation, share * float(rates[equation]), time))
-        return tuple(forces)
+        sizes = (share * self.rates()).tolist()
+        return tuple(Process(k, sizes[k], time) for k in self.problem.forced)
 
     def _sensors(self, share: float, time: float) -> tuple[Process, ...]:
-        sensors = []
-        for channel in np.unique(self.problem.channel).tolist():
-            size = share * float(np.mean(self.plain[:, channel]))
-            sensors.append(Process(channel, size, time))
-        return tuple(sensors)
+        sizes = (share * np.mean(self.plain, axis=0)).tolist()
+        measured = np.unique(self.problem.channel).tolist()
+        return tuple(Process(channel, sizes[channel], time) for channel in measured)
 
     def _with_the_other_kind(self, found: Disturbances) -> list[Disturbances]:
-        """The disturbances beside a little of the kind that is not among them."""
+        """Disturbances with a little of the kind that is not among them."""
         starts = []
         for time in self.first_times():
             if found.forces:
                 sensors = self._sensors(FORCE_SHARES[0], time)
                 starts.append(replace(found, sensors=sensors))
-                continue
-            forces = self._forces(FORCE_SHARES[-1], time)
-            starts.append(replace(found, forces=forces))
-        return starts if found.forces or self.problem.forced else []
+            else:
+                forces = self._forces(FORCE_SHARES[-1], time)
+                starts.append(replace(found, forces=forces))
+        return starts
 
     def _chosen_functions(self, beside: Disturbances) -> tuple[StateFunction, ...]:
-        """Functions that the evidence asks for beside other disturbances."""
+        """Functions that the evidence asks for, given other disturbances."""
         candidates = self._function_candidates()
         if not candidates:
             return ()
         with_all = replace(beside, functions=candidates)
         border = self.likelihood(with_all).at(with_all).border
-        sizes = _chosen_sizes(border, self._rates_of(candidates))
+        sizes = _chosen_sizes(border, self._rates_of(candidates)).tolist()
         chosen = []
         for candidate, size in zip(candidates, sizes, strict=True):
             if size > 0:
-                chosen.append(replace(candidate, size=float(size)))
+                chosen.append(replace(candidate, size=size))
         return tuple(chosen)
 
     def _function_candidates(self) -> tuple[StateFunction, ...]:
         """The functions that are tried, as large as the typical rate.
 
-        None where they have more than 80 columns beside the parameters: each costs as
-        much as one more parameter.
+        None where they have more than 80 columns in the border: each costs as much as
+        one more parameter.
         """
         problem = self.problem
-        rates = self.rates()
+        rates = self.rates().tolist()
         candidates = []
         n_columns = 0
-        for equation in problem.forced:
-            for state in problem.observed:
-                n_functions = problem.function_values[state].shape[1]
-                if n_functions:
-                    size = float(rates[equation])
-                    candidates.append(StateFunction(equation, state, size))
-                    n_columns += n_functions
+        for equation, state in product(problem.forced, problem.observed):
+            n_functions = problem.function_values[state].shape[1]
+            if n_functions:
+                candidates.append(StateFunction(equation, state, rates[equation]))
+                n_columns += n_functions
         return tuple(candidates) if n_columns <= 80 else ()
-
-    def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
-        """Typical rate in the equation of each function, (n_functions,)."""
-        return self.rates()[[function.equation for function in functions]]
 
 
 def _log_evidence(likelihood: MarginalLikelihood, disturbances: Disturbances) -> float:
