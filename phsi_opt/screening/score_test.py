@@ -1,9 +1,15 @@
 """Screening: by how much every effect would raise the evidence, without a search.
 
-This is Rao's score test (1948) beside a force that could have done the same: one small
-regression of the linearised record's residuals and forces on what the effect leaves in
-them gives its coefficients, and the gain of the log evidence. Inner parameters (a
-frequency, a width) are scanned, each value a trace more.
+This is Rao's score test (1948) in the presence of a force that could have done the
+same: one small regression of the linearised record's residuals and forces on what the
+effect leaves in them gives its coefficients, and the gain of the log evidence. Inner
+parameters (a frequency, a width) are scanned, each value a trace more.
+
+A right-hand side per frequency would be too many. The correlation of a wave's trace
+with the residuals needs no trace, only the residuals' adjoint: a Fourier sum. The size
+of the trace is interpolated between some frequencies. The likely frequencies are then
+worked out exactly, and from each the way leads uphill: near a resonance the
+interpolated size can be twenty times wrong.
 """
 
 from dataclasses import dataclass, field, replace
@@ -21,18 +27,16 @@ from phsi_opt.initialization.starting_values import frequency_grid
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter, Scan, Tried
-from phsi_opt.model.slots import Entry
 from phsi_opt.screening.linearized_record import LinearizedRecord
-from phsi_opt.screening.sensitivities import (
-    Change,
-    Regression,
-    Sensitivities,
-    Trial,
-    regression,
-)
+from phsi_opt.screening.sensitivities import Change, Regression, Sensitivities, Trial
 from phsi_opt.statistics import TINY, local_maxima
 
 SCAN_REFINEMENTS = 2  # rounds of finer values around the best one of a scan
+# Even, and as many logarithmic, frequencies at which the size of a wave's trace is
+# worked out: with 24 even ones the resonance of a model without damping fell between.
+N_EXACT_SIZES = 30
+N_EXACT_PEAKS = 8  # highest peaks of the estimated gain that are worked out exactly
+N_TOGETHER = 50  # waves whose traces are worked out at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +64,7 @@ class Screened:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Values of inner parameters, the change they make, its trace and regression."""
+    """Values of inner parameters, the change they make, and its regression."""
 
     values: dict[str, float]
     change: Change
@@ -71,7 +75,7 @@ class ScoreTest:
     """One small regression per candidate; the record is linearised once.
 
     Args:
-        linearized: the record, with the forces that act beside the model.
+        linearized: the record, with the forces that act and are not in the model.
     """
 
     def __init__(self, linearized: LinearizedRecord) -> None:
@@ -79,32 +83,38 @@ class ScoreTest:
 
     def screened(self, effect: Effect) -> Screened | None:
         """What is expected of an effect; None where it leaves no trace."""
-        grid = self.linearized.grid
+        linearized = self.linearized
+        grid = linearized.grid
         if effect.slot == "sensor":
-            number = self.linearized.model.index(effect.equation)
+            number = linearized.model.index(effect.equation)
             if not grid.measured[:, number].any():
                 return None
         try:
             trial = self.trial(effect)
         except PhsiOptError:
             return None
-        whole = part = Sensitivities(self.linearized, trial)
-        points = _combinations(trial.tried)
+        whole = part = Sensitivities(linearized, trial)
+        points = []
+        for values in product(*(tried.tolist() for tried in trial.tried.values())):
+            points.append(dict(zip(trial.tried, values, strict=True)))
         n_tried = len(points)
-        is_long = self.linearized.part is not self.linearized
+        is_long = linearized.part is not linearized
         if is_long and (trial.scanned or n_tried > 1):
-            part = Sensitivities(self.linearized.part, trial)
+            part = Sensitivities(linearized.part, trial)
         if trial.frequency and trial.scanned:
-            along = self._along(trial.scanned)
+            along = grid.t
+            if trial.scanned != "t":
+                states = linearized.states
+                along = values_at(linearized.model, grid, states, trial.scanned)
             if not np.ptp(along) > 0:
                 return None
             tried = frequency_grid(grid, along)
             n_tried = len(tried)
-            name = trial.frequency
             if trial.scanned == "t":
-                points = [{name: best_frequency(whole, part, name, tried)}]
+                frequency = _best_in_time(whole, part, trial.frequency, tried)
             else:
-                points = [{name: best_of_all(part, name, tried)}]
+                frequency = _best_of_all(part, trial.frequency, tried)
+            points = [{trial.frequency: frequency}]
             part = whole
         best = _best(part, points)
         if len(trial.tried) == 1 and n_tried > 1:
@@ -116,101 +126,73 @@ class ScoreTest:
     def trial(self, effect: Effect) -> Trial:
         """The effect in the model, with what is to be tried."""
         base = self.linearized.model
+        grid, states = self.linearized.grid, self.linearized.states
         model = base.add(effect)
-        new: dict[str, Entry] = {}
-        for name, entry in model.entries.items():
-            if name not in base.entries:
-                new[name] = entry
-        grid = self.linearized.grid
-        states = self.linearized.states
         tried = {}
-        frequency = None
-        scanned = None
-        for name, entry in new.items():
-            guess = entry.parameter.guess
-            if isinstance(guess, Tried) and entry.parameter.value is None:
+        linear = []
+        frequency = scanned = None
+        for name, entry in model.entries.items():
+            if name in base.entries:
+                continue
+            parameter = entry.parameter
+            guess = parameter.guess
+            if entry.prunable and not parameter.fixed:
+                linear.append(name)
+            if isinstance(guess, Tried) and parameter.value is None:
                 tried[name] = values_to_try(model, grid, states, guess)
             if isinstance(guess, Scan) and frequency is None:
                 frequency = name
-                scanned = guess.variable if entry.parameter.value is None else None
-        linear = _linear_names(new)
+                scanned = guess.variable if parameter.value is None else None
         model = _within_what_is_tried(resolve_guesses(model, grid, states), tried)
         if not linear and not tried:
             # A user's formula is linearised in its parameters, at their start.
-            linear = [name for name in model.free if name in new]
+            linear = [name for name in model.free if name not in base.entries]
         if not linear:
             frequency = scanned = None
         return Trial(effect, model, linear, tried, frequency, scanned)
-
-    def _along(self, variable: str) -> np.ndarray:
-        """What a wave runs along, at the nodes, (n_nodes,)."""
-        linearized = self.linearized
-        if variable == "t":
-            return linearized.grid.t
-        return values_at(linearized.model, linearized.grid, linearized.states, variable)
 
     def _expected(self, trial: Trial, point: _Point, n_tried: int) -> Screened | None:
         """What is expected of an effect at its best point; None: it leaves no trace."""
         linearized = self.linearized
         found = point.regression
-        is_seen = np.trace(found.information) > TINY
-        if not np.all(np.isfinite(found.coefficients)) or not is_seen:
+        c = found.coefficients
+        if not np.all(np.isfinite(c)) or not np.trace(found.information) > TINY:
             return None
         of_base = linearized.parameters_with(
-            point.change.of_defects, point.change.of_outputs, found.coefficients
+            point.change.of_defects, point.change.of_outputs, c
         )
         new = [name for name in trial.model.free if name not in linearized.model.free]
         price = len(new) * float(np.log(linearized.n_values)) / 2
+        own = {}
+        coefficients = dict(zip(trial.linear, c.tolist(), strict=False))
+        for name, value in (point.values | coefficients).items():
+            parameter = trial.model.entries[name].parameter
+            own[name] = float(np.clip(value, parameter.lower, parameter.upper))
+        coefficient, std_error = _size(trial, point)
         return Screened(
             effect=trial.effect,
             model=trial.model,
-            coefficient=_size(trial, point),
-            std_error=_std_error(trial, found),
+            coefficient=coefficient,
+            std_error=std_error,
             gain=max(found.drop, 0.0) / 2 - price - float(np.log(n_tried)),
             n_tried=n_tried,
-            values={**of_base, **_start_values(trial, point)},
+            values={**of_base, **own},
         )
 
 
-def _best(sensitivities: Sensitivities, points: list[dict[str, float]]) -> _Point:
-    """The point that explains most."""
-    changes = [sensitivities(values) for values in points]
-    tried = []
-    parts = np.split(sensitivities.traces(changes), len(points), axis=1)
-    for values, change, trace in zip(points, changes, parts, strict=True):
-        tried.append(_Point(values, change, regression(sensitivities, trace)))
-    return max(tried, key=lambda point: point.regression.drop)
+def _size(trial: Trial, point: _Point) -> tuple[float, float]:
+    """The coefficient and its standard error, forces of given sizes acting.
 
-
-def _refined(sensitivities: Sensitivities, best: _Point) -> _Point:
-    """The best point among finer and finer values of the one inner parameter."""
-    (name,) = sensitivities.trial.tried
-    around = np.sort(sensitivities.trial.tried[name])
-    for _ in range(SCAN_REFINEMENTS):
-        around = _finer(around, best.values[name])
-        points = [{name: float(value)} for value in around]
-        best = _best(sensitivities, points)
-    return best
-
-
-def _size(trial: Trial, point: _Point) -> float:
-    """The coefficient; the amplitude of a wave; else the inner parameter."""
+    Of a wave the amplitude; of an effect without a coefficient the inner parameter.
+    """
+    if not trial.linear:
+        return next(iter(point.values.values())), np.nan
     c = point.regression.coefficients
-    if not trial.linear:
-        return next(iter(point.values.values()))
-    if trial.frequency and len(c) == 2:
-        return float(np.hypot(*c))
-    return float(c[len(trial.linear) - 1])
-
-
-def _std_error(trial: Trial, found: Regression) -> float:
-    """Of the coefficient, with forces of given sizes beside it; NaN without one."""
-    if not trial.linear:
-        return np.nan
-    spread = np.sqrt(found.covariance_diagonal)
-    if trial.frequency:
-        return float(np.max(spread))
-    return float(spread[len(trial.linear) - 1])
+    covariance = np.linalg.pinv(point.regression.information, hermitian=True)
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    last = len(trial.linear) - 1
+    size = float(np.hypot(*c)) if trial.frequency and len(c) == 2 else float(c[last])
+    return size, float(np.max(spread) if trial.frequency else spread[last])
 
 
 def _within_what_is_tried(model: Model, tried: dict[str, np.ndarray]) -> Model:
@@ -230,33 +212,27 @@ def _within_what_is_tried(model: Model, tried: dict[str, np.ndarray]) -> Model:
     return model.with_parameters(bounded)
 
 
-def _combinations(tried: dict[str, np.ndarray]) -> list[dict[str, float]]:
-    """Every combination of the values to try, by inner parameter."""
-    points = []
-    for combination in product(*tried.values()):
-        values = [float(value) for value in combination]
-        points.append(dict(zip(tried, values, strict=True)))
-    return points
+# --- Values of inner parameters
 
 
-def _linear_names(new: dict[str, Entry]) -> list[str]:
-    """Names of the new coefficients, in which the model is linear."""
-    names = []
-    for name, entry in new.items():
-        if entry.prunable and not entry.parameter.fixed:
-            names.append(name)
-    return names
+def _best(sensitivities: Sensitivities, points: list[dict[str, float]]) -> _Point:
+    """The point that explains most."""
+    changes = [sensitivities(values) for values in points]
+    parts = np.split(sensitivities.traces(changes), len(points), axis=1)
+    tried = []
+    for values, change, trace in zip(points, changes, parts, strict=True):
+        tried.append(_Point(values, change, sensitivities.regression(trace)))
+    return max(tried, key=lambda point: point.regression.drop)
 
 
-def _start_values(trial: Trial, point: _Point) -> dict[str, float]:
-    """Inner values and coefficients, within their bounds."""
-    coefficients = point.regression.coefficients.tolist()
-    found = {**point.values, **dict(zip(trial.linear, coefficients, strict=False))}
-    values = {}
-    for name, value in found.items():
-        parameter = trial.model.entries[name].parameter
-        values[name] = float(np.clip(value, parameter.lower, parameter.upper))
-    return values
+def _refined(sensitivities: Sensitivities, best: _Point) -> _Point:
+    """The best point among finer and finer values of the one inner parameter."""
+    (name,) = sensitivities.trial.tried
+    around = np.sort(sensitivities.trial.tried[name])
+    for _ in range(SCAN_REFINEMENTS):
+        around = _finer(around, best.values[name])
+        best = _best(sensitivities, [{name: value} for value in around.tolist()])
+    return best
 
 
 def _finer(values: np.ndarray, best: float) -> np.ndarray:
@@ -271,14 +247,10 @@ def _finer(values: np.ndarray, best: float) -> np.ndarray:
     return np.unique(around)
 
 
-# Even, and as many logarithmic, frequencies at which the size of a wave's trace is
-# worked out: with 24 even ones the resonance of a model without damping fell between.
-N_EXACT_SIZES = 30
-N_EXACT_PEAKS = 8  # highest peaks of the estimated gain that are worked out exactly
-N_TOGETHER = 50  # waves whose traces are worked out at once
+# --- Frequencies of waves
 
 
-def best_frequency(
+def _best_in_time(
     whole: Sensitivities, part: Sensitivities, name: str, tried: np.ndarray
 ) -> float:
     """The frequency among ``tried`` (evenly spaced, rad per time) that explains most.
@@ -290,26 +262,25 @@ def best_frequency(
         tried: (n_tried,).
     """
     gains: dict[int, float] = {}
+
+    def nearby(place: int) -> range:
+        return range(max(place - 1, 0), min(place + 2, len(tried)))
+
     tops = _likely_frequencies(whole, part, name, tried)
     while True:
-        wanted: set[int] = set()
-        for top in tops:
-            wanted.update(_beside(top, len(tried)))
+        wanted = {place for top in tops for place in nearby(top)}
         new = sorted(wanted - gains.keys())
         if not new:
             break
         gains.update(zip(new, _gains(whole, name, tried[new]), strict=True))
-        tops = [
-            max(_beside(top, len(tried)), key=lambda place: gains[place])
-            for top in tops
-        ]
-    return float(tried[max(gains, key=lambda place: gains[place])])
+        tops = [max(nearby(top), key=gains.__getitem__) for top in tops]
+    return float(tried[max(gains, key=gains.__getitem__)])
 
 
-def best_of_all(part: Sensitivities, name: str, tried: np.ndarray) -> float:
+def _best_of_all(part: Sensitivities, name: str, tried: np.ndarray) -> float:
     """The same of frequencies (n_tried,), each worked out on the part.
 
-    For waves along a state: a Fourier sum tells little of them, as a slow motion gives
+    For waves along a state: a Fourier sum says little of them, as a slow motion gives
     every wave along it a slow part.
     """
     gains = []
@@ -323,12 +294,16 @@ def _gains(
 ) -> list[float]:
     """Fall of the misfit by a wave of each frequency."""
     traces = _wave_traces(sensitivities, name, frequencies)
-    n = len(frequencies)
-    return [regression(sensitivities, traces[:, i]).drop for i in range(n)]
+    return [sensitivities.regression(trace).drop for trace in np.moveaxis(traces, 1, 0)]
 
 
-def _beside(place: int, n: int) -> range:
-    return range(max(place - 1, 0), min(place + 2, n))
+def _wave_traces(
+    sensitivities: Sensitivities, name: str, frequencies: np.ndarray
+) -> np.ndarray:
+    """(n_values, n_frequencies, k)"""
+    changes = [sensitivities({name: omega}) for omega in frequencies.tolist()]
+    traces = sensitivities.traces(changes)
+    return traces.reshape(len(traces), len(frequencies), -1)
 
 
 def _likely_frequencies(
@@ -338,37 +313,22 @@ def _likely_frequencies(
     n_tried = len(tried)
     if n_tried <= N_EXACT_SIZES:
         return list(range(n_tried))
-    linearized = whole.linearized
-    grid = linearized.grid
+    grid = whole.linearized.grid
     # A wave of frequency zero: cos = 1, sin = 0.
     still = whole({name: 0.0}).of_defects.sum(axis=1)
-    per_defect = linearized.adjoint() * still
+    per_defect = whole.linearized.adjoint() * still
     per_interval = per_defect.reshape(grid.n_intervals, -1).sum(axis=1)
     middle = grid.t[grid.begin] + grid.h / 2
     correlation = np.abs(_fourier_sum(middle, per_interval, tried)) ** 2
     even = np.linspace(0, n_tried - 1, N_EXACT_SIZES)
     logarithmic = np.geomspace(1, n_tried, N_EXACT_SIZES) - 1
-    places = np.unique(np.concatenate([even, logarithmic]).astype(int))
-    coarse = tried[places]
+    coarse = tried[np.unique(np.concatenate([even, logarithmic]).astype(int))]
     sizes = np.sum(_wave_traces(part, name, coarse) ** 2, axis=(0, 2))
     log_size = np.interp(tried, coarse, np.log(np.maximum(sizes, TINY)))
-    peaks = _peaks(correlation / np.exp(log_size))
-    return [int(place) for place in peaks[:N_EXACT_PEAKS]]
-
-
-def _wave_traces(
-    sensitivities: Sensitivities, name: str, frequencies: np.ndarray
-) -> np.ndarray:
-    """(n_values, n_frequencies, k)"""
-    changes = [sensitivities({name: float(omega)}) for omega in frequencies]
-    traces = sensitivities.traces(changes)
-    return traces.reshape(len(traces), len(frequencies), -1)
-
-
-def _peaks(y: np.ndarray) -> np.ndarray:
-    """Where y is larger than beside it, the largest first."""
-    places = np.flatnonzero(local_maxima(y, last_of_plateau=True))
-    return places[np.argsort(-y[places])]
+    gain = correlation / np.exp(log_size)
+    peaks = np.flatnonzero(local_maxima(gain, last_of_plateau=True))
+    highest: list[int] = peaks[np.argsort(-gain[peaks])][:N_EXACT_PEAKS].tolist()
+    return highest
 
 
 def _fourier_sum(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:

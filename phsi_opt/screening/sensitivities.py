@@ -23,6 +23,10 @@ from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
+# Share of the diagonal that is added to the correlations of traces: two that are equal
+# to rounding still factorise.
+CORRELATION_RIDGE = 1e-10
+
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -58,141 +62,6 @@ class Change:
     of_outputs: np.ndarray
 
 
-class Sensitivities:
-    """The change by a trial's coefficients, as a function of inner parameters."""
-
-    def __init__(self, linearized: LinearizedRecord, trial: Trial) -> None:
-        self.linearized = linearized
-        self.trial = trial
-        self.is_sensor = trial.effect.slot == "sensor"
-        self.states = linearized.states
-        self.memory: MemoryIntegration | None = None
-        grid = linearized.grid
-        if trial.effect.memory:
-            self.memory = MemoryIntegration(trial.model, grid, self.states)
-            grid = grid.apart()
-        self.places = [trial.model.free.index(name) for name in trial.linear]
-        self._grid = grid  # the two ends of every interval, apart beside a memory
-        self.at_rest = self._defects_at_rest()
-
-    def __call__(self, values: dict[str, float]) -> Change:
-        """The change at values of the inner parameters, per unit of each coefficient.
-
-        An effect without a coefficient is there as a whole: k is one.
-        """
-        linearized = self.linearized
-        grid = linearized.grid
-        n_states = linearized.model.n_states
-        k = max(len(self.places), 1)
-        theta = linearized.parameters_of(self.trial.model, values)
-        at_nodes, at_interval_ends = self._states_with_memory(theta)
-        of_defects = np.zeros((grid.n_intervals * n_states, k))
-        of_outputs = np.zeros((grid.n_nodes * n_states, k + self.at_rest.shape[1]))
-        if self.is_sensor:
-            change = self._output_change(at_nodes, theta)
-            of_outputs[:, :k] = _finite(change.reshape(-1, k))
-        else:
-            change = self._defect_change(at_interval_ends, theta)
-            of_defects = _finite(change.reshape(-1, k))
-        if self.at_rest.shape[1]:
-            moving = np.where(self.at_rest != 0, 0.0, of_defects)
-            of_defects = np.hstack([moving, self.at_rest])
-        return Change(of_defects, of_outputs)
-
-    def traces(self, changes: Sequence[Change]) -> np.ndarray:
-        """What changes leave in the residual, (n_values, k of all of them)."""
-        return self.linearized.traces(
-            np.hstack([change.of_defects for change in changes]),
-            np.hstack([change.of_outputs for change in changes]),
-        )
-
-    def _defect_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """(n_intervals, n_states, k)"""
-        linearized = self.linearized
-        n_intervals = linearized.grid.n_intervals
-        n_states = linearized.model.n_states
-        known = KnownDefects(
-            self.trial.model, self._grid, SCHEME, x, self.places, n_states
-        ).at(theta)
-        if self.places:
-            slopes = known.slopes.reshape(n_intervals, -1, len(self.places))
-            return slopes[:, :n_states]
-        without = linearized.defects.reshape(n_intervals, n_states)
-        return (known.d[:, :n_states] - without)[..., None]
-
-    def _output_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """(n_nodes, n_states, k)"""
-        model = self.trial.model
-        grid = self.linearized.grid
-        n_states = self.linearized.model.n_states
-        if self.places:
-            by_theta = output_slopes(model, grid, x, theta).in_parameters
-            return by_theta[:, :n_states, self.places]
-        with_effect = np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T
-        return (with_effect[:, :n_states] - self.linearized.shown)[..., None]
-
-    def _states_with_memory(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the nodes, and at the two ends of every interval.
-
-        A memory acts on an interval with its mean: one that is shorter than an interval
-        is not what lies half way between its values at the ends.
-        """
-        if self.memory is None:
-            return self.states, self.states
-        memory = self.memory(theta)
-        begin = self.linearized.grid.begin
-        ends = np.column_stack([begin, begin + 1]).ravel()
-        means = memory.interval_means
-        at_interval_ends = memory.states[ends]
-        at_interval_ends[:, -means.shape[1] :] = np.repeat(means, 2, axis=0)
-        return memory.states, at_interval_ends
-
-    def _defects_at_rest(self) -> np.ndarray:
-        """Defects of a body at rest, (n_intervals * n_states, 1 or 0 columns).
-
-        Where the effect is dry friction on a momentum: at rest the friction is what the
-        rest of the model makes it, whatever its coefficient.
-        """
-        linearized = self.linearized
-        equation = self.trial.effect.equation
-        shape = (linearized.grid.n_intervals, linearized.model.n_states)
-        found = np.zeros(shape)
-        width = self._width_of_new_corner()
-        if width is not None and equation in position_of_momentum(linearized.model):
-            name, of = width
-            still = intervals_at_rest(
-                self.trial.model,
-                linearized.grid,
-                linearized.states,
-                of,
-                self.trial.model.values[name],
-            )
-            row = linearized.model.index(equation)
-            found[still, row] = -linearized.defects.reshape(shape)[still, row]
-        return found.reshape(-1, 1)[:, : int(found.any())]
-
-    def _width_of_new_corner(self) -> tuple[str, str] | None:
-        """Name of the width of the effect's corner, and the formula that is rounded."""
-        for name, guess in corner_widths(self.trial.model).items():
-            if name not in self.linearized.model.entries:
-                return name, guess.of
-        return None
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    """A copy of the values, zero where the model has none."""
-    if np.isfinite(np.sum(values)):
-        return values.copy()
-    return np.nan_to_num(values)
-
-
-# Share of the diagonal that is added to the correlations of traces: two that are equal
-# to rounding still factorise.
-CORRELATION_RIDGE = 1e-10
-# A body at rest: friction that holds it may explain up to all of its defects.
-REST_BOUNDS = (0.0, 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class Regression:
     """Coefficients within their bounds, and what they explain.
@@ -208,40 +77,141 @@ class Regression:
     drop: float
     information: np.ndarray
 
-    @property
-    def covariance_diagonal(self) -> np.ndarray:
-        """Variance of each coefficient for noise of variance one, (k,)."""
-        covariance = np.linalg.pinv(self.information, hermitian=True)
-        return np.maximum(np.diag(covariance), 0.0)
+
+class Sensitivities:
+    """The change by a trial's coefficients, as a function of inner parameters."""
+
+    def __init__(self, linearized: LinearizedRecord, trial: Trial) -> None:
+        self.linearized = linearized
+        self.trial = trial
+        self.states = linearized.states
+        self._shape = (linearized.grid.n_intervals, linearized.model.n_states)
+        self._memory: MemoryIntegration | None = None
+        self._grid = linearized.grid
+        if trial.effect.memory:
+            self._memory = MemoryIntegration(trial.model, self._grid, self.states)
+            self._grid = self._grid.apart()  # the two ends of every interval
+        self._places = [trial.model.free.index(name) for name in trial.linear]
+        self.at_rest = self._defects_at_rest()
+
+    def __call__(self, values: dict[str, float]) -> Change:
+        """The change at values of the inner parameters, per unit of each coefficient.
+
+        An effect without a coefficient is there as a whole: k is one.
+        """
+        linearized = self.linearized
+        k = max(len(self._places), 1)
+        theta = linearized.parameters_of(self.trial.model, values)
+        at_nodes, at_ends = self._states_with_memory(theta)
+        n_at_rest = self.at_rest.shape[1]
+        of_defects = np.zeros((self._shape[0] * self._shape[1], k))
+        of_outputs = np.zeros((self.states.size, k + n_at_rest))
+        if self.trial.effect.slot == "sensor":
+            change = self._output_change(at_nodes, theta)
+            of_outputs[:, :k] = _finite(change.reshape(-1, k))
+        else:
+            change = self._defect_change(at_ends, theta)
+            of_defects = _finite(change.reshape(-1, k))
+        if n_at_rest:
+            moving = np.where(self.at_rest != 0, 0.0, of_defects)
+            of_defects = np.hstack([moving, self.at_rest])
+        return Change(of_defects, of_outputs)
+
+    def traces(self, changes: Sequence[Change]) -> np.ndarray:
+        """What changes leave in the residual, (n_values, k of all of them)."""
+        return self.linearized.traces(
+            np.hstack([change.of_defects for change in changes]),
+            np.hstack([change.of_outputs for change in changes]),
+        )
+
+    def regression(self, trace: np.ndarray) -> Regression:
+        """Regress the record's residual on a trace (n_values, k) within bounds."""
+        trial = self.trial
+        information = trace.T @ trace
+        right = trace.T @ self.linearized.residual
+        if not trial.linear:
+            drop = float(2 * right[0] - information[0, 0])
+            return Regression(np.ones(1), drop, information)
+        size = np.sqrt(np.maximum(np.diag(information), TINY))
+        correlation = information / np.outer(size, size)
+        factor = np.linalg.cholesky(correlation + CORRELATION_RIDGE * np.eye(len(size)))
+        bounds = []
+        for name in trial.linear:
+            parameter = trial.model.entries[name].parameter
+            bounds.append((parameter.lower, parameter.upper))
+        # Friction that holds a body at rest may explain up to all of its defects.
+        bounds += [(0.0, 1.0)] * (trace.shape[1] - len(bounds))
+        lower, upper = np.array(bounds).T * size
+        z = np.linalg.solve(factor, right / size)
+        scaled = np.linalg.solve(factor.T, z)
+        if np.any(scaled < lower) or np.any(scaled > upper):
+            upper = np.maximum(upper, lower + TINY)
+            scaled = bounded_least_squares(factor.T, z, lower, upper)
+        c = scaled / size
+        return Regression(c, float(2 * c @ right - c @ information @ c), information)
+
+    def _defect_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """(n_intervals, n_states, k)"""
+        n_intervals, n_states = self._shape
+        places = self._places
+        model, grid = self.trial.model, self._grid
+        known = KnownDefects(model, grid, SCHEME, x, places, n_states).at(theta)
+        if places:
+            slopes = known.slopes.reshape(n_intervals, -1, len(places))
+            return slopes[:, :n_states]
+        without = self.linearized.defects.reshape(self._shape)
+        return (known.d[:, :n_states] - without)[..., None]
+
+    def _output_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """(n_nodes, n_states, k)"""
+        model, grid = self.trial.model, self.linearized.grid
+        n_states = self._shape[1]
+        if self._places:
+            by_theta = output_slopes(model, grid, x, theta).in_parameters
+            return by_theta[:, :n_states, self._places]
+        with_effect = np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T
+        return (with_effect[:, :n_states] - self.linearized.shown)[..., None]
+
+    def _states_with_memory(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States at the nodes, and at the two ends of every interval.
+
+        A memory acts on an interval with its mean: one that is shorter than an interval
+        is not what lies half way between its values at the ends.
+        """
+        if self._memory is None:
+            return self.states, self.states
+        memory = self._memory(theta)
+        begin = self.linearized.grid.begin
+        means = memory.interval_means
+        at_ends = memory.states[np.column_stack([begin, begin + 1]).ravel()]
+        at_ends[:, -means.shape[1] :] = np.repeat(means, 2, axis=0)
+        return memory.states, at_ends
+
+    def _defects_at_rest(self) -> np.ndarray:
+        """Defects of a body at rest, (n_intervals * n_states, 1 or 0 columns).
+
+        Where the effect is dry friction on a momentum: at rest the friction is what the
+        rest of the model makes it, whatever its coefficient.
+        """
+        linearized, model = self.linearized, self.trial.model
+        equation = self.trial.effect.equation
+        found = np.zeros(self._shape)
+        # Widths of the effect's own corner, and the formula that is rounded.
+        widths = []
+        for name, guess in corner_widths(model).items():
+            if name not in linearized.model.entries:
+                widths.append((name, guess.of))
+        if widths and equation in position_of_momentum(linearized.model):
+            name, of = widths[0]
+            width = model.values[name]
+            still = intervals_at_rest(model, linearized.grid, self.states, of, width)
+            row = linearized.model.index(equation)
+            found[still, row] = -linearized.defects.reshape(self._shape)[still, row]
+        return found.reshape(-1, 1)[:, : int(found.any())]
 
 
-def bounds_of(model: Model, names: list[str]) -> list[tuple[float, float]]:
-    """Lower and upper bound of each parameter."""
-    found = []
-    for name in names:
-        parameter = model.entries[name].parameter
-        found.append((parameter.lower, parameter.upper))
-    return found
-
-
-def regression(sensitivities: Sensitivities, trace: np.ndarray) -> Regression:
-    """Regress a record's residual on a trial's trace (n_values, k) within bounds."""
-    trial = sensitivities.trial
-    information = trace.T @ trace
-    right = trace.T @ sensitivities.linearized.residual
-    if not trial.linear:
-        drop = float(2 * right[0] - information[0, 0])
-        return Regression(np.ones(1), drop, information)
-    size = np.sqrt(np.maximum(np.diag(information), TINY))
-    correlation = information / np.outer(size, size)
-    factor = np.linalg.cholesky(correlation + CORRELATION_RIDGE * np.eye(len(size)))
-    n_rest = trace.shape[1] - len(trial.linear)
-    bounds = bounds_of(trial.model, trial.linear) + [REST_BOUNDS] * n_rest
-    lower, upper = np.array(bounds).T * size
-    z = np.linalg.solve(factor, right / size)
-    scaled = np.linalg.solve(factor.T, z)
-    if np.any(scaled < lower) or np.any(scaled > upper):
-        upper = np.maximum(upper, lower + TINY)
-        scaled = bounded_least_squares(factor.T, z, lower, upper)
-    c = scaled / size
-    return Regression(c, float(2 * c @ right - c @ information @ c), information)
+def _finite(values: np.ndarray) -> np.ndarray:
+    """A copy of the values, zero where the model has none."""
+    if np.isfinite(np.sum(values)):
+        return values.copy()
+    return np.nan_to_num(values)
