@@ -7,20 +7,24 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from problems.benchmarks.coverage_fits import (
+from problems.benchmarks.coverage import (
     COLUMNS,
     DEFAULT,
+    HIGHEST,
+    LOWEST,
+    PLAIN,
     SCENARIOS,
     WITH_FORCE,
     Job,
+    chance_within,
     kept,
     make,
+    measures,
+    page,
+    summary,
 )
-from problems.benchmarks.coverage_page import page
-from problems.benchmarks.coverage_summary import PLAIN, measures, summary
-from problems.benchmarks.coverage_verdict import HIGHEST, LOWEST, chance_within
-from problems.benchmarks.detectability import detectability
-from problems.benchmarks.disturbed_oscillator import (
+from problems.benchmarks.oscillator import (
+    KINDS,
     MOTION_RUNS,
     MOTION_SEED,
     SUBSTEPS,
@@ -28,27 +32,29 @@ from problems.benchmarks.disturbed_oscillator import (
     Disturbance,
     Draw,
     Layout,
+    Nonlinearities,
     cubic_coefficient,
+    detectability,
+    estimate_limits,
+    kind_of,
+    least_squares_estimate,
     model,
     motion,
     positions,
+    records,
 )
-from problems.benchmarks.drawn_nonlinearity import KINDS, Nonlinearities, kind_of
-from problems.benchmarks.estimate_limits import (
-    estimate_limits,
-    least_squares_estimate,
-)
-from problems.benchmarks.oscillator_records import records
 
 SHORT = Layout(2, 100)
 SHARES = (0.01, 0.05)
 
 
-def test_a_seed_gives_the_same_record_alone_and_among_others() -> None:
-    disturbance = SCENARIOS["OU 0.2 m/s^2, 1 s"]
-    alone = records([2], disturbance, SHORT)[0]
-    among = records([1, 2, 3], disturbance, SHORT)[1]
+@pytest.mark.parametrize("scenario", ["OU 0.2 m/s^2, 1 s", "nonlinearity 1 to 5 %"])
+def test_a_seed_gives_the_same_record_alone_and_among_others(scenario: str) -> None:
+    alone = records([2], SCENARIOS[scenario], SHORT)[0]
+    among = records([1, 2, 3], SCENARIOS[scenario], SHORT)[1]
+    undisturbed = records([2], Disturbance(), SHORT)[0]
     assert alone.digest == among.digest
+    assert alone.digest != undisturbed.digest
 
 
 def test_the_force_has_its_size_and_its_correlation_time() -> None:
@@ -89,11 +95,12 @@ def test_a_drawn_nonlinearity_has_its_share_and_no_linear_part(
     assert drawn.share.max() <= SHARES[1]
     ensemble = Draw.of(MOTION_SEED, Disturbance(), Layout(MOTION_RUNS, 100))
     moved = motion(Draw.joined([ensemble] * 8), drawn.repeated(MOTION_RUNS).pull)
+    positions, velocities = moved
     of_samples = drawn.repeated(MOTION_RUNS * layout.samples)
-    force = of_samples.pull(moved.position.ravel(), moved.velocity.ravel())
+    force = of_samples.pull(positions.ravel(), velocities.ravel())
     force = force.reshape(8, -1)
-    q = moved.position.reshape(8, -1)
-    v = moved.velocity.reshape(8, -1)
+    q = positions.reshape(8, -1)
+    v = velocities.reshape(8, -1)
     size = np.sqrt(np.mean(force**2, axis=1))
     spring = TRUTH["k"] * np.sqrt(np.mean(q**2, axis=1))
     # The motions of the last pass are not quite those from which it was told.
@@ -102,15 +109,6 @@ def test_a_drawn_nonlinearity_has_its_share_and_no_linear_part(
         alike = np.mean(force * linear, axis=1)
         of_linear = np.sqrt(np.mean(linear**2, axis=1))
         assert abs(alike / of_linear / size).max() < 0.01
-
-
-def test_a_seed_draws_the_same_nonlinearity_alone_and_among_others() -> None:
-    disturbance = SCENARIOS["nonlinearity 1 to 5 %"]
-    alone = records([2], disturbance, SHORT)[0]
-    among = records([1, 2, 3], disturbance, SHORT)[1]
-    undisturbed = records([2], Disturbance(), SHORT)[0]
-    assert alone.digest == among.digest
-    assert alone.digest != undisturbed.digest
 
 
 def test_losses_that_are_drawn_stay_losses(drawn: Nonlinearities) -> None:
@@ -198,9 +196,9 @@ def test_exact_intervals_are_counted_within_the_limits_as_often_as_drawn() -> No
 def test_fits_are_kept_taken_up_and_told(tmp_path: Path) -> None:
     path = tmp_path / "fits.csv"
     plain = Job("none", SHORT, DEFAULT)
-    make(plain, [1, 2], path)
+    make([(plain, [1, 2])], path)
     first = path.read_text()
-    make(plain, [1, 2, 3], path)
+    make([(plain, [1, 2, 3])], path)
     assert path.read_text().startswith(first)
     rows = kept(path)
     assert list(rows.columns) == COLUMNS
@@ -213,33 +211,23 @@ def test_fits_are_kept_taken_up_and_told(tmp_path: Path) -> None:
     )
 
 
-def test_the_page_tells_every_method(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_tells_every_method(tmp_path: Path) -> None:
     jobs = [
         Job("none", SHORT, DEFAULT),
         Job("nonlinearity 1 to 5 %", SHORT, DEFAULT),
         Job("cubic spring 5 %", SHORT, DEFAULT),
         Job("cubic spring 5 %", SHORT, WITH_FORCE),
     ]
-    for module in ("coverage_summary", "coverage_page"):
-        monkeypatch.setattr(f"problems.benchmarks.{module}.jobs", lambda: jobs)
-    layouts = {"two runs": SHORT}
-    for module in ("tables", "verdict", "stress"):
-        place = f"problems.benchmarks.coverage_{module}.LAYOUTS"
-        monkeypatch.setattr(place, layouts)
-    for job in jobs:
-        make(job, [1, 2], tmp_path / "fits.csv")
+    make([(job, [1, 2]) for job in jobs], tmp_path / "fits.csv")
     fits = kept(tmp_path / "fits.csv")
     rows = summary(fits)
     assert len(rows) == 3 * (2 + 2 + 2 * 2 + 2)
     assert set(rows["method"]) == {PLAIN, DEFAULT, WITH_FORCE}
     assert (rows["n"] == 2).all()
     text = page(rows, fits)
-    assert "Not measured: nothing." in text
+    assert "Not measured: default, 1 x 400." in text
     assert "| default | 2 x 100 | 2 |" in text
-    drawn = kind_of(1, SHORT)
-    assert f"| 2 x 100 | {drawn} |" in text
+    assert f"| 2 x 100 | {kind_of(1, SHORT)} |" in text
     assert "| cubic spring 5 % | 2 x 100 | limit of the estimate |" in text
     asked, stressed = text.split("## Stress test")
     assert "cubic spring 5 %" not in asked

@@ -86,15 +86,14 @@ def draw_case(
     if not is_driven:
         u = np.zeros((n_samples, 0))
     force = _hidden_force(lacks, seed, machine, t, period / 4, size)
-    motion = _motion(machine, t, start, u, force)
-    clean = motion.states
+    clean, u = _motion(machine, t, start, u, force)
     sigma = rng.uniform(*NOISE) * clean.std(axis=0)
     is_seen = _measured(rng, machine.n_states // 2)
     noise = np.where(is_seen, sigma * rng.normal(size=clean.shape), np.nan)
     data = ph.Measurements.from_arrays(
         t,
         clean + noise,
-        motion.u if is_driven else None,
+        u if is_driven else None,
         states=machine.states,
         inputs=["u"] if is_driven else None,
     )
@@ -102,27 +101,18 @@ def draw_case(
     return BasinCase(kind, n_periods, truth, model, data, noise)
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """States (n_samples, n_states) and the input (n_samples, n_inputs) behind them."""
-
-    states: Array
-    u: Array
-
-
 def _motion(
     machine: ph.PseudoHamiltonian, t: Array, start: Array, u: Array, force: Force | None
-) -> _Motion:
-    """The simulated motion; a pendulum that turns over has what drives it halved.
-
-    One that turns over is chaotic, and has no periods to count.
+) -> tuple[Array, Array]:
+    """States (n_samples, n_states) and the input behind them; a pendulum that turns
+    over has what drives it halved: it is chaotic, and has no periods to count.
     """
     while True:
         given = u if u.shape[1] else None
         states = ph.simulate(machine, t, start, given, force=force)
         turns_over = "g" in machine.entries and np.max(np.abs(states[:, 0])) > np.pi
         if not turns_over:
-            return _Motion(states, u)
+            return states, u
         u = u / 2
         force = None if force is None else _halved(force)
 
@@ -135,13 +125,9 @@ def _truth(
     rng: np.random.Generator, kind: str, n_periods: int, is_driven: bool
 ) -> dict[str, float]:
     """Values of the free parameters; masses are one."""
-    names: tuple[str, ...]
-    if kind == "oscillator":
-        names = ("k", "c")
-    elif kind == "pendulum":
-        names = ("g", "c")
-    else:
-        names = ("k1", "k2", "c1", "c2")
+    names = {"oscillator": ("k", "c"), "pendulum": ("g", "c")}.get(
+        kind, ("k1", "k2", "c1", "c2")
+    )
     ratio = np.exp(rng.uniform(*np.log(DECAY))) / n_periods
     truth = {}
     for name in names:
@@ -152,39 +138,33 @@ def _truth(
     return truth
 
 
+ENERGIES = {
+    "two masses": "k1*q1**2/2 + k2*(q1 - q2)**2/2 + p1**2/2 + p2**2/2",
+    "pendulum": "g*(1 - cos(q)) + p**2/2",
+    "oscillator": "k*q**2/2 + p**2/2",
+}
+
+
 def _model(
     kind: str, values: dict[str, float], is_driven: bool
 ) -> ph.PseudoHamiltonian:
     free = {name: ph.Parameter(value, lower=0.0) for name, value in values.items()}
-    if kind == "two masses":
-        springs = {name: free[name] for name in ("k1", "k2")}
-        energy = "k1*q1**2/2 + k2*(q1 - q2)**2/2 + p1**2/2 + p2**2/2"
-        H = ph.formula(energy, **springs)
-        n = 2
-    elif kind == "pendulum":
-        H = ph.formula("g*(1 - cos(q)) + p**2/2", g=free["g"])
-        n = 1
-    else:
-        H = ph.formula("k*q**2/2 + p**2/2", k=free["k"])
-        n = 1
-    momenta = ["p"] if n == 1 else ["p1", "p2"]
-    positions = ["q"] if n == 1 else ["q1", "q2"]
-    R = {}
-    for name, momentum in zip(_dampers(values), momenta, strict=True):
-        R[momentum] = ph.formula(name, **{name: free[name]})
-    push = {momenta[0]: ph.formula("b*u", b=free["b"])} if is_driven else {}
+    springs = {name: free[name] for name in free if name[0] in "kg"}
+    dampers = [name for name in free if name[0] == "c"]
+    numbers = ["1", "2"] if kind == "two masses" else [""]
+    momenta = [f"p{i}" for i in numbers]
+    R = {
+        momentum: ph.formula(name, **{name: free[name]})
+        for name, momentum in zip(dampers, momenta, strict=True)
+    }
     return ph.PseudoHamiltonian(
-        states=[*positions, *momenta],
+        states=[*(f"q{i}" for i in numbers), *momenta],
         inputs=["u"] if is_driven else [],
-        S=ph.canonical(n),
-        H=H,
+        S=ph.canonical(len(numbers)),
+        H=ph.formula(ENERGIES[kind], **springs),
         R=R,
-        F=push,
+        F={momenta[0]: ph.formula("b*u", b=free["b"])} if is_driven else {},
     )
-
-
-def _dampers(values: dict[str, float]) -> list[str]:
-    return [name for name in values if name[0] == "c"]
 
 
 def _slowest(kind: str, truth: dict[str, float]) -> float:

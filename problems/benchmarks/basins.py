@@ -24,10 +24,10 @@ from problems.benchmarks.basin_machines import (
     BasinCase,
     draw_case,
 )
-from problems.tools import markdown
 from problems.tools.command_line import chosen, flag
 from problems.tools.intervals import share
 from problems.tools.kept_tables import rewrite
+from problems.tools.pages import render
 from problems.tools.provenance import RESULTS, write
 
 FIRST_SEED = 5000
@@ -56,12 +56,12 @@ SETTINGS = (
 def row(kind: str, seed: int, setting: Setting) -> dict[str, object]:
     """One machine, identified."""
     case = draw_case(kind, seed, setting.off, setting.lacks)
-    as_it_is = _identified(case)
+    misfit, error, seconds = _identified(case)
     if setting.lacks == NOTHING:
         reference = _misfit(case, case.data.trajectories[0].x - case.noise)
     else:
         near = replace(case, model=case.model.with_values(case.truth))
-        reference = min(_identified(near).misfit, as_it_is.misfit)
+        reference = min(_identified(near)[0], misfit)
     return {
         "off": setting.off,
         "lacks": setting.lacks,
@@ -71,40 +71,26 @@ def row(kind: str, seed: int, setting: Setting) -> dict[str, object]:
         "samples": case.data.n_samples,
         "input": case.is_driven,
         "measured": " ".join(case.data.measured),
-        "right": as_it_is.misfit - reference < SAME_OPTIMUM,
-        "seconds": as_it_is.seconds,
-        "excess": as_it_is.misfit - reference,
-        "frequency_error": as_it_is.frequency_error,
+        "right": misfit - reference < SAME_OPTIMUM,
+        "seconds": seconds,
+        "excess": misfit - reference,
+        "frequency_error": error,
     }
 
 
-@dataclass(frozen=True)
-class Found:
-    """What one call of `identify` found.
-
-    Attributes:
-        misfit: deviance but for a constant of the record.
-        frequency_error: of the parameters that set the frequencies, the largest
-            relative error.
-        seconds: of processor time.
+def _identified(case: BasinCase) -> tuple[float, float, float]:
+    """Deviance but for a constant of the record, the largest relative error of the
+    parameters that set the frequencies, and processor seconds.
     """
-
-    misfit: float
-    frequency_error: float
-    seconds: float
-
-
-def _identified(case: BasinCase) -> Found:
     began = time.process_time()
     try:
         fit = ph.identify(case.model, case.data)
     except SolveError:
-        return Found(np.inf, np.inf, time.process_time() - began)
+        return np.inf, np.inf, time.process_time() - began
     seconds = time.process_time() - began
-    errors = []
-    for name in case.frequency_parameters:
-        errors.append(abs(fit.values[name] / case.truth[name] - 1))
-    return Found(_misfit(case, fit.states[0]), max(errors), seconds)
+    names = case.frequency_parameters
+    error = max(abs(fit.values[name] / case.truth[name] - 1) for name in names)
+    return _misfit(case, fit.states[0]), error, seconds
 
 
 def _misfit(case: BasinCase, states: np.ndarray) -> float:
@@ -123,61 +109,32 @@ def summary(frame: pd.DataFrame) -> pd.DataFrame:
     """A row per setting and kind of machine, and one for all kinds together."""
     rows = []
     for (off, lacks), of_setting in frame.groupby(["off", "lacks"], sort=False):
-        groups = [(kind, of_setting[of_setting["kind"] == kind]) for kind in KINDS]
-        for kind, of_kind in [*groups, ("all", of_setting)]:
+        for kind in (*KINDS, "all"):
+            own = of_setting[of_setting["kind"].eq(kind) | (kind == "all")]
             rows.append(
                 {
                     "start off": f"{100 * float(str(off)):.0f} %",
                     "the model lacks": lacks,
                     "machine": kind,
-                    **_shares(of_kind),
+                    "n": len(own),
+                    "right": int(own["right"].sum()),
+                    "CPU s": round(float(own["seconds"].sum()), 1),
                 }
             )
     return pd.DataFrame(rows)
 
 
-def _shares(frame: pd.DataFrame) -> dict[str, object]:
-    """What was right, and at what cost."""
-    return {
-        "n": len(frame),
-        "right": int(frame["right"].sum()),
-        "CPU s": round(float(frame["seconds"].sum()), 1),
-    }
-
-
 def page(frame: pd.DataFrame) -> str:
     """The result as Markdown."""
-    first = int(frame["seed"].min())
-    last = int(frame["seed"].max())
-    wrong = frame[~frame["right"]]
-    lines = ["# Starts far off along records of many periods", "", _what(first, last)]
-    lines += ["", markdown.table(summary(frame)), "", _reading(frame), ""]
-    if len(wrong):
-        lines += ["## Those that are wrong", "", *markdown.frame(wrong)]
-    return "\n".join(lines)
-
-
-def _what(first: int, last: int) -> str:
-    return markdown.paragraph(f"""
-        Oscillators, pendulums and chains of two masses, 10 to 60 periods of the slowest
-        motion in one record, 18 to 40 samples in a period, noise of 1 to 3 %, half of
-        them with an input, positions alone or momenta too; seeds {first} to {last},
-        which were not looked at while the method was developed. Parameters that set the
-        frequencies start too small or too large by the share that is given, all others
-        by up to half. Right is a fit that is no less likely than the true motion; where
-        the model lacks a force (2 to 20 % of the springs'), than the likelier of the
-        fits that begin at the true values and at the start. A pendulum that turns over
-        has what drives it halved, because it would be chaotic.
-        """)
-
-
-def _reading(frame: pd.DataFrame) -> str:
-    """What the table says, in a sentence."""
     asked = frame[(frame["off"] == SETTINGS[0].off) & (frame["lacks"] == NOTHING)]
-    found = share(int(asked["right"].sum()), len(asked))
-    return markdown.paragraph(f"""
-        From starts half off, {found} of {len(asked)} are right.
-        """)
+    return render(
+        "benchmarks/pages/basins.md",
+        seeds=(frame["seed"].min(), frame["seed"].max()),
+        summary=summary(frame),
+        right=share(int(asked["right"].sum()), len(asked)),
+        n=len(asked),
+        wrong=frame[~frame["right"]],
+    )
 
 
 def main(first: int, settings: Sequence[Setting]) -> pd.DataFrame:

@@ -19,34 +19,25 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from problems.tools import markdown, provenance
+from problems.tools import provenance
 from problems.tools.command_line import chosen, flag, option
 from problems.tools.intervals import HALF_WIDTH
-from problems.tools.kept_tables import rewrite
+from problems.tools.kept_tables import append_rows
+from problems.tools.pages import render
 
 N_SEEDS = 20
 FIRST_SEED = 7000
 NOISE = 0.1  # of each channel's standard deviation
 START = 1.0  # of a parameter of the Lorenz system
 MASS_START = 0.5  # kg, of the masses of the pendulum
-COLUMNS = [
-    "experiment",
-    "seed",
-    "parameter",
-    "truth",
-    "estimate",
-    "std_error",
-    "seconds",
-    "iterations",
-    "outcome",
-]
+COLUMNS = ["experiment", "seed", "parameter", "truth", "estimate", "std_error"]
+COLUMNS += ["seconds", "iterations", "outcome"]
 
 
 @dataclass(frozen=True)
@@ -254,38 +245,31 @@ EXPERIMENTS = {
 def fits(name: str, seed: int) -> list[dict[str, object]]:
     """A row per parameter."""
     case = EXPERIMENTS[name]
+    row: dict[str, object] = {"experiment": name, "seed": seed, "iterations": np.nan}
     values: dict[str, float] = {}
     errors: dict[str, float] = {}
-    iterations = np.nan
     outcome = "solved"
     began = time.perf_counter()
     try:
         loss = ph.MaximumLikelihood(steps=case.steps)
         fit = ph.identify(case.model(), case.data(seed), loss)
-        errors = fit.std_errors
-        values = fit.values
-        iterations = fit.outcome.iterations
+        errors, values = fit.std_errors, fit.values
+        row["iterations"] = fit.outcome.iterations
     # Whatever goes wrong is a fit that failed, and is counted.
     except Exception as error:
         outcome = f"{type(error).__name__}: {str(error)[:200]}"
-    seconds = time.perf_counter() - began
-    print(f"... {name}, seed {seed}: {outcome}, {seconds:.1f} s", flush=True)
-    rows = []
-    for parameter, truth in case.truth.items():
-        rows.append(
-            {
-                "experiment": name,
-                "seed": seed,
-                "parameter": parameter,
-                "truth": truth,
-                "estimate": values.get(parameter, np.nan),
-                "std_error": errors.get(parameter, np.nan),
-                "seconds": seconds,
-                "iterations": iterations,
-                "outcome": outcome,
-            }
-        )
-    return rows
+    row |= {"seconds": time.perf_counter() - began, "outcome": outcome}
+    print("...", *row.values(), flush=True)
+    return [
+        row
+        | {
+            "parameter": parameter,
+            "truth": truth,
+            "estimate": values.get(parameter, np.nan),
+            "std_error": errors.get(parameter, np.nan),
+        }
+        for parameter, truth in case.truth.items()
+    ]
 
 
 def main(
@@ -296,15 +280,13 @@ def main(
     if keep and _path().exists():
         table = pd.read_csv(_path())
     done = set(zip(table["experiment"], table["seed"], strict=True))
-    rows: list[Any] = table.to_dict("records")
     for name in names or list(EXPERIMENTS):
         for seed in range(FIRST_SEED, FIRST_SEED + n_seeds):
-            if (name, seed) in done:
-                continue
-            rows += fits(name, seed)
-            table = pd.DataFrame(rows, columns=COLUMNS)
-            if keep:
-                rewrite(_path(), table, "%.10g")
+            if (name, seed) not in done:
+                rows = pd.DataFrame(fits(name, seed), columns=COLUMNS)
+                table = pd.concat([table, rows]) if len(table) else rows
+                if keep:
+                    append_rows(_path(), rows, "%.10g")
     if keep:
         provenance.write("chaos.md", page(table))
     return table
@@ -320,15 +302,10 @@ def scores(table: pd.DataFrame) -> pd.DataFrame:
     """
     error = table["estimate"] - table["truth"]
     z = error / table["std_error"]
-    table = table.assign(
-        squared_error=error**2,
-        z=z,
-        squared_z=z**2,
-        size_of_z=z.abs(),
-        covered=error.abs() <= HALF_WIDTH * table["std_error"],
-    )
+    covered = error.abs() <= HALF_WIDTH * table["std_error"]
+    table = table.assign(square=error**2, z=z, square_z=z**2, covered=covered)
     by = table.groupby("parameter", sort=False)
-    rmse = np.sqrt(by["squared_error"].mean())
+    rmse = np.sqrt(by["square"].mean())
     truth = by["truth"].first()
     return pd.DataFrame(
         {
@@ -336,53 +313,25 @@ def scores(table: pd.DataFrame) -> pd.DataFrame:
             "rmse": rmse,
             "rmse, relative": rmse / truth.abs().where(truth != 0),
             "std_error": by["std_error"].mean(),
-            "z, root mean square": np.sqrt(by["squared_z"].mean()),
+            "z, root mean square": np.sqrt(by["square_z"].mean()),
             "z, mean": by["z"].mean(),
-            "z, largest": by["size_of_z"].max(),
+            "z, largest": np.sqrt(by["square_z"].max()),
             "coverage": by["covered"].mean(),
         }
     )
 
 
-# --- the page
-
-
-INTRODUCTION = markdown.paragraph(f"""
-    Noise of {NOISE:.0%} of each channel's standard deviation (angles: after full turns
-    are taken off), level unknown. Every start is generic ({START:g}; masses
-    {MASS_START:g}; dictionary and damping: none). z = (estimate - truth)/std_error. A
-    fit that failed has no error; it is counted, and its intervals count as not holding
-    the truth.
-    """)
-
-
 def page(table: pd.DataFrame) -> str:
     """The page from the table."""
-    lines = ["# Chaos: parameters from many Lyapunov times", "", INTRODUCTION, ""]
+    found = []
     for name, case in EXPERIMENTS.items():
         rows = table[table["experiment"] == name]
         if len(rows):
-            lines += _experiment(case, rows)
-    return "\n".join(lines)
-
-
-def _experiment(case: Chaos, rows: pd.DataFrame) -> list[str]:
-    by_seed = rows.groupby("seed").first()
-    failed = by_seed[by_seed["outcome"] != "solved"]
-    duration = case.n_steps * case.step
-    said = markdown.paragraph(f"""
-        {duration:g} s, {case.n_steps + 1} samples, {duration * case.lyapunov:.0f}
-        Lyapunov times; {len(by_seed)} seeds, {len(failed)} failed; median
-        {by_seed["seconds"].median():.1f} s and {by_seed["iterations"].median():.0f}
-        iterations of the last program.
-        """)
-    shown = scores(rows).to_string(
-        float_format="{:.4g}".format, index_names=False, na_rep="-"
-    )
-    lines = [f"## {case.title}", "", said, "", *markdown.block(shown)]
-    for seed, outcome in failed["outcome"].items():
-        lines.append(f"- seed {seed}: {outcome}")
-    return [*lines, ""] if len(failed) else lines
+            form = {"float_format": "{:.4g}".format, "na_rep": "-"}
+            shown = scores(rows).to_string(index_names=False, **form)
+            found.append((case, rows.groupby("seed").first(), shown))
+    sizes = {"noise": NOISE, "start": START, "mass_start": MASS_START}
+    return render("benchmarks/pages/chaos.md", found=found, **sizes)
 
 
 if __name__ == "__main__":

@@ -20,9 +20,8 @@ import phsi_opt as ph
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.transcription.grid import AlignedData
-from problems.benchmarks.coverage_fits import SCENARIOS
-from problems.benchmarks.disturbed_oscillator import Layout, model
-from problems.benchmarks.oscillator_records import records
+from problems.benchmarks.coverage import SCENARIOS
+from problems.benchmarks.oscillator import Layout, model, records
 from problems.tools import markdown
 from problems.tools.command_line import option
 from problems.tools.provenance import write

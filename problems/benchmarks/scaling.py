@@ -28,9 +28,10 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from problems.benchmarks.efficiency.cases import DUFFING, DUFFING_START, duffing_model
-from problems.tools import markdown, provenance
+from problems.tools import provenance
 from problems.tools.command_line import flag, option
 from problems.tools.kept_tables import rewrite
+from problems.tools.pages import render
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 CHANNELS = {"qp": "q and p measured", "q": "q alone measured"}
@@ -78,24 +79,18 @@ def measure(n_samples: int, channels: str) -> Row:
     std_errors = fit.std_errors
     seconds = time.perf_counter() - began
     programs = [line for line in said if line.startswith("maximum")]
-    iterations = 0
-    solve_seconds = 0.0
-    for line in programs:
-        solved = re.search(r"(\d+) iterations, ([\d.]+) s\)", line)
-        if solved:
-            iterations += int(solved[1])
-            solve_seconds += float(solved[2])
-    errors = []
-    for symbol, true in DUFFING.items():
-        name = NAMES[symbol]
-        errors.append(abs(fit.values[name] - true) / std_errors[name])
+    found = [re.search(r"(\d+) iterations, ([\d.]+) s\)", line) for line in programs]
+    errors = [
+        abs(fit.values[NAMES[symbol]] - true) / std_errors[NAMES[symbol]]
+        for symbol, true in DUFFING.items()
+    ]
     return {
         "channels": channels,
         "n_samples": n_samples,
         "seconds": seconds,
-        "solve_seconds": solve_seconds,
+        "solve_seconds": sum(float(solved[2]) for solved in found if solved),
         "programs": len(programs),
-        "iterations": iterations,
+        "iterations": sum(int(solved[1]) for solved in found if solved),
         "peak_gb": _peak(),
         "peak_before_gb": before,
         "largest_error_in_std_errors": max(errors),
@@ -131,15 +126,11 @@ def apart(n_samples: int, channels: str, limit: float) -> Row:
     except subprocess.TimeoutExpired:
         return failed | {"outcome": f"not done after {limit:.0f} s"}
     if run.returncode:
-        return failed | {"outcome": _why_it_failed(run)}
+        said = run.stderr.strip().splitlines() or [f"ended with {run.returncode}"]
+        is_killed = run.returncode == KILLED
+        outcome = "out of memory" if is_killed else said[-1][:200]
+        return failed | {"outcome": outcome}
     return dict(json.loads(run.stdout.strip().splitlines()[-1]))
-
-
-def _why_it_failed(run: subprocess.CompletedProcess[str]) -> str:
-    if run.returncode == KILLED:
-        return "out of memory"
-    said = run.stderr.strip().splitlines()
-    return said[-1][:200] if said else f"ended with {run.returncode}"
 
 
 def main(
@@ -172,16 +163,6 @@ def _path() -> Path:
 # --- the page
 
 
-INTRODUCTION = markdown.paragraph(f"""
-    Driven Duffing oscillator, {len(DUFFING)} parameters, one record sampled every
-    {STEP:g} s, {NOISE:.0%} noise (its level is estimated), generic starting values; one
-    core, a process per size. seconds: all of `identify` and `fit.std_errors`;
-    solve_seconds and iterations: summed over its likelihood solves, by full steps or
-    IPOPT; peak_gb: peak memory of the process, peak_before_gb: the same before
-    `identify` began.
-    """)
-
-
 def exponent(rows: pd.DataFrame, column: str = "seconds") -> float:
     """Slope of log column over log n_samples."""
     rows = rows.dropna(subset=[column])
@@ -193,31 +174,50 @@ def exponent(rows: pd.DataFrame, column: str = "seconds") -> float:
 
 def write_page() -> None:
     """The page and the figure from the table."""
-    from problems.benchmarks.scaling_figure import figure
-
     table = pd.read_csv(_path())
     provenance.write("scaling.md", page(table))
-    figure(table, CHANNELS, COLOURS)
+    figure(table)
 
 
 def page(table: pd.DataFrame) -> str:
     """The page as Markdown."""
-    lines = ["# Time and memory over the number of samples", "", INTRODUCTION, ""]
+    found = []
     for channels, title in CHANNELS.items():
         rows = table[table["channels"] == channels].sort_values("n_samples")
         if len(rows):
-            lines += [f"## {title[0].upper()}{title[1:]}", ""]
-            lines += markdown.frame(rows.drop(columns="channels"))
-            lines += [_growth(rows), ""]
-    return "\n".join([*lines, "![time and memory](scaling.png)"])
+            last_two = rows.dropna(subset=["seconds"]).tail(2)
+            exponents = [exponent(rows), exponent(last_two)]
+            exponents += [exponent(rows, "solve_seconds")]
+            found.append((title, rows.drop(columns="channels"), exponents))
+    values = {"n_parameters": len(DUFFING), "step": STEP, "noise": NOISE}
+    return render("benchmarks/pages/scaling.md", found=found, **values)
 
 
-def _growth(rows: pd.DataFrame) -> str:
-    last_two = rows.dropna(subset=["seconds"]).tail(2)
-    return markdown.paragraph(f"""
-        Time grows as n^{exponent(rows):.2f} over all sizes, n^{exponent(last_two):.2f}
-        over the last two; time in solves as n^{exponent(rows, "solve_seconds"):.2f}.
-        """)
+def figure(table: pd.DataFrame) -> None:
+    """Seconds and memory over samples, two panels."""
+    # Here, so that the processes that are measured do not load it.
+    from problems.tools.pictures import plt, save
+
+    done = table.dropna(subset=["seconds"]).sort_values("n_samples")
+    fig, (times, memory) = plt.subplots(1, 2, figsize=(9.5, 4.0), layout="constrained")
+    for name, title in CHANNELS.items():
+        rows = done[done["channels"] == name]
+        n, colour = rows["n_samples"], COLOURS[name]
+        times.plot(n, rows["seconds"], "o-", color=colour, label=f"identify, {title}")
+        of_it = f"of it solves, {title}"
+        times.plot(n, rows["solve_seconds"], "s:", color=colour, label=of_it)
+        memory.plot(n, rows["peak_gb"], "o-", color=colour, label=title)
+    if len(done):
+        ends = np.array([done["n_samples"].min(), done["n_samples"].max()], dtype=float)
+        proportional = done["seconds"].min() * ends / ends[0]
+        times.plot(ends, proportional, color="0.6", lw=1, label="proportional to n")
+    times.set(ylabel="time (s)")
+    memory.set(ylabel="peak memory (GB)")
+    for ax in (times, memory):
+        ax.set(xscale="log", yscale="log", xlabel="samples")
+    look: Any = {"loc": "outside lower center", "ncols": 2, "frameon": False}
+    fig.legend(*times.get_legend_handles_labels(), fontsize=9, **look)
+    save(fig, "scaling.png", dpi=150)
 
 
 if __name__ == "__main__":

@@ -22,8 +22,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from problems.tools import markdown, provenance
+from problems.tools import provenance
 from problems.tools.command_line import chosen, flag
+from problems.tools.pages import render
 
 N_MASSES = (1, 2, 5, 10, 25, 50, 100, 200)
 N_SAMPLES = 1_000
@@ -34,15 +35,6 @@ SEED = 9100
 KILOBYTE = 1024  # bytes, of what Linux says of a process
 TRUTH = {"k": 1.6, "a": 0.8, "c": 0.3}
 STARTS = {"k": 1.0, "a": 0.5}  # of the search
-
-INTRODUCTION = markdown.paragraph(f"""
-    Chains of masses with cubic springs, every state measured at {N_SAMPLES} samples
-    with noise of {NOISE:g}; three unknown numbers. identify: all of it, standard errors
-    included, processor seconds on one thread; solves: seconds of the clock in all of
-    them, by full steps or IPOPT; memory is the most that the process has had.
-    Beyond 13 states the noises of all channels are searched by one common factor where
-    the standard errors ask what acts beside the model, and so are the sizes of that.
-    """)
 
 Row = dict[str, float | int]
 
@@ -104,25 +96,18 @@ def measure(n_masses: int, n_samples: int = N_SAMPLES) -> Row:
     fit = ph.identify(chain, given, progress=said.append)
     std_errors = fit.std_errors
     seconds = time.process_time() - began
-    solves = 0.0
-    for line in said:
-        solved = re.search(r"^maximum.* iterations, ([\d.]+) s\)", line)
-        if solved:
-            solves += float(solved[1])
+    found = [re.search(r"^maximum.* iterations, ([\d.]+) s\)", line) for line in said]
+    solves = sum(float(solved[1]) for solved in found if solved)
+    memory = resource.getrusage(resource.RUSAGE_SELF)
     known = dict(zip(fit.names, TRUTH.values(), strict=True))
     errors = [abs(fit.values[name] - known[name]) / std_errors[name] for name in known]
     return {
         "states": 2 * n_masses,
         "identify (s)": round(seconds, 2),
         "solves (s)": round(solves, 2),
-        "memory (GB)": round(_most_memory(), 2),
+        "memory (GB)": round(memory.ru_maxrss * KILOBYTE / 1e9, 2),
         "largest error in standard errors": round(max(errors), 2),
     }
-
-
-def _most_memory() -> float:
-    """Gigabytes that this process has had at most."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * KILOBYTE / 1e9
 
 
 def growth(rows: Sequence[Row], column: str) -> float:
@@ -134,15 +119,10 @@ def growth(rows: Sequence[Row], column: str) -> float:
 
 def page(rows: Sequence[Row]) -> str:
     """The page as Markdown."""
-    lines = ["# Time over the number of states", "", INTRODUCTION, ""]
-    lines += [markdown.table(rows), ""]
-    if len(rows) > 1:
-        lines.append(
-            f"Over the last two sizes identify grows with the power "
-            f"{growth(rows, 'identify (s)'):.2g}, the solves with "
-            f"{growth(rows, 'solves (s)'):.2g}."
-        )
-    return "\n".join(lines)
+    columns = ("identify (s)", "solves (s)")
+    powers = [growth(rows, column) for column in columns] if len(rows) > 1 else []
+    values = {"n_samples": N_SAMPLES, "noise": NOISE, "powers": powers}
+    return render("benchmarks/pages/state_growth.md", rows=rows, **values)
 
 
 def main() -> None:

@@ -15,10 +15,9 @@ from problems.battery.records import Case
 from problems.benchmarks import scaling, state_growth
 from problems.benchmarks.basin_machines import draw_case
 from problems.benchmarks.chaos import EXPERIMENTS
-from problems.benchmarks.disturbed_oscillator import Disturbance, Layout
-from problems.benchmarks.disturbed_oscillator import model as oscillator_model
 from problems.benchmarks.efficiency import cases as efficient
-from problems.benchmarks.oscillator_records import records
+from problems.benchmarks.oscillator import Disturbance, Layout, records
+from problems.benchmarks.oscillator import model as oscillator_model
 from problems.examples import demo
 from problems.examples.friction_spring import table
 from problems.thesis.systems import SYSTEMS, known_leak, tank_model

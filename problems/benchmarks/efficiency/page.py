@@ -13,8 +13,8 @@ from problems.benchmarks.efficiency.cases import (
     THESIS_CASES,
     Case,
 )
-from problems.tools import markdown
 from problems.tools.intervals import HALF_WIDTH
+from problems.tools.pages import render
 from problems.tools.pictures import plt, save
 
 FAR = 10.0  # bounds: beyond, an estimate has ended far away
@@ -32,33 +32,6 @@ LINES = {
 }
 
 Tables = Mapping[str, pd.DataFrame]  # kept rows by experiment
-
-INTRODUCTION = markdown.paragraph("""
-    No unbiased estimate has a smaller standard deviation than the bound. It is computed
-    without phsi_opt (`problems/benchmarks/efficiency/cramer_rao.py`), for each seed's
-    own starts and missing samples, with the starting states unknown. All methods see
-    the same data; the noise level is estimated, not given; no starting value is the
-    truth. The command and the commit above are those of the run that wrote this page;
-    rows of experiments that it did not name are kept from earlier runs.
-    """)
-TERMS = markdown.paragraph(f"""
-    rmse/bound: root mean square over the seeds of error over bound. A fit that failed
-    has no estimate and is not in it, but it is counted (failed), and its intervals
-    count as not holding the truth; fits that end far away (beyond {FAR:g} bounds: far)
-    are in it with their full error. +-: standard deviation of such a ratio, 1/sqrt(2
-    seeds). Coverage: share of the {LEVEL:.0%} intervals that hold the truth; with n
-    seeds that of one parameter has a standard deviation of
-    {np.sqrt(LEVEL * (1 - LEVEL)):.0%}/sqrt(n), so the lowest of several lies below
-    {LEVEL:.0%} by chance. Joint: the same in every direction of the parameters (sqrt of
-    the mean of e' C^-1 e / number of parameters); it sees errors that hide where the
-    estimates of two parameters are correlated. Beside the efficient estimate: least
-    squares on the experiment linearised at the truth attains the bound, and its error
-    on each seed's own noise is known; sqrt(1 + mean of (error^2 - its error^2) /
-    bound^2) is rmse/bound without most of what the draw of the noise does to it, +- the
-    standard deviation of that mean. Target: rmse/bound at most {TARGET_RATIO:g},
-    coverage {TARGET_COVERAGE[0]:.0%} to {TARGET_COVERAGE[1]:.0%}.
-    """)
-
 
 # --- scores
 
@@ -163,71 +136,43 @@ def verdict(rows: pd.DataFrame) -> str:
     return "; ".join(parts)
 
 
-# --- the page
-
-
 def page(found: Tables) -> str:
     """The page as Markdown."""
-    summary = [summary_row(CASES[name], rows) for name, rows in found.items()]
-    lines = ["# How close to the Cramer-Rao bound?", "", INTRODUCTION, "", TERMS, ""]
-    lines += [markdown.table(summary), "", *_of_thesis(found)]
-    lines += ["![rmse over bound](efficiency.png)", ""]
-    for name, rows in found.items():
-        lines += _details(CASES[name], rows)
-    return "\n".join(lines)
-
-
-def _of_thesis(found: Tables) -> list[str]:
-    """Whether the likelihood reaches the target on the systems of the thesis."""
-    said = []
+    of_thesis = []
     for name in THESIS_CASES:
-        if name not in found:
-            said.append(f"{CASES[name].title.split(',')[0]} not run")
-            continue
-        rows = found[name]
-        likelihood = rows[rows["method"] == "likelihood"]
-        found_scores = scores(likelihood)
-        worst = found_scores["rmse/bound"].max()
-        beside = found_scores["beside"].max()
-        n = likelihood["seed"].nunique()
-        is_within = "within" if beside <= TARGET_RATIO else "above"
-        said.append(
-            f"{CASES[name].title.split(',')[0]} {beside_efficient(found_scores)} "
-            f"({is_within} {TARGET_RATIO:g}; by itself {worst:.3f} +- "
-            f"{by_chance(n):.3f}; {n} seeds; joint {joint(likelihood)})"
-        )
-    head = (
-        "Worst rmse/bound of the likelihood on the systems of the thesis, beside the "
-        "efficient estimate:"
+        rows = found.get(name)
+        row: dict[str, object] = {"title": CASES[name].title.split(",")[0]}
+        if rows is not None:
+            likelihood = rows[rows["method"] == "likelihood"]
+            by = scores(likelihood)
+            row |= {"beside": beside_efficient(by), "worst": by["rmse/bound"].max()}
+            row |= {"is_within": by["beside"].max() <= TARGET_RATIO}
+            row |= {"n": likelihood["seed"].nunique(), "joint": joint(likelihood)}
+        of_thesis.append(row)
+    details = []
+    for name, rows in found.items():
+        parts = []
+        for method, part in rows.groupby("method", sort=False):
+            failed = part[part["outcome"] != "solved"]
+            form = "{:.4g}".format
+            row = {"method": method, "n": part["seed"].nunique(), "joint": joint(part)}
+            row |= {"failed": failures(part)}
+            row |= {"reasons": failed.groupby("outcome")["seed"].nunique()}
+            shown = scores(part).to_string(float_format=form, index_names=False)
+            parts.append(row | {"shown": shown})
+        details.append((CASES[name], parts))
+    return render(
+        "benchmarks/pages/efficiency.md",
+        summary=[summary_row(CASES[name], rows) for name, rows in found.items()],
+        of_thesis=of_thesis,
+        details=details,
+        by_chance=by_chance,
+        far=FAR,
+        level=LEVEL,
+        spread=np.sqrt(LEVEL * (1 - LEVEL)),
+        ratio=TARGET_RATIO,
+        coverage=TARGET_COVERAGE,
     )
-    return [f"{head} {'; '.join(said)}.", ""]
-
-
-def _details(case: Case, rows: pd.DataFrame) -> list[str]:
-    lines = [f"## {case.title}", ""]
-    for method, part in rows.groupby("method", sort=False):
-        n = part["seed"].nunique()
-        spread = np.sqrt(LEVEL * (1 - LEVEL) / n)
-        lines += [
-            f"{method}: {n} seeds, {failures(part)} failed; "
-            f"joint rmse/bound {joint(part)}; "
-            f"by chance rmse/bound +- {by_chance(n):.3f}, coverage +- {spread:.1%}",
-            "",
-        ]
-        shown = scores(part).to_string(float_format="{:.4g}".format, index_names=False)
-        lines += [*markdown.block(shown), *_reasons(part)]
-    if not case.one_step:
-        lines += ["one-step: needs all states", ""]
-    return lines
-
-
-def _reasons(part: pd.DataFrame) -> list[str]:
-    """Why fits failed, and how many."""
-    failed = part[part["outcome"] != "solved"]
-    counts = failed.groupby("outcome")["seed"].nunique()
-    if counts.empty:
-        return []
-    return [*(f"- {count} x {reason}" for reason, count in counts.items()), ""]
 
 
 # --- the figure
@@ -237,11 +182,15 @@ def figure(found: Tables) -> None:
     """Worst rmse over bound, over the noise level of the Duffing oscillator."""
     fig, ax = plt.subplots(figsize=(8.5, 4.2), layout="constrained")
     for (method, channels), (label, style) in LINES.items():
-        worst = _worst_by_noise(found, method, channels)
+        worst = {}
+        for noise in NOISE_LEVELS:
+            rows = found.get(f"duffing_{channels}_{noise:g}")
+            if rows is not None:
+                part = rows[rows["method"] == method]
+                worst[100 * noise] = scores(part)["rmse/bound"].max()
         if worst:
             ax.plot(
-                [100 * noise for noise in worst],
-                list(worst.values()),
+                *zip(*worst.items(), strict=True),
                 style,
                 color=COLOURS[method],
                 label=label,
@@ -264,15 +213,3 @@ def figure(found: Tables) -> None:
     ax.set_xticks(percent, [f"{noise:g}" for noise in percent], minor=False)
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     save(fig, "efficiency.png", dpi=150)
-
-
-def _worst_by_noise(found: Tables, method: str, channels: str) -> dict[float, float]:
-    """The worst parameter's rmse over bound per noise level that was run."""
-    worst = {}
-    for noise in NOISE_LEVELS:
-        name = f"duffing_{channels}_{noise:g}"
-        if name in found:
-            rows = found[name]
-            part = rows[rows["method"] == method]
-            worst[noise] = scores(part)["rmse/bound"].max()
-    return worst
