@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -327,7 +328,7 @@ def page(table: pd.DataFrame) -> str:
     for name, case in EXPERIMENTS.items():
         rows = table[table["experiment"] == name]
         if len(rows):
-            form = {"float_format": "{:.4g}".format, "na_rep": "-"}
+            form: Any = {"float_format": "{:.4g}".format, "na_rep": "-"}
             shown = scores(rows).to_string(index_names=False, **form)
             found.append((case, rows.groupby("seed").first(), shown))
     sizes = {"noise": NOISE, "start": START, "mass_start": MASS_START}

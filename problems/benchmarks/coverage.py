@@ -447,12 +447,16 @@ def _missing(rows: pd.DataFrame) -> dict[str, Any]:
     return said | {"failed": int(by_fit["n_failed"].sum())}
 
 
+def _by_layout(fits: pd.DataFrame) -> Any:
+    return fits.groupby(["runs", "samples"])
+
+
 def by_kind(fits: pd.DataFrame) -> list[dict[str, object]]:
     """Coverage of the default in %, by the kind that a seed drew."""
     lines = []
     drawn = fits[(fits["scenario"] == DRAWN) & (fits["method"] == DEFAULT)]
-    for (runs, samples), part in drawn.groupby(["runs", "samples"]):
-        layout = Layout(int(runs), int(samples))
+    for (runs, samples), part in _by_layout(drawn):
+        layout = Layout(runs, samples)
         distance = (part["estimate"] - part["parameter"].map(TRUTH)).abs()
         part = part.assign(
             kind=[kind_of(seed, layout) for seed in part["seed"]],
@@ -487,8 +491,8 @@ def detectability_rows(
     for scenario in FIXED:
         disturbance = SCENARIOS[scenario]
         chosen = of_default[of_default["scenario"] == scenario]
-        for (runs, samples), part in chosen.groupby(["runs", "samples"]):
-            layout = Layout(int(runs), int(samples))
+        for (runs, samples), part in _by_layout(chosen):
+            layout = Layout(runs, samples)
             seen = detectability(part["seed"].tolist(), disturbance, layout)
             bias = seen.bias / seen.std_error
             limit = estimate_limits(disturbance, layout.samples)["k"]
