@@ -128,7 +128,7 @@ def _counted(head: str, label: str, kept: pd.DataFrame) -> Record:
 def _shares(rows: pd.DataFrame, prefix: str = "") -> Record:
     """Of the right name, and of that or a true tie."""
     kept = score.scored(rows)
-    record: Record = {f"{prefix}n": len(kept)} if prefix else {}
+    record: Record = {f"{prefix}n": str(len(kept))} if prefix else {}
     record[f"{prefix}named"] = score.share_of(kept["right"].astype(bool))
     return record | {f"{prefix}with ties": score.share_of(kept["good"])}
 
