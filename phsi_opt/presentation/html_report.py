@@ -8,10 +8,9 @@ place of the charts.
 import base64
 import gzip
 import json
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
@@ -32,8 +31,7 @@ PRESENTATION = "phsi_opt.presentation"
 TEMPLATES = "templates"
 
 
-@dataclass(frozen=True)
-class _Place:
+class _Place(NamedTuple):
     """What a place of the report shows: one chart, or one of a run and a channel.
 
     ``shown`` is the number of the run that is drawn on paper; None: there is no choice.
@@ -42,17 +40,10 @@ class _Place:
     charts: list[list[Chart]]
     shown: int | None = None
 
-    @property
     def drawn(self) -> Any:
         """The figures, or the figure, for the browser."""
         figures = [[plotly(chart) for chart in of_run] for of_run in self.charts]
         return figures[0][0] if self.shown is None else figures
-
-    @property
-    def picture(self) -> str:
-        """An address that holds the picture for paper."""
-        drawn = svg(self.charts[self.shown or 0][0])
-        return f"data:image/svg+xml;base64,{base64.b64encode(drawn.encode()).decode()}"
 
 
 def _places(content: StudyContent) -> dict[str, _Place]:
@@ -80,14 +71,25 @@ def _places(content: StudyContent) -> dict[str, _Place]:
 def html_report(content: StudyContent) -> str:
     """The whole report as the text of an HTML file."""
     places = _places(content)
-    drawn = {name: place.drawn for name, place in places.items()}
+    drawn = {name: place.drawn() for name, place in places.items()}
+
+    def picture(name: str) -> str:
+        """An address that holds the picture for paper."""
+        place = places[name]
+        text = svg(place.charts[place.shown or 0][0]).encode()
+        return f"data:image/svg+xml;base64,{base64.b64encode(text).decode()}"
+
     templates = environment(PRESENTATION, TEMPLATES, autoescape=True)
-    template = templates.get_template("report.html.jinja")
-    return template.render(
+    folder = files(PRESENTATION) / TEMPLATES
+    style, script = (
+        Markup((folder / name).read_text(encoding="utf-8"))  # ours: no escape
+        for name in ("report.css", "report.js")
+    )
+    return templates.get_template("report.html.jinja").render(
         report=content,
-        picture=lambda name: places[name].picture,
-        style=_own_file("report.css"),
-        script=_own_file("report.js"),
+        picture=picture,
+        style=style,
+        script=script,
         data=packed(json.dumps(drawn, allow_nan=False)),
         library=_library(),
     )
@@ -97,8 +99,7 @@ def markdown_report(content: StudyContent) -> str:
     """The same in words and tables, as Markdown."""
     templates = environment(PRESENTATION, TEMPLATES, finalize=_in_markdown)
     templates.filters["code"] = lambda line: Markup(" ".join(line.splitlines()))
-    template = templates.get_template("report.md.jinja")
-    return template.render(report=content)
+    return templates.get_template("report.md.jinja").render(report=content)
 
 
 def _in_markdown(value: Any) -> str:
@@ -108,15 +109,8 @@ def _in_markdown(value: Any) -> str:
     return " ".join(str(value).split()).replace("<", "&lt;").replace("|", "\\|")
 
 
-def _own_file(name: str) -> Markup:
-    """A file of the package, which needs no escape."""
-    path = files(PRESENTATION) / TEMPLATES / name
-    return Markup(path.read_text(encoding="utf-8"))
-
-
 @cache
 def _library() -> str:
-    """The chart library."""
     from plotly.offline import get_plotlyjs
 
     return packed(get_plotlyjs())

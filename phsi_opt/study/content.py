@@ -1,7 +1,7 @@
 """The content of a study: numbers, arrays and words, in the order of reading."""
 
 import platform
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 
 import numpy as np
@@ -32,7 +32,6 @@ from phsi_opt.presentation.content import (
     Diagnosed,
     Equations,
     Follows,
-    Force,
     ForceRun,
     Glance,
     ParameterRow,
@@ -90,11 +89,17 @@ def study_content(
         forces: whether the missing force of the present model is told along all runs,
             those held out included.
     """
-    time = _time(study)
+    data = filter(None, (study.train, study.held_out))
+    longest = max(float(run.t[-1]) for part in data for run in part)
+    time = scale_of_time(longest, study.train.units.get("t", ""))
     last = len(study.steps) - 1
     # Whose free runs are drawn: base, first, last.
     steps = {k: study.steps[k] for k in sorted({0, min(1, last), last})}
     runs = _runs(study, list(steps.values()), time)
+    names = [steps[0].label]
+    for k, step in list(steps.items())[1:]:
+        verb = "" if step.label.startswith("without ") else "with "
+        names.append(f"step {k}: {verb}{proper_names(step.label)}")
     size, unit = scale_of_errors(study.unit)
     models = [_model("Base model", study.steps[0].fit)]
     if last:
@@ -116,16 +121,16 @@ def study_content(
         glance=glance,
         models=tuple(models),
         time=time,
-        names=tuple(_name(step, k) for k, step in steps.items()),
+        names=tuple(names),
         runs=runs,
-        shown=runs.index(worst_run(judged, 0)),
+        shown=runs.index(_worst_run(judged, 0)),
         runs_told=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
         forces=_all_forces(study, time) if forces else (),
         laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
         is_diagnosed=study.present is not None,
-        checks=checks_of(study),
-        settings=tuple(_settings(study)),
+        checks=_checks(study),
+        settings=_settings(study),
         code=_code(study),
         added=tuple(map(str, study.last.added)),
         stopped=study.stopped,
@@ -200,30 +205,13 @@ def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
 # ---- measurements beside free runs ---------------------------------------------------
 
 
-def _time(study: StudyRecord) -> Scale:
-    """The unit in which times are told: that of the longest run."""
-    runs = [*study.train.trajectories, *(study.held_out or ())]
-    longest = max(float(run.t[-1]) for run in runs)
-    return scale_of_time(longest, study.train.units.get("t", ""))
-
-
-def _name(step: Step, number_of_step: int) -> str:
-    if number_of_step == 0:
-        return step.label
-    removes = step.label.startswith("without ")
-    told = proper_names(step.label)
-    return f"step {number_of_step}: {'' if removes else 'with '}{told}"
-
-
 def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, ...]:
     """The trajectories that are drawn, at most 200, those held out first."""
-    parts = {TRAINING: [step.train for step in steps]}
-    if study.held_out is not None:
-        held_out = [step.held_out for step in steps if step.held_out is not None]
-        parts = {HELD_OUT: held_out, **parts}
+    held_out = [step.held_out for step in steps if step.held_out is not None]
+    parts = {HELD_OUT: held_out, TRAINING: [step.train for step in steps]}
     places = []
     for part, compared in parts.items():
-        places += [(part, k) for k in range(len(compared[0].data))]
+        places += [(part, k) for k in range(len(compared[0].data) if compared else 0)]
     places = places[:200]
     most = samples_of_each(len(places) * len(study.last.judged.noise))
     return tuple(_run(part, parts[part], k, most, time) for part, k in places)
@@ -242,6 +230,7 @@ def _run(
         measured = run.x[:, k]
         shown = [one.shown[place][:, k] for one in comparisons]
         kept = thinned([measured, *shown], most)
+        residuals = [pd.Series(measured - one).dropna() for one in shown]
         channel = Channel(
             name,
             data.units.get(name, ""),
@@ -249,17 +238,11 @@ def _run(
             run.t[kept] / time.size,
             measured[kept],
             tuple(one[kept] for one in shown),
-            tuple(_known_rms(measured - one) for one in shown),
+            tuple(rms(one.to_numpy()) if len(one) else None for one in residuals),
             float(np.nan_to_num(pd.Series(measured).std(ddof=0))),
         )
         channels.append(channel)
     return Run(run.name, part, tuple(channels), run.origin)
-
-
-def _known_rms(values: np.ndarray) -> float | None:
-    """Of those that are known; None where none is."""
-    known = values[np.isfinite(values)]
-    return rms(known) if len(known) else None
 
 
 # ---- what is missing -----------------------------------------------------------------
@@ -273,25 +256,20 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     if place == 0:
         heading = f"Base model: what it lacks ({label})".replace(" (base model)", "")
     nearest = nearest_candidate(diagnosis)
+    found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
+    sure = [force for force in found if not force.is_uncertain]
     return Diagnosed(
         proper_names(heading),
         step_story(study, place),
         str(diagnosis.verdict),
         diagnosis.reason,
         tuple(diagnosis.sentences),
-        _sure_forces(diagnosis, time),
+        tuple(force_of(force, time) for force in sure[:4]),
         _ranking(diagnosis),
         tuple(map(str, diagnosis.proposed)),
         "" if nearest is None else nearest.name,
         samples_to_average(diagnosis),
     )
-
-
-def _sure_forces(diagnosis: Diagnosis, time: Scale) -> tuple[Force, ...]:
-    """The missing forces that are surely there, the four strongest."""
-    found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
-    sure = [force for force in found if not force.is_uncertain]
-    return tuple(force_of(force, time) for force in sure[:4])
 
 
 def _all_forces(study: StudyRecord, time: Scale) -> tuple[ForceRun, ...]:
@@ -360,8 +338,8 @@ def glance_of(
     training = [run for run in runs if run.part == TRAINING and run.name == name]
     if not training:
         return None
-    run = worst_run(training, model)
-    judged = worst_run([one for one in runs if one.part != TRAINING] or [run], model)
+    run = _worst_run(training, model)
+    judged = _worst_run([one for one in runs if one.part != TRAINING] or [run], model)
     shares = [one.worst(model).share_off(model) for one in (run, judged)]
     along = window = None
     if shares[1] > 2 * shares[0]:  # the model follows what it was fitted to
@@ -389,7 +367,7 @@ def glance_of(
     return Glance(*places, said.lead, along, window, t)
 
 
-def worst_run(runs: list[Run], model: int) -> Run:
+def _worst_run(runs: list[Run], model: int) -> Run:
     """The run in whose worst channel a model is off most, beside the movement."""
     return max(runs, key=lambda run: run.worst(model).share_off(model))
 
@@ -420,7 +398,7 @@ def worst_moment(
 # ---- checks of what remains --------------------------------------------------------
 
 
-def checks_of(study: StudyRecord) -> tuple[Check, ...]:
+def _checks(study: StudyRecord) -> tuple[Check, ...]:
     """Size, whiteness and horizon by channel; then the fit's and the data's."""
     judged = study.last.judged
     checks: list[Check] = []
@@ -428,7 +406,18 @@ def checks_of(study: StudyRecord) -> tuple[Check, ...]:
         checks += _of_channel(row, judged, study.train.units.get("t", ""))
     if judged.warning:
         checks.append(Check("free run", BAD, judged.warning))
-    checks += _of_fit(study)
+    fit = study.last.fit
+    severity = GOOD if fit.outcome.success else BAD
+    said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
+    checks.append(Check("solver", severity, said))
+    if fit.outcome.at_bounds:
+        bounds = ", ".join(fit.outcome.at_bounds)
+        checks.append(Check("bounds", LOOK, f"at a bound: {bounds}"))
+    checks += (Check("fit", LOOK, remark) for remark in fit.warnings)
+    notes = ("nothing was held out; errors are those of the training data",)
+    if study.judging is not None:
+        notes = study.judging.notes
+    checks += (Check("data held out", LOOK, note) for note in notes)
     return tuple(checks)
 
 
@@ -439,13 +428,6 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
     shortest = min(float(run.t[-1] - run.t[0]) for run in judged.data.trajectories)
     horizon = float(row["horizon"])
     whiteness = float(row["whiteness"])
-    facts = {
-        "row": row,
-        "ratio": ratio,
-        "shortest": shortest,
-        "scale": scale_of_time(shortest, unit_of_time),
-        "is_from_start": horizon < 0.01 * shortest,  # it never was good
-    }
     is_small = ratio <= FAILING_ERROR
     is_far = ratio > WHITE_ERROR
     is_white = whiteness >= SURE_LEVEL
@@ -459,38 +441,25 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
     for name, subject, value, is_good, is_bad in asked:
         known = bool(np.isfinite(value))
         severity = GOOD if is_good else BAD if known and is_bad else LOOK
-        facts |= {"severity": severity, "known": known}
-        said = say(__package__, f"{name}_check", **facts).lead
-        checks.append(Check(f"{row['state']}: {subject}", severity, said))
-    return checks
-
-
-def _of_fit(study: StudyRecord) -> list[Check]:
-    """The solver, its bounds, the warnings of the fit, and what the data lack."""
-    fit = study.last.fit
-    severity = GOOD if fit.outcome.success else BAD
-    said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
-    checks = [Check("solver", severity, said)]
-    bounds = ", ".join(fit.outcome.at_bounds)
-    notes: Sequence[str] = [
-        "nothing was held out; errors are those of the training data"
-    ]
-    if study.last.held_out is not None:
-        notes = study.last.held_out.record.aligned.notes
-    looks = {
-        "bounds": [f"at a bound: {bounds}"] if bounds else [],
-        "fit": fit.warnings,
-        "data held out": notes,
-    }
-    for subject, remarks in looks.items():
-        checks += (Check(subject, LOOK, remark) for remark in remarks)
+        said = say(
+            __package__,
+            f"{name}_check",
+            row=row,
+            ratio=ratio,
+            shortest=shortest,
+            scale=scale_of_time(shortest, unit_of_time),
+            is_from_start=horizon < 0.01 * shortest,  # it never was good
+            severity=severity,
+            known=known,
+        )
+        checks.append(Check(f"{row['state']}: {subject}", severity, said.lead))
     return checks
 
 
 # ---- how it is repeated --------------------------------------------------------------
 
 
-def _settings(study: StudyRecord) -> Iterator[Answer]:
+def _settings(study: StudyRecord) -> tuple[Answer, ...]:
     held_out = "none" if study.held_out is None else _data(study.held_out)
     units = [f"{name}: {unit}" for name, unit in study.train.units.items() if unit]
     versions = [f"{name} {version(name)}" for name in LIBRARIES]
@@ -506,17 +475,14 @@ def _settings(study: StudyRecord) -> Iterator[Answer]:
         "Data held out": held_out,
         "Starting states": starts,
         "Units": ", ".join(units) or "not given",
-        "Inputs between samples": hold,
+        "Inputs between samples": hold if study.train.inputs else "",
         "Loss": str(study.loss),
         "Standard errors": str(study.last.fit.std_error_source),
         "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
         "Seeds": f"{seeds}give the same numbers",
         "Versions": ", ".join([*versions, f"Python {platform.python_version()}"]),
     }
-    if not study.train.inputs:
-        del told["Inputs between samples"]
-    for question, said in told.items():
-        yield Answer(said, question=question)
+    return tuple(Answer(said, question=name) for name, said in told.items() if said)
 
 
 def _data(data: Measurements) -> str:
