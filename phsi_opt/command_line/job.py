@@ -46,30 +46,20 @@ class Reach(StrEnum):
 
 @dataclass(frozen=True)
 class Job:
-    """One piece of work.
+    """One piece of work."""
 
-    Attributes:
-        kind: `FIT`, `COMPARE`, `DIAGNOSE` or `GO_THROUGH`.
-        study: the study file.
-        fit: a saved fit to take in place of a new one; None: fit anew.
-        is_auto: whether effects are looked for and added.
-        max_steps: how many are added at most; None: what the study file says.
-        save: where the fit is saved; ``report``: where the report is written; or None.
-        exit_code: whether something missing shows in the exit code.
-        write: whether effects that were found are written into the study file.
-        reach: how clear an effect has to be that is added.
-    """
-
-    kind: str
-    study: Path
-    fit: Path | None = None
-    is_auto: bool = False
+    kind: str  # `FIT`, `COMPARE`, `DIAGNOSE` or `GO_THROUGH`
+    study: Path  # the study file
+    fit: Path | None = None  # a saved fit to take in place of a new one; None: fit anew
+    is_auto: bool = False  # whether effects are looked for and added
+    # How many are added at most; None: what the study file says.
     max_steps: int | None = None
-    save: Path | None = None
-    report: Path | None = None
-    exit_code: bool = False
+    save: Path | None = None  # where the fit is saved
+    report: Path | None = None  # where the report is written; or None
+    exit_code: bool = False  # whether something missing shows in the exit code
+    # Whether effects that were found are written into the study file.
     write: bool = False
-    reach: Reach = Reach.DECISIVE
+    reach: Reach = Reach.DECISIVE  # how clear an effect has to be that is added
 
     @property
     def places(self) -> list[Path]:
@@ -79,17 +69,12 @@ class Job:
 
 @dataclass(frozen=True)
 class Finished:
-    """A step was finished: what is kept if the work stops now.
+    """A step was finished: what is kept if the work stops now."""
 
-    Attributes:
-        text: the steps as a table; ``content``: the same for ``--json``.
-        files: that were written.
-        found: names of the effects added beyond those of the study file.
-    """
-
-    text: str = ""
-    content: Mapping[str, Any] = field(default_factory=dict)
-    files: tuple[Path, ...] = ()
+    text: str = ""  # the steps as a table
+    content: Mapping[str, Any] = field(default_factory=dict)  # the same for ``--json``
+    files: tuple[Path, ...] = ()  # that were written
+    # Names of the effects added beyond those of the study file.
     found: tuple[str, ...] = ()
 
 

@@ -88,17 +88,11 @@ HELD_OUT_FIELDS = {
 
 @dataclass(eq=False)
 class DataView:
-    """Draws the draft of the data.
+    """Draws the draft of the data."""
 
-    Attributes:
-        session: whose draft it is.
-        checked: called after every change of the draft.
-        go_on: shows the next part.
-    """
-
-    session: Session
-    checked: Then
-    go_on: Callable[[], Any]
+    session: Session  # whose draft it is
+    checked: Then  # called after every change of the draft
+    go_on: Callable[[], Any]  # shows the next part
 
     def build(self) -> None:
         """Draw it all."""
@@ -261,15 +255,10 @@ MODEL_TYPES = {
 
 @dataclass(eq=False)
 class ModelView:
-    """Draws the draft of the model.
+    """Draws the draft of the model."""
 
-    Attributes:
-        session: whose draft it is.
-        checked: called after every change of the draft.
-    """
-
-    session: Session
-    checked: Then
+    session: Session  # whose draft it is
+    checked: Then  # called after every change of the draft
 
     @property
     def _draft(self) -> ModelDraft:

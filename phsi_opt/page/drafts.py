@@ -113,23 +113,15 @@ def _without(table: Mapping[str, Any], *keys: str) -> Content:
 
 @dataclass
 class ColumnDraft:
-    """One column of the table and what it is.
+    """One column of the table and what it is."""
 
-    Attributes:
-        column: its header, or its position where there is no header.
-        role: one of ``ROLES``.
-        table: that of the study file without the column, and with the name.
-        examples: its first cells.
-        is_numeric: whether it holds numbers; else it can only name runs.
-        fits_no_state: a state to the user, for which the base model that was chosen
-            last has no place.
-    """
-
-    column: str | int
-    role: str = NOT_USED
+    column: str | int  # its header, or its position where there is no header
+    role: str = NOT_USED  # one of ``ROLES``
+    # That of the study file without the column, and with the name.
     table: Content = field(default_factory=dict)
-    examples: tuple[str, ...] = ()
-    is_numeric: bool = True
+    examples: tuple[str, ...] = ()  # its first cells
+    is_numeric: bool = True  # whether it holds numbers; else it can only name runs
+    # A state to the user, for which the base model that was chosen last has no place.
     fits_no_state: bool = False
 
     @property
@@ -155,28 +147,21 @@ class ColumnDraft:
 
 @dataclass
 class DataDraft:
-    """The files and their columns.
+    """The files and their columns."""
 
-    Attributes:
-        places: where each file lies, by the name that its owner gave it.
-        columns: of the table.
-        n_samples: lines of numbers, of all files.
-        runs: names that the column of runs holds, or those of the files.
-        way: in which measurements are held out, one of ``HELD_OUT_WAYS``.
-        held_out: what a study file says of it, of each way.
-        settings: keys of [data] that are no columns, such as ``thinned``.
-        time: the step between lines, where no column has the times.
-        unmeasured: units of states that nobody measured.
-    """
-
-    places: dict[str, Path]
-    columns: list[ColumnDraft] = field(default_factory=list)
-    n_samples: int = 0
+    places: dict[str, Path]  # where each file lies, by the name that its owner gave it
+    columns: list[ColumnDraft] = field(default_factory=list)  # of the table
+    n_samples: int = 0  # lines of numbers, of all files
+    # Names that the column of runs holds, or those of the files.
     runs: list[str] = field(default_factory=list)
-    way: str = SHARE
+    way: str = SHARE  # in which measurements are held out, one of ``HELD_OUT_WAYS``
+    # What a study file says of it, of each way.
     held_out: Content = field(default_factory=lambda: {"share": 0.3})
+    # Keys of [data] that are no columns, such as ``thinned``.
     settings: Content = field(default_factory=dict)
+    # The step between lines, where no column has the times.
     time: Content = field(default_factory=dict)
+    # Units of states that nobody measured.
     unmeasured: dict[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -345,14 +330,10 @@ def refusal_of(name: str, n_bytes: int) -> str:
 
 @dataclass
 class ParameterDraft:
-    """A number of the formulas.
+    """A number of the formulas."""
 
-    Attributes:
-        table: that of the study file, and the name.
-        is_assumed: whether a known value is the gallery's, and not the user's.
-    """
-
-    table: Content
+    table: Content  # that of the study file, and the name
+    # Whether a known value is the gallery's, and not the user's.
     is_assumed: bool = False
 
     @classmethod
@@ -390,16 +371,12 @@ class ParameterDraft:
 
 @dataclass
 class ModelDraft:
-    """The base model as it is written.
+    """The base model as it is written."""
 
-    Attributes:
-        table: the section [model]; R and F are there, perhaps empty.
-        parameters: in their order.
-        title: of the entry of the gallery that it came from; "" where it is written.
-    """
-
+    # The section [model]; R and F are there, perhaps empty.
     table: Content = field(default_factory=lambda: {"R": {}, "F": {}})
-    parameters: list[ParameterDraft] = field(default_factory=list)
+    parameters: list[ParameterDraft] = field(default_factory=list)  # in their order
+    # Of the entry of the gallery that it came from; "" where it is written.
     title: str = ""
 
     @classmethod
@@ -452,17 +429,11 @@ class Drafted(NamedTuple):
 
 @dataclass
 class StudyDraft:
-    """All that a user has filled in.
+    """All that a user has filled in."""
 
-    Attributes:
-        data: files and columns; None before there is a file.
-        model: the base model.
-        kept: sections that the page does not show.
-    """
-
-    data: DataDraft | None = None
-    model: ModelDraft = field(default_factory=ModelDraft)
-    kept: Content = field(default_factory=dict)
+    data: DataDraft | None = None  # files and columns; None before there is a file
+    model: ModelDraft = field(default_factory=ModelDraft)  # the base model
+    kept: Content = field(default_factory=dict)  # sections that the page does not show
 
     @classmethod
     def of(cls, content: Mapping[str, Any], places: dict[str, Path]) -> "StudyDraft":

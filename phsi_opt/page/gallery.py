@@ -12,22 +12,16 @@ from phsi_opt.page.drafts import NOT_USED, STATE, DataDraft, ModelDraft
 
 @dataclass(frozen=True)
 class BaseModel:
-    """One entry of the gallery (see ``gallery.toml``).
+    """One entry of the gallery (see ``gallery.toml``)."""
 
-    Attributes:
-        title: such as "Spring"; ``about``: what it is, in a sentence.
-        units: of its states.
-        model: sections of a study file, as are the ``parameters``.
-        driven: the equations in which an input acts, and how: ``{u}`` is its name.
-        driven_parameters: parameters that come with an input.
-    """
-
-    title: str
-    about: str
-    units: Mapping[str, str]
-    model: Mapping[str, Any]
+    title: str  # such as "Spring"
+    about: str  # what it is, in a sentence
+    units: Mapping[str, str]  # of its states
+    model: Mapping[str, Any]  # sections of a study file, as are the ``parameters``
     parameters: Mapping[str, Any]
+    # The equations in which an input acts, and how: ``{u}`` is its name.
     driven: Mapping[str, str]
+    # Parameters that come with an input.
     driven_parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def drafted(self, inputs: Sequence[str] = ()) -> ModelDraft:

@@ -55,18 +55,13 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class OwnRequests:
-    """An application (ASGI) that passes on the page's own requests.
+    """An application (ASGI) that passes on the page's own requests."""
 
-    Attributes:
-        app: the one behind it.
-        owner_of: the key of the browser that loaded a page, by the page's number; None
-            where there is no such page.
-        cookie: the name of the session's cookie.
-    """
-
-    app: ASGIApp
+    app: ASGIApp  # the one behind it
+    # The key of the browser that loaded a page, by the page's number; None where
+    # there is no such page.
     owner_of: Callable[[str], str | None]
-    cookie: str
+    cookie: str  # the name of the session's cookie
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass it on, or refuse it."""
@@ -130,13 +125,10 @@ class UploadLimit:
     """An application (ASGI) that passes on what is small enough.
 
     The browser's own check is a courtesy; this one holds for every client.
-
-    Attributes:
-        app: the one behind it.
-        most: bytes of a request's body: a file, with names and boundaries.
     """
 
-    app: ASGIApp
+    app: ASGIApp  # the one behind it
+    # Bytes of a request's body: a file, with names and boundaries.
     most: int = MOST_UPLOADED + 100_000
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

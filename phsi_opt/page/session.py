@@ -67,22 +67,16 @@ class Look:
 
 @dataclass
 class Job:
-    """Work that goes on.
+    """Work that goes on."""
 
-    Attributes:
-        label: such as "Fitting the base model".
-        line: what the worker said last of the present model; "" for nothing yet.
-        done: what it has done once its model is there, in words; "" where it goes on.
-        is_shown: whether this model is there; what is missing may still be looked for.
-        compares: whether it changes a model whose charts are shown already.
-        forecast: of the time that is left.
-    """
-
-    label: str
-    line: str = ""
+    label: str  # such as "Fitting the base model"
+    line: str = ""  # what the worker said last of the present model; "" for nothing yet
+    # What it has done once its model is there, in words; "" where it goes on.
     done: str = ""
+    # Whether this model is there; what is missing may still be looked for.
     is_shown: bool = False
-    compares: bool = False
+    compares: bool = False  # whether it changes a model whose charts are shown already
+    # Of the time that is left.
     forecast: Forecast = field(default_factory=lambda: Forecast(n_diagnoses=1))
 
     def say(self, line: str) -> None:
@@ -114,24 +108,6 @@ class Session:
     Args:
         folder: for its files, of nobody else; it is removed by ``close``.
         study_file: a study file to begin with, which has been read without complaint.
-
-    Attributes:
-        draft: what the user filled in.
-        complaints: what is wrong with it, by key, as of the last ``check``.
-        upload_error: why the last file was refused; "" where it was not.
-        job: the work that goes on; None: none does.
-        message: what was handed out last, or how the last job ended where it did not
-            end well; "" else.
-        failure: why the last job could not be done; "" where it could.
-        content: the study as it stands; None before the first fit.
-        look: what its charts show.
-        fitted: the draft as it was fitted last; None before.
-        report_path: the report that was written last.
-        shape: counts changes after which the fields of the drafts are drawn anew.
-        version: counts changes of all else.
-        seen: when a page last asked, by ``time.monotonic``.
-        is_shown: whether a page has ever asked; a program that loads it does not.
-        is_closed: whether it has ended; a page that shows it still is loaded again.
     """
 
     def __init__(self, folder: Path, study_file: Path | None = None) -> None:
@@ -142,20 +118,22 @@ class Session:
             part.mkdir(parents=True)
         self._n_uploads = 0
         self._study: bytes | None = None  # as the worker sent it, for the next one
-        self.draft = StudyDraft()
-        self.upload_error = ""
-        self.job: Job | None = None
+        self.draft = StudyDraft()  # what the user filled in
+        self.upload_error = ""  # why the last file was refused
+        self.job: Job | None = None  # the work that goes on
+        # What was handed out last, or how the last job ended where not well.
         self.message = ""
-        self.failure = ""
-        self.content: StudyContent | None = None
-        self.look = Look()
-        self.fitted: Drafted | None = None
-        self.report_path: Path | None = None
+        self.failure = ""  # why the last job could not be done
+        self.content: StudyContent | None = None  # the study as it stands
+        self.look = Look()  # what its charts show
+        self.fitted: Drafted | None = None  # the draft as it was fitted last
+        self.report_path: Path | None = None  # the report that was written last
+        # Counts changes after which the fields of drafts are drawn anew; and all else.
         self.shape = 0
         self.version = 0
-        self.seen = time.monotonic()
-        self.is_shown = False
-        self.is_closed = False
+        self.seen = time.monotonic()  # when a page last asked
+        self.is_shown = False  # whether a page has ever asked; a program does not
+        self.is_closed = False  # it has ended; a page that shows it is loaded again
         self._worker: WorkerHandle | None = None
         self._idle_since = time.monotonic()
         self._fitting: Drafted | None = None

@@ -41,15 +41,12 @@ class Verb(StrEnum):
 
 @dataclass(frozen=True)
 class Order:
-    """What the worker is told: a verb, and what it needs.
-
-    Attributes:
-        what: a path for ``FIT`` and ``REPORT``; for ``ADD`` the name of an effect.
-        places: for ``FIT``: where the data files lie, by their names.
-    """
+    """What the worker is told: a verb, and what it needs."""
 
     verb: Verb
+    # A path for ``FIT`` and ``REPORT``; for ``ADD`` the name of an effect.
     what: str = ""
+    # For ``FIT``: where the data files lie, by their names.
     places: Mapping[str, Path] = field(default_factory=dict)
 
 

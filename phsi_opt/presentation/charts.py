@@ -100,36 +100,27 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Curves over one axis.
-
-    Attributes:
-        noise: half the width of the band that noise fills; None: no band.
-        height: relative to the other panels.
-        scale: of the axis: ``FROM_ZERO``, ``LOG``, or "": as the curves ask.
-    """
+    """Curves over one axis."""
 
     label: str
     curves: Sequence[Curve]
+    # Half the width of the band that noise fills; None: no band.
     noise: float | None = None
-    height: float = 1.0
-    scale: str = ""
+    height: float = 1.0  # relative to the other panels
+    scale: str = ""  # of the axis: ``FROM_ZERO``, ``LOG``, or "": as the curves ask
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels one below the other, or a ``map`` in place of them.
-
-    Attributes:
-        ticks: lines of text on the first axis, in place of numbers.
-        mark: a place on it; ``window``: a part of it to look at.
-    """
+    """Panels one below the other, or a ``map`` in place of them."""
 
     x_label: str
     panels: tuple[Panel, ...] = ()
     title: str = ""
+    # Lines of text on the first axis, in place of numbers.
     ticks: tuple[list[str], ...] = ()
-    mark: Mark | None = None
-    window: tuple[float, float] | None = None
+    mark: Mark | None = None  # a place on it
+    window: tuple[float, float] | None = None  # a part of it to look at
     map: ForceMap | None = None
 
 

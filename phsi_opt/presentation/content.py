@@ -45,24 +45,16 @@ class Answer:
 
 @dataclass(frozen=True)
 class Headline:
-    """The verdict on the present model.
+    """The verdict on the present model."""
 
-    Attributes:
-        status: in a phrase; ``severity``: how bad that is.
-        sentence: what was found and what it changed.
-        answers: what is wrong, where, since when, what to add.
-        beside: a remark on the status, such as "fast disturbance"; "": none.
-        certainty: how sure it is that something is missing, and whether why is known.
-        caution: what else to know before anything is believed; "" for nothing.
-    """
-
-    status: str
-    severity: str
-    sentence: str
-    answers: tuple[Answer, ...]
-    beside: str = ""
+    status: str  # in a phrase
+    severity: str  # how bad that is
+    sentence: str  # what was found and what it changed
+    answers: tuple[Answer, ...]  # what is wrong, where, since when, what to add
+    beside: str = ""  # a remark on the status, such as "fast disturbance"; "": none
+    # How sure it is that something is missing, and whether why is known.
     certainty: str = ""
-    caution: str = ""
+    caution: str = ""  # what else to know before anything is believed; "" for nothing
 
 
 @dataclass(frozen=True)
@@ -137,25 +129,16 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One measured channel along a run, thinned for drawing.
+    """One measured channel along a run, (n,) values that are thinned for drawing."""
 
-    Attributes:
-        name: of the state; ``unit``: its unit, or "".
-        noise: standard deviation of the measurements; None: not known.
-        t: (n,) times; ``measured``: (n,) values.
-        models: (n,) simulated values of each model, as `StudyContent.names`.
-        errors: root mean square of the residual of each model, of all samples.
-        movement: standard deviation of all that was measured.
-    """
-
-    name: str
+    name: str  # of the state
     unit: str
-    noise: Number
+    noise: Number  # standard deviation of the measurements; None: not known
     t: np.ndarray
     measured: np.ndarray
-    models: tuple[np.ndarray, ...]
-    errors: tuple[Number, ...]
-    movement: float = 0.0
+    models: tuple[np.ndarray, ...]  # simulated by each model, as `StudyContent.names`
+    errors: tuple[Number, ...]  # rms of the residual of each model, of all samples
+    movement: float = 0.0  # standard deviation of all that was measured
 
     def share_off(self, model: int) -> float:
         """The error of a model over the movement."""
@@ -194,23 +177,16 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class ForceRun:
-    """The missing force of one equation along one run.
-
-    Attributes:
-        run: its name; ``part``: of the data.
-        equation: the state whose rate lacks the force; ``unit``: of the force.
-        t: (n,) times; ``force``: (n,) and ``std``: (n,) its standard deviation.
-        origin: the moment at which the time is 0; None where times are no dates.
-    """
+    """The missing force of one equation along one run, (n,) values each."""
 
     run: str
-    part: str
-    equation: str
-    unit: str
+    part: str  # of the data
+    equation: str  # the state whose rate lacks the force
+    unit: str  # of the force
     t: np.ndarray
     force: np.ndarray
-    std: np.ndarray
-    origin: dt.datetime | None = None
+    std: np.ndarray  # its standard deviation
+    origin: dt.datetime | None = None  # of times that are dates
 
     def near(self, t: float) -> tuple[float, float]:
         """Force and standard deviation at the nearest time."""
@@ -254,46 +230,31 @@ class Follows:
 
 @dataclass(frozen=True, eq=False)
 class Force:
-    """The missing force of one equation, such as "dp/dt", and a sentence on it.
-
-    Attributes:
-        runs: along the training runs; ``shown``: number of the one shown first.
-        map: over the states; None where there is only one.
-        follows: against what predicts it best.
-    """
+    """The missing force of one equation, such as "dp/dt"."""
 
     equation: str
     sentence: str
-    runs: tuple[ForceRun, ...]
-    shown: int
-    map: ForceMap | None
-    follows: Follows
+    runs: tuple[ForceRun, ...]  # along the training runs
+    shown: int  # number of the run to show first
+    map: ForceMap | None  # over the states; None where there is only one
+    follows: Follows  # against what predicts it best
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate effect.
+    """A candidate effect."""
 
-    Attributes:
-        effect: such as "coulomb friction on p".
-        coefficient: its size, with its standard error and unit.
-        evidence: how clearly it is there, such as "decisive, log evidence 95".
-        share: of the squared error above the noise that it explains; None: not known.
-        train: the training error with it; ``held_out``: on data held out.
-        confused_with: effects that the data cannot tell from it.
-        lost: why it is rejected; "" where nothing speaks against it.
-    """
-
-    effect: str
-    coefficient: float
+    effect: str  # such as "coulomb friction on p"
+    coefficient: float  # its size, with its standard error and unit
     std_error: float
     unit: str
-    evidence: str
+    evidence: str  # how clearly it is there, such as "decisive, log evidence 95"
+    # Of the squared error above the noise that it explains; None: not known.
     share: Number
-    train: Number
-    held_out: Number
-    confused_with: tuple[str, ...]
-    lost: str
+    train: Number  # the training error with it
+    held_out: Number  # on data held out
+    confused_with: tuple[str, ...]  # effects that the data cannot tell from it
+    lost: str  # why it is rejected; "" where nothing speaks against it
 
     @property
     def size(self) -> str:
@@ -311,30 +272,18 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """A diagnosis of one step's model.
+    """A diagnosis of one step's model."""
 
-    Attributes:
-        heading: which model it looks at.
-        told: all of it in a paragraph, as an engineer would write it.
-        verdict: in a phrase; ``reason``: in a sentence.
-        sentences: where the model fails, in words.
-        forces: the missing force of each equation that has a sure one.
-        ranking: the candidates, best first.
-        proposed: the effects to add next; empty for none.
-        nearest: the effect that comes nearest where none is named; "" for none.
-        averaged: how many samples to average, where a force shakes; 0: none.
-    """
-
-    heading: str
-    told: str
-    verdict: str
-    reason: str
-    sentences: tuple[str, ...]
-    forces: tuple[Force, ...]
-    ranking: tuple[Ranked, ...]
-    proposed: tuple[str, ...] = ()
-    nearest: str = ""
-    averaged: int = 0
+    heading: str  # which model it looks at
+    told: str  # all of it in a paragraph, as an engineer would write it
+    verdict: str  # in a phrase
+    reason: str  # in a sentence
+    sentences: tuple[str, ...]  # where the model fails, in words
+    forces: tuple[Force, ...]  # the missing force of each equation that has a sure one
+    ranking: tuple[Ranked, ...]  # the candidates, best first
+    proposed: tuple[str, ...] = ()  # the effects to add next; empty for none
+    nearest: str = ""  # the effect that comes nearest where none is named; "" for none
+    averaged: int = 0  # how many samples to average, where a force shakes; 0: none
 
     @property
     def listed(self) -> tuple[Ranked, ...]:
@@ -344,21 +293,16 @@ class Diagnosed:
 
 @dataclass(frozen=True, eq=False)
 class Glance:
-    """Where it shows: one channel of one run, and the force that is missing there.
+    """Where it shows: one channel of one run, and the force that is missing there."""
 
-    Attributes:
-        run: number in `StudyContent.runs`; ``channel``: number of its channel.
-        sentence: what to see.
-        force: the force along that run; None where it was not estimated there.
-        window: from when to when the force is strongest; None: at no time.
-        t: when the model is off most while the force is sure; None: not known.
-    """
-
-    run: int
-    channel: int
-    sentence: str
+    run: int  # number in `StudyContent.runs`
+    channel: int  # number of its channel
+    sentence: str  # what to see
+    # The force along that run; None where it was not estimated there.
     force: ForceRun | None = None
+    # From when to when the force is strongest; None: at no time.
     window: tuple[float, float] | None = None
+    # When the model is off most while the force is sure; None: not known.
     t: float | None = None
 
 
@@ -367,53 +311,36 @@ class Glance:
 
 @dataclass(frozen=True, eq=False)
 class StudyContent:
-    """A study as it stands, in the order in which it is read.
+    """A study as it stands, in the order in which it is read."""
 
-    Attributes:
-        title: such as "Study of q".
-        headline: the verdict on the present model.
-        steps: the errors step by step, in ``unit``; ``errors``: where they have got.
-        glance: where it shows best what the verdict says; None: nowhere.
-        models: base model and present model.
-        time: the unit of all times.
-        names: of the models whose free runs are shown; the last is the present one.
-        runs: measurements and free runs; ``shown``: number of the first one to show;
-            ``runs_told``: what to see, and which are left out.
-        forces: of the present model along all runs; empty unless they were asked for.
-        laws: of the effects that were added; empty unless they were asked for.
-        diagnoses: each of one step's model, the oldest first.
-        is_diagnosed: whether the last of these looks at the present model.
-        checks: of the residuals and the fit.
-        settings: names and values that reproduce the study; ``code``: the calls.
-        added: the effects that the present model has beyond the base model.
-        stopped: why the automatic study stopped; "" where it did not run.
-        unestablished: which of the effects added no diagnosis established.
-        warning: what to do where the free run is flat; "" where it is not.
-    """
-
-    title: str
-    headline: Headline
-    steps: tuple[ErrorStep, ...]
+    title: str  # such as "Study of q"
+    headline: Headline  # the verdict on the present model
+    steps: tuple[ErrorStep, ...]  # the errors step by step, in ``unit``
     unit: str
-    errors: str
-    glance: Glance | None
-    models: tuple[Equations, ...]
-    time: Scale
+    errors: str  # where they have got
+    glance: Glance | None  # where it shows best what the verdict says; None: nowhere
+    models: tuple[Equations, ...]  # base model and present model
+    time: Scale  # the unit of all times
+    # Of the models whose free runs are shown; the last is the present one.
     names: tuple[str, ...]
-    runs: tuple[Run, ...]
-    shown: int
-    runs_told: str
+    runs: tuple[Run, ...]  # measurements and free runs
+    shown: int  # number of the first one to show
+    runs_told: str  # what to see, and which are left out
+    # Of the present model along all runs; empty unless they were asked for.
     forces: tuple[ForceRun, ...]
+    # Of the effects that were added; empty unless they were asked for.
     laws: tuple[Follows, ...]
-    diagnoses: tuple[Diagnosed, ...]
-    is_diagnosed: bool
-    checks: tuple[Check, ...]
-    settings: tuple[Answer, ...]
-    code: str
+    diagnoses: tuple[Diagnosed, ...]  # each of one step's model, the oldest first
+    is_diagnosed: bool  # whether the last of these looks at the present model
+    checks: tuple[Check, ...]  # of the residuals and the fit
+    settings: tuple[Answer, ...]  # names and values that reproduce the study
+    code: str  # the calls
+    # The effects that the present model has beyond the base model.
     added: tuple[str, ...]
-    stopped: str
+    stopped: str  # why the automatic study stopped; "" where it did not run
+    # Which of the effects added no diagnosis established.
     unestablished: tuple[str, ...]
-    warning: str
+    warning: str  # what to do where the free run is flat; "" where it is not
 
     @property
     def present(self) -> Diagnosed | None:

@@ -69,6 +69,7 @@ from phsi_opt.study.answers import (
 from phsi_opt.study.record import Step, StudyRecord
 
 Ends = tuple[float | None, float | None]
+NOT_HELD_OUT = "nothing was held out; errors are those of the training data"
 LEVEL = 0.95  # of the intervals: the convention of most tables
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
@@ -414,7 +415,7 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
         bounds = ", ".join(fit.outcome.at_bounds)
         checks.append(Check("bounds", LOOK, f"at a bound: {bounds}"))
     checks += (Check("fit", LOOK, remark) for remark in fit.warnings)
-    notes = ("nothing was held out; errors are those of the training data",)
+    notes: Sequence[str] = [NOT_HELD_OUT]
     if study.judging is not None:
         notes = study.judging.notes
     checks += (Check("data held out", LOOK, note) for note in notes)

@@ -38,20 +38,14 @@ COLUMNS_OF_ERRORS = ("effect", "train_rmse", "held_out_rmse", "noise_floor", "bi
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step of a study: a model, its fit, and the errors of its free runs.
+    """One step of a study: a model, its fit, and the errors of its free runs."""
 
-    Attributes:
-        label: what was done.
-        added: the effects that the model has since beyond the base model.
-        fit: of the model.
-        train: its free run on the training record; ``held_out``: on data held out.
-    """
-
-    label: str
+    label: str  # what was done
+    # The effects that the model has since beyond the base model.
     added: tuple[Effect, ...]
-    fit: Fit
-    train: Comparison
-    held_out: Comparison | None = None
+    fit: Fit  # of the model
+    train: Comparison  # its free run on the training record
+    held_out: Comparison | None = None  # on data held out
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.label!r})"
@@ -64,24 +58,16 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class StudyRecord:
-    """A study as it stands.
+    """A study as it stands."""
 
-    Attributes:
-        base: the model that effects are added to.
-        training: the data that are fitted; ``judging``: those held out, or None.
-        loss: how to fit.
-        steps: what was done so far, the base model first.
-        diagnoses: by the number of the step whose model they look at.
-        stopped: why it stopped last; "" where it was not asked to go on.
-    """
-
-    base: Model
-    training: AlignedData
-    judging: AlignedData | None
-    loss: MaximumLikelihood
-    steps: tuple[Step, ...] = ()
+    base: Model  # the model that effects are added to
+    training: AlignedData  # the data that are fitted
+    judging: AlignedData | None  # those held out, or None
+    loss: MaximumLikelihood  # how to fit
+    steps: tuple[Step, ...] = ()  # what was done so far, the base model first
+    # By the number of the step whose model they look at.
     diagnoses: Mapping[int, Diagnosis] = field(default_factory=dict)
-    stopped: str = ""
+    stopped: str = ""  # why it stopped last; "" where it was not asked to go on
 
     @classmethod
     def of(
