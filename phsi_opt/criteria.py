@@ -44,8 +44,7 @@ WHITE_ERROR = 1.25
 RESOLVED_STEPS = 1.0
 # Share of the squared error above the noise floor that an effect must explain to be
 # named where the rest is small but not white: gravity stands in for a spring q|v| up to
-# 97 % of it. Beyond, chance is no explanation: under a random force of 5 %, springs
-# that are not there explained 81 and 88 % of what a pendulum did on a run held out.
+# 97 % of it.
 EXPLAINED_IF_NAMED = 0.97
 
 # --- Evidence (`screening.weighing`, `diagnosis`)
@@ -74,24 +73,19 @@ CORNER_WIDTHS = 4.0
 # friction is stiff, and with steps that are too long a body that sticks trembles.
 STEPS_AT_CORNER = 8
 # States at all nodes of a model with a memory beyond which its corners stay as they
-# are: a delay has three states, and the steps at the corner are there for each of them.
-# Dry friction beside a delay of the quarter drone, 45,000 states, took 12 s for it.
+# are: beside a delay of 45,000 states sharpening took 12 s.
 MOST_SHARP_STATES = 30_000
 
 # --- How hard a re-fit tries: counts, so that a loaded machine gives the same verdict
 
 REFIT_TOLERANCE = 1e-7  # of the scaled optimality conditions
-# Iterations of each way of solving: a candidate that takes more is rarely the one. They
-# hold beside those of every brief solve (30 with the Gauss-Newton Hessian, 25 with the
-# exact one, 30 steps along solutions). Measured on twelve hidden effects and
-# experiments and five records of real machines, 1396 solves: those of re-fits that
-# succeeded had taken up to 30, 25 and 29, so that lower limits would change results.
+# Iterations of each way of solving: a candidate that takes more is rarely the one. Of
+# 1396 solves, re-fits that succeeded had taken up to 30; lower limits change results.
 REFIT_ITERATIONS = 40
 # Iterations for a thorough re-fit of what a study adds: from an optimum on a grid of
-# its own it converges soon, or hardly ever: in up to 43 where it was measured.
+# its own it converges in up to 43, or hardly ever.
 THOROUGH_ITERATIONS = 100
-# Intervals of a record beyond which a re-fit that fails is not begun again, and none
-# begins at a sharp corner: on the ball and hoop's 5704 it was sought in vain.
+# Intervals of a record beyond which no re-fit is begun again on finer steps.
 ONE_ATTEMPT_INTERVALS = 4_000
 # Root mean square distance between the states of a fit and its free run, in noise
 # deviations, from which the steps between samples are made finer.

@@ -31,36 +31,16 @@ if TYPE_CHECKING:
 
     from phsi_opt.learning.learned_force import LearnedForce
 
-CANDIDATE_COLUMNS = (
-    "effect",
-    "slot",
-    "equation",
-    "coefficient",
-    "std_error",
-    "unit",
-    "log_bayes",
-    "log_predictive",
-    "probability",
-    "grade",
-    "force_left",
-    "share",
-    "train_rmse",
-    "held_out_rmse",
-    "confusable_with",
-    "lost",
-)
+CANDIDATE_COLUMNS = [
+    *("effect", "slot", "equation", "coefficient", "std_error", "unit", "log_bayes"),
+    *("log_predictive", "probability", "grade", "force_left", "share", "train_rmse"),
+    *("held_out_rmse", "confusable_with", "lost"),
+]
 # Those that are printed; the others would make lines too long to read.
-PRINTED_COLUMNS = (
-    "effect",
-    "equation",
-    "coefficient",
-    "std_error",
-    "unit",
-    "log_bayes",
-    "log_predictive",
-    "grade",
-    "held_out_rmse",
-)
+PRINTED_COLUMNS = [
+    *("effect", "equation", "coefficient", "std_error", "unit", "log_bayes"),
+    *("log_predictive", "grade", "held_out_rmse"),
+]
 N_PRINTED = 6  # candidates that are printed
 
 
@@ -140,7 +120,7 @@ class Diagnosis(Summarised):
             row["grade"] = str(one.grade)
             row["confusable_with"] = ", ".join(one.confusable_with)
             rows.append(row)
-        return printed_table(rows, columns=list(CANDIDATE_COLUMNS))
+        return printed_table(rows, columns=CANDIDATE_COLUMNS)
 
     @cached_property
     def missing_force(self) -> "pd.DataFrame":
@@ -292,7 +272,7 @@ class Diagnosis(Summarised):
             said.append(self.base.warning)
         if self.verdict == Verdict.UNEXPLAINED:
             said.append(f"next: {self.next_step}")
-        best = self.candidates[list(PRINTED_COLUMNS)].head(N_PRINTED)
+        best = self.candidates[PRINTED_COLUMNS].head(N_PRINTED)
         return Summary(
             str(self.verdict),
             (

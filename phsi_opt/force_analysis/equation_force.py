@@ -17,7 +17,6 @@ from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.localization import (
     Pace,
     Region,
-    Window,
     region_words,
     strong_region,
     strongest_window,
@@ -57,10 +56,8 @@ class EquationForce(Force):
             "times_noise": self.record.estimate.posterior.times_noise[self.number],
         }
 
-    @cached_property
-    def window(self) -> Window:
-        """Where along the trajectories."""
-        return strongest_window(self)
+    window = cached_property(strongest_window)
+    pace = cached_property(Pace.of)
 
     def window_words(self, longest: float = 0.0) -> str:
         """Its times with their dates; "" where none stand out.
@@ -82,32 +79,21 @@ class EquationForce(Force):
         return strong_region(self, self.record.model.states)
 
     @cached_property
-    def pace(self) -> Pace:
-        """How fast and how large the force is beside the motion and the model."""
-        return Pace.of(self)
-
-    @cached_property
     def wave(self) -> PositionWave | None:
         """Along a position, where the force repeats along one.
 
         It is sought in a force that is sure, and of which the rest leaves much.
         """
-        left = self._causes_by_knots.shares["unexplained"]
-        if self.is_uncertain or left <= CLEAR_PATTERN:
-            return None
-        return position_wave(self)
+        unexplained = self._causes_by_knots.shares["unexplained"]
+        may_repeat = not self.is_uncertain and unexplained > CLEAR_PATTERN
+        return position_wave(self) if may_repeat else None
 
     @cached_property
     def causes(self) -> Causes:
         """What explains the force."""
-        if self.wave is None:
-            return self._causes_by_knots
-        return causes_of(self, self.wave)
+        return causes_of(self, self.wave) if self.wave else self._causes_by_knots
 
-    @cached_property
-    def _causes_by_knots(self) -> Causes:
-        """The same by functions with a few knots alone."""
-        return causes_of(self)
+    _causes_by_knots = cached_property(causes_of)  # by functions of few knots alone
 
     @property
     def mean_power(self) -> float:

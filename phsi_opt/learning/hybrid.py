@@ -50,9 +50,10 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate_forced
 from phsi_opt.statistics import rms
+from phsi_opt.transcription import integrators
 from phsi_opt.transcription.defects import KnownDefects, ParameterSlopes
 from phsi_opt.transcription.grid import Grid, aligned_once, grid_of
-from phsi_opt.transcription.integrators import Integrator, integrator
+from phsi_opt.transcription.integrators import Integrator
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals
 from phsi_opt.writing import write_whole
 
@@ -103,8 +104,10 @@ def hybrid(
     began = time.perf_counter()
     record = aligned_once(model, data)
     trained = TrainedForce.of(model, force.equations, force.variables)
-    problem = _Problem.of(model, record, trained, integrator)
-    shape = (problem.grid.n_intervals, len(problem.rule.shares), len(trained.rows))
+    grid = complete_intervals(model, grid_of(record))
+    rule = integrators.integrator(integrator)
+    problem = _Problem(grid, trained.equations, trained.rows, rule)
+    shape = (grid.n_intervals, len(rule.shares), len(trained.rows))
     at_stages = np.zeros(shape)
     fit: Fit | None = None
     turns = []
@@ -286,12 +289,10 @@ class _Problem:
     rows: list[int]
     rule: Integrator
 
-    @classmethod
-    def of(
-        cls, model: Model, data: Measurements, force: TrainedForce, scheme: str
-    ) -> "_Problem":
-        grid = complete_intervals(model, grid_of(data))
-        return cls(grid, force.equations, force.rows, integrator(scheme))
+    def forced(self, model: Model, force: np.ndarray) -> tuple[Model, Grid]:
+        """The dictionary and the grid with a force as inputs."""
+        forced = with_signals(model, self.equations, self.rule)
+        return forced, with_force(self.grid, force, self.rule)
 
     def identified(
         self,
@@ -303,15 +304,13 @@ class _Problem:
         start: Fit | None,
     ) -> Fit:
         """The dictionary, with a force as an input."""
-        forced = with_signals(model, self.equations, self.rule)
-        grid = with_force(self.grid, force, self.rule)
+        forced, grid = self.forced(model, force)
         loss = PHSILoss(self.rule.name)
         return identify_forced(forced, data, loss, l1, pruning, lambda _: grid, start)
 
     def defects(self, model: Model, force: np.ndarray) -> ParameterSlopes:
         """Of a dictionary beside a force, with their slopes in its coefficients."""
-        forced = with_signals(model, self.equations, self.rule)
-        grid = with_force(self.grid, force, self.rule)
+        forced, grid = self.forced(model, force)
         return KnownDefects(forced, grid, self.rule.name).at(forced.theta)
 
     def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
@@ -319,8 +318,7 @@ class _Problem:
 
         Beside the dictionary's values, which were found with the force.
         """
-        forced = with_signals(model, self.equations, self.rule)
-        grid = with_force(self.grid, force, self.rule)
+        forced, grid = self.forced(model, force)
         theta = np.repeat(forced.theta[:, None], grid.n_intervals, axis=1)
 
         def rates(x: np.ndarray, share: float) -> np.ndarray:
