@@ -18,6 +18,7 @@ from problems.tools import provenance
 DEVELOPED = 10_000  # first seed
 
 
+@pytest.mark.slow
 def test_a_problem_of_each_kind_builds_with_data_of_its_model() -> None:
     assert len(PROBLEMS) == 40
     kinds = {getattr(make, "func", make): make for make in PROBLEMS.values()}
@@ -146,6 +147,7 @@ def test_right_is_what_holds_a_true_effect_or_silence_where_nothing_has_a_name()
     assert not verdicts.is_right(set(), quiet, FALSE, "missing: named")
 
 
+@pytest.mark.slow
 def test_an_interrupted_battery_goes_on_and_tells_its_shares(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

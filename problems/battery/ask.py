@@ -6,6 +6,7 @@ wrong or silent.
 """
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -183,21 +184,31 @@ def _two(case: Case) -> Found:
 def _added(study: ph.Study) -> dict[str, set[str]]:
     """Each effect that the study added, with what it could not be told from."""
     alike: dict[str, set[str]] = {}
-    for _ in range(MOST_STEPS[HIDDEN]):
-        table = study.diagnose().candidates
+    for diagnosis, has_added in steps_of(study, MOST_STEPS[HIDDEN]):
+        if has_added:
+            table = diagnosis.candidates
+            names = table["effect"] + " on " + table["equation"]
+            ties = dict(zip(names, table["confusable_with"], strict=True))
+            present = {}
+            for text in map(str, study.added):
+                known = {text, *ties.get(text, "").split(", ")}
+                present[text] = alike.get(text, known)
+            alike = present
+    return alike
+
+
+def steps_of(study: ph.Study, most: int) -> Iterator[tuple[ph.Diagnosis, bool]]:
+    """The diagnoses of a study that goes on by itself until it stops, ``most`` at most,
+    and whether it added something after each.
+    """
+    for _ in range(most):
+        diagnosis = study.diagnose()
         n_steps = len(study.steps)
         study.auto(max_steps=1)
-        if len(study.steps) == n_steps:
-            break
-        names = table["effect"] + " on " + table["equation"]
-        ties = dict(zip(names, table["confusable_with"], strict=True))
-        present = {}
-        for effect in study.added:
-            text = str(effect)
-            known = {text, *ties.get(text, "").split(", ")}
-            present[text] = alike.get(text, known)
-        alike = present
-    return alike
+        has_added = len(study.steps) > n_steps
+        yield diagnosis, has_added
+        if not has_added:
+            return
 
 
 def matches(truths: tuple[Truth, ...], found: list[set[str]]) -> bool:
@@ -297,14 +308,9 @@ def asked(model: ph.Model, split: Split) -> tuple[set[Finding], list[str], ph.St
     study = ph.Study(model, train, held_out=test)
     found: set[Finding] = set()
     verdicts = []
-    for _ in range(MOST_STEPS[FIELD]):
-        diagnosis = study.diagnose()
+    for diagnosis, _ in steps_of(study, MOST_STEPS[FIELD]):
         found |= findings_of(diagnosis)
         verdicts.append(str(diagnosis.verdict))
-        n_steps = len(study.steps)
-        study.auto(max_steps=1)
-        if len(study.steps) == n_steps:
-            break
     return found, verdicts, study
 
 

@@ -20,6 +20,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -28,8 +29,8 @@ import numpy as np
 import phsi_opt as ph
 from problems.judges.cases import Record, keep, kept
 from problems.judges.fit_cases import PROBLEMS, Problem
-from problems.tools import markdown
 from problems.tools.command_line import chosen, flag
+from problems.tools.pages import render
 from problems.tools.provenance import write
 
 FILE = "fits.json"
@@ -44,6 +45,7 @@ N_PREDICTED = 9  # samples of the first trajectory
 MANY_STEPS = 24  # between samples: no integration error is left
 SAME, NEARBY, OTHER = "same", "same optimum", "another optimum"
 TERMS, FAILED, SOLVED = "other terms", "failed", "solved now"
+STATUSES = (SAME, NEARBY, OTHER, TERMS, FAILED, SOLVED)
 NEW = {"success": False}  # a problem that was not there
 BEFORE, NOW = "from many steps, before", "now"
 LIKELIER, LIKELY, LESS = "likelier", "as likely", "less likely"
@@ -221,21 +223,18 @@ def main() -> int:
 
 def page(rows: list[Record], n_worse: int) -> str:
     """The table, with what it says."""
-    counts = []
-    for status in (SAME, NEARBY, OTHER, TERMS, FAILED, SOLVED):
-        counts.append(f"{status}: {sum(row['status'] == status for row in rows)}")
+    counts = Counter(row["status"] for row in rows)
     columns = list(dict.fromkeys(key for row in rows for key in row))
     shown = [{key: _shown(row.get(key, "")) for key in columns} for row in rows]
-    introduction = markdown.paragraph(f"""
-        Largest differences from the references in results/judges/fits.json: of the
-        estimates and standard errors (relative), of the states (in the noise), of -log
-        likelihood. "{SAME}": estimates to {DIGITS:g}; "{NEARBY}": as likely, within
-        {NEAR:g} standard errors. Of "{OTHER}" both are compared, in standard errors,
-        with the optimum of {MANY_STEPS} steps between samples.
-        """)
-    result = f"{'; '.join(counts)}; worse: {n_worse} of {len(rows)}."
-    head = ["# Forty fits beside their references", "", introduction, ""]
-    return "\n".join([*head, markdown.table(shown), "", result])
+    return render(
+        "judges/pages/fits.md",
+        table=shown,
+        counts=[f"{status}: {counts[status]}" for status in STATUSES],
+        n_worse=n_worse,
+        digits=DIGITS,
+        near=NEAR,
+        many_steps=MANY_STEPS,
+    )
 
 
 def _shown(value: object) -> object:

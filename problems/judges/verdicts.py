@@ -41,9 +41,9 @@ from problems.battery.ask import (
 from problems.battery.draw import FIRST_VERDICT, ROWS, TABLES, draw
 from problems.battery.records import HIDDEN
 from problems.judges.cases import IN_VERDICTS, Record, keep, kept, rounds
-from problems.tools import markdown
 from problems.tools.command_line import flag, option
 from problems.tools.intervals import share
+from problems.tools.pages import render
 from problems.tools.provenance import commit
 from problems.tools.workers import workers
 
@@ -124,53 +124,41 @@ def is_right(names: set[str], silence: str, said: str, verdict: str) -> bool:
 def report(old: Records, new: Records) -> str:
     """What stays, what became right and what wrong, in all and by row."""
     both = [key for key in old if key in new and old[key]["answer"] != NOT_DRAWN]
-    lines = [markdown.table(_counts(both, old, new)), ""]
-    answers = Counter((old[key]["answer"], new[key]["answer"]) for key in both)
-    changed = {pair: n for pair, n in answers.items() if pair[0] != pair[1]}
-    for (before, after), n in sorted(changed.items()):
-        lines.append(f"- {before} -> {after}: {n}")
-    lines.append(
-        f"- sizes moved by more than {MOVED} standard errors: {_moved(old, new)}"
-    )
+    groups = {"all": both}
     for key in both:
-        if old[key]["right"] != new[key]["right"]:
-            word = "became right" if new[key]["right"] else "became WRONG"
-            lines.append(
-                f"- {word}: {key} ({old[key]['hidden']}): {_change(old, new, key)}"
-            )
-    return "\n".join(lines)
-
-
-def _counts(keys: list[str], old: Records, new: Records) -> list[Record]:
-    groups = {"all": keys}
-    for key in keys:
         groups.setdefault(_group(old[key]), []).append(key)
-    rows = []
-    for group, members in groups.items():
-        was = [old[key]["right"] for key in members]
-        now = [new[key]["right"] for key in members]
-        pairs = Counter(zip(was, now, strict=True))
-        stay = sum(_text(old[key]) == _text(new[key]) for key in members)
-        n = len(members)
-        rows.append(
-            {
-                "cases": group,
-                "n": n,
-                "stay": share(stay, n),
-                "right before": share(sum(was), n),
-                "right now": share(sum(now), n),
-                "became right": share(pairs[False, True], n),
-                "became wrong": share(pairs[True, False], n),
-            }
-        )
-    return rows
+    answers = Counter((old[key]["answer"], new[key]["answer"]) for key in both)
+    turned = [key for key in both if old[key]["right"] != new[key]["right"]]
+    return render(
+        "judges/pages/verdicts.md",
+        counts=[_shares(name, keys, old, new) for name, keys in groups.items()],
+        answers=sorted(answers.items()),
+        limit=MOVED,
+        moved=_moved(old, new),
+        turned=[(key, new[key]["right"], old[key]["hidden"]) for key in turned],
+        said={key: (_text(old[key]), _text(new[key])) for key in turned},
+    )
+
+
+def _shares(group: str, keys: list[str], old: Records, new: Records) -> Record:
+    pairs = Counter((old[key]["right"], new[key]["right"]) for key in keys)
+    stay = sum(_text(old[key]) == _text(new[key]) for key in keys)
+    counts = {
+        "stay": stay,
+        "right before": pairs[True, True] + pairs[True, False],
+        "right now": pairs[True, True] + pairs[False, True],
+        "became right": pairs[False, True],
+        "became wrong": pairs[True, False],
+    }
+    n = len(keys)
+    shares = {what: share(count, n) for what, count in counts.items()}
+    return {"cases": group, "n": n, **shares}
 
 
 def _group(record: Record) -> str:
     if record["battery"] != HIDDEN:
-        return "machines of the field" + (
-            "" if record["names"] else ", nothing to name"
-        )
+        machines = "machines of the field"
+        return machines if record["names"] else f"{machines}, nothing to name"
     kind = ROWS[record["row"]].kind
     return f"one effect, noise {record['noise']:g}" if kind == "one" else kind
 
@@ -179,18 +167,14 @@ def _text(record: Record) -> str:
     return f"{record['verdict']}: {record.get('findings', '')}"
 
 
-def _change(old: Records, new: Records, key: str) -> str:
-    return f"{_text(old[key])} -> {_text(new[key])}"
-
-
 def _moved(old: Records, new: Records) -> str:
     n_all = n_moved = 0
     for key in old.keys() & new.keys():
+        sizes = new[key].get("sizes", {})
         for name, (size, error) in old[key].get("sizes", {}).items():
-            now = new[key].get("sizes", {}).get(name)
-            if now is not None:
+            if name in sizes:
                 n_all += 1
-                n_moved += not abs(now[0] - size) <= MOVED * error
+                n_moved += not abs(sizes[name][0] - size) <= MOVED * error
     return f"{n_moved} of {n_all}"
 
 
