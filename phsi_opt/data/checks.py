@@ -46,12 +46,9 @@ BY_NAME: dict[str, tuple[str, type, Callable[[Any], bool], str]] = {
 
 
 def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
-    """A read-only float64 copy of an array; masked entries become NaN, not measured.
+    """A read-only float64 copy of an array with one or two axes.
 
-    Args:
-        values: real numbers, (n_samples,) or (n_samples, n_channels).
-        n_axes: of the copy, 1 or 2; (n_samples,) may stand for (n_samples, 1).
-        title: what messages call the array.
+    Masked entries become NaN, not measured; (n_samples,) may stand for (n_samples, 1).
     """
     try:
         # As it is where it is an array: masked ones cost more, and few are.
@@ -85,11 +82,8 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
 def from_first(values: Any, first: Any = ()) -> Any:
     """Whole numbers that floats cannot hold, counted from the first; all else as it is.
 
-    Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart.
-
-    Args:
-        values: (n_samples,) times.
-        first: those that begin with the one to count from; (): these.
+    Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. The times
+    ``first`` begin with the one to count from; (): the values.
     """
     whole = np.asarray(values)
     if whole.dtype.kind not in "iu" or not whole.size:
@@ -105,10 +99,7 @@ def check_values(
 ) -> None:
     """Refuse infinite and huge values, and NaN where no sample may be missing.
 
-    Args:
-        values: (n_samples,) or (n_samples, n_channels).
-        place_of: the words for the place of the value with these indices.
-        may_be_missing: whether NaN is allowed.
+    ``place_of`` gives the words for the place of the value with these indices.
     """
     is_bad = np.abs(values) > LARGEST_VALUE
     if not may_be_missing:
@@ -164,13 +155,9 @@ def checked_names(
     reserved: Collection[str] = RESERVED_NAMES,
     error: type[PhsiOptError] = DataError,
 ) -> tuple[str, ...]:
-    """Names of channels that formulas can use.
+    """Names of channels that formulas can use: "states", "inputs" or "memory".
 
-    Args:
-        names: several names in their order.
-        what: "states", "inputs" or "memory"; there must be at least one state.
-        reserved: names that stand for something else, besides those of derivatives.
-        error: what is raised.
+    There must be at least one state; those of derivatives are reserved, and more.
     """
     if isinstance(names, str | set) or not isinstance(names, Iterable):
         raise error(
@@ -196,13 +183,7 @@ def checked_names(
 
 
 def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, Any]:
-    """What is given of channels by their names, in the order in which it is given.
-
-    Args:
-        given: a mapping from names.
-        names: the channels.
-        what: "units", "noise" or "hold".
-    """
+    """The "units", "noise" or "hold" of channels by their names, in the given order."""
     if not isinstance(given, Mapping):
         example = names[-1] if names else "u"
         raise DataError(

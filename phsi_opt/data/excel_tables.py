@@ -45,13 +45,8 @@ def table_of_excel(
 ) -> Table:
     """The cells of a sheet; empty rows, and empty columns behind the last, are skipped.
 
-    Args:
-        file: The workbook.
-        wanted: The columns that are looked for, by name or by number from 0.
-        sheet: The sheet's name; None: the only one that is not empty.
-        form: The columns of a table without a header, and the sign before decimals in
-            cells that hold text.
-        may_be_several: Whether the first of several sheets is taken.
+    Without the name of a sheet it is the only one with content, or the first of several
+    where there may be several. The form is that of cells that hold text.
     """
     sheets = _sheets(file)
     filled = [name for name, rows in sheets.items() if rows]

@@ -69,12 +69,7 @@ class OpenedFile:
 
 
 def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
-    """The files one after the other; each is read when its turn comes.
-
-    Args:
-        source: A path, an open file, or several of them.
-        as_text: Whether their text is asked for; else their bytes.
-    """
+    """The text or the bytes of a path, an open file, or several of them, in turn."""
     if isinstance(source, PATHS) or hasattr(source, "read"):
         source = [source]
     if not isinstance(source, list | tuple | Iterator):
@@ -104,11 +99,7 @@ def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
 
 
 def run_names(sources: Iterable[Any]) -> list[str]:
-    """The files' names without folder and suffix; the whole path where two agree.
-
-    Args:
-        sources: Paths and open files.
-    """
+    """The files' names without folder and suffix; the whole path where two agree."""
     sources = list(sources)
     # A NUL, which no path has, is refused when the file is opened.
     paths = [file for file in sources if isinstance(file, PATHS)]

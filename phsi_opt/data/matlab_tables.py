@@ -32,12 +32,7 @@ TIME_LIMIT = 120.0  # seconds; a file of 500 MB takes about 5
 
 
 def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
-    """The columns that are looked for, in the order in which they are.
-
-    Args:
-        file: A MATLAB file of version 4 to 7.
-        wanted: The columns, as they would be called in MATLAB.
-    """
+    """The columns that are looked for, as they would be called in MATLAB."""
     variables = _variables(file)
     columns = {name: _column(name, variables, file.title) for name in wanted}
     lengths = {name: len(values) for name, values in columns.items()}

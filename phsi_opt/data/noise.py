@@ -104,12 +104,9 @@ def robust_deviation(residuals: np.ndarray) -> float:
 
 
 def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Residuals of some samples, as large as the noise, (n_middle,).
+    """Residuals of samples ``middle`` (n_middle,), which have neighbours on both sides.
 
-    Args:
-        t: Times (n_samples,).
-        y: Values (n_samples,) without gaps.
-        middle: (n_middle,) samples with neighbours on both sides.
+    Times and values are (n_samples,), without gaps.
     """
     at = {offset: t[middle + offset] for offset in (0, *NEIGHBOURS)}
     predicted = np.zeros(len(middle))

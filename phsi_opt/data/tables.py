@@ -93,11 +93,7 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
 
 
 def rows_of_runs(names: "pd.Series") -> dict[str, np.ndarray]:
-    """The row numbers of each run, (n_samples,) each, in the order in which they begin.
-
-    Args:
-        names: (n_rows,) of the runs.
-    """
+    """The row numbers (n_samples,) of each run, of which every row has the name."""
     import pandas as pd
 
     numbers, different = pd.factorize(names.astype(str).str.strip())

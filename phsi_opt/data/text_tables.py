@@ -73,11 +73,8 @@ class TextFormat:
 def table_of_csv(file: OpenedFile, wanted: Iterable[Any], form: TextFormat) -> Table:
     """The cells of a text table, as text; empty lines are skipped.
 
-    Args:
-        file: Its text.
-        wanted: The columns that are looked for, by name or by number from 0; names help
-            to tell the separator.
-        form: What the user said of the table.
+    The columns that are looked for, by name or by number from 0, help to find the
+    separator.
     """
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}

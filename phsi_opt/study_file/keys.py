@@ -337,7 +337,7 @@ class Complaints:
 
 def usable(
     content: Mapping[str, Any],
-    found: Complaints,
+    faults: Complaints,
     table: str = "",
     place: tuple[str | int, ...] = (),
 ) -> dict[str, Any]:
@@ -345,7 +345,7 @@ def usable(
 
     Args:
         content: of a table.
-        found: where what is wrong is noted.
+        faults: where what is wrong is noted.
         table: whose keys it has, such as ``"data.states.*"``; "" for the file.
         place: where it stands.
     """
@@ -355,21 +355,25 @@ def usable(
         key = known.get(name) or known.get("*")
         if key is None:
             said = f"this key is unknown here; known are {', '.join(known)}."
-            found.add(said + did_you_mean(name, known), *place, name)
+            faults.add(said + did_you_mean(name, known), *place, name)
         elif key.what.fits(value):
             value = listed(value) if key.form in LISTS else value
-            kept[name] = _kept(value, key, found, (*place, name))
+            kept[name] = _kept(value, key, faults, (*place, name))
         else:
             hint = did_you_mean(value, key.options)
-            found.add(f"expected {key.what.expected}.{hint}", *place, name)
+            faults.add(f"expected {key.what.expected}.{hint}", *place, name)
             if key.form in NAMED_ANYWAY and key.path.endswith("*"):
                 kept[name] = {}
     return kept
 
 
-def _kept(value: Any, key: Key, found: Complaints, place: tuple[str | int, ...]) -> Any:
+def _kept(
+    value: Any, key: Key, faults: Complaints, place: tuple[str | int, ...]
+) -> Any:
     """A value with what is usable of its tables; lists of values are tuples."""
     if isinstance(value, list):
-        return tuple(_kept(one, key, found, (*place, i)) for i, one in enumerate(value))
+        return tuple(
+            _kept(one, key, faults, (*place, i)) for i, one in enumerate(value)
+        )
     table = key.what.table or key.path
-    return usable(value, found, table, place) if isinstance(value, dict) else value
+    return usable(value, faults, table, place) if isinstance(value, dict) else value

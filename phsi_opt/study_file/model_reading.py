@@ -35,7 +35,7 @@ class ModelReader:
     """Makes models and effects of what a file says; what is wrong is noted."""
 
     file: Content  # what is usable of the file
-    found: Complaints  # where what is wrong is noted
+    faults: Complaints  # where what is wrong is noted
     states: tuple[str, ...] = ()  # that formulas can name
     # by name; None where it is noted what is wrong
     parameters: dict[str, Parameter | None] = field(default_factory=dict)
@@ -43,9 +43,9 @@ class ModelReader:
     used: set[str] = field(default_factory=set)
 
     @classmethod
-    def of(cls, file: Content, found: Complaints) -> "ModelReader":
+    def of(cls, file: Content, faults: Complaints) -> "ModelReader":
         """With the names of the model and its parameters, before formulas are read."""
-        reader = cls(file, found)
+        reader = cls(file, faults)
         for name, content in file.get("parameters", {}).items():
             reader.parameters[name] = reader._parameter(content, "parameters", name)
         return replace(reader, states=reader._names("states"))
@@ -59,9 +59,9 @@ class ModelReader:
         names: list[str] = []
         for name in self.section.get(what, ()):
             if name in names:
-                self.found.add(f"{name!r} stands there twice.", "model", what)
+                self.faults.add(f"{name!r} stands there twice.", "model", what)
                 continue
-            with self.found.noting("model", what):
+            with self.faults.noting("model", what):
                 checked_names([name], what, RESERVED_IN_FORMULAS, ModelError)
                 names.append(name)
         return tuple(names)
@@ -78,9 +78,9 @@ class ModelReader:
                     "there is a start too; keep value where it is known, start where "
                     "not."
                 )
-                self.found.add(said, *place, "value")
+                self.faults.add(said, *place, "value")
         settings.setdefault("value", start)
-        with self.found.noting(*place):
+        with self.faults.noting(*place):
             return Parameter(**settings)
         return None
 
@@ -88,13 +88,15 @@ class ModelReader:
         given = parameter.get("guess", {})
         if "kind" not in given:
             if "guess" in parameter:
-                self.found.need(f"expected {', '.join(GUESSES)}.", None, *place, "kind")
+                self.faults.need(
+                    f"expected {', '.join(GUESSES)}.", None, *place, "kind"
+                )
             return None
         kind = GUESSES[given["kind"]]
         for one in fields(kind):
             if one.default is MISSING and one.name not in given:
                 said = f"a guess of kind {given['kind']!r} needs it."
-                self.found.need(said, None, *place, one.name)
+                self.faults.need(said, None, *place, one.name)
                 return None
         names = [one.name for one in fields(kind) if one.name in given]
         return kind(**{name: given[name] for name in names})
@@ -117,32 +119,32 @@ class ModelReader:
         if kind == WITH_ENERGY:
             parts["S"] = self._structure()
             said = 'expected the energy as a formula, such as "k*q**2/2 + p**2/(2*m)".'
-            self.found.need(said, section.get("H"), "model", "H")
+            self.faults.need(said, section.get("H"), "model", "H")
             parts["H"] = self._terms(section.get("H") or (), "H", "model", "H")
         for name in OF_ENERGY:
             if kind == WITHOUT_ENERGY and name in section:
                 said = f"a model of type {shown(kind)} has none; put the terms into F."
-                self.found.add(said, "model", name)
-        if not self.found.about("model") and not self.found.about("effects"):
+                self.faults.add(said, "model", name)
+        if not self.faults.about("model") and not self.faults.about("effects"):
             for name in self.parameters:  # else a wrong name is noted at its formula
                 if name not in self.used:
                     said = "no formula has this name; correct it, or leave it out."
-                    self.found.add(said, "parameters", name)
-        if self.found.about("model") or self.found.about("parameters"):
+                    self.faults.add(said, "parameters", name)
+        if self.faults.about("model") or self.faults.about("parameters"):
             return None
-        with self.found.noting("model", value=""):
+        with self.faults.noting("model", value=""):
             return KINDS[kind](**parts)
         return None
 
     def _is_state(self, name: str, *place: str | int) -> bool:
         """Whether the model has a state of this name; else it is noted."""
-        with self.found.noting(*place):
+        with self.faults.noting(*place):
             said = f"{name!r} is not a state of the model"
             require_known(name, self.states, said)
         return name in self.states
 
     def _structure(self) -> Any:
-        if self.found.exactly_one(self.section, ("pairs", "S"), "model") == "S":
+        if self.faults.exactly_one(self.section, ("pairs", "S"), "model") == "S":
             return self.section.get("S")
         S = np.zeros((len(self.states), len(self.states)))
         for pair in self.section.get("pairs", ()):
@@ -157,12 +159,12 @@ class ModelReader:
         """The terms at a place; ``slot`` decides which names they may have."""
         terms: list[Term] = []
         for number, one in enumerate(listed(content)):
-            with self.found.noting(*place, value=one):
+            with self.faults.noting(*place, value=one):
                 if isinstance(one, dict):
                     terms += self._table(one, *place, number)
                 else:
                     terms += self._formula(str(one), slot, place)
-        with self.found.noting(*place):
+        with self.faults.noting(*place):
             return Dictionary(tuple(terms))
         return Dictionary()
 
@@ -183,14 +185,14 @@ class ModelReader:
                     f"{one!r} may not stand in H: an energy depends on the states "
                     "alone; put the term into F."
                 )
-            self.found.add(said, *place, value=text)
+            self.faults.add(said, *place, value=text)
         # In the order of the file; None where it is noted what is wrong.
         known_ones = {k: p for k, p in self.parameters.items() if k in own and p}
         return Dictionary((Term(text, None, known_ones),))
 
     def _table(self, content: Content, *place: str | int) -> Dictionary:
         """Polynomials, waves, or one term, whose inner parameters are its own."""
-        way = self.found.exactly_one(content, TERM_WAYS, *place)
+        way = self.faults.exactly_one(content, TERM_WAYS, *place)
         if way not in content:
             return Dictionary()  # what is wrong is noted
         names = content[way]
@@ -217,10 +219,10 @@ class ModelReader:
     def _effect(self, content: Content, number: int) -> Effect | None:
         place = ("effects", number)
         for name in ("name", "slot", "equation", "term"):
-            self.found.need("an effect needs it.", content.get(name), *place, name)
+            self.faults.need("an effect needs it.", content.get(name), *place, name)
         if content.get("equation"):
             self._is_state(content["equation"], *place, "equation")
-        if self.found.about(*place):
+        if self.faults.about(*place):
             return None
         rates = content.get("memory", {})
         larger = replace(self, states=(*self.states, *rates))
@@ -228,12 +230,12 @@ class ModelReader:
         for state, rate in rates.items():
             memory[state] = larger._terms(rate, "F", *place, "memory", state)
         term = larger._terms(content["term"], content["slot"], *place, "term")
-        with self.found.noting(*place, value=""):
+        with self.faults.noting(*place, value=""):
             return Effect(**{**content, "term": term, "memory": memory})
         return None
 
 
-def check_channels(model: Model, data: DataSection, found: Complaints) -> None:
+def check_channels(model: Model, data: DataSection, faults: Complaints) -> None:
     """Note where the sections [model] and [data] name different states or inputs."""
     measurable = [name for name in model.states if name not in model.memory]
     for what, wanted, otherwise in (
@@ -245,10 +247,10 @@ def check_channels(model: Model, data: DataSection, found: Complaints) -> None:
         further = [name for name in told if name not in wanted]
         for name in missing:
             said = f'the model has it: give {{ column = "..." }}{otherwise}.'
-            found.add(said + did_you_mean(name, further), "data", what, name)
+            faults.add(said + did_you_mean(name, further), "data", what, name)
         for name in further:
             said = (
                 f"it is not among model.{what}, {shown(list(wanted))}; name it there "
                 f"too, or leave it out here.{did_you_mean(name, missing)}"
             )
-            found.add(said, "data", what, name)
+            faults.add(said, "data", what, name)

@@ -57,45 +57,45 @@ def read_sections(
         places: where data files lie that are not where it says, by their names in it.
     """
     text, tables = _read(path)
-    found = Complaints(tables)
+    faults = Complaints(tables)
     read = None
     with suppress(TooManyComplaintsError):
-        read = _sections(found, path.parent, places or {})
-    if read is None or found.listed:
-        raise StudyFileError(path, _in_order(found, lines_of(text)))
+        read = _sections(faults, path.parent, places or {})
+    if read is None or faults.listed:
+        raise StudyFileError(path, _in_order(faults, lines_of(text)))
     return read
 
 
 def _sections(
-    found: Complaints, folder: Path, places: Mapping[str, Path]
+    faults: Complaints, folder: Path, places: Mapping[str, Path]
 ) -> tuple[Sections, Measurements] | None:
-    file = usable(found.content, found)
+    file = usable(faults.content, faults)
     for (section, *names), said in NEEDED.items():
         if not names:
-            found.need(said, found.content.get(section), section)
+            faults.need(said, faults.content.get(section), section)
         elif file.get(section):
-            found.need(said, file[section].get(*names), section, *names)
-    reader = ModelReader.of(file, found)
-    _check_data(file.get("data", {}), found)
+            faults.need(said, file[section].get(*names), section, *names)
+    reader = ModelReader.of(file, faults)
+    _check_data(file.get("data", {}), faults)
     data = DataSection.of(file.get("data", {}), places)
     held_out = HeldOut(**file.get("held_out", {})) if "held_out" in file else None
     if held_out is not None:
-        found.exactly_one(file["held_out"], ("runs", "share", "after"), "held_out")
+        faults.exactly_one(file["held_out"], ("runs", "share", "after"), "held_out")
     own = reader.effects()
     model = reader.model()
     steps = StudySection(**file.get("study", {}))
-    loss = _loss(file.get("loss", {}), found)
+    loss = _loss(file.get("loss", {}), faults)
     if model is not None:
-        check_channels(model, data, found)
-        if not found.about("effects"):
-            _check_effects(steps, model, own, data.units, found)
-    measured = None if found.about("data") else _measurements(data, folder, found)
-    if measured is not None and held_out is not None and not found.about("held_out"):
+        check_channels(model, data, faults)
+        if not faults.about("effects"):
+            _check_effects(steps, model, own, data.units, faults)
+    measured = None if faults.about("data") else _measurements(data, folder, faults)
+    if measured is not None and held_out is not None and not faults.about("held_out"):
         for run in held_out.runs or ():
-            with found.noting("held_out", "runs", value=run):
+            with faults.noting("held_out", "runs", value=run):
                 measured.trajectory_number(run)
-        if not found.about("held_out"):
-            with found.noting("held_out"):
+        if not faults.about("held_out"):
+            with faults.noting("held_out"):
                 held_out.split(measured)
     if model is None or measured is None:
         return None
@@ -104,12 +104,12 @@ def _sections(
 
 
 def _measurements(
-    section: DataSection, folder: Path, found: Complaints
+    section: DataSection, folder: Path, faults: Complaints
 ) -> Measurements | None:
     """The measurements; None, and what is wrong noted, where they cannot be read."""
     paths = section.paths(folder)
     names: list[str] = []
-    with found.noting("data", "files"):
+    with faults.noting("data", "files"):
         names = run_names(paths)
     tables = []
     for number, name in enumerate(names):
@@ -117,34 +117,34 @@ def _measurements(
         place: Place = ("data", "files", *([number] if len(names) > 1 else []))
         if not path.exists():
             said = "there is no such file; paths are relative to the study file."
-            found.add(said, *place)
+            faults.add(said, *place)
         elif reader_of(path) != section.reader:
             suffix = paths[0].suffix.lower()
-            found.add(f"the first file is {suffix}; give files of one kind.", *place)
+            faults.add(f"the first file is {suffix}; give files of one kind.", *place)
         else:
-            with found.noting(*place):
+            with faults.noting(*place):
                 tables.append(replace(table_at(path, section), run=name))
     if not tables:
         return None
-    with found.noting("data", value=""):
+    with faults.noting("data", value=""):
         try:
             return section.measured(tables)
         except TableError as error:
             for part, fault in error.by_part.items():
-                found.add(fault, "data", *part)
+                faults.add(fault, "data", *part)
     return None
 
 
-def _in_order(found: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
+def _in_order(faults: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
     """The complaints with their lines, in the order of the file."""
     listed = []
-    for complaint in found.listed:
+    for complaint in faults.listed:
         key = complaint.key
         while key and key not in lines:  # of the table that lacks it
             key = key.rpartition(".")[0]
         listed.append(replace(complaint, line=lines.get(key)))
     listed.sort(key=lambda complaint: complaint.line or LARGEST_STUDY)
-    return [*listed, Complaint("", "", MORE)] if found.is_full else listed
+    return [*listed, Complaint("", "", MORE)] if faults.is_full else listed
 
 
 def tables_of(path: Path) -> dict[str, Any]:
@@ -173,39 +173,39 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
 # ---- rules that need more than one key -----------------------------------------------
 
 
-def _check_data(data: Mapping[str, Any], found: Complaints) -> None:
+def _check_data(data: Mapping[str, Any], faults: Complaints) -> None:
     if not data:
         return
     place = ("data", "time")
     time = data.get("time", {})
-    if "step" not in time and not found.about(*place, "step"):
+    if "step" not in time and not faults.about(*place, "step"):
         said = (
             'expected the column of the times, such as "t_s"; where no column has '
             "them, the time between lines: time = { step = 0.01 }."
         )
-        found.need(said, time.get("column"), *place, "column")
+        faults.need(said, time.get("column"), *place, "column")
     elif time.get("column", "") != "":
-        found.add(KEEP_ONE, *place, "step")
+        faults.add(KEEP_ONE, *place, "step")
     for what, otherwise in (("states", " (or measured = false)"), ("inputs", "")):
         for name, channel in data.get(what, {}).items():
             channel_place = ("data", what, name)
-            with found.noting(*channel_place, value=""):
+            with faults.noting(*channel_place, value=""):
                 checked_names([name], what)
             if not channel.get("measured", True):
                 if "column" in channel:
-                    found.add(KEEP_ONE, *channel_place, "measured")
-            elif not found.about(*channel_place, "measured"):
+                    faults.add(KEEP_ONE, *channel_place, "measured")
+            elif not faults.about(*channel_place, "measured"):
                 said = f"expected the name of a column{otherwise}."
-                found.need(said, channel.get("column"), *channel_place, "column")
+                faults.need(said, channel.get("column"), *channel_place, "column")
 
 
-def _loss(settings: Mapping[str, Any], found: Complaints) -> MaximumLikelihood:
+def _loss(settings: Mapping[str, Any], faults: Complaints) -> MaximumLikelihood:
     """The loss; what is wrong is noted, and the default taken."""
     for name, value in settings.items():
-        with found.noting("loss", name):  # whatever the others are
+        with faults.noting("loss", name):  # whatever the others are
             MaximumLikelihood(**{name: value})
-    if not found.about("loss"):
-        with found.noting("loss"):  # settings that do not go together
+    if not faults.about("loss"):
+        with faults.noting("loss"):  # settings that do not go together
             return MaximumLikelihood(**settings)
     return MaximumLikelihood()
 
@@ -215,16 +215,16 @@ def _check_effects(
     model: Model,
     own: Sequence[Effect],
     units: Mapping[str, str],
-    found: Complaints,
+    faults: Complaints,
 ) -> None:
     """Note every name of the section [study] that stands for no effect."""
     larger = model
     for name in steps.added:
-        with found.noting("study", "added", value=name):
+        with faults.noting("study", "added", value=name):
             effect = own_effect(name, own) or effect_named(larger, name, units=units)
             larger = larger.add(effect)
     for key in ("effects", "without"):
         for name in getattr(steps, key) or ():
             if own_effect(name, own) is None:
-                with found.noting("study", key, value=name):
+                with faults.noting("study", key, value=name):
                     EffectChoice(**{key: (name,)}).checked(model, units)

@@ -214,13 +214,10 @@ class DataSection:
 
 
 def table_at(path: DataFile, section: DataSection | None = None) -> Table:
-    """The table of a file, column by column.
+    """The table of a file, whose suffix tells what it is.
 
-    Args:
-        path: of the file; its suffix tells what it is.
-        section: what the user said of the table; None: nothing, and of a MATLAB file
-            all vectors of the commonest length are taken, of a workbook the first sheet
-            with content.
+    Without a section of the user, all vectors of the commonest length are taken of a
+    MATLAB file, and of a workbook the first sheet with content.
     """
     given = section or DataSection()
     reader = reader_of(path)

@@ -59,12 +59,7 @@ def study_text(study: Sections) -> str:
 
 
 def text_of(content: Mapping[str, Any], about: Mapping[str, str] | None = None) -> str:
-    """The text of the tables of a study file; those that are empty are left out.
-
-    Args:
-        content: the tables.
-        about: a comment for each; None: no comments.
-    """
+    """The text of the tables that are not empty, with comments ``about`` each."""
     sections = []
     for path in COMMENTS:
         name, _, below = path.partition(".")

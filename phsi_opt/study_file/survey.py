@@ -274,13 +274,7 @@ def _free_name(wanted: str, used: set[str]) -> str:
 
 
 def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
-    """The study file for a table.
-
-    Args:
-        table: what was seen in the first file.
-        files: all of them.
-        folder: that of the study file.
-    """
+    """The study file of a folder for tables, of which the first one was looked at."""
     places = []
     for file in files:  # as the folder calls it; absolute where that was meant
         place = Path(os.path.relpath(file.resolve(), folder.resolve()))
@@ -291,12 +285,7 @@ def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
 
 
 def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
-    """What stands empty, a sentence each, with an example.
-
-    Args:
-        path: of the study file.
-        has_dates: whether the times are dates, which are read in seconds.
-    """
+    """What stands empty in a study file, a sentence each, with an example."""
     try:
         tables = tables_of(path)
         file = usable(tables, Complaints(tables))
