@@ -82,8 +82,8 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
 def from_first(values: Any, first: Any = ()) -> Any:
     """Whole numbers that floats cannot hold, counted from the first; all else as it is.
 
-    Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. The times
-    ``first`` begin with the one to count from; (): the values.
+    Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. What
+    stands in ``first`` begins with the one to count from; (): the values.
     """
     whole = np.asarray(values)
     if whole.dtype.kind not in "iu" or not whole.size:

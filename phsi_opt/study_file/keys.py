@@ -339,7 +339,7 @@ def usable(
     content: Mapping[str, Any],
     faults: Complaints,
     table: str = "",
-    place: tuple[str | int, ...] = (),
+    place: Place = (),
 ) -> dict[str, Any]:
     """The entries that are of the form of their keys; the others are complaints.
 
@@ -367,9 +367,7 @@ def usable(
     return kept
 
 
-def _kept(
-    value: Any, key: Key, faults: Complaints, place: tuple[str | int, ...]
-) -> Any:
+def _kept(value: Any, key: Key, faults: Complaints, place: Place) -> Any:
     """A value with what is usable of its tables; lists of values are tuples."""
     if isinstance(value, list):
         return tuple(
