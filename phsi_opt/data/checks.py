@@ -49,6 +49,9 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
     """A read-only float64 copy of an array with one or two axes.
 
     Masked entries become NaN, not measured; (n_samples,) may stand for (n_samples, 1).
+
+    Raises:
+        DataError: the values are no regular array, not real, or in another shape.
     """
     try:
         # As it is where it is an array: masked ones cost more, and few are.
@@ -99,7 +102,11 @@ def check_values(
 ) -> None:
     """Refuse infinite and huge values, and NaN where no sample may be missing.
 
-    ``place_of`` gives the words for the place of the value with these indices.
+    The array is (n_samples,) or (n_samples, n_channels); ``place_of`` gives the words
+    for the place of the value with these indices.
+
+    Raises:
+        DataError: a value cannot be used; the first one is named.
     """
     is_bad = np.abs(values) > LARGEST_VALUE
     if not may_be_missing:
@@ -126,7 +133,11 @@ def check_values(
 
 
 def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
-    """Refuse sequences, by their names in messages, that differ in length."""
+    """Refuse sequences, by their names in messages, that differ in length.
+
+    Raises:
+        DataError: it names the lengths and the rule.
+    """
     lengths = {}
     for name, values in sequences.items():
         lengths[name] = len(values) if hasattr(values, "__len__") else None
@@ -183,7 +194,11 @@ def checked_names(
 
 
 def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, Any]:
-    """The "units", "noise" or "hold" of channels by their names, in the given order."""
+    """The "units", "noise" or "hold" of channels by their names, in the given order.
+
+    Raises:
+        DataError: this is no mapping, or an entry cannot be used.
+    """
     if not isinstance(given, Mapping):
         example = names[-1] if names else "u"
         raise DataError(

@@ -43,7 +43,11 @@ def sentence_about(copies: Mapping[str, str]) -> str:
 
 
 def check_can_judge(train: Measurements, held_out: Measurements) -> None:
-    """Refuse runs held out that are fitted too."""
+    """Refuse runs held out that are fitted too.
+
+    Raises:
+        DataError: there are such runs.
+    """
     copies = _copies(held_out.trajectories, train.trajectories)
     if copies:
         raise DataError(

@@ -47,6 +47,9 @@ def table_of_excel(
 
     Without the name of a sheet it is the only one with content, or the first of several
     where there may be several. The form is that of cells that hold text.
+
+    Raises:
+        DataError: this is no workbook, there is no such sheet, or it is empty.
     """
     sheets = _sheets(file)
     filled = [name for name, rows in sheets.items() if rows]

@@ -69,7 +69,11 @@ class OpenedFile:
 
 
 def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
-    """The text or the bytes of a path, an open file, or several of them, in turn."""
+    """The text or the bytes of a path, an open file, or several of them, in turn.
+
+    Raises:
+        DataError: this is no source, or a file cannot be read so.
+    """
     if isinstance(source, PATHS) or hasattr(source, "read"):
         source = [source]
     if not isinstance(source, list | tuple | Iterator):
@@ -99,7 +103,11 @@ def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
 
 
 def run_names(sources: Iterable[Any]) -> list[str]:
-    """The files' names without folder and suffix; the whole path where two agree."""
+    """The files' names without folder and suffix; the whole path where two agree.
+
+    Raises:
+        DataError: a file is listed twice.
+    """
     sources = list(sources)
     # A NUL, which no path has, is refused when the file is opened.
     paths = [file for file in sources if isinstance(file, PATHS)]

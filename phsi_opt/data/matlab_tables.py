@@ -32,7 +32,11 @@ TIME_LIMIT = 120.0  # seconds; a file of 500 MB takes about 5
 
 
 def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
-    """The columns that are looked for, as they would be called in MATLAB."""
+    """The columns that are looked for, as they would be called in MATLAB.
+
+    Raises:
+        DataError: a column is not there or could be several, or lengths differ.
+    """
     variables = _variables(file)
     columns = {name: _column(name, variables, file.title) for name in wanted}
     lengths = {name: len(values) for name, values in columns.items()}
@@ -45,7 +49,11 @@ def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
 
 
 def table_of_vectors(file: OpenedFile) -> Table:
-    """All vectors of the commonest length, where nobody said which are looked for."""
+    """All vectors of the commonest length, where nobody said which are looked for.
+
+    Raises:
+        DataError: no vector has two numbers; with what the file holds.
+    """
     variables = _variables(file)
     # A matrix that is taken for a table has few columns.
     few = {one: vectors for one, vectors in variables.items() if len(vectors) <= 20}

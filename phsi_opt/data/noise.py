@@ -131,6 +131,9 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     Returns:
         (n_states,), at least `least_noise`, and at least `quantisation_noise` where
         it was not given; 1 where nothing was measured.
+
+    Raises:
+        DataError: no measured value ever changes.
     """
     y = data.stacked("x")
     is_measured = np.isfinite(y).any(axis=0)

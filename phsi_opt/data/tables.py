@@ -60,7 +60,11 @@ class Table:
 
 
 def table_of_frame(frame: Any) -> Table:
-    """A user's data frame, which is not changed."""
+    """A user's data frame, which is not changed.
+
+    Raises:
+        DataError: this is no data frame.
+    """
     import pandas as pd
 
     if not isinstance(frame, pd.DataFrame):
@@ -72,7 +76,11 @@ def table_of_frame(frame: Any) -> Table:
 
 
 def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
-    """The values of a column, (n_rows,), NaN for missing cells."""
+    """The values of a column, (n_rows,), NaN for missing cells.
+
+    Raises:
+        DataError: a cell is no real number, infinite, huge, or missing.
+    """
     cells = table.frame[column]
     if holds_real_numbers(cells):
         values: np.ndarray = cells.to_numpy(dtype=np.float64, na_value=np.nan)

@@ -33,7 +33,11 @@ Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its n
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a text table is written; what is None is found in the text."""
+    """How a text table is written; what is None is found in the text.
+
+    Raises:
+        DataError: it is nothing that a table can have.
+    """
 
     # the names of the columns of a table without a header
     columns: Sequence[str] | None = None
@@ -75,6 +79,9 @@ def table_of_csv(file: OpenedFile, wanted: Iterable[Any], form: TextFormat) -> T
 
     The columns that are looked for, by name or by number from 0, help to find the
     separator.
+
+    Raises:
+        DataError: the table is empty, or a line has too few or too many cells.
     """
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}
@@ -108,6 +115,9 @@ def table_of_rows(
         wanted: The columns that are looked for, by name or by number from 0.
         form: What the user said of the table.
         separator: The sign between the cells.
+
+    Raises:
+        DataError: a row or the number of columns is not as the others say.
     """
     import pandas as pd
 

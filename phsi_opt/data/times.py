@@ -67,6 +67,9 @@ def times_in(
     Returns:
         Those of all rows, (n_rows,), and the moments at which t is 0 in each
         trajectory; none where the times are numbers.
+
+    Raises:
+        DataError: a cell is no time, or not after the one before it in its run.
     """
     cells = table.frame[column]
     if _are_moments(cells, date_format):

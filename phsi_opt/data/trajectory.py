@@ -105,7 +105,11 @@ def part_of(run: Trajectory, rows: slice) -> Trajectory:
 
 
 def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
-    """At least one trajectory, each under a name of its own, as a tuple."""
+    """At least one trajectory, each under a name of its own, as a tuple.
+
+    Raises:
+        DataError: this is no such list or tuple.
+    """
     is_sequence = isinstance(trajectories, Sequence)
     if not is_sequence or isinstance(trajectories, str) or not trajectories:
         raise DataError(
@@ -125,7 +129,11 @@ def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
 def check_channels(
     run: Trajectory, states: tuple[str, ...], inputs: tuple[str, ...]
 ) -> None:
-    """Check the columns of a trajectory against the names of the channels."""
+    """Check the columns of a trajectory against the names of the channels.
+
+    Raises:
+        DataError: columns and names differ, or a value cannot be used.
+    """
     for kind, names, values in (("state", states, run.x), ("input", inputs, run.u)):
         n_columns = values.shape[1]
         if n_columns != len(names):
@@ -248,6 +256,9 @@ def joined_pairs(
         u: inputs likewise; None at both ends: there are none.
         inputs: their names; None: "u1", "u2", ...
         hold: what they do between samples.
+
+    Raises:
+        DataError: the arrays cannot be used, or a pair does not go forward.
     """
     if u[0] is None and u[1] is None:
         u = (np.empty((np.size(t[0]), 0)),) * 2

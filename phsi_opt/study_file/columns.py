@@ -152,7 +152,7 @@ OF_UNITS = "if that line has units, write them into the header: q [m]"
 
 @dataclass(eq=False, kw_only=True)
 class Column(Header):
-    """A column as it was seen, and what it may be."""
+    """A column as it was seen, and what it may be; all its arrays are (n_lines,)."""
 
     cells: pd.Series  # its cells as text, (n_lines,)
     lines: list[str]  # what messages call its rows: "line 3" or "row 3", (n_lines,)

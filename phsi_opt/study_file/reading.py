@@ -55,6 +55,9 @@ def read_sections(
     Args:
         path: of the study file.
         places: where data files lie that are not where it says, by their names in it.
+
+    Raises:
+        StudyFileError: something cannot be used; with all that is wrong.
     """
     text, tables = _read(path)
     faults = Complaints(tables)
@@ -148,7 +151,11 @@ def _in_order(faults: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
 
 
 def tables_of(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file."""
+    """The tables of a TOML file.
+
+    Raises:
+        StudyFileError: it cannot be read, or is no TOML.
+    """
     return _read(path)[1]
 
 

@@ -308,7 +308,11 @@ def section_of(data: Measurements, file: str) -> DataSection:
 
 
 def write_table(data: Measurements, path: Path) -> None:
-    """Write the measurements as CSV, every number with all digits."""
+    """Write the measurements as CSV, every number with all digits.
+
+    Raises:
+        DataError: another file is there.
+    """
     unmeasured = [name for name in data.states if name not in data.measured]
     frame = data.to_dataframe().drop(columns=unmeasured)
     text = frame.to_csv(index=False, lineterminator="\n")
@@ -328,7 +332,11 @@ def write_table(data: Measurements, path: Path) -> None:
 def joined(
     train: Measurements, held_out: Measurements | None
 ) -> tuple[Measurements, HeldOut | None]:
-    """Training data and data held out as one, and what tells them apart again."""
+    """Training data and data held out as one, and what tells them apart again.
+
+    Raises:
+        DataError: they have other channels, or runs that cannot be told apart.
+    """
     if held_out is None:
         return train, None
     for what in ("states", "inputs", "units", "hold", "noise"):

@@ -51,7 +51,11 @@ ABOUT_FIRST_ORDER = "dx/dt = F - R x; names in formulas are states, inputs, t an
 
 
 def study_text(study: Sections) -> str:
-    """The whole file."""
+    """The whole file.
+
+    Raises:
+        ModelError: a part has something that a study file cannot hold.
+    """
     about = dict(COMMENTS)
     if not study.base.has_energy:
         about["model"] = f"{ABOUT_FIRST_ORDER}\n# parameters below."
@@ -159,7 +163,11 @@ def _model(model: Model) -> Content:
 def shared_parameters(
     model: Model, own_effects: Sequence[Effect]
 ) -> dict[str, Parameter]:
-    """The parameters of all formulas, by name, in the order of the model."""
+    """The parameters of all formulas, by name, in the order of the model.
+
+    Raises:
+        ModelError: one name stands for two different parameters.
+    """
     sums = [model.H]
     for slot in BY_EQUATION:
         sums += getattr(model, slot).values()

@@ -134,7 +134,11 @@ class TableSurvey:
 
 
 def survey(path: DataFile) -> TableSurvey:
-    """Look at a table."""
+    """Look at a table.
+
+    Raises:
+        DataError: it cannot be read as a table, or has too few lines.
+    """
     table = table_at(path)
     columns = columns_of(table)
     n_lines = len(table.frame)
@@ -171,7 +175,11 @@ def survey(path: DataFile) -> TableSurvey:
 
 
 def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> None:
-    """Refuse a further file that is no further run of the same measurement."""
+    """Refuse a further file that is no further run of the same measurement.
+
+    Raises:
+        DataError: it has other columns than the first.
+    """
     known, found = (sorted(one.column for one in columns) for columns in (first, other))
     if known != found:
         differ = sorted(set(known) ^ set(found))

@@ -130,6 +130,9 @@ def add_effects(path: Path, names: Iterable[str]) -> Path:
 
     Returns:
         The path of the file as it was before.
+
+    Raises:
+        DataError: the file has a form that cannot be changed safely.
     """
     path = path.resolve()  # where the name is a link, the file that it leads to
     bytes_before = file_bytes(path)
