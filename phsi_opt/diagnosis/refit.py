@@ -43,7 +43,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.errors import PhsiOptError, SolveError
 from phsi_opt.estimation.estimate import Task, silent
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import estimate_by, identify_aligned
+from phsi_opt.estimation.identify import estimate_by, identify
 from phsi_opt.estimation.likelihood_estimate import (
     DisturbedEstimate,
     LikelihoodEstimate,
@@ -97,7 +97,7 @@ class DiagnosedModel:
         if not fit.has_model_error:
             return base
         aligned = base.record.aligned
-        return base.with_fit(identify_aligned(fit.model, aligned, loss, start=fit))
+        return base.with_fit(identify(fit.model, aligned, loss, start=fit))
 
     def with_fit(self, fit: Fit) -> "DiagnosedModel":
         """Another fit of the same records, with missing forces of its own.
@@ -175,7 +175,7 @@ def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel 
     base.say("re-fitting the model from where it was weighed")
     aligned = base.record.aligned
     try:
-        better = identify_aligned(start.model, aligned, base.loss, start=start)
+        better = identify(start.model, aligned, base.loss, start=start)
         if not deviance(better) < deviance(fit) - OTHER_OPTIMUM_DEVIANCE:
             return None
         return base.with_fit(better)
@@ -200,9 +200,7 @@ def thorough_fit(aligned: AlignedData, loss: MaximumLikelihood, brief: Fit) -> F
     """A brief re-fit made thorough; itself where that fails or is worse."""
     settings = SolverSettings(max_iterations=THOROUGH_ITERATIONS)
     with suppress(SolveError):
-        thorough = identify_aligned(
-            brief.model, aligned, loss, start=brief, settings=settings
-        )
+        thorough = identify(brief.model, aligned, loss, start=brief, settings=settings)
         if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
             return thorough
     return brief
@@ -267,7 +265,7 @@ class Refitting:
             noise={name: sigma[name] for name in model.states if name in measured},
             steps=tuple(refinement * steps for steps in base.fit.steps),
         )
-        return identify_aligned(
+        return identify(
             self.model, self.aligned, base.loss, start=start, settings=BRIEF
         )
 
@@ -287,7 +285,7 @@ class Refitting:
             return trained
         settings = replace(BRIEF, thorough=True)
         with suppress(PhsiOptError):
-            finer = identify_aligned(
+            finer = identify(
                 fit.model, self.aligned, self.base.loss, start=fit, settings=settings
             )
             again = compare_record(record.refitted(finer))

@@ -30,6 +30,7 @@ from phsi_opt.estimation.uncertainty import Uncertainty, unknown
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.standard_errors import Source, Spread, StandardErrors
 from phsi_opt.optimization.ipopt import Solution, SolverSettings
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
@@ -45,11 +46,6 @@ def silent(line: str) -> None:
     """The `Progress` that says nothing."""
 
 
-def unchanged(grid: Grid) -> Grid:
-    """The layout without inputs beyond those of the measurements."""
-    return grid
-
-
 @dataclass(frozen=True, eq=False)
 class Task:
     """Model, measurements and settings of one call of `identify`.
@@ -61,7 +57,6 @@ class Task:
         pruning: how terms are removed; None keeps them all.
         settings: of every solve.
         say: called with a line of text as the work goes on.
-        layout: adds inputs to the grid that the measurements do not hold.
         executor: where further starts are solved; None: here.
     """
 
@@ -71,7 +66,6 @@ class Task:
     pruning: Pruning | None
     settings: SolverSettings
     say: Progress = silent
-    layout: Callable[[Grid], Grid] = unchanged
     executor: Executor | None = None
 
     @property
@@ -153,6 +147,20 @@ class Estimate(ABC):
         """Whether an L1 term shrinks the coefficients."""
         return any(self.l1.values())
 
+    @property
+    def nodes(self) -> np.ndarray:
+        """States at the nodes, (n_nodes, n_states)."""
+        return self.solution.values["x"].reshape(self.grid.y.shape)
+
+    @property
+    def standard_errors(self) -> StandardErrors | None:
+        """Those that count model error; None: none are known beyond `uncertainty`."""
+        return None
+
+    def covariance_by(self, spread: Spread | None) -> np.ndarray:
+        """Covariance of theta, (n_theta, n_theta), by a spread; None: noise alone."""
+        return self.uncertainty.covariance
+
     @cached_property
     def uncertainty(self) -> Uncertainty:
         """Covariance of the estimates, where it is known."""
@@ -216,8 +224,23 @@ class Estimate(ABC):
             )
         warnings += map(self._bound_warning, self.solution.outcome.at_bounds)
         warnings += self.uncertainty.warnings
-        return FitUncertainty(
-            covariance=self.uncertainty.covariance, warnings=tuple(warnings)
+        covariance = self.uncertainty.covariance
+        known = FitUncertainty(covariance=covariance, warnings=tuple(warnings))
+        found = self.standard_errors
+        if found is None:
+            return known
+        covariances = {Source.NOISE: self.covariance_by(None)}
+        for source, spread in found.spreads.items():
+            if source != Source.NOISE:
+                covariances[source] = self.covariance_by(spread)
+        return replace(
+            known,
+            covariance=covariances[found.source],
+            source=found.source,
+            covariances=covariances,
+            freedom=found.spread.freedom,
+            model_error_rows=self._model_error_rows(found.disturbances),
+            log_evidence=found.log_evidence,
         )
 
     def _bound_warning(self, name: str) -> str:
@@ -231,19 +254,14 @@ class Estimate(ABC):
             "standard error, and the others take it as known"
         )
 
-    def model_error_rows(
-        self, nodes: np.ndarray, disturbances: Disturbances
+    def _model_error_rows(
+        self, disturbances: Disturbances
     ) -> tuple[ModelErrorRow, ...]:
-        """A row per disturbance, forces first, and where white noise differs.
-
-        Args:
-            nodes: (n_nodes, n_states) states.
-            disturbances: what was found.
-        """
+        """A row per disturbance, forces first, and where white noise differs."""
         states = self.model.states
         units = self.task.data.units
         grid = self.grid
-        rate = np.sqrt(np.mean(grid.rates(nodes) ** 2, axis=0))
+        rate = np.sqrt(np.mean(grid.rates(self.nodes) ** 2, axis=0))
         rows = []
 
         def add(

@@ -5,7 +5,7 @@ arguments are checked and put together, and a failure becomes an error.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -24,14 +24,14 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.sweeps.sweep import check_executor
-from phsi_opt.transcription.grid import AlignedData, Grid, grid_of
+from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss, l1_weights
 
 
 @interruptible
 def identify(
     model: Model,
-    data: Measurements,
+    data: Measurements | AlignedData,
     loss: Loss | None = None,
     l1: Mapping[str, float] | float | None = None,
     pruning: Pruning | None = None,
@@ -50,7 +50,8 @@ def identify(
 
     Args:
         model: what is known, with its free parameters.
-        data: measurements whose states and inputs are those of the model.
+        data: measurements whose states and inputs are those of the model; or what
+            `AlignedData.of` made of them.
         loss: `PHSILoss` or `MaximumLikelihood` (default).
         l1: weight lambda of ``|coefficient|`` per slot, such as {"H": 0.1, "F": 0.01};
             a number stands for both.
@@ -78,42 +79,6 @@ def identify(
         >>> print(f"k = {fit.values['k']:.1f} +- {fit.std_errors['k']:.1f} N/m")
         k = 40.1 +- 0.2 N/m
     """
-    return identify_aligned(
-        model,
-        AlignedData.of(model, data),
-        loss,
-        l1,
-        pruning,
-        start=start,
-        settings=settings,
-        raise_on_failure=raise_on_failure,
-        progress=progress,
-        executor=executor,
-    )
-
-
-def identify_aligned(
-    model: Model,
-    aligned: AlignedData,
-    loss: Loss | None = None,
-    l1: Mapping[str, float] | float | None = None,
-    pruning: Pruning | None = None,
-    *,
-    start: Fit | None = None,
-    settings: SolverSettings | None = None,
-    raise_on_failure: bool = True,
-    progress: Progress | None = None,
-    executor: Executor | None = None,
-) -> Fit:
-    """`identify` for measurements that were aligned with the model before.
-
-    Arguments, result and errors are those of `identify`.
-
-    Raises:
-        DataError: if the executor cannot compute.
-        ModelError: for a model that cannot be solved.
-        SolveError: if the solver fails.
-    """
     began = time.perf_counter()
     check_executor(executor)
     loss = loss or MaximumLikelihood()
@@ -123,6 +88,7 @@ def identify_aligned(
             "else; use compare or diagnose with the model, or MaximumLikelihood(), "
             "which estimates states and noise."
         )
+    aligned = data if isinstance(data, AlignedData) else AlignedData.of(model, data)
     model = with_kinds_of_units(model, aligned.data.units)
     own = aligned.for_model(model)
     if start is None:
@@ -144,35 +110,18 @@ def identify_aligned(
 
 def identify_forced(
     model: Model,
-    data: Measurements,
+    aligned: AlignedData,
     loss: PHSILoss,
     l1: Mapping[str, float] | float | None,
     pruning: Pruning | None,
-    layout: Callable[[Grid], Grid],
     start: Fit | None = None,
 ) -> Fit:
-    """`identify` with further inputs that the measurements do not hold.
-
-    Args:
-        model: as in `identify`.
-        data: as in `identify`, already matched to the model.
-        loss: the PHSI loss.
-        l1: as in `identify`.
-        pruning: as in `identify`.
-        layout: adds the inputs to the grid.
-        start: as in `identify`.
+    """`identify` by the PHSI loss, with inputs that only the layout of the data holds.
 
     Raises:
         SolveError: if the solver fails.
     """
-    task = Task(
-        model=model,
-        aligned=AlignedData(data, grid_of(data)),
-        l1=l1_weights(l1),
-        pruning=pruning,
-        settings=SolverSettings(),
-        layout=layout,
-    )
+    task = Task(model, aligned, l1_weights(l1), pruning, SolverSettings())
     estimate = by_defects(task, loss, start)
     _raise_failure(estimate)
     return estimate.fit()
@@ -210,15 +159,10 @@ def _raise_failure(estimate: Estimate) -> None:
 
 
 def fit_of(fit: Fit | Model, data: Measurements, verb: str) -> Fit:
-    """The fit itself, or that of a model without free parameters.
+    """The fit itself, or that of a model whose parameters are all known.
 
-    Such a model is compared and diagnosed like a fitted one. What measurements tell of
-    it is the noise and the states.
-
-    Args:
-        fit: a fit, or a model whose parameters are all known.
-        data: measurements of the model's states and inputs.
-        verb: what the fit is for, such as "compare"; it stands in the messages.
+    Measurements tell the noise and the states of such a model. Messages name the
+    ``verb``, such as "compare".
 
     Raises:
         DataError: a state or input of the model is not in the measurements.

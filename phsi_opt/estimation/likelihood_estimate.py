@@ -13,16 +13,15 @@ errors count a part of it (`state_functions.LINEAR_SHARE`).
 """
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.noise import scatter_by_run
-from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.estimation.likelihood_steps import solution_of_steps
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
@@ -74,11 +73,6 @@ class LikelihoodEstimate(Estimate):
     def n_values(self) -> int:
         """Number of measured values."""
         return len(self.grid.channel)
-
-    @property
-    def nodes(self) -> np.ndarray:
-        """States at the nodes, (n_nodes, n_states)."""
-        return self.solution.values["x"].reshape(self.grid.y.shape)
 
     @property
     def states(self) -> tuple[np.ndarray, ...]:
@@ -245,10 +239,19 @@ class LikelihoodEstimate(Estimate):
 
     @cached_property
     def standard_errors(self) -> StandardErrors | None:
-        """The standard errors that survive model error; None where there are none."""
+        """Those that count model error; None where there are no standard errors."""
         if not self.is_success or self.has_l1 or not len(self.theta):
             return None
         return standard_errors(self.plain)
+
+    def covariance_by(self, spread: Spread | None) -> np.ndarray:
+        """In the parameters' units, NaN where noise alone gives none."""
+        of_noise = self.uncertainty.covariance
+        if spread is None:
+            return of_noise
+        scale = self.point.theta_scale
+        known = spread.covariance * np.outer(scale, scale)
+        return np.where(np.isfinite(of_noise), known, np.nan)
 
     def fit(self) -> Fit:
         """The result record, with noise, states and information criterion."""
@@ -259,29 +262,6 @@ class LikelihoodEstimate(Estimate):
             states=self.states,
             steps=tuple(steps_per_gap(self.grid)),
             huber=self.loss.huber,
-        )
-
-    def fit_uncertainty(self) -> FitUncertainty:
-        """The standard errors that survive model error, with those of noise alone."""
-        plain = super().fit_uncertainty()
-        found = self.standard_errors
-        if found is None:
-            return plain
-        scale = self.point.theta_scale
-        covariances = {Source.NOISE: plain.covariance}
-        for source, spread in found.spreads.items():
-            if source != Source.NOISE:
-                known = spread.covariance * np.outer(scale, scale)
-                is_known = np.isfinite(plain.covariance)
-                covariances[source] = np.where(is_known, known, np.nan)
-        return replace(
-            plain,
-            covariance=covariances[found.source],
-            source=found.source,
-            covariances=covariances,
-            freedom=found.spread.freedom,
-            model_error_rows=self.model_error_rows(self.nodes, found.disturbances),
-            log_evidence=found.log_evidence,
         )
 
 
@@ -320,44 +300,53 @@ class DisturbedEstimate(Estimate):
     def _likelihood(self) -> MarginalLikelihood:
         return self.search.likelihood(self.disturbances)
 
-    @cached_property
-    def spreads(self) -> dict[Source, Spread]:
-        """Covariances of the scaled parameters, the one that is given last.
+    @property
+    def nodes(self) -> np.ndarray:
+        """States at the nodes, (n_nodes, n_states)."""
+        return self.search.problem.nodes
 
-        Under all that the record shows, which may be more than the prior allows, such
-        as functions of states; and from the scatter between trajectories where they are
-        enough.
+    @cached_property
+    def standard_errors(self) -> StandardErrors | None:
+        """By what the record shows, or by the scatter between trajectories.
+
+        The former may be more than the prior allows, such as functions of states; the
+        latter counts where trajectories are enough.
         """
-        response = self._likelihood.at(self.disturbances).response
+        if not self.is_success:
+            return None
+        system = self._likelihood.at(self.disturbances)
         problem = self.search.problem
         problem = replace(problem, linear_share=LINEAR_SHARE, tilt=None)
         counted = replace(self.search, problem=problem)
-        found = under_disturbances(counted, response, counted.found())
+        found = under_disturbances(counted, system.response, counted.found())
         spreads = {Source.DISTURBANCES: found}
         if self.unknown.is_shared:
-            system = self._likelihood.at(self.disturbances)
             borders = system.borders_by_trajectory()
             clusters = Clusters.of(borders, system.border.estimate)
             if clusters.is_enough:
                 of_clusters = clusters.spread(self.search.moving, len(self.unknown))
                 spreads[Source.TRAJECTORIES] = of_clusters
-        return spreads
-
-    @property
-    def source(self) -> Source:
-        """Where the standard errors come from."""
-        return list(self.spreads)[-1]
+        source = list(spreads)[-1]
+        evidence = system.log_model_evidence
+        return StandardErrors(source, spreads, self.disturbances, evidence)
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Covariance of theta, and where nothing is known of it."""
-        return self._uncertainty(self.source)
+        assert self.standard_errors is not None
+        return self._uncertainty(self.standard_errors.spread)
 
-    def _uncertainty(self, source: Source) -> Uncertainty:
+    def covariance_by(self, spread: Spread | None) -> np.ndarray:
+        """In the parameters' units, NaN where it is not known."""
+        if spread is None:
+            return self.plain.uncertainty.covariance
+        return self._uncertainty(spread).covariance
+
+    def _uncertainty(self, spread: Spread) -> Uncertainty:
         return of_covariance(
             self.unknown.names,
             self.theta,
             self.point.theta_scale,
-            self.spreads[source].covariance,
+            spread.covariance,
             self.solution.outcome.at_bounds,
             self.plain.uncertainty.silent,
         )
@@ -386,34 +375,13 @@ class DisturbedEstimate(Estimate):
             has_model_error=True,
         )
 
-    def fit_uncertainty(self) -> FitUncertainty:
-        """The standard errors, with those of noise alone, and what acts beside."""
-        found = super().fit_uncertainty()
-        if not self.is_success:
-            return found
-        covariances = {Source.NOISE: self.plain.uncertainty.covariance}
-        for source in self.spreads:
-            covariances[source] = self._uncertainty(source).covariance
-        return replace(
-            found,
-            source=self.source,
-            covariances=covariances,
-            freedom=self.spreads[self.source].freedom,
-            model_error_rows=self.model_error_rows(
-                self.search.problem.nodes, self.disturbances
-            ),
-            log_evidence=self._likelihood.at(self.disturbances).log_model_evidence,
-        )
-
 
 def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     """The estimate with a random force, begun at the plain one.
 
     Raises:
-        SolveError: the plain estimate is none, or the states do not follow from data.
+        SolveError: the states do not follow from the data.
     """
-    if not plain.is_success:
-        raise SolveError(f"The solver failed: {plain.solution.outcome}")
     began = time.perf_counter()
     task = plain.task
     task.say("what acts beside the model")
@@ -449,17 +417,11 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             is_found=joint.has_converged,
             began=began,
         )
+        as_plain: dict[str, Any] = {
+            one.name: getattr(plain, one.name) for one in fields(Estimate)
+        }
         estimate = DisturbedEstimate(
-            task=task,
-            loss=plain.loss,
-            model=plain.model,
-            grid=plain.grid,
-            unknown=plain.unknown,
-            point=values.point,
-            solution=solution,
-            l1={},
-            removed=plain.removed,
-            notes=plain.notes,
+            **{**as_plain, "solution": solution, "l1": {}},
             plain=plain,
             disturbances=disturbances,
             search=search,

@@ -125,8 +125,7 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     Raises:
         DataError: every state is zero at every sample.
     """
-    grid = task.layout(task.grid)
-    used = complete_intervals(task.model, grid)
+    used = complete_intervals(task.model, task.grid)
     if not np.any(used.y):
         raise DataError(
             "every state is zero at every sample: no parameter follows from that; "
@@ -138,7 +137,7 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     else:
         known = model.values | start.values
         starts = [np.array([known[name] for name in model.free])]
-    solver = PHSISolver(task, loss, grid)
+    solver = PHSISolver(task, loss, task.grid)
     estimates = solver.pruned_from(model, starts)
     if start is None:
         best = min(estimates, key=_bic_like)

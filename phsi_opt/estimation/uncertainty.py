@@ -179,11 +179,8 @@ def silent_directions(
 ) -> SilentDirections:
     """Find the directions on which the data are silent.
 
-    Args:
-        names: Of the parameters.
-        theta: (n_theta,) scaled parameters.
-        covariance: (n_theta, n_theta) of the scaled parameters, with the ridge.
-        held: Places of parameters that do not move, such as those at a bound.
+    Of scaled parameters theta (n_theta,), by their covariance (n_theta, n_theta) with
+    the ridge. Those that are ``held``, such as at a bound, do not move.
 
     Raises:
         SolveError: the covariance is not finite.
@@ -201,15 +198,17 @@ def silent_directions(
     sentences = []
     silent: set[int] = set()
     pinned = []
-    for one in _open_directions(covariance[np.ix_(moving, moving)], size):
-        spread = np.sqrt(one.variance) * np.abs(one.direction)
-        places = _members(one.direction, spread, size)
+    for variance, direction, own in _open_directions(
+        covariance[np.ix_(moving, moving)], size
+    ):
+        spread = np.sqrt(variance) * np.abs(direction)
+        places = _members(direction, spread, size)
         members = [moving[i] for i in places]
         silent.update(members)
         of_members = [names[i] for i in members]
-        sentences.append(_sentence(of_members, one.direction[places], theta[members]))
-        if one.own is not None:
-            pinned.append(moving[one.own])
+        sentences.append(_sentence(of_members, direction[places], theta[members]))
+        if own is not None:
+            pinned.append(moving[own])
     return SilentDirections(
         sentences=tuple(dict.fromkeys(sentences)),
         parameters=tuple(sorted(silent)),
@@ -217,67 +216,44 @@ def silent_directions(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Open:
-    """A direction that the data leave open.
-
-    Attributes:
-        variance: of a step along it.
-        direction: (n_moving,) of length one.
-        own: place of a parameter that changes along it and along no other unknown one;
-            None: the data know the direction, but for a factor.
-    """
-
-    variance: float
-    direction: np.ndarray
-    own: int | None = None
+# Variance of a step along a direction that the data leave open; the direction, of
+# length one; the place of a parameter that changes along it and along no other unknown
+# one, or None where the data know the direction, but for a factor.
+_Open = tuple[float, np.ndarray, int | None]
 
 
 def _open_directions(covariance: np.ndarray, size: np.ndarray) -> list[_Open]:
     """Those about which the data are silent.
 
-    Args:
-        covariance: (n_moving, n_moving) of the scaled parameters.
-        size: (n_moving,) their absolute values.
+    Only the ridge holds a direction from a hundredth of the ridge's own variance. Below
+    1e-11 of the largest information all is rounding; a variance up to 100 is not
+    suspicious. Of parameters whose absolute values are ``size``.
     """
     eigenvalues, directions = np.linalg.eigh(covariance)
     best_known = float(np.min(eigenvalues, where=eigenvalues > 0, initial=np.inf))
     # Rounded below zero: nothing but the ridge holds the direction.
     variances = np.where(eigenvalues > 0, eigenvalues, 1 / RIDGE)
-    is_unknown = np.array([_is_unknown(one, best_known) for one in variances])
-    found = []
+    limit = min(0.01 / RIDGE, max(100.0, best_known / 1e-11))
+    is_unknown = variances > limit
+    found: list[_Open] = []
     for k in np.flatnonzero(~is_unknown):
         if _is_scaling(np.sqrt(variances[k]) * np.abs(directions[:, k]), size):
-            found.append(_Open(float(variances[k]), directions[:, k]))
-    if np.any(is_unknown):
-        variance = float(np.max(variances[is_unknown]))
-        found += _separated(directions[:, is_unknown], variance)
-    return found
-
-
-def _separated(directions: np.ndarray, variance: float) -> list[_Open]:
-    """Directions that span the same space (n, n_directions), with few members each.
-
-    Eigenvectors of one eigenvalue are mixed at will. Each of these has a parameter to
-    itself, in which the others have no part.
-    """
-    _, _, order = qr(directions.T, mode="economic", pivoting=True)
-    own = order[: directions.shape[1]]
-    separated = directions @ np.linalg.inv(directions[own])
+            found.append((float(variances[k]), directions[:, k], None))
+    if not np.any(is_unknown):
+        return found
+    # Directions that span the same space, with few members each: eigenvectors of one
+    # eigenvalue are mixed at will. Each of these has a parameter to itself.
+    unknown = directions[:, is_unknown]
+    _, _, order = qr(unknown.T, mode="economic", pivoting=True)
+    own = order[: unknown.shape[1]]
+    separated = unknown @ np.linalg.inv(unknown[own])
     is_rounding = np.abs(separated) < 1e-6 * np.max(np.abs(separated))
     separated[is_rounding] = 0.0
     separated = separated / np.linalg.norm(separated, axis=0)
-    pairs = zip(separated.T, own.tolist(), strict=True)
-    return [_Open(variance, direction, place) for direction, place in pairs]
-
-
-def _is_unknown(variance: float, best_known: float) -> bool:
-    """Whether only the ridge holds a direction, or only rounding errors tell it.
-
-    From a hundredth of the ridge's own variance nothing else holds it. Below 1e-11 of
-    the largest information all is rounding; a variance up to 100 is not suspicious.
-    """
-    return variance > min(0.01 / RIDGE, max(100.0, best_known / 1e-11))
+    variance = float(np.max(variances[is_unknown]))
+    for direction, place in zip(separated.T, own.tolist(), strict=True):
+        found.append((variance, direction, place))
+    return found
 
 
 def _members(direction: np.ndarray, spread: np.ndarray, size: np.ndarray) -> np.ndarray:

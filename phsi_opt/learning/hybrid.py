@@ -52,7 +52,7 @@ from phsi_opt.simulation.simulate import simulate_forced
 from phsi_opt.statistics import rms
 from phsi_opt.transcription import integrators
 from phsi_opt.transcription.defects import KnownDefects, ParameterSlopes
-from phsi_opt.transcription.grid import Grid, aligned_once, grid_of
+from phsi_opt.transcription.grid import AlignedData, Grid, aligned_once, grid_of
 from phsi_opt.transcription.integrators import Integrator
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals
 from phsi_opt.writing import write_whole
@@ -306,7 +306,8 @@ class _Problem:
         """The dictionary, with a force as an input."""
         forced, grid = self.forced(model, force)
         loss = PHSILoss(self.rule.name)
-        return identify_forced(forced, data, loss, l1, pruning, lambda _: grid, start)
+        aligned = AlignedData(data, grid)
+        return identify_forced(forced, aligned, loss, l1, pruning, start)
 
     def defects(self, model: Model, force: np.ndarray) -> ParameterSlopes:
         """Of a dictionary beside a force, with their slopes in its coefficients."""

@@ -16,7 +16,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import thorough_fit
 from phsi_opt.errors import ModelError, PhsiOptError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify_aligned
+from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import follows_of
@@ -189,7 +189,7 @@ class StudyRecord:
 
     def fitted(self, model: Model, start: Fit | None = None) -> Fit:
         """A model fitted to the training data, from the estimates of another fit."""
-        return identify_aligned(model, self.training, self.loss, start=start)
+        return identify(model, self.training, self.loss, start=start)
 
     def larger(self, effect: Effect, found: Candidate | None) -> Fit:
         """The present model with one effect, from what a diagnosis found of it."""
@@ -228,7 +228,7 @@ class StudyRecord:
             )
         others = [other for other in self.last.added if other is not effect]
         frozen = self.model_with(others).frozen()
-        fit = identify_aligned(frozen, self.training, MaximumLikelihood())
+        fit = identify(frozen, self.training, MaximumLikelihood())
         analysis = ForceAnalysis.of(Record.of_aligned(fit, self.training))
         effort = frozen.efforts[frozen.states.index(effect.equation)]
         said = (
