@@ -210,8 +210,7 @@ def descend(
         progress: called with a line of text every few epochs.
 
     Returns:
-        The history: a row per epoch with epoch, loss (its mean over the batches) and
-        n_terms.
+        A row per epoch with epoch, loss (its mean over the batches) and n_terms.
 
     Raises:
         SolveError: when the loss is no longer finite.

@@ -248,12 +248,7 @@ class DescentRun:
 
 
 def loss_and_slopes(model: Model, scheme: str) -> ca.Function:
-    """CasADi function (interval, theta) -> loss and its slopes, (1 + n_free,).
-
-    Args:
-        model: with free parameters theta.
-        scheme: name of the integrator.
-    """
+    """CasADi function (interval, theta) -> loss and its slopes, (1 + n_free,)."""
     function = defect(model, scheme)
     *interval, theta = argument_symbols(function)
     loss = ca.sumsqr(function(*interval, theta))
@@ -284,11 +279,7 @@ THESIS_STARTS = {"polynomial": 0.2, "function": 1.0, "damping": 0.0}
 
 
 def starting_values(model: Model, settings: Descent, seed: int) -> np.ndarray:
-    """Where the descent starts, in the order of ``model.free``; see `Descent`.
-
-    Returns:
-        A value per parameter, (n_free,).
-    """
+    """Where the descent starts, (n_free,), in the order of ``model.free``."""
     rng = np.random.default_rng(seed)
     of_thesis = _thesis_starts(model)
     values = []

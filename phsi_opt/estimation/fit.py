@@ -112,8 +112,8 @@ class Fit(FitRecord, Summarised):
         for name, value in encoded(self.uncertainty.value).items():
             content[NAMES_IN_FILES.get(name, name)] = value
         content["hold"] = self.hold
-        content["steps"] = [_steps_content(steps) for steps in self.steps]
-        content["n_gaps"] = [len(steps) for steps in self.steps]
+        content["steps"] = list(map(_steps_content, self.steps))
+        content["n_gaps"] = list(map(len, self.steps))
         return content
 
     @classmethod
@@ -127,20 +127,23 @@ class Fit(FitRecord, Summarised):
         """
         model = model_from(content["model"])
         hints = get_type_hints(cls)
-        known = [name for name in _plain_fields() if name in content]
+        plain = {}
+        for name in _plain_fields():
+            if name in content:
+                plain[name] = decoded(hints[name], content[name])
+        steps = []
         gaps = zip(content.get("steps", []), content.get("n_gaps", []), strict=True)
+        for given, n_gaps in gaps:
+            steps.append(np.broadcast_to(np.array(given, int), n_gaps).copy())
         fit = cls(
             model=model,
             uncertainty=Later.known(_uncertainty_from(content)),
             hold=checked_hold(content["hold"], model.inputs),
-            steps=tuple(
-                np.broadcast_to(np.array(steps, int), n).copy() for steps, n in gaps
-            ),
-            **{name: decoded(hints[name], content[name]) for name in known},
+            steps=tuple(steps),
+            **plain,
         )
-        _check_names(
-            fit.names, Theta.of(model, tuple(fit.by_trajectory) or ("",)).names
-        )
+        unknown = Theta.of(model, tuple(fit.by_trajectory) or ("",))
+        _check_names(fit.names, unknown.names)
         _check_names(fit.noise, model.states)
         n = len(fit.names)
         freedom = fit.freedom
@@ -237,7 +240,7 @@ class Fit(FitRecord, Summarised):
                 "the fit has no estimated states: a file does not keep them, and "
                 "PHSILoss estimates none. Call identify, or compare(fit, data).plot()."
             )
-        lengths = [len(x) for x in self.states]
+        lengths = list(map(len, self.states))
         given = [run.n_samples for run in data.trajectories]
         if lengths != given:
             raise DataError(
@@ -271,8 +274,8 @@ class Fit(FitRecord, Summarised):
 
 
 def _plain_fields() -> list[str]:
-    names = [one.name for one in fields(Fit)]
-    return [name for name in names if name not in OTHERWISE_IN_FILES]
+    """Names of the fields that a file holds as they are."""
+    return [one.name for one in fields(Fit) if one.name not in OTHERWISE_IN_FILES]
 
 
 def _uncertainty_from(content: Content) -> FitUncertainty:

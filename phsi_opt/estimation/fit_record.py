@@ -449,7 +449,7 @@ class FitRecord(Identified):
         share (of the typical rate of that equation, or of the channel's spread). Empty
         where nothing but white noise shows.
         """
-        rows = [vars(row) for row in self.model_error_rows]
+        rows = list(map(vars, self.model_error_rows))
         return printed_table(rows, columns=list(MODEL_ERROR_COLUMNS))
 
     def intervals(self, level: float = 0.95) -> "pd.DataFrame":
@@ -577,13 +577,7 @@ class FitRecord(Identified):
 def parameters_of(fit: FitRecord, data: Measurements) -> dict[str, dict[str, float]]:
     """Values of the free parameters by name, for every trajectory by name.
 
-    Args:
-        fit: The fit.
-        data: The record; its trajectories are known to the fit by their names.
-
-    Returns:
-        One new mapping per trajectory. A trajectory that the fit has not seen gets the
-        means of the fit.
+    A trajectory that the fit has not seen by its name gets the means of the fit.
     """
     means = {name: fit.values[name] for name in fit.model.free}
     names = [run.name for run in data.trajectories]
@@ -593,13 +587,7 @@ def parameters_of(fit: FitRecord, data: Measurements) -> dict[str, dict[str, flo
 def parameter_matrix(
     model: Model, per_trajectory: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
-    """Free parameters as columns, (n_free, n_trajectories).
-
-    Args:
-        model: Its ``free`` names are the order of the rows.
-        per_trajectory: Values by name for every trajectory, as from `parameters_of`;
-            their order is that of the columns.
-    """
+    """Free parameters as columns, (n_free, n_trajectories), of values by trajectory."""
     rows = [[one[name] for one in per_trajectory.values()] for name in model.free]
     return np.array(rows, dtype=float).reshape(len(rows), len(per_trajectory))
 

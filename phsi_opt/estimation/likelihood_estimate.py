@@ -216,13 +216,10 @@ class LikelihoodEstimate(Estimate):
         )
 
     def search(self, problem: Linearization) -> DisturbanceSearch:
-        """The search for what acts beside the model, from the noise of the solution.
+        """The search for what acts besides the model, from the noise of the solution.
 
-        Parameters at a bound stay there, and so do as many as the data cannot tell from
-        others: a likelihood that is flat along a direction has no finite marginal.
-
-        Args:
-            problem: the likelihood, linearised.
+        Parameters at a bound stay there, and so do as many as the data cannot tell
+        from others: a likelihood that is flat along a direction has no finite marginal.
         """
         shape = (problem.n_trajectories, len(self.sigma))
         measured = problem.grid.measured_states
@@ -336,7 +333,7 @@ class DisturbedEstimate(Estimate):
         return self._uncertainty(self.standard_errors.spread)
 
     def covariance_by(self, spread: Spread | None) -> np.ndarray:
-        """In the parameters' units, NaN where it is not known."""
+        """In the parameters' units, (n_theta, n_theta); NaN where it is not known."""
         if spread is None:
             return self.plain.uncertainty.covariance
         return self._uncertainty(spread).covariance

@@ -73,11 +73,7 @@ def by_steps(
 ) -> Optimum:
     """The optimum and its noise, or how far full steps went.
 
-    Args:
-        values: of the likelihood, whose point is the start.
-        settings: limits.
-        noise: re-estimates what is not given.
-        sigma: (n_states,) noise to start from.
+    From the point of the likelihood's values, and noise sigma (n_states,).
     """
     began = time.perf_counter()
     most = min(STEPS_OF_A_PROBLEM, settings.max_iterations)
@@ -165,10 +161,8 @@ def continued(
 ) -> np.ndarray | None:
     """Scaled variables that nearly solve the model; None: no steps lead there.
 
-    Args:
-        values: of the likelihood, whose point is the start.
-        sigma: (n_states,) noise.
-        sizes: of the force, falling, as shares of the rates.
+    From the point of the likelihood's values, with noise sigma (n_states,), along
+    forces of falling sizes, as shares of the rates.
     """
     rates = _sizes_of_rates(values)
     linearizer = Linearizer(values)
@@ -217,12 +211,7 @@ def by_ipopt(
 ) -> Optimum:
     """The optimum and its noise, or how far IPOPT went.
 
-    Args:
-        program: of the likelihood.
-        settings: tolerance and limits.
-        noise: re-estimates what is not given.
-        sigma: (n_states,) noise to start from.
-        by_steps: where full steps ended that did not settle; None: there were none.
+    From noise sigma (n_states,), and from where full steps ended that did not settle.
     """
     starts = [(False, program.start), (True, program.start)]  # whether it is exact
     if by_steps is not None:

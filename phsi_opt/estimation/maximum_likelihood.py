@@ -168,7 +168,7 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     sigma = np.where(noise.is_known, noise.sigma, at_least)
     grid = task.grid
     lengths = [run.n_samples for run in task.data.trajectories]
-    has_states = [len(x) for x in start.states] == lengths
+    has_states = list(map(len, start.states)) == lengths
     x = np.nan_to_num(grid.y)
     if has_states:
         # Those that the model has too.
@@ -205,13 +205,8 @@ def states_at(
 ) -> tuple[np.ndarray, ...]:
     """States at the samples for given parameters, (n_samples, n_states) per trajectory.
 
-    The data where they are complete, else smoothed with a missing force.
-
-    Args:
-        problem: the likelihood.
-        model: with its guesses resolved.
-        theta: (n_theta,) the parameters.
-        sigma: (n_states,) noise to begin with.
+    The data where they are complete, else smoothed with a missing force, beginning with
+    noise sigma (n_states,), at parameters theta (n_theta,).
 
     Raises:
         SolveError: if the smoothing fails.
@@ -241,10 +236,6 @@ def best_optimum(
     """The optimum of least deviance, with notes on how it was found.
 
     From the first starting point and from random ones, in parallel if asked for.
-
-    Args:
-        problem: with the number of ``starts`` in its loss.
-        first: the first starting point.
     """
     task = problem.task
     of_workers = replace(problem, task=replace(task, say=silent, executor=None))

@@ -126,14 +126,6 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     neighbouring samples scatter, the search is begun again from a larger force, and at
     last with the noise taken from the scatter.
 
-    Args:
-        fit: the fitted model.
-        data: measurements with states and inputs in the model's order.
-        grid: the same, laid out with one interval between neighbouring samples.
-
-    Returns:
-        States (n_nodes, n_states), force (n_intervals, n_forced), noise per state.
-
     Raises:
         SolveError: no states were found with which a force explains the data.
     """
@@ -167,12 +159,12 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     if is_doubtful(estimate):
         rates = np.sqrt(np.mean(grid.rates(estimate.x) ** 2, axis=0))
         sizes = np.maximum(rates[list(estimate.rows)], estimate.size)
-        larger = tuple(
-            replace(force, size=float(SIZE_OF_SECOND_SEARCH * size))
-            for force, size in zip(estimate.disturbances.forces, sizes, strict=True)
-        )
+        larger = []
+        forces = estimate.disturbances.forces
+        for force, size in zip(forces, sizes.tolist(), strict=True):
+            larger.append(replace(force, size=SIZE_OF_SECOND_SEARCH * size))
         with suppress(SolveError):
-            second = search(scatter, forces=larger)
+            second = search(scatter, forces=tuple(larger))
             estimate = max(estimate, second, key=lambda found: found.log_evidence)
     contradiction_is_possible = measured.sum() > 1
     if contradiction_is_possible and is_doubtful(estimate):
@@ -199,17 +191,8 @@ def smoothed(
 
     Where a corner of dry friction is too sharp for the search, it is rounded, and the
     estimate says so: with a sharp one a search may end anywhere between the force it
-    began with and the one that is missing.
-
-    Args:
-        model: The model; its present values are the parameters unless ``theta`` is
-            given.
-        grid: Nodes, intervals and measurements.
-        sigma: (n_states,) noise to begin with.
-        theta: Other values, (n_free, n_trajectories) where trajectories have parameters
-            of their own.
-        forces: to begin with; None: `generous_force`.
-        **options: Those of `estimate_force`.
+    began with and the one that is missing. Arguments are those of `estimate_force`,
+    with parameters theta (n_free,) or (n_free, n_trajectories), None: the model's own.
 
     Raises:
         SolveError: No force was found, with rounded corners either.
@@ -248,10 +231,10 @@ def smoothed(
             raise failure
         return unfinished
 
-    # Factors on the width of corners, and the forces to begin with.
-    attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
-    # With a corner of the user's own, which is not known as one, a small force.
-    attempts.append((1.0, _scaled(usual, 0.01)))
+    # Factors on the width of corners, and the forces to begin with; with a corner of
+    # the user's own, which is not known as one, a small force.
+    factors = ROUNDER if widths else ROUNDER[:1]
+    attempts = [*((one, usual) for one in factors), (1.0, _scaled(usual, 0.01))]
     if widths:
         # With a corner that can be rounded, patience is for when all else fails.
         with suppress(SolveError):

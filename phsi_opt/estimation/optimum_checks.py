@@ -83,10 +83,6 @@ def residual_warnings(
     """Where residuals are far beyond the scatter, or quantisation sets the noise.
 
     Nothing is said of channels whose noise was declared, which judges them already.
-
-    Args:
-        estimate: with its noise.
-        noise: as it was before the first solve.
     """
     data = estimate.task.data
     warnings = []

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
@@ -88,7 +89,7 @@ class PHSISolver:
         if known is None:
             point = first_point(model, complete_intervals(model, self.grid), theta)
         else:
-            kept = [known.model.free.index(name) for name in model.free]
+            kept = list(map(known.model.free.index, model.free))
             sizes = known.point.theta_scale[kept]
             point = replace(known.point, theta=theta, theta_scale=sizes)
         program = self.loss.program(model, self.grid, point, l1)
@@ -113,8 +114,11 @@ class PHSISolver:
         removed: tuple[str, ...] = (),
     ) -> list[PHSIEstimate]:
         """A pruned estimate from each start (n_free,), besides what is ``removed``."""
-        firsts = [self.solve(model, theta, self.task.l1) for theta in starts]
-        return [pruned(replace(one, removed=removed), self.solve) for one in firsts]
+        found = []
+        for theta in starts:
+            first = self.solve(model, theta, self.task.l1)
+            found.append(pruned(replace(first, removed=removed), self.solve))
+        return found
 
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
@@ -136,7 +140,7 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
         starts = starting_values(model, used, task.l1)
     else:
         known = model.values | start.values
-        starts = [np.array([known[name] for name in model.free])]
+        starts = [np.array(list(map(known.__getitem__, model.free)))]
     solver = PHSISolver(task, loss, task.grid)
     estimates = solver.pruned_from(model, starts)
     if start is None:
@@ -161,8 +165,7 @@ def _without_imitators(
         return []
     removable = imitators(model) & set(pruning.candidates(model))
     kept = set(best.model.free)
-    scans = frequency_scans(model)
-    waves = {name for scan in scans for name in scan.amplitudes}
+    waves = set(chain.from_iterable(s.amplitudes for s in frequency_scans(model)))
     has_waves_alone = bool(kept & waves) and not kept & removable
     if not removable or has_waves_alone:
         return []

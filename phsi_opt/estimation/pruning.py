@@ -85,12 +85,9 @@ class Pruning:
     ) -> set[str]:
         """Names of the coefficients to remove because zero explains the data as well.
 
-        Args:
-            model: with the terms that are left.
-            values: estimates by name.
-            covariance: of ``model.free``, (n_free, n_free); a coefficient without a
-                standard error (NaN) stays.
-            n_tests: number of terms of the dictionary that pruning began with.
+        By their covariance (n_free, n_free), in the order of ``model.free``; a
+        coefficient without a standard error (NaN) stays. Pruning began with so many
+        terms as there are tests.
         """
         if self.significance is None:
             return set()
@@ -123,8 +120,7 @@ def _wald(
     names: list[str], model: Model, values: dict[str, float], covariance: np.ndarray
 ) -> float:
     """Wald's statistic xi' C^-1 xi of the coefficients all being zero."""
-    free = model.free
-    places = [free.index(name) for name in names]
-    xi = np.array([values[name] for name in names])
+    places = list(map(model.free.index, names))
+    xi = np.array(list(map(values.__getitem__, names)))
     block = covariance[np.ix_(places, places)]
     return float(xi @ np.linalg.solve(block, xi))

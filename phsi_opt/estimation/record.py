@@ -178,9 +178,6 @@ class Record:
 
         As starting states are: what every trajectory has of its own, where the fit was
         not made from these measurements.
-
-        Args:
-            model: the fitted one, or a larger one.
         """
         entries = model.entries
         own = {name for name in model.free if entries[name].parameter.per_trajectory}
@@ -299,15 +296,9 @@ def maximum_along(
 ) -> LikelihoodEstimate | None:
     """The likelihood's maximum along a record whose noise is known; None: not found.
 
-    For what is asked of a fit afterwards: no windows, no finer steps, no pruning.
-
-    Args:
-        aligned: the record.
-        sigma: (n_states,) its noise.
-        loss: the likelihood.
-        model: with the values to start from; those that are free are estimated.
-        states: (n_samples, n_states) per trajectory, at the samples, to start from.
-        steps: intervals in every gap between samples, (n_samples - 1,) per trajectory.
+    For what is asked of a fit afterwards: no windows, no finer steps, no pruning. From
+    the values of the model and the states at the samples, (n_samples, n_states) per
+    trajectory, with noise sigma (n_states,) and so many steps in every gap.
     """
     task = Task(model, aligned, l1={}, pruning=None, settings=BRIEF_SOLVE)
     start = StartingPoint(

@@ -86,8 +86,7 @@ def of_covariance(
         scaled: (n_theta, n_theta) covariance of theta over scale.
         at_bounds: Names of the parameters that ended at a bound.
         known: Directions that are known to be silent, besides those of the covariance.
-        told: (n_theta, n_theta) covariance that says which directions are silent; None:
-            ``scaled``.
+        told: (n_theta, n_theta) covariance that says which they are; None: ``scaled``.
     """
     held = [i for i, name in enumerate(names) if name in at_bounds]
     held += known.parameters
@@ -125,14 +124,8 @@ def of_defects(
     covariance of the gradient is sum_n G_n Sigma G_n'. Sigma, a variance per state,
     comes from the sizes of the defects. The bias that noisy states cause is not in it.
 
-    Args:
-        model: The fitted model.
-        grid: The intervals whose two ends are measured.
-        scheme: Of the defects, such as "srk4".
-        theta: (n_free,) estimates.
-        scale: (n_free,) size of each parameter.
-        at_bounds: Names of the parameters that ended at a bound.
-        d: (n_intervals, n_states) defects there, where they are not the model's alone.
+    Estimates theta and their ``scale`` are (n_free,); ``d`` are the defects
+    (n_intervals, n_states) there, where they are not the model's alone.
     """
     n_theta = len(theta)
     y = np.nan_to_num(grid.y)
@@ -185,8 +178,8 @@ def silent_directions(
     Raises:
         SolveError: the covariance is not finite.
     """
-    moving = [i for i in range(len(covariance)) if i not in held]
-    if not moving:
+    moving = np.setdiff1d(np.arange(len(covariance)), held)
+    if not len(moving):
         return NOTHING_SILENT
     if not np.all(np.isfinite(covariance)):
         raise SolveError(
@@ -203,12 +196,12 @@ def silent_directions(
     ):
         spread = np.sqrt(variance) * np.abs(direction)
         places = _members(direction, spread, size)
-        members = [moving[i] for i in places]
+        members = moving[places].tolist()
         silent.update(members)
-        of_members = [names[i] for i in members]
+        of_members = list(map(names.__getitem__, members))
         sentences.append(_sentence(of_members, direction[places], theta[members]))
         if own is not None:
-            pinned.append(moving[own])
+            pinned.append(int(moving[own]))
     return SilentDirections(
         sentences=tuple(dict.fromkeys(sentences)),
         parameters=tuple(sorted(silent)),

@@ -47,13 +47,9 @@ def corner_widths(model: Model) -> dict[str, Share]:
 def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
     """The model with every `Share` and `Tried` guess replaced by its value.
 
-    Of the values to try it is the middle one. What is tried is bounded by the states
-    too, also where it has a value already.
-
-    Args:
-        model: the model with its guesses.
-        grid: nodes, times and inputs.
-        x: (n_nodes, n_states) states, without those of a memory perhaps.
+    Of the values to try it is the middle one. What is tried is bounded by the states x
+    (n_nodes, n_states) too, also where it has a value already; those of a memory may
+    lack.
     """
     for slot, equation, term in model.placed():
         for inner, parameter in term.inner.items():
@@ -120,16 +116,10 @@ def intervals_at_rest(
 ) -> np.ndarray:
     """Whether a body stays at rest along each interval, (n_intervals,) of bool.
 
-    Its speed is within some widths of zero. A body that only turns round is as slow,
-    but passes through in a time that its usual acceleration tells; a rest lasts five
-    times as long.
-
-    Args:
-        model: the model.
-        grid: nodes and intervals.
-        x: (n_nodes, n_states) states.
-        of: the speed, a formula such as ``dH_dp``.
-        width: of the corner of dry friction, in units of the speed.
+    Its speed ``of``, a formula such as ``dH_dp`` of the states x (n_nodes, n_states),
+    is within some widths of zero, of dry friction's corner. A body that only turns
+    round is as slow, but passes through in a time that its usual acceleration tells; a
+    rest lasts five times as long.
     """
     speed = values_at(model, grid, x, of)
     at_begin = np.abs(speed[grid.begin])
@@ -166,11 +156,7 @@ def values_at(
 def check_rates(model: Model, grid: Grid) -> None:
     """Refuse a model with a term that is not finite at the measured states.
 
-    Nor are the slopes of a term of H.
-
-    Args:
-        model: with the values from which parameters start.
-        grid: nodes and measurements.
+    Nor are the slopes of a term of H, at the values from which parameters start.
 
     Raises:
         ModelError: a term has no finite value at more than a tenth of the samples; with

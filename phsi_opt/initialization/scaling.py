@@ -40,10 +40,7 @@ LEAST_CURVATURE = 1e-6
 def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Point:
     """Measured states interpolated, others zero, with the size of every unknown.
 
-    Args:
-        model: the model.
-        grid: nodes and measurements.
-        theta: (n_free,) parameters; None: the model's present values.
+    At parameters theta, (n_free,); None: the model's present values.
     """
     grid = invert_sensors(model, grid)
     theta = model.theta if theta is None else theta
@@ -62,13 +59,8 @@ def point_at(
 ) -> Point:
     """The point of given parameters and states, with the size of each.
 
-    Args:
-        model: the model.
-        grid: nodes and measurements.
-        unknown: names and places of the parameters.
-        theta: (n_theta,) in the order of ``unknown``.
-        x: (n_nodes, n_states) states at the nodes.
-        held: parameters that a solve left at their bounds.
+    Of theta (n_theta,) and states x (n_nodes, n_states). A solve left the parameters
+    ``held`` at their bounds.
     """
     from_data = _measured_scale(invert_sensors(model, grid))
     spread = np.std(x, axis=0)
@@ -114,16 +106,14 @@ def theta_scale(
     """Size of each parameter, (n_free,): the change that shows in the equations.
 
     It moves some equation by the size of its own rate, or what a sensor shows by the
-    size of the state. So it follows the units.
+    size ``x_scale`` (n_states,) of the state. So it follows the units. Of a parameter
+    that a solve left at a bound (``held``) the value says nothing of the size.
 
     Args:
         model: the model.
         grid: nodes and intervals.
         theta: (n_free,) parameters.
         x: (n_nodes, n_states) states at the nodes.
-        x_scale: (n_states,) size of each state.
-        held: parameters that a solve left at their bounds: beside a bound at zero the
-            value says nothing of the size.
     """
     if not len(theta):
         return np.ones(0)
@@ -310,12 +300,8 @@ def _rates_and_slopes(
 def _least_squares_steps(slopes: np.ndarray, missing: np.ndarray) -> np.ndarray | None:
     """Steps (n_nodes, n_unknown) that bring the rates nearest to what is missing.
 
-    Args:
-        slopes: (n_nodes, n_known, n_unknown).
-        missing: (n_nodes, n_known).
-
-    Returns:
-        None where the slopes leave a direction open, or are not finite.
+    By slopes (n_nodes, n_known, n_unknown), of what is missing (n_nodes, n_known). None
+    where the slopes leave a direction open, or are not finite.
     """
     gram = np.einsum("aki,akj->aij", slopes, slopes)
     mean = np.mean(gram, axis=0)

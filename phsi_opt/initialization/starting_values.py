@@ -38,15 +38,9 @@ RANK = 1e-8  # share of the largest singular value below which a direction count
 def starting_values(
     model: Model, grid: Grid, l1: Mapping[str, float]
 ) -> list[np.ndarray]:
-    """Starting points of theta, the best first.
+    """Up to `N_STARTS` starting points of theta (n_free,), the best first.
 
-    Args:
-        model: the model.
-        grid: nodes whose states are all known (``grid.y``).
-        l1: weight by slot.
-
-    Returns:
-        Up to `N_STARTS` arrays (n_free,).
+    The states at the nodes of the grid are all known; L1 has a weight by slot.
     """
     grid = complete_intervals(model, grid)
     groups = _linear_groups(model)
@@ -240,14 +234,10 @@ def _terms_of(variable: str, model: Model) -> set[str]:
 
 
 def frequency_grid(grid: Grid, variable: np.ndarray) -> np.ndarray:
-    """Frequencies worth trying, in rad per unit of the variable.
+    """Frequencies worth trying, in rad per unit of the variable (n_nodes,).
 
     From half a period over the record up to nine tenths of the Nyquist frequency, half
     a resolution apart; at most 4000, as each costs a least-squares problem.
-
-    Args:
-        grid: which node belongs to which trajectory.
-        variable: (n_nodes,) what the wave runs along.
     """
     span = float(np.ptp(variable))
     is_inside = np.diff(grid.trajectory) == 0
@@ -271,14 +261,7 @@ def _candidate_frequencies(
     In the first the terms are free that do not contain the variable, in the second all
     others: over a short record a polynomial in the time imitates a slow wave, so there
     only fast waves stand out. The amplitudes enter linearly, so that their columns are
-    the same in both.
-
-    Args:
-        model: the model with the waves.
-        grid: nodes whose states are all known (``grid.y``).
-        theta: (n_free,) values of the other parameters.
-        linear: places in theta of the coefficients that are free besides the wave.
-        scan: the frequency.
+    the same in both. The places ``linear`` in theta are free besides the wave.
     """
     of_variable = _terms_of(scan.variable, model)
     amplitudes = list(map(model.free.index, scan.amplitudes))
