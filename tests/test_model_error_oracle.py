@@ -98,15 +98,8 @@ def record(
 
 
 def estimated(data: Measurements, model: FirstOrder, steps: int) -> LikelihoodEstimate:
-    loss = MaximumLikelihood(steps=steps)
-    task = Task(
-        model=model,
-        aligned=AlignedData.of(model, data),
-        l1={},
-        pruning=None,
-        settings=SolverSettings(),
-    )
-    estimate = estimate_by(loss, task, None)
+    task = Task(model, AlignedData.of(model, data), {}, None, SolverSettings())
+    estimate = estimate_by(MaximumLikelihood(steps=steps), task, None)
     assert isinstance(estimate, LikelihoodEstimate)
     assert estimate.is_success
     return estimate
@@ -871,27 +864,19 @@ def of_statsmodels(problem: Linearization, d: Disturbances, start: str) -> Any:
     )
 
 
-def test_the_evidence_is_that_of_statsmodels() -> None:
-    estimate = estimated(forced_record(), free_oscillator(), 2)
-    problem = estimate.linearized()
+def test_evidence_states_and_forces_are_those_of_statsmodels() -> None:
+    """Its smoothed states have a wide prior: with transitions that change in time, those
+    within an exactly diffuse start are others than the limit.
+    """
+    problem = estimated(forced_record(), free_oscillator(), 2).linearized()
     gains = []
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
-        ours = likelihood_of(problem, d, NONE).at(d).log_evidence
-        gains.append(ours - of_statsmodels(problem, d, "diffuse").llf)
-    assert np.ptp(gains) < 1e-6  # the constant is the same for all
-
-
-def test_smoothed_states_and_forces_are_those_of_statsmodels() -> None:
-    """Its starting states have a wide prior: with transitions that change in time, the
-    states that it smooths within an exactly diffuse start are others than the limit.
-    """
-    estimate = estimated(forced_record(), free_oscillator(), 2)
-    problem = estimate.linearized()
-    for size, time, sigma in TRIED:
-        d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
-        ours = smoothed_by(likelihood_of(problem, d, NONE), d)
+        system = likelihood_of(problem, d, NONE).at(d, REGULAR)
+        gains.append(system.log_evidence - of_statsmodels(problem, d, "diffuse").llf)
+        ours = system.smoothed()
         theirs = of_statsmodels(problem, d, "approximate_diffuse").smoothed_state
         # States and forces are of the order of one; rounding beside a variance of 1e7.
         np.testing.assert_allclose(ours.x, theirs[:2].T, atol=1e-6)
         np.testing.assert_allclose(ours.processes, theirs[2, :-1], atol=1e-6)
+    assert np.ptp(gains) < 1e-6  # the constant is the same for all
