@@ -474,9 +474,7 @@ class _Place:
 
     def renewed(self) -> "_Place":
         """The same place, the record linearised here, functions of states as before."""
-        along = self.linear.states_of_functions
-        linear = self.problem.linearized(self.point.z, self.known, along)
-        return replace(self, likelihood=self.likelihood.relinearized(linear))
+        return replace(self, likelihood=self.likelihood.relinearized(self._linear()))
 
     def curved(self) -> "_Place":
         """The same place, where the curvature of the dynamics takes part.
@@ -485,12 +483,15 @@ class _Place:
         the steps of Gauss and Newton, who leave it out, shrink slowly or grow.
         """
         assert self.multipliers is not None
-        problem, z = self.problem, self.point.z
-        curvature = problem.linearizer.curvature(z, self.multipliers)
-        along = self.linear.states_of_functions
-        linear = problem.linearized(z, self.known, along, curvature)
+        problem = self.problem
+        curvature = problem.linearizer.curvature(self.point.z, self.multipliers)
+        linear = self._linear(curvature)
         likelihood = MarginalLikelihood(linear, problem.disturbances, problem.moving)
         return replace(self, likelihood=likelihood)
+
+    def _linear(self, curvature: Curvature | None = None) -> Linearization:
+        along = self.linear.states_of_functions
+        return self.problem.linearized(self.point.z, self.known, along, curvature)
 
     @property
     def linear(self) -> Linearization:

@@ -171,17 +171,13 @@ class Border:
             number: of the function. Others whose size is zero are not there.
             tried: its sizes, (n_tried,); of zero it gains nothing.
         """
-        place = np.arange(len(self.owner))
-        own = self.n_theta + place[self.owner == number]
-        is_other = (self.owner != number) & (self.sizes[self.owner] > 0)
-        others = np.r_[np.arange(self.n_theta), self.n_theta + place[is_other]]
-        prior = np.full(len(others), RIDGE)
-        prior[self.n_theta :] = 1 / self.sizes[self.owner[is_other]] ** 2
-        inner = self.information[np.ix_(others, others)] + np.diag(prior)
-        mixed = self.information[np.ix_(others, own)]
-        through = solve_border(inner, mixed)
-        schur = self.information[np.ix_(own, own)] - mixed.T @ through
-        gradient = self.gradient[own] - through.T @ self.gradient[others]
+        is_own = np.r_[np.full(self.n_theta, -1), self.owner] == number
+        with np.errstate(divide="ignore"):  # of those that are not there
+            prior = np.where(is_own, 0.0, self.prior)
+        own = np.flatnonzero(is_own)
+        others = np.flatnonzero(~is_own & np.isfinite(prior))
+        precision = self.information + np.diag(prior)
+        schur, gradient, _ = _without(precision, self.gradient, own, others)
         values, vectors = np.linalg.eigh(schur)
         ratios = np.maximum(values, 0.0)[:, None] * tried**2
         pulls = ((vectors.T @ gradient)[:, None] * tried) ** 2
@@ -195,15 +191,28 @@ class Border:
 
         Arguments as those of `OptimalitySystem.smoothed`.
         """
-        precision = self.precision
-        n = self.n_theta
-        mixed = precision[:n, n:]
-        through = solve_border(precision[n:, n:], np.c_[mixed.T, self.gradient[n:]])
-        schur = precision[:n, :n] - mixed @ through[:, :n]
+        places = np.arange(len(self.gradient))
+        theta, others = places[: self.n_theta], places[self.n_theta :]
+        schur, pull, through = _without(self.precision, self.gradient, theta, others)
         schur = schur + damping * np.diag(np.abs(np.diag(schur)))
-        pull = self.gradient[:n] - mixed @ through[:, n]
         best = bounded_step(schur, pull, room, silent)
-        return best, through[:, n] - through[:, :n] @ best
+        return best, through[:, -1] - through[:, :-1] @ best
+
+
+def _without(
+    matrix: np.ndarray, right: np.ndarray, own: np.ndarray, others: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A symmetric system in own unknowns, the others eliminated.
+
+    Returns:
+        Schur complement and right-hand side, and the others' solutions for each of the
+        own unknowns and the right-hand side.
+    """
+    mixed = matrix[np.ix_(others, own)]
+    inner = matrix[np.ix_(others, others)]
+    through = solve_border(inner, np.c_[mixed, right[others]])
+    schur = matrix[np.ix_(own, own)] - mixed.T @ through[:, :-1]
+    return schur, right[own] - mixed.T @ through[:, -1], through
 
 
 class MarginalLikelihood:

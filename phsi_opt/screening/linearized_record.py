@@ -151,11 +151,6 @@ class LinearizedRecord:
         in_noise = np.sqrt(system.weights) * system.residual
         return np.concatenate([in_noise, -self._whitened(system.optimum)])
 
-    @cached_property
-    def misfit(self) -> float:
-        """Sum of its squares."""
-        return float(self.residual @ self.residual)
-
     def _whitened(self, answer: np.ndarray) -> np.ndarray:
         """Processes among unknowns as standard normals, (n_process_values, ...)."""
         likelihood = self.likelihood
