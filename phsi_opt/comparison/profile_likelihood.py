@@ -165,7 +165,7 @@ def profile(
         name=name,
         value=value,
         level=level,
-        points=np.array(sorted(line.points.items())),
+        points=np.array([(at, line.rise(at)) for at in sorted(line.solutions)]),
         threshold=threshold,
         ci_lower=lower,
         ci_upper=upper,
@@ -229,25 +229,24 @@ class _Line:
         self.value = best.values[name]
         self.lowest = best.chi_square
         self.factor = best.score_variance
-        self.points = {self.value: 0.0}
-        self.found = {self.value: best}
+        self.solutions = {self.value: best}
 
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held at a value.
 
         Started from the nearest point known.
         """
-        if held in self.points:
-            return self.points[held]
-        nearest = self.found[min(self.found, key=lambda known: abs(known - held))]
+        known = self.solutions
+        if held in known:
+            return max(known[held].chi_square - self.lowest, 0.0)
+        nearest = known[min(known, key=lambda value: abs(value - held))]
         values = {n: v for n, v in nearest.values.items() if n != self.name}
         model = nearest.model.with_values(values).with_fixed({self.name: held})
-        state = self.solved(model, nearest.states)
-        if state is None:
+        solution = self.solved(model, nearest.states)
+        if solution is None:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
-        rise = max(state.chi_square - self.lowest, 0.0)
-        self.found[held] = state
-        self.points[held] = rise
+        known[held] = solution
+        rise = self.rise(held)
         if self.say:
             self.say(f"{self.name} = {held:.6g}: -2 log likelihood rises by {rise:.3g}")
         return rise

@@ -337,19 +337,15 @@ class _Listener(ca.Callback):
         self.construct("listener", {})
 
     def get_n_in(self) -> int:
-        """Number of arguments, for CasADi."""
         return int(ca.nlpsol_n_out())
 
     def get_n_out(self) -> int:
-        """Number of results, for CasADi."""
         return 1
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """Sparsity of the argument i, for CasADi."""
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
     def eval(self, arg: Sequence[ca.DM]) -> list[int]:
-        """One to end IPOPT, for CasADi."""
         return [int(is_noted())]
 
 

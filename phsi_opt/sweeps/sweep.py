@@ -63,12 +63,22 @@ class KeptResults:
         Raises:
             DataError: A file is of another sweep.
         """
-        if not self.folder.is_dir():
-            return
         for key in keys:
-            content = self._content(key)
-            if content is not None:
-                yield key, content["result"]
+            path = self.path_of(key)
+            try:
+                content = json.loads(file_text(path))
+            except (OSError, ValueError, RecursionError):
+                continue
+            if not isinstance(content, dict) or "result" not in content:
+                continue
+            expected = (FORMAT, self.of, key)
+            if tuple(map(content.get, ("format", "of", "key"))) != expected:
+                raise DataError(
+                    f"{path} holds a result of another sweep: {content.get('of')!r} in "
+                    f"the file, {self.of!r} asked for. Take another folder, or empty "
+                    "this one."
+                )
+            yield key, content["result"]
 
     def path_of(self, key: str) -> Path:
         """The file of a key; it may not exist."""
@@ -77,22 +87,6 @@ class KeptResults:
             digest = hashlib.sha256(key.encode()).hexdigest()[:DIGEST_LENGTH]
             name = f"{name[: LONGEST_NAME - DIGEST_LENGTH]}-{digest}".lstrip(".")
         return self.folder / f"{name}.json"
-
-    def _content(self, key: str) -> dict[str, Any] | None:
-        path = self.path_of(key)
-        try:
-            content = json.loads(file_text(path))
-        except (OSError, ValueError, RecursionError):
-            return None
-        if not isinstance(content, dict) or "result" not in content:
-            return None
-        is_same = content.get("of") == self.of and content.get("key") == key
-        if content.get("format") != FORMAT or not is_same:
-            raise DataError(
-                f"{path} holds a result of another sweep: {content.get('of')!r} in the "
-                f"file, {self.of!r} asked for. Take another folder, or empty this one."
-            )
-        return content
 
 
 def _plain(value: Any) -> Any:
@@ -206,20 +200,18 @@ def _swept(
     """Kept results first, then the others as they are computed."""
     say = progress or (lambda line: None)
     n_done = count(1)
-    finished = set()
-    if kept is not None:
-        for key, result in kept.found(cases):
-            finished.add(key)
-            say(f"{next(n_done)} of {len(cases)}: {key}, kept before")
-            yield Done(key, result, was_kept=True)
-    if len(finished) == len(cases):
+    missing = dict(cases)
+    for key, result in kept.found(cases) if kept else ():
+        del missing[key]
+        say(f"{next(n_done)} of {len(cases)}: {key}, kept before")
+        yield Done(key, result, was_kept=True)
+    if not missing:
         return
-    missing = ((key, case) for key, case in cases.items() if key not in finished)
     # Processes of our own end when the sweep does.
     given = None if executor is None else nullcontext(executor)
     with given or local_workers() as workers:
-        for done in _computed(function, missing, workers, in_flight):
-            if kept is not None:
+        for done in _computed(function, iter(missing.items()), workers, in_flight):
+            if kept:
                 kept.keep(done.key, done.result)
             say(f"{next(n_done)} of {len(cases)}: {done.key}")
             yield done

@@ -315,18 +315,11 @@ def known_defects(
     arguments.append(ca.vertsplit(theta))
     together = _with_slopes(model, scheme, list(range(n_free)))
     d, slopes = in_columns(together, arguments)
+    zeros = ca.MX.zeros(grid.n_intervals)  # an entry may be one number for all places
     columns = []
     for entries in (d, *(slopes[j::n_free] for j in range(n_free))):
-        filled = [_filled(entry, grid.n_intervals) for entry in entries]
-        columns.append(ca.vertcat(*filled))
+        columns.append(ca.vertcat(*(zeros + entry for entry in entries)))
     return columns[0], ca.horzcat(*columns[1:])
-
-
-def _filled(entry: ca.MX, n_places: int) -> ca.MX:
-    """A column, where it may be one number for all places."""
-    if entry.numel() == n_places:
-        return entry
-    return ca.MX.zeros(n_places) if entry.is_zero() else ca.repmat(entry, n_places, 1)
 
 
 def _with_slopes(

@@ -55,17 +55,14 @@ class Grid:
 
     @property
     def n_nodes(self) -> int:
-        """Number of nodes."""
         return len(self.t)
 
     @property
     def n_intervals(self) -> int:
-        """Number of intervals."""
         return len(self.h)
 
     @property
     def n_trajectories(self) -> int:
-        """Number of trajectories."""
         return int(self.trajectory[-1]) + 1
 
     @cached_property

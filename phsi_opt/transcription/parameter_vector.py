@@ -79,12 +79,10 @@ class Theta:
 
     @property
     def lower(self) -> np.ndarray:
-        """Lower bounds, (n_theta,)."""
         return np.array([entry.parameter.lower for entry in self.entries])
 
     @property
     def upper(self) -> np.ndarray:
-        """Upper bounds, (n_theta,)."""
         return np.array([entry.parameter.upper for entry in self.entries])
 
     def weights(self, l1: Mapping[str, float]) -> np.ndarray:
@@ -176,5 +174,4 @@ class Point:
 
     @property
     def of_x(self) -> slice:
-        """Where the states stand in z."""
         return slice(self.theta.size, self.theta.size + self.x.size)

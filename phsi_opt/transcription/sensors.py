@@ -58,7 +58,7 @@ def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> Output
     )
     _, *parts = map_nodes(slopes, grid, ca.DM(x.T), theta)
     shape = (grid.n_nodes, model.n_states, -1)
-    return OutputSlopes(*(np.array(part).T.reshape(shape) for part in parts))
+    return OutputSlopes(*(part.full().T.reshape(shape) for part in parts))
 
 
 def output_slopes_in_theta(
