@@ -66,7 +66,6 @@ from phsi_opt.presentation.units import (
     times_words,
 )
 from phsi_opt.study.answers import (
-    _comes_and_goes,
     answer,
     disturbance_word,
     gaps_of,
@@ -175,30 +174,20 @@ def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
 
 
 def test_the_first_screen_says_what_where_since_when_and_what_to_add(
-    content: StudyContent, study: ph.Study
+    content: StudyContent,
 ) -> None:
-    answers = {fact.question: fact.lead for fact in content.headline.answers}
-    assert list(answers) == [
-        "What was wrong",
-        "Where it was",
-        "Since when",
-        "What was added",
-    ]
-    assert re.search(r"dp/dt was off by [\d.]+ N", answers["What was wrong"])
-    assert "In dp/dt" in answers["Where it was"]
-    assert re.fullmatch(
-        r"(From the start|(From the start, a|A)gain and again), in both training runs\.",
-        answers["Since when"],
-    )
-    details = {fact.question: fact.detail for fact in content.headline.answers}
-    assert re.match(
-        r"(Strongest|Seen most clearly) at t = .* of run \d\.", details["Since when"]
-    )
-    assert answers["What was added"].startswith("Coulomb friction on p, ")
-    assert answers["What was added"].endswith(" N.")
-    assert re.fullmatch(
-        r"Evidence: decisive, log evidence [\d.]+\.", details["What was added"]
-    )
+    expected = {
+        "What was wrong": r"Coulomb friction on p was missing: .* dp/dt was off by [\d.]+ N.*",
+        "Where it was": "In dp/dt.*",
+        "Since when": r"(From the start|(From the start, a|A)gain and again), in both "
+        r"training runs\. (Strongest|Seen most clearly) at t = .* of run \d\..*",
+        "What was added": r"Coulomb friction on p, .* N\. Evidence: decisive, log "
+        r"evidence [\d.]+\.",
+    }
+    answers = {fact.question: str(fact) for fact in content.headline.answers}
+    assert list(answers) == list(expected)
+    for question, pattern in expected.items():
+        assert re.fullmatch(pattern, answers[question]), answers[question]
     assert "lacked coulomb friction on p" in content.headline.sentence
     assert content.headline.sentence.endswith("Now nothing is missing.")
 
@@ -437,15 +426,6 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
     assert runs[judged.run].part == "held out"
     assert "(data held out), measured and simulated from" in judged.sentence
     assert "<svg" in svg(glance_chart(replace(worse, glance=judged)))
-
-
-def test_what_comes_and_goes_is_said_to() -> None:
-    t = np.arange(400.0)
-    bursts = np.where((t // 50) % 2 == 1, 3.0, 0.2)
-    for w, expected in ((bursts, True), (0 * t + 3.0, False), (0.3 * bursts, False)):
-        force = SimpleNamespace(w=w, deviation=np.full(len(t), 0.5))
-        found = _comes_and_goes(force, np.arange(400))  # type: ignore[arg-type]
-        assert found is expected
 
 
 @pytest.mark.parametrize(
@@ -757,7 +737,7 @@ def test_a_study_that_was_not_diagnosed_says_so_and_what_to_do(tmp_path: Path) -
     assert "None" not in verdict_and_errors and "nan" not in verdict_and_errors.split()
 
 
-@pytest.mark.parametrize(("n_runs", "n_channels"), [(1, 1), (50, 1), (3, 8), (50, 8)])
+@pytest.mark.parametrize(("n_runs", "n_channels"), [(1, 1), (50, 8)])
 def test_one_or_fifty_trajectories_and_eight_channels_with_gaps_come_out_well(
     content: StudyContent, n_runs: int, n_channels: int
 ) -> None:
