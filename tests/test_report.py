@@ -214,7 +214,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     headline = study_content(record).headline
     assert headline.sentence.endswith("No force is evident beside the present model.")
     assert headline.severity == LOOK
-    assert headline.beside == "with an effect that is not established"
+    assert headline.remark == "with an effect that is not established"
     answers = {fact.question: fact.lead for fact in headline.answers}
     assert answers["What was added"] == "Coulomb friction on p, not established."
     said = "added, but not established: coulomb friction on p"
@@ -251,7 +251,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     assert re.search(r"a term of your own in dp/dt that depends on (q and )?p\.", do)
     (diagnosed,) = content.diagnoses
     for told in answers.values():
-        assert told.strip() in diagnosed.told
+        assert told.strip() in diagnosed.paragraph
 
 
 def test_one_line_says_how_sure_it_is(

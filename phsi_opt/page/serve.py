@@ -110,11 +110,7 @@ MOST_SESSIONS = 20
 
 
 class Sessions:
-    """The sessions by the browser's key.
-
-    Args:
-        study_file: with which every session begins; None: with nothing.
-    """
+    """The sessions by the browser's key; each begins with the study file, if any."""
 
     def __init__(self, study_file: Path | None = None) -> None:
         self._study_file = study_file
@@ -169,13 +165,14 @@ class Sessions:
         """
         if len(self._by_key) < MOST_SESSIONS:
             return
-        empty: dict[str, tuple[bool, float]] = {}
-        for key, session in self._by_key.items():
-            if session.is_empty:
-                empty[key] = (session.is_shown, session.seen)
+        empty = [key for key, one in self._by_key.items() if one.is_empty]
         if not empty:
             raise DataError(
                 f"this page holds {MOST_SESSIONS} studies, and no more at once. Try "
                 "again when somebody has ended one: Menu, Begin again."
             )
-        self._by_key.pop(min(empty, key=empty.__getitem__)).close()
+
+        def age(key: str) -> tuple[bool, float]:
+            return self._by_key[key].is_shown, self._by_key[key].seen
+
+        self._by_key.pop(min(empty, key=age)).close()

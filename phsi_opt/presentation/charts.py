@@ -76,26 +76,18 @@ Mark = tuple[float, str]  # a time, with what it is called
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A curve of (n,) points.
+    """A curve of (n,) points."""
 
-    Attributes:
-        name: for the legend; "" keeps it out.
-        look: ``POINTS``, ``STEPS`` (line and markers), or a kind of line.
-        std: (n,) half the width of a band around it, called ``band``; None: no band.
-        texts: beside the points, on one ``side``: "top" or "bottom".
-        is_shown: whether it is drawn before somebody asks for it.
-    """
-
-    name: str
+    name: str  # for the legend; "" keeps it out
     x: np.ndarray
     y: np.ndarray
     color: str
-    look: str = "solid"
-    std: np.ndarray | None = None
-    band: str = TWO_DEVIATIONS
-    texts: tuple[str, ...] = ()
-    side: str = "top"
-    is_shown: bool = True
+    look: str = "solid"  # ``POINTS``, ``STEPS`` (line and markers), or a kind of line
+    std: np.ndarray | None = None  # half the width of a band around it; None: no band
+    band: str = TWO_DEVIATIONS  # what the band is called
+    texts: tuple[str, ...] = ()  # beside the points
+    side: str = "top"  # of the texts, or "bottom"
+    is_shown: bool = True  # before somebody asks for it
 
 
 @dataclass(frozen=True, eq=False)

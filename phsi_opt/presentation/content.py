@@ -51,7 +51,7 @@ class Headline:
     severity: str  # how bad that is
     sentence: str  # what was found and what it changed
     answers: tuple[Answer, ...]  # what is wrong, where, since when, what to add
-    beside: str = ""  # a remark on the status, such as "fast disturbance"; "": none
+    remark: str = ""  # on the status, such as "fast disturbance"; "": none
     # How sure it is that something is missing, and whether why is known.
     certainty: str = ""
     caution: str = ""  # what else to know before anything is believed; "" for nothing
@@ -275,7 +275,7 @@ class Diagnosed:
     """A diagnosis of one step's model."""
 
     heading: str  # which model it looks at
-    told: str  # all of it in a paragraph, as an engineer would write it
+    paragraph: str  # all of it, as an engineer would write it
     verdict: str  # in a phrase
     reason: str  # in a sentence
     sentences: tuple[str, ...]  # where the model fails, in words
@@ -325,7 +325,7 @@ class StudyContent:
     names: tuple[str, ...]
     runs: tuple[Run, ...]  # measurements and free runs
     shown: int  # number of the first one to show
-    runs_told: str  # what to see, and which are left out
+    runs_caption: str  # what to see, and which are left out
     # Of the present model along all runs; empty unless they were asked for.
     forces: tuple[ForceRun, ...]
     # Of the effects that were added; empty unless they were asked for.

@@ -42,22 +42,14 @@ BAND = "run, two standard deviations"
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """What is drawn of one measured state along one trajectory.
-
-    Attributes:
-        name: Of the state; ``unit``: its unit, or "".
-        measured: (n_samples,) measured values, NaN where missing.
-        simulated: (n_samples,) what the sensor would show of the free run.
-        std: (n_samples,) standard deviation of ``simulated``; None: not known.
-        noise: Standard deviation of the sensor's noise; None: no residuals are drawn.
-    """
+    """What is drawn of one state along one trajectory, (n_samples,) values each."""
 
     name: str
     unit: str
-    measured: np.ndarray
-    simulated: np.ndarray
-    std: np.ndarray | None
-    noise: float | None = None
+    measured: np.ndarray  # NaN where missing
+    simulated: np.ndarray  # what the sensor would show of the free run
+    std: np.ndarray | None  # standard deviation of ``simulated``; None: not known
+    noise: float | None = None  # of the sensor (std.); None: no residuals are drawn
 
 
 def plot_free_run(
@@ -124,14 +116,8 @@ def plot_missing_force(
 ) -> Axes:
     """The missing force along one trajectory, with two standard deviations.
 
-    Where the band leaves zero, the model lacks something.
-
-    Args:
-        table: A row per interval: ``t``, and for every equation its force and standard
-            deviation in the columns named as the state, ``p``, and ``std_p``.
-        equations: States in whose equations a force was estimated.
-        units: Units by name, of the states and of ``t``.
-        ax: Axes to draw on; None: a new figure.
+    The table has a row per interval: ``t``, and for each of the equations its force and
+    standard deviation in the columns named as the state, ``p``, and ``std_p``.
     """
     t_unit = units.get("t", "")
     forces = []
@@ -159,12 +145,8 @@ def plot_profile(
         value: Estimate of the parameter.
         curvature: Limits of confidence by the standard error, whose parabola is drawn
             for comparison.
-        threshold: Rise at the limits of confidence.
-        level: Of confidence, between 0 and 1.
+        threshold: Rise at the limits of confidence; ``level``: between 0 and 1.
         ax: Axes to draw on; None: a new figure.
-
-    Returns:
-        The axes, to which the caller adds the parameter's name and the title.
     """
     ax = axes_of(ax, (6.0, 3.6))
     held, rise = points.T
@@ -191,14 +173,10 @@ def plot_profile(
 def plot_states(
     t: np.ndarray, channels: Sequence[Channel], *, t_unit: str, title: str
 ) -> Figure:
-    """Measured and estimated states of one trajectory, a panel each.
+    """Measured and estimated states over (n_samples,) times, a panel each.
 
-    Args:
-        t: (n_samples,) times.
-        channels: The states; one that nobody measured has NaN for its measurements,
-            ``simulated`` is the estimate.
-        t_unit: Unit of the time.
-        title: Over the panels.
+    A state that nobody measured has NaN for its measurements; ``simulated`` is the
+    estimate.
     """
     size = (8.0, 0.8 + 1.8 * len(channels))
     figure, axes = plt.subplots(
@@ -253,7 +231,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
         table: A row per estimate, from top to bottom: ``name``, ``value``,
             ``ci_lower`` and ``ci_upper`` (NaN: not known), ``unit``, ``at_bound``.
         level: Of confidence, between 0 and 1.
-        ax: Axes to draw on; None: a new figure, as high as the table is long.
+        ax: Axes to draw on; None: a new figure.
     """
     n = len(table)
     ax = axes_of(ax, (8.0, 1.1 + 0.32 * max(n, 2)))  # tick labels do not touch

@@ -324,21 +324,21 @@ def headline_of(study: StudyRecord) -> Headline:
     """The verdict on the present model, and the answers of the first screen."""
     present = study.present
     status = NOT_ASKED
-    beside = certainty = ""
+    remark = certainty = ""
     if present is not None:
         status = str(present.verdict)
-        beside = disturbance_word(present)
+        remark = disturbance_word(present)
         certainty = str(answer("certainty", present, is_held_out=True))
     severity = SEVERITIES[status]
-    if study.unestablished and not beside:
-        beside = NOT_ESTABLISHED
+    if study.unestablished and not remark:
+        remark = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
     return Headline(
         status,
         severity,
         _sentence(study),
         _answers(study),
-        beside=beside,
+        remark=remark,
         certainty=certainty,
         caution=undetermined_words(study.last.fit.parameters),
     )

@@ -125,7 +125,7 @@ def study_content(
         names=tuple(names),
         runs=runs,
         shown=runs.index(_worst_run(judged, 0)),
-        runs_told=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
+        runs_caption=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
         forces=_all_forces(study, time) if forces else (),
         laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
