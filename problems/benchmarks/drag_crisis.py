@@ -14,14 +14,15 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from problems.tools import markdown
 from problems.tools.intervals import share
+from problems.tools.pages import render
 from problems.tools.seeds import ask_and_write
 
 FIRST_SEED = 40_000
@@ -32,24 +33,6 @@ N_TRAINING = 3
 N_SAMPLES = 150  # of the highest drop
 NOISE = 0.002  # of the highest drop
 FAR_OFF = 3.0  # standard errors
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What was said of one body.
-
-    Attributes:
-        verdict: of the first diagnosis; ``added``: what was added in all.
-        is_absurd: whether a sensor or something that needs a clock is among it.
-        error: of g, in standard errors.
-        stopped: why it stopped.
-    """
-
-    verdict: str
-    added: tuple[str, ...]
-    is_absurd: bool
-    error: float
-    stopped: str
 
 
 def measured(rng: np.random.Generator, mass: float) -> ph.Measurements:
@@ -93,43 +76,40 @@ def model(mass: float) -> ph.PseudoHamiltonian:
     )
 
 
-def answer(seed: int) -> Answer:
-    """What `Study.auto` makes of one body."""
+def answer(seed: int) -> dict[str, Any]:
+    """What `Study.auto` makes of one body; a sensor or a clock is absurd."""
     rng = np.random.default_rng(seed)
     mass = float(np.exp(rng.uniform(*np.log((0.05, 2.0)))))
-    data = measured(rng, mass)
-    train, test = data.split(N_TRAINING / len(SHARES))
+    train, test = measured(rng, mass).split(N_TRAINING / len(SHARES))
     study = ph.Study(model(mass), train, test)
     verdict = str(study.diagnose().verdict)
-    stopped = study.auto()
+    study.auto()
     fit = study.fit
-    absurd = [one for one in study.added if one.slot == "sensor" or one.needs_clock]
-    error = (fit.estimates["g"] - GRAVITY) / fit.std_errors["g"]
-    added = tuple(map(str, study.added))
-    return Answer(verdict, added, bool(absurd), float(error), stopped)
+    return {
+        "seed": seed,
+        "verdict": verdict,
+        "added": ", ".join(map(str, study.added)) or "nothing",
+        "absurd": any(one.slot == "sensor" or one.needs_clock for one in study.added),
+        "error": (fit.estimates["g"] - GRAVITY) / fit.std_errors["g"],
+    }
 
 
-def page(answers: dict[str, Answer]) -> str:
+def page(by_seed: dict[str, dict[str, Any]]) -> str:
     """The page of all answers."""
+    answers = pd.DataFrame(by_seed.values())
     n = len(answers)
-    absurd = sum(one.is_absurd for one in answers.values())
-    near = sum(abs(one.error) <= FAR_OFF for one in answers.values())
-    rows = []
-    for seed, one in answers.items():
-        added = ", ".join(one.added) or "nothing"
-        rows.append([seed, one.verdict, added, f"{one.error:.1f}"])
-    introduction = markdown.paragraph(f"""
-        Drops whose heights are measured at {NOISE:.1%} noise; the drag coefficient
-        falls at a speed, the model has one for all speeds. Seeds
-        {next(iter(answers))} on, not looked at before.
-        """)
-    said = [
-        f"- No sensor and no clock is added: {share(n - absurd, n)} of {n}.",
-        f"- g within {FAR_OFF:g} of its standard errors: {share(near, n)} of {n}.",
-    ]
-    head = ["seed", "verdict", "added", "error of g, in standard errors"]
-    lines = ["# A drag that drops at speed", "", introduction, "", *said, ""]
-    return "\n".join([*lines, markdown.lines(head, rows)])
+    head = "error of g, in standard errors"
+    shown = answers.assign(**{head: answers["error"].map("{:.1f}".format)})
+    return render(
+        "benchmarks/pages/drag_crisis.md",
+        noise=NOISE,
+        first=next(iter(by_seed)),
+        n=n,
+        far_off=FAR_OFF,
+        sane=share(int((~answers["absurd"]).sum()), n),
+        near=share(int((answers["error"].abs() <= FAR_OFF).sum()), n),
+        shown=shown[["seed", "verdict", "added", head]],
+    )
 
 
 if __name__ == "__main__":

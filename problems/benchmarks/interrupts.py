@@ -19,12 +19,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
+from typing import Any
 
 import numpy as np
 
 import phsi_opt as ph
-from problems.tools import markdown, provenance
+from problems.tools import provenance
 from problems.tools.command_line import chosen, flag
+from problems.tools.pages import render
 
 N_TRIES = 7
 LIMIT = 2.0  # s within which a call has to end
@@ -38,18 +40,9 @@ LOST = "lost"
 OVER = "over before"
 HUNG = "did not end"
 
-INTRODUCTION = markdown.paragraph(f"""
-    Ctrl-C is sent at {N_TRIES} times spread over the length of each call. Interrupted:
-    KeyboardInterrupt is raised; lost: the call goes on to its end; another error: that
-    is raised instead. Seconds from the signal to the end of the call. Afterwards the
-    same process fits a small model, as a user goes on.
-    """)
-
-
 TRUTH = {"k": 1.6, "a": 0.8, "R_p": 0.02}
 STEP = 0.05
 NOISE = 0.02
-Call = Callable[[], object]
 
 
 def _spring(power: float = 0.0) -> ph.PseudoHamiltonian:
@@ -64,9 +57,13 @@ def _spring(power: float = 0.0) -> ph.PseudoHamiltonian:
     )
 
 
+def _truth() -> ph.PseudoHamiltonian:
+    return _spring(TRUTH["a"]).with_values(TRUTH)
+
+
 def _record(n_samples: int, n_runs: int, *states: str) -> ph.Measurements:
     """Free runs of the hardening spring, of which these states are measured."""
-    truth = _spring(TRUTH["a"]).with_values(TRUTH)
+    truth = _truth()
     hidden = [name not in states for name in truth.states]
     t = STEP * np.arange(n_samples)
     rng = np.random.default_rng(SEED)
@@ -79,78 +76,70 @@ def _record(n_samples: int, n_runs: int, *states: str) -> ph.Measurements:
     return ph.Measurements.from_arrays([t] * n_runs, runs, states=truth.states)
 
 
-def _likelihood() -> Call:
-    data = _record(3000, 1, "q")
-    return lambda: ph.identify(_spring(0.2), data)
+def _fit() -> ph.Fit:
+    return ph.identify(_spring(0.2), _record(500, 1, "q"))
 
 
-def _phsi() -> Call:
-    data = _record(500, 8, "q", "p")
-    model = ph.PseudoHamiltonian(
+def _dictionary() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
         states=["q", "p"],
         S=ph.canonical(1),
         H=ph.polynomials(["q", "p"], 5),
         R=ph.damping("p"),
         F={"p": ph.polynomials(["q", "t"], 2)},
     )
-    return lambda: ph.identify(
-        model, data, ph.PHSILoss(), l1={"H": 0.01, "F": 0.01}, pruning=ph.Pruning(0.05)
-    )
 
 
-def _diagnosis() -> Call:
-    study = ph.Study(_spring(), _record(300, 2, "q"), _record(300, 1, "q"))
-    return study.diagnose
+def _study(n_runs: int) -> ph.Study:
+    return ph.Study(_spring(), _record(300, n_runs, "q"), _record(300, 1, "q"))
 
 
-def _study() -> Call:
-    train, held_out = _record(300, 3, "q"), _record(300, 1, "q")
-    return lambda: ph.Study(_spring(), train, held_out).auto()
-
-
-def _comparison() -> Call:
-    fit = ph.identify(_spring(0.2), _record(500, 1, "q"))
-    data = _record(10_000, 1, "q")
-    return lambda: ph.compare(fit, data).bands
-
-
-def _bootstrap() -> Call:
-    data = _record(500, 1, "q")
-    fit = ph.identify(_spring(0.2), data)
-    return lambda: ph.bootstrap(fit, data, 20)
-
-
-def _profile() -> Call:
-    data = _record(500, 1, "q")
-    fit = ph.identify(_spring(0.2), data)
-    return lambda: ph.profile(fit, data, "a")
-
-
-def _simulation() -> Call:
-    model = _spring(TRUTH["a"]).with_values(TRUTH)
-    t = STEP * np.arange(2_000_000)
-    return lambda: ph.simulate(model, t, [1.0, 0.0])
-
-
-def _hybrid() -> Call:
+def _hybrid(data: ph.Measurements) -> object:
     from phsi_opt.learning.hybrid import hybrid
     from phsi_opt.learning.hybrid_network import NeuralForce
 
-    data = _record(200, 4, "q", "p")
     force = NeuralForce(("p",), ("q",), hidden=(16,), epochs=10)
-    return lambda: hybrid(_spring(), data, force, pruning=ph.Pruning(0.05))
+    return hybrid(_spring(), data, force, pruning=ph.Pruning(0.05))
 
 
-CALLS: dict[str, Callable[[], Call]] = {
-    "identify, likelihood": _likelihood,
-    "identify, PHSI loss": _phsi,
-    "diagnose": _diagnosis,
-    "Study.auto": _study,
-    "compare": _comparison,
-    "bootstrap": _bootstrap,
-    "profile": _profile,
-    "simulate": _simulation,
-    "hybrid": _hybrid,
+# By name, what prepares a call, and the call of what was prepared.
+CALLS: dict[str, tuple[Callable[[], Any], Callable[[Any], object]]] = {
+    "identify, likelihood": (
+        lambda: _record(3000, 1, "q"),
+        lambda data: ph.identify(_spring(0.2), data),
+    ),
+    "identify, PHSI loss": (
+        lambda: _record(500, 8, "q", "p"),
+        lambda data: ph.identify(
+            _dictionary(),
+            data,
+            ph.PHSILoss(),
+            l1={"H": 0.01, "F": 0.01},
+            pruning=ph.Pruning(0.05),
+        ),
+    ),
+    "diagnose": (lambda: _study(2), lambda study: study.diagnose()),
+    "Study.auto": (
+        lambda: (_record(300, 3, "q"), _record(300, 1, "q")),
+        lambda data: ph.Study(_spring(), *data).auto(),
+    ),
+    "compare": (
+        lambda: (_fit(), _record(10_000, 1, "q")),
+        lambda given: ph.compare(*given).bands,
+    ),
+    "bootstrap": (
+        lambda: (_fit(), _record(500, 1, "q")),
+        lambda given: ph.bootstrap(*given, 20),
+    ),
+    "profile": (
+        lambda: (_fit(), _record(500, 1, "q")),
+        lambda given: ph.profile(*given, "a"),
+    ),
+    "simulate": (
+        lambda: STEP * np.arange(2_000_000),
+        lambda t: ph.simulate(_truth(), t, [1.0, 0.0]),
+    ),
+    "hybrid": (lambda: _record(200, 4, "q", "p"), _hybrid),
 }
 
 
@@ -173,12 +162,13 @@ class Try:
 
 def _child(pipe: Connection, name: str) -> None:
     """Make one call, and tell when it begins, how it ends, and what comes after."""
-    call = CALLS[name]()
+    prepared, call = CALLS[name]
+    given = prepared()
     small = _record(100, 1, "q", "p")
     pipe.send("begins")
     ending, detail = LOST, ""
     try:
-        call()
+        call(given)
     except KeyboardInterrupt:
         ending = INTERRUPTED
     except Exception as error:
@@ -245,12 +235,9 @@ def measure(name: str, n_tries: int = N_TRIES) -> dict[str, object]:
 
 def page(rows: Sequence[dict[str, object]]) -> str:
     """The page as Markdown."""
-    total = N_TRIES * len(rows)
     good = sum(int(str(row["within 2 s"])) for row in rows)
-    lines = ["# Ctrl-C in the middle of long calls", "", INTRODUCTION, ""]
-    lines += [markdown.table(rows), ""]
-    lines.append(f"Interrupted within {LIMIT:g} s: {good} of {total}.")
-    return "\n".join(lines)
+    values = {"n_tries": N_TRIES, "limit": LIMIT, "good": good}
+    return render("benchmarks/pages/interrupts.md", rows=rows, **values)
 
 
 def main() -> None:

@@ -22,8 +22,8 @@ from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks.coverage import SCENARIOS
 from problems.benchmarks.oscillator import Layout, model, records
-from problems.tools import markdown
 from problems.tools.command_line import option
+from problems.tools.pages import render
 from problems.tools.provenance import write
 
 N_ROUNDS = 3
@@ -96,19 +96,14 @@ def page(rows: pd.DataFrame) -> str:
     table = summary(rows)
     long = table[table["samples"] == max(N_SAMPLES)]
     columns = [f"{name}, times that" for name in (DEFAULT, WITH_FORCE)]
-    worst = long[columns].astype(float).max()
-    n_rounds = rows["round"].nunique()
-    lines = ["# What honest standard errors cost", ""]
-    lines.append(
-        markdown.paragraph(f"""
-        Processor time on one record of the oscillator of `coverage.md`, {n_rounds}
-        rounds in turns. At {max(N_SAMPLES)} samples `identify` with its standard errors
-        takes at most {worst.iloc[0]:.2f} times the likelihood alone, with a random
-        force in the equations {worst.iloc[1]:.2f} times; {ASKED:g} is asked for.
-        """)
+    return render(
+        "benchmarks/pages/model_error_speed.md",
+        n_rounds=rows["round"].nunique(),
+        n_samples=max(N_SAMPLES),
+        worst=long[columns].astype(float).max(),
+        asked=ASKED,
+        table=table,
     )
-    lines += ["", markdown.table(table)]
-    return "\n".join(lines)
 
 
 def main() -> None:

@@ -16,47 +16,19 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+import pandas as pd
 from mutmut.stats import status_by_exit_code
 
-from problems.tools import markdown, provenance
+from problems.tools import provenance
 from problems.tools.command_line import chosen, flag
+from problems.tools.pages import render
 from problems.tools.provenance import ROOT
 
 ASKED = 0.85  # of the mutants, that tests have to kill
 KILLED = ("killed", "timeout", "segfault")  # a mutant that never ends is noticed too
 NOT_REACHED = ("no tests", "skipped")
-
-INTRODUCTION = markdown.paragraph(f"""
-    Every change of one thing (a sign, a limit, an argument, a text) that mutmut makes
-    in the modules of the numerical core, and whether a test of the project fails for
-    it. Killed: one does, or the run does not end. Survived: the tests that reach it
-    pass. Not reached: none of the chosen test files runs it. Asked: {ASKED:.0%} killed,
-    of all. Many of those that survive change nothing that counts: the words of an
-    error, a default that is always given, a limit moved by one in the last digit.
-    """)
-
-
-@dataclass(frozen=True)
-class Tally:
-    """What became of the mutants of one module."""
-
-    module: str
-    killed: int
-    survived: int
-    not_reached: int
-
-    @property
-    def total(self) -> int:
-        """How many there were."""
-        return self.killed + self.survived + self.not_reached
-
-    @property
-    def share(self) -> float:
-        """How many of them were killed."""
-        return self.killed / self.total if self.total else 0.0
 
 
 def copied(folder: Path) -> None:
@@ -125,19 +97,26 @@ def outcomes(folder: Path) -> dict[str, dict[str, str]]:
     return {module: statuses for module, statuses in found.items() if statuses}
 
 
-def tally(module: str, statuses: Mapping[str, str]) -> Tally:
-    """Count what became of a module's mutants.
+def tally(found: Mapping[str, Mapping[str, str]]) -> pd.DataFrame:
+    """What became of the mutants of each module, and of all together.
 
     Raises:
         SystemExit: mutmut left some of them unchecked.
     """
-    counts = Counter(statuses.values())
-    killed = sum(counts.pop(status, 0) for status in KILLED)
-    survived = counts.pop("survived", 0)
-    not_reached = sum(counts.pop(status, 0) for status in NOT_REACHED)
-    if counts:
-        raise SystemExit(f"{module}: mutmut left {dict(counts)} open.")
-    return Tally(module, killed, survived, not_reached)
+    rows = []
+    for module, statuses in found.items():
+        counts = Counter(statuses.values())
+        killed = sum(counts.pop(status, 0) for status in KILLED)
+        survived = counts.pop("survived", 0)
+        not_reached = sum(counts.pop(status, 0) for status in NOT_REACHED)
+        if counts:
+            raise SystemExit(f"{module}: mutmut left {dict(counts)} open.")
+        total = killed + survived + not_reached
+        rows.append((module, total, killed, survived, not_reached))
+    columns = ["module", "mutants", "killed", "survived", "not reached"]
+    table = pd.DataFrame(rows, columns=columns).set_index("module")
+    table.loc["all"] = table.sum()
+    return table.reset_index()
 
 
 def show(folder: Path, statuses: Mapping[str, str]) -> None:
@@ -158,33 +137,12 @@ def show(folder: Path, statuses: Mapping[str, str]) -> None:
         print(f"{status}: {mutant}", *changed, sep="\n", flush=True)
 
 
-def page(tallies: Sequence[Tally]) -> str:
+def page(table: pd.DataFrame) -> str:
     """A row per module, and all of them together."""
-    total = Tally(
-        "all",
-        sum(each.killed for each in tallies),
-        sum(each.survived for each in tallies),
-        sum(each.not_reached for each in tallies),
-    )
-    rows = [
-        {
-            "module": each.module,
-            "mutants": each.total,
-            "killed": each.killed,
-            "survived": each.survived,
-            "not reached": each.not_reached,
-            "share killed": f"{each.share:.0%}",
-        }
-        for each in (*tallies, total)
-    ]
-    verdict = "as asked" if total.share >= ASKED else "less than asked"
-    ending = (
-        f"{total.share:.1%} of {total.total} are killed ({verdict}: {ASKED:.0%}). "
-        "`python -m problems.benchmarks.mutants --show MODULE` prints the others."
-    )
-    return "\n".join(
-        ["# Mutants", "", INTRODUCTION, "", markdown.table(rows), "", ending]
-    )
+    share = table["killed"] / table["mutants"]
+    shown = table.assign(**{"share killed": share.map("{:.0%}".format)})
+    values = {"share": share.iloc[-1], "total": table["mutants"].iloc[-1]}
+    return render("benchmarks/pages/mutants.md", shown=shown, asked=ASKED, **values)
 
 
 def main() -> None:
@@ -196,8 +154,7 @@ def main() -> None:
             limited(folder, chosen())
         run(folder)
         found = outcomes(folder)
-        tallies = [tally(module, statuses) for module, statuses in found.items()]
-        text = page(tallies)
+        text = page(tally(found))
         print(text)
         if flag("show"):
             for statuses in found.values():

@@ -33,8 +33,8 @@ from problems.benchmarks.peer_methods import (
     full_discretisation,
     single_shooting,
 )
-from problems.tools import markdown
 from problems.tools.command_line import flag
+from problems.tools.pages import render
 from problems.tools.provenance import write
 
 FIRST_SEED = 5000
@@ -154,64 +154,32 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         line: dict[str, object] = {
             "problem": name,
             "identify, CPU s": f"{ours.median():.3f}",
-            "found": _successes(group, OURS),
+            "found": f"{int(group[f'{OURS} found'].sum())} of {len(group)}",
             "over floor": f"{(ours / group['floor s']).median():.1f}",
             "second fit, CPU s": f"{group['second fit s'].median():.3f}",
             "with standard errors, CPU s": f"{group['with errors s'].median():.3f}",
         }
         for peer in PEERS:
-            line |= _beside(group, peer)
+            ratio = found = "not run"
+            if f"{peer} s" in group and group[f"{peer} s"].notna().any():
+                ratio = f"{(group[f'{peer} s'] / ours).median():.2f}"
+                found = f"{int(group[f'{peer} found'].sum())} of {len(group)}"
+            line |= {f"{peer} / identify": ratio, f"{peer} found": found}
         lines.append(line)
     return pd.DataFrame(lines)
 
 
-def _beside(group: pd.DataFrame, peer: str) -> dict[str, object]:
-    """Time over that of `identify`, and successes."""
-    seconds = group.get(f"{peer} s")
-    if seconds is None or seconds.isna().all():
-        return {f"{peer} / identify": "not run", f"{peer} found": "not run"}
-    ratio = (seconds / group[f"{OURS} s"]).median()
-    return {
-        f"{peer} / identify": f"{ratio:.2f}",
-        f"{peer} found": _successes(group, peer),
-    }
-
-
-def _successes(group: pd.DataFrame, name: str) -> str:
-    return f"{int(group[f'{name} found'].sum())} of {len(group)}"
-
-
 def page(rows: pd.DataFrame) -> str:
     """The result as Markdown."""
-    first = int(rows["seed"].min())
-    last = int(rows["seed"].max())
-    jax = f"{JAX} is not installed here and not run"
-    if find_spec("jax") is not None:
-        jax = (
-            f"{JAX}: single shooting by RK4, one step per interval, and "
-            "Levenberg-Marquardt, compiled before (warm)"
-        )
-    text = markdown.paragraph(f"""
-        Processor seconds (medians) from starts 20 to 50 % off in every parameter, noise
-        of 3 % of each channel's standard deviation, seeds {first} to {last}; seeds of
-        5000 and more were not looked at while the method was developed. Found: a root
-        mean square residual below {FOUND:g} of the noise. CasADi: a full discretisation
-        written by hand, one RK4 step per interval, IPOPT, exact Hessian; it is told the
-        noise. SciPy: `least_squares` over `solve_ivp`, at most {MOST_SHOTS} evaluations
-        without those for slopes, which are differences of {DIFFERENCE:g}; not run on
-        the longest record. {jax}. `identify`
-        finds the noise and chooses steps; the peers give estimates alone. Standard
-        errors, which survive model error, are worked out when they are asked for:
-        "with standard errors" is `identify` and `fit.std_errors` together. Over floor:
-        `identify` over iterations of its final solve times one evaluation of defects
-        and their slopes, a banded factorisation and its solves. Second fit: the same
-        model object, other data.
-        """)
-    return "\n".join(["# Beside what users would write", "", text, "", _table(rows)])
-
-
-def _table(rows: pd.DataFrame) -> str:
-    return markdown.table(summary(rows))
+    return render(
+        "benchmarks/pages/peers.md",
+        seeds=(rows["seed"].min(), rows["seed"].max()),
+        found=FOUND,
+        has_jax=find_spec("jax") is not None,
+        most_shots=MOST_SHOTS,
+        difference=DIFFERENCE,
+        summary=summary(rows),
+    )
 
 
 def main(first: int, n_starts: int) -> pd.DataFrame:

@@ -17,12 +17,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import phsi_opt as ph
-from problems.tools import markdown
 from problems.tools.intervals import share
+from problems.tools.pages import render
 from problems.tools.seeds import ask_and_write
 
 Array = np.ndarray
@@ -99,27 +101,6 @@ class Machine:
         return np.array(found)
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What was said of one machine.
-
-    Attributes:
-        hidden: names of the two parameters.
-        added: effects that were added, as they are called.
-        errors: of the sizes of what was found, in standard errors.
-        is_both: whether both were named, or are in a class that was.
-        is_false: whether something was added beside which neither was named.
-        stopped: why it stopped.
-    """
-
-    hidden: tuple[str, ...]
-    added: tuple[str, ...]
-    errors: tuple[float, ...]
-    is_both: bool
-    is_false: bool
-    stopped: str
-
-
 def drawn(rng: np.random.Generator) -> tuple[Machine, Array]:
     """A machine, with its motion (n_samples, 2, n_runs)."""
     mass, stiffness = float(rng.uniform(0.7, 1.5)), float(rng.uniform(1.0, 6.0))
@@ -187,34 +168,36 @@ def model(mass: float) -> ph.PseudoHamiltonian:
     )
 
 
-def answer(seed: int) -> Answer:
-    """What `Study.auto` makes of one machine."""
+def answer(seed: int) -> dict[str, Any]:
+    """What `Study.auto` makes of one machine.
+
+    Both are found where they are named or in a class that is; an effect is false beside
+    which neither was named.
+    """
     rng = np.random.default_rng(seed)
     machine, x = drawn(rng)
-    data = measured(machine, x, rng)
-    train, test = data.split(N_TRAINING / N_RUNS)
+    train, test = measured(machine, x, rng).split(N_TRAINING / N_RUNS)
     said: list[str] = []
     study = ph.Study(model(machine.mass), train, test, progress=said.append)
-    stopped = study.auto()
+    study.auto()
     named = [line.split(";")[0] for line in said if "named: " in line]
     told = [label(name) for name in machine.sizes]
-    found = study.fit.estimates
-    errors = []
-    for name, size in machine.sizes.items():
-        if name in found:
-            spread = study.fit.std_errors[name]
-            errors.append(float((found[name] - size) / spread))
-    added = tuple(map(str, study.added))
+    found, spread = study.fit.estimates, study.fit.std_errors
+    added = [str(effect) for effect in study.added]
     is_right = [one in added or any(one in line for line in named) for one in told]
     wrong = [one for one in added if one not in told]
-    return Answer(
-        hidden=tuple(machine.sizes),
-        added=added,
-        errors=tuple(errors),
-        is_both=all(is_right),
-        is_false=any(not _is_tied(one, told, named) for one in wrong),
-        stopped=stopped,
-    )
+    return {
+        "seed": seed,
+        "hidden": " and ".join(machine.sizes),
+        "added": ", ".join(added) or "nothing",
+        "errors": [
+            float((found[name] - size) / spread[name])
+            for name, size in machine.sizes.items()
+            if name in found
+        ],
+        "is_both": all(is_right),
+        "is_false": any(not _is_tied(one, told, named) for one in wrong),
+    }
 
 
 def label(name: str) -> str:
@@ -229,34 +212,26 @@ def _is_tied(one: str, told: list[str], named: list[str]) -> bool:
     return any(right in line for line in lines for right in told)
 
 
-def page(answers: dict[str, Answer]) -> str:
+def page(by_seed: dict[str, dict[str, Any]]) -> str:
     """The page of all answers."""
+    answers = pd.DataFrame(by_seed.values())
+    errors = np.abs([error for row in answers["errors"] for error in row])
+    is_right = answers["is_both"] & ~answers["is_false"]
     n = len(answers)
-    errors = np.array([e for one in answers.values() for e in one.errors])
-    within = int(np.sum(np.abs(errors) <= MOST_ERRORS))
-    both = sum(one.is_both for one in answers.values())
-    false = sum(one.is_false for one in answers.values())
-    rows = []
-    for seed, one in answers.items():
-        if one.is_both and not one.is_false:
-            continue
-        rows.append([seed, " and ".join(one.hidden), ", ".join(one.added) or "nothing"])
-    introduction = markdown.paragraph(f"""
-        A driven mass on a spring, position measured at {NOISE:.0%} noise; two effects
-        of {SHARES[0]:.0%} to {SHARES[1]:.0%} of the spring's force, and a random force
-        of {RANDOM_FORCE:.0%}. Seeds {next(iter(answers))} on, not looked at before.
-        What `Study.auto` adds:
-        """)
-    said = [
-        f"- Both effects: {share(both, n)} of {n}.",
-        f"- Nothing else: {share(n - false, n)} of {n}.",
-        f"- Sizes within {MOST_ERRORS:g} of their standard errors: "
-        f"{share(within, len(errors))} of {len(errors)}.",
-    ]
-    head = ["seed", "hidden", "added"]
-    lines = ["# Two effects beside a random force", "", introduction, "", *said, ""]
-    lines += ["What came instead, or more:", "", markdown.lines(head, rows)]
-    return "\n".join(lines)
+    return render(
+        "benchmarks/pages/two_beside_force.md",
+        first=next(iter(by_seed)),
+        noise=NOISE,
+        shares=SHARES,
+        random_force=RANDOM_FORCE,
+        most_errors=MOST_ERRORS,
+        n=n,
+        both=share(int(answers["is_both"].sum()), n),
+        alone=share(int((~answers["is_false"]).sum()), n),
+        within=share(int((errors <= MOST_ERRORS).sum()), len(errors)),
+        n_errors=len(errors),
+        others=answers[~is_right][["seed", "hidden", "added"]],
+    )
 
 
 if __name__ == "__main__":
