@@ -271,10 +271,7 @@ def test_a_model_that_is_no_linear_regression_is_refused(
         ({"optimizer": "stlq"}, "optimizer='stlq'.*Did you mean 'stlsq'"),
         ({"threshold": -0.1}, "threshold=-0.1 .* number of at least 0"),
         ({"ridge": np.nan}, "ridge=nan .* expected"),
-        (
-            {"relaxation": 0.0, "optimizer": "sr3"},
-            "relaxation=0.0 .* a number above 0",
-        ),
+        ({"relaxation": 0.0, "optimizer": "sr3"}, "relaxation=0.0 .* a number above 0"),
         ({"derivative": "spline"}, "derivative='spline' .*midpoint"),
         (
             {"fixed": {"F_x[y]": 1.0}},

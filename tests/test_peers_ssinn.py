@@ -7,19 +7,11 @@ import pytest
 import torch
 
 import phsi_opt as ph
-from problems.peers.ssinn import SymplecticDescent, _Flow, separable, ssinn
-from problems.peers.torch_polynomials import Cell, Polynomials, monomial
+from problems.peers.ssinn import Gradient, SymplecticDescent, _Flow, separable, ssinn
 from problems.thesis.systems import SYSTEMS
 
 HENON = SYSTEMS["henon_heiles"]
-TRUTH = {
-    "H[q1**2]": 0.5,
-    "H[q2**2]": 0.5,
-    "H[p1**2]": 0.5,
-    "H[p2**2]": 0.5,
-    "H[q1**2*q2]": 1.0,
-    "H[q2**3]": -1 / 3,
-}
+TRUTH = HENON.truth
 
 
 def error_of_one_interval(h: float, steps: int) -> float:
@@ -38,13 +30,7 @@ def error_of_one_interval(h: float, steps: int) -> float:
     q0, p0, q1, p1 = (
         torch.tensor(v[None, :]) for v in (x0[:2], x0[2:], x1[:2], x1[2:])
     )
-    tables = [
-        p0,
-        q0,
-        q1,
-        p1,
-        torch.full((1, 1), h, dtype=torch.float64),
-    ]
+    tables = [p0, q0, q1, p1, torch.full((1, 1), h, dtype=torch.float64)]
     return float(flow.loss(theta, tables))
 
 
@@ -141,42 +127,12 @@ def test_the_schedule_falls_at_its_shares() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("body", "factors"),
-    [
-        ("1", ()),
-        ("q", (0,)),
-        ("q**2*p", (0, 0, 1)),
-        ("p*q*p", (0, 1, 1)),
-        ("q/p", None),
-        ("sin(q)", None),
-        ("q**-1", None),
-        ("q**p", None),
-        ("q*u", None),
-        ("2*q", None),
-        ("q + p", None),
-    ],
-)
-def test_only_products_of_powers_are_monomials(
-    body: str, factors: tuple[int, ...] | None
-) -> None:
-    assert monomial(body, ("q", "p")) == factors
-
-
-def test_polynomials_are_the_sums_of_their_monomials() -> None:
-    cells = [
-        Cell((0, 0, 2), 0, 0, 2.0),  # 2 a x^2 z
-        Cell((1,), 0, 1),  # b y
-        Cell((1,), 1, 0, -1.0),  # -a y
-        Cell((), 1, 1),  # b
-        Cell((), 1, 0),  # a, at the same place
-    ]
-    polynomials = Polynomials(cells, 3, 2, torch.float64)
+def test_the_gradient_is_that_of_the_terms_of_its_variables() -> None:
+    bodies = ["x**2*z", "y", "q**3", "x*q"]
+    gradient = Gradient(bodies, ["x", "y", "z"], torch.float64)
     v = np.random.default_rng(0).normal(size=(4, 3))
-    padded = torch.tensor(np.column_stack((v, np.ones(4))))
-    a, b = 0.7, -0.4
-    theta = torch.tensor([a, b], dtype=torch.float64)
-    found = polynomials.features(padded) @ polynomials.matrix(theta)
-    x, y, z = v.T
-    expected = np.column_stack((2 * a * x**2 * z + b * y, -a * y + a + b))
+    theta = torch.tensor([0.7, -0.4, 5.0, 6.0], dtype=torch.float64)
+    found = gradient.at(torch.tensor(v), gradient.matrix(theta))
+    x, _, z = v.T
+    expected = np.column_stack((1.4 * x * z, np.full(4, -0.4), 0.7 * x**2))
     np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-15)  # rounding

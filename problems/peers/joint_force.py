@@ -3,7 +3,7 @@
 Nothing here needs torch: a trained network is a list of matrices.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +60,35 @@ class JointForce:
         if self.rate is not None:
             require_positive("rate", self.rate)
 
+    def values(
+        self,
+        layers: Layers,
+        states: Sequence[str],
+        inputs: Sequence[str],
+        x: Any,
+        t: Any,
+        u: Any,
+    ) -> np.ndarray:
+        """The force of a trained network, (n, n_equations), at states x (n, n_states),
+        times t (n,) and inputs u (n, n_inputs) of these names.
+
+        Raises:
+            DataError: if x has another shape, or t or u is needed.
+        """
+        x = state_rows(x, len(states))
+        known: dict[str, Any] = dict(zip(states, x.T, strict=True)) | {"t": t}
+        given = [None] * len(inputs) if u is None else np.atleast_2d(u).T
+        known.update(zip(inputs, given, strict=True))
+        columns = []
+        for name in self.variables:
+            if known[name] is None:
+                argument = "t" if name == "t" else "u"
+                raise DataError(
+                    f"the force depends on {name!r}; give {argument} beside x."
+                )
+            columns.append(np.broadcast_to(known[name], len(x)))
+        return network_values(layers, np.stack(columns, 1), self.first)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HybridBaseline(Baseline):
@@ -87,11 +116,8 @@ class HybridBaseline(Baseline):
         Raises:
             DataError: if x has another shape, or t or u is needed.
         """
-        x = state_rows(x, self.model.n_states)
-        states = dict(zip(self.model.states, x.T, strict=True))
-        known = known_columns(states, t, self.model.inputs, u)
-        v = force_variables(self.neural.variables, known, len(x))
-        return network_values(self.layers, v, self.neural.first)
+        names = self.model.states, self.model.inputs
+        return self.neural.values(self.layers, *names, x, t, u)
 
     def without_force(self) -> Baseline:
         """The dictionary model alone; its loss, not that of the training, is NaN."""
@@ -162,38 +188,3 @@ def state_rows(x: Any, n_states: int) -> np.ndarray:
             f"x has shape {np.shape(x)}; expected (n, {n_states}), a column per state."
         )
     return states
-
-
-def known_columns(
-    states: Mapping[str, np.ndarray], t: Any, inputs: Sequence[str], u: Any
-) -> dict[str, Any]:
-    """Values by name of what a force may depend on; None where nothing was given.
-
-    Args:
-        states: values by name, (n_samples,) each.
-        t: times (n_samples,), or None.
-        inputs: names of the inputs.
-        u: their values (n_samples, n_inputs), or None.
-    """
-    known: dict[str, Any] = dict(states)
-    known["t"] = t
-    columns = [None] * len(inputs) if u is None else np.atleast_2d(u).T
-    known.update(zip(inputs, columns, strict=True))
-    return known
-
-
-def force_variables(
-    variables: Sequence[str], known: Mapping[str, Any], n_rows: int
-) -> np.ndarray:
-    """The variables of a force, (n_rows, n_variables).
-
-    Raises:
-        DataError: if a variable was not given.
-    """
-    columns = []
-    for name in variables:
-        if known[name] is None:
-            argument = "t" if name == "t" else "u"
-            raise DataError(f"the force depends on {name!r}; give {argument} beside x.")
-        columns.append(np.broadcast_to(known[name], n_rows))
-    return np.stack(columns, 1)

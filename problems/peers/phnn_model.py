@@ -15,14 +15,7 @@ from phsi_opt.estimation.fit_record import PARAMETER_COLUMNS
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.simulation.simulate import simulate_forced
-from problems.peers.joint_force import (
-    JointForce,
-    Layers,
-    force_variables,
-    known_columns,
-    network_values,
-    state_rows,
-)
+from problems.peers.joint_force import JointForce, Layers, state_rows
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,22 +70,18 @@ class PHNN:
         An energy is known up to a constant.
         """
         x = state_rows(x, len(self.states))
-        origin = np.zeros_like(x[:1])
-        result: np.ndarray = (self._output(x) - self._output(origin))[:, 0]
-        return result
+        weight, _ = self.energy_layers[-1]  # its bias drops out
 
-    def _output(self, x: np.ndarray) -> np.ndarray:
-        """H up to the last bias, (n, 1)."""
-        weight, _ = self.energy_layers[-1]
-        last = hidden_values(self.energy_layers, x)[-1]
-        return np.asarray(last @ weight)
+        def output(x: np.ndarray) -> np.ndarray:
+            return np.asarray(hidden_values(self.energy_layers, x)[-1] @ weight)
+
+        return (output(x) - output(np.zeros_like(x[:1])))[:, 0]
 
     def efforts(self, x: Any) -> np.ndarray:
         """grad H, (n, n_states), at states x (n, n_states)."""
         x = state_rows(x, len(self.states))
         hidden = hidden_values(self.energy_layers, x)
-        result: np.ndarray = input_gradient(self.energy_layers, hidden)
-        return result
+        return np.asarray(input_gradient(self.energy_layers, hidden))
 
     def force(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
         """F, (n, n_states); zero without force.
@@ -109,11 +98,9 @@ class PHNN:
         result = np.zeros((len(x), len(self.states)))
         if self.neural is None:
             return result
-        states = dict(zip(self.states, x.T, strict=True))
-        known = known_columns(states, t, self.inputs, u)
-        v = force_variables(self.neural.variables, known, len(x))
         rows = [self.states.index(name) for name in self.neural.equations]
-        result[:, rows] = network_values(self.force_layers, v)
+        names = self.states, self.inputs
+        result[:, rows] = self.neural.values(self.force_layers, *names, x, t, u)
         return result
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:

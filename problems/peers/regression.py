@@ -15,7 +15,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.slots import Entry, place_of
+from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import aligned_once
 from problems.peers.sampled_rates import SampledRates, sampled_rates
@@ -36,27 +36,6 @@ class Regression:
     names: tuple[str, ...]
     columns: np.ndarray
     rates: np.ndarray
-
-
-def regressions(
-    model: FirstOrder,
-    data: Measurements,
-    derivative: str = "midpoint",
-    fixed: Mapping[str, float] | None = None,
-) -> tuple[Regression, ...]:
-    """The regression of each equation that has unknown coefficients.
-
-    Args:
-        model: whose free parameters all enter linearly.
-        data: every state at every sample.
-        derivative: a name in ``sampled_rates.DERIVATIVES``.
-        fixed: values at which parameters are held.
-
-    Raises:
-        ModelError: for a model that is not a linear regression.
-        DataError: for incomplete states, or too few of them.
-    """
-    return regressions_of(with_fixed(model, fixed or {}), data, derivative)
 
 
 def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
@@ -102,10 +81,15 @@ def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
     return result
 
 
-def regressions_of(
-    model: Model, data: Measurements, derivative: str
+def regressions(
+    model: Model, data: Measurements, derivative: str = "midpoint"
 ) -> tuple[Regression, ...]:
-    """`regressions` of a model whose parameters are fixed where they should be.
+    """The regression of each equation that has unknown coefficients.
+
+    Args:
+        model: whose free parameters all enter linearly; see `with_fixed`.
+        data: every state at every sample.
+        derivative: a name in ``sampled_rates.DERIVATIVES``.
 
     Raises:
         ModelError: for a model that is not a linear regression.
@@ -123,7 +107,8 @@ def regressions_of(
     samples = sampled_rates(record, derivative)
     problems = []
     for i, equation in enumerate(model.states):
-        chosen = _coefficients_in(slopes, i)
+        pattern = slopes.sparsity()
+        chosen = [k for k in range(len(model.free)) if pattern.has_nz(i, k)]
         if not chosen:
             continue
         row = ca.densify(ca.horzcat(dx[i], slopes[i, chosen])).T
@@ -146,12 +131,6 @@ def _values(row: ca.Function, samples: SampledRates) -> np.ndarray:
     return np.array(at_samples(samples.x.T, samples.u.T, t, theta)).T
 
 
-def _coefficients_in(slopes: ca.SX, equation: int) -> list[int]:
-    """Numbers of the free parameters in an equation."""
-    pattern = slopes.sparsity()
-    return [k for k in range(pattern.size2()) if pattern.has_nz(equation, k)]
-
-
 def _check_complete(data: Measurements) -> None:
     for run in data.trajectories:
         missing = np.argwhere(~np.isfinite(run.x))
@@ -168,50 +147,37 @@ def _check_complete(data: Measurements) -> None:
 def _check_regression(model: Model, slopes: ca.SX, theta: ca.SX) -> None:
     """Refuse what is not a linear regression of each equation on its own."""
     entries = [model.entries[name] for name in model.free]
-    _check_linear(entries, slopes, theta)
+    bent = [k for k in range(len(entries)) if ca.depends_on(slopes[:, k], theta)]
+    if bent:
+        # A wave's amplitude is bent by its frequency; the frequency, bent by itself
+        # too, is the one to name.
+        own = [not ca.depends_on(slopes[:, k], theta[k]) for k in bent]
+        rank = [
+            (alone, entries[k].prunable, k) for alone, k in zip(own, bent, strict=True)
+        ]
+        name = entries[min(rank)[2]].name
+        raise ModelError(
+            f"parameter {name!r} does not enter linearly, "
+            "so a regression such as SINDy cannot learn it; "
+            "give a frequency=... (or value) and fix it: "
+            f"fixed={{{name!r}: 1.0}}."
+        )
     for k, entry in enumerate(entries):
-        _check_bounds(entry)
-        equations = []
-        for i, state in enumerate(model.states):
-            if slopes.sparsity().has_nz(i, k):
-                equations.append(state)
+        lower, upper = entry.parameter.lower, entry.parameter.upper
+        if np.isfinite(lower) or np.isfinite(upper):
+            raise ModelError(
+                f"parameter {entry.name!r} has bounds [{lower:g}, {upper:g}], "
+                "which a regression does not keep; use Parameter() without bounds "
+                "(damping: put the state into the dictionary of F)."
+            )
+        pattern = slopes.sparsity()
+        equations = [x for i, x in enumerate(model.states) if pattern.has_nz(i, k)]
         if len(equations) > 1:
             raise ModelError(
                 f"parameter {entry.name!r} stands in the equations of "
                 f"{' and '.join(equations)}, "
                 "but SINDy regresses each equation on its own; use two names."
             )
-
-
-def _check_linear(entries: list[Entry], slopes: ca.SX, theta: ca.SX) -> None:
-    bent = [k for k in range(len(entries)) if ca.depends_on(slopes[:, k], theta)]
-    if not bent:
-        return
-
-    def rank(k: int) -> tuple[bool, bool]:
-        # A wave's amplitude is bent by its frequency; the frequency, bent by itself
-        # too, is the one to name.
-        by_itself = ca.depends_on(slopes[:, k], theta[k])
-        return not by_itself, entries[k].prunable
-
-    name = entries[min(bent, key=rank)].name
-    raise ModelError(
-        f"parameter {name!r} does not enter linearly, "
-        "so a regression such as SINDy cannot learn it; "
-        "give a frequency=... (or value) and fix it: "
-        f"fixed={{{name!r}: 1.0}}."
-    )
-
-
-def _check_bounds(entry: Entry) -> None:
-    lower = entry.parameter.lower
-    upper = entry.parameter.upper
-    if np.isfinite(lower) or np.isfinite(upper):
-        raise ModelError(
-            f"parameter {entry.name!r} has bounds [{lower:g}, {upper:g}], "
-            "which a regression does not keep; use Parameter() without bounds "
-            "(damping: put the state into the dictionary of F)."
-        )
 
 
 def _check_columns(equation: str, names: tuple[str, ...], values: np.ndarray) -> None:

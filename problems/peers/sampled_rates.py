@@ -3,7 +3,7 @@
 PHSI needs none of this: its loss compares steps, not rates.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,15 +55,10 @@ def sampled_rates(data: Measurements, derivative: str) -> SampledRates:
     require_choice("derivative", derivative, tuple(DERIVATIVES))
     rates_of = DERIVATIVES[derivative]
     hold = hold_of_each(data.hold, data.inputs)
-    return _joined([rates_of(run, hold) for run in data.trajectories])
-
-
-def _joined(parts: Sequence[SampledRates]) -> SampledRates:
+    parts = [rates_of(run, hold) for run in data.trajectories]
+    names = ("x", "u", "t", "dx")
     return SampledRates(
-        np.concatenate([part.x for part in parts]),
-        np.concatenate([part.u for part in parts]),
-        np.concatenate([part.t for part in parts]),
-        np.concatenate([part.dx for part in parts]),
+        *(np.concatenate([getattr(p, n) for p in parts]) for n in names)
     )
 
 

@@ -28,12 +28,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import FirstOrder
-from problems.peers.regression import (
-    Regression,
-    regressions,
-    regressions_of,
-    with_fixed,
-)
+from problems.peers.regression import Regression, regressions, with_fixed
 from problems.peers.sampled_rates import DERIVATIVES
 
 __all__ = ["DERIVATIVES", "Regression", "lasso", "regressions", "sindy"]
@@ -203,15 +198,17 @@ def _regressed(
     held = with_fixed(model, fixed or {})
     values: dict[str, float] = {}
     loss = 0.0
-    for problem in regressions_of(held, data, derivative):
-        found = _solved(problem, method)
+    for problem in regressions(held, data, derivative):
+        try:
+            found = method.solve(problem.columns, problem.rates)
+        except SolveError as error:
+            where = f"{method.name}, equation d{problem.equation}/dt"
+            raise SolveError(f"{where}: {error}") from None
         values.update(zip(problem.names, found.tolist(), strict=True))
         residual = problem.rates - problem.columns @ found
         loss += float(np.mean(residual**2))
-    removed = []
-    for name, entry in held.entries.items():
-        if entry.prunable and values.get(name) == 0:
-            removed.append(name)
+    entries = held.entries.items()
+    removed = [n for n, entry in entries if entry.prunable and values.get(n) == 0]
     if len(removed) == len(values):
         raise ModelError(
             f"{method.name} removes every term ({method.settings}); "
@@ -226,15 +223,6 @@ def _regressed(
         loss_value=loss,
         settings=method.settings,
     )
-
-
-def _solved(problem: Regression, method: _Method) -> np.ndarray:
-    try:
-        return method.solve(problem.columns, problem.rates)
-    except SolveError as error:
-        raise SolveError(
-            f"{method.name}, equation d{problem.equation}/dt: {error}"
-        ) from None
 
 
 def _by_pysindy(optimizer: Any, columns: np.ndarray, rates: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ with the next sample. So, unlike in the PHSI loss, the right-hand side is never
 evaluated at the second sample.
 """
 
+import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -34,12 +35,6 @@ from phsi_opt.model.terms import Dictionary, polynomials
 from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete_intervals
-from problems.peers.torch_polynomials import (
-    Cell,
-    Polynomials,
-    gradient_cells,
-    monomial,
-)
 
 LOSSES = ("absolute", "squared")
 
@@ -228,22 +223,60 @@ def separable(
     return PseudoHamiltonian(states=states, S=S, H=potential + kinetic)
 
 
-def _gradient(
-    model: PseudoHamiltonian, variables: Sequence[str], dtype: torch.dtype
-) -> Polynomials:
-    """Gradient of T or V by its variables."""
-    n = len(variables)
-    cells: list[Cell] = []
-    for j, term in enumerate(model.H):
-        body = monomial(term.body, variables)
-        if body is not None:  # not a term of the other part
-            cells += gradient_cells(body, j, n)
-    return Polynomials(cells, n, n, dtype)
+class Gradient:
+    """Gradient of T or V by its variables v, B(v) C with B the monomials and C linear
+    in the coefficients.
 
+    Args:
+        bodies: terms of the whole energy, products of powers; those of other variables
+            do not count.
+        variables: names of v.
+        dtype: of the values.
+    """
 
-def _with_one(v: Tensor) -> Tensor:
-    """The variables and a column of ones."""
-    return torch.cat((v, v.new_ones(len(v), 1)), 1)
+    def __init__(
+        self, bodies: Sequence[str], variables: Sequence[str], dtype: torch.dtype
+    ) -> None:
+        n = len(variables)
+        # Monomial as the numbers of its factors, column, parameter, factor.
+        cells: list[tuple[tuple[int, ...], int, int, float]] = []
+        for parameter, body in enumerate(bodies):
+            powers = re.findall(r"([a-zA-Z]\w*)(?:\*\*(\d+))?", body)
+            if {name for name, _ in powers} <= set(variables):
+                factors = sorted(
+                    list(variables).index(name)
+                    for name, power in powers
+                    for _ in range(int(power or 1))
+                )
+                for k in sorted(set(factors)):
+                    lower = factors.copy()
+                    lower.remove(k)
+                    count = float(factors.count(k))
+                    cells.append((tuple(lower), k, parameter, count))
+        monomials = sorted({cell[0] for cell in cells} | {()})
+        degree = max(1, *map(len, monomials))
+        # Behind the variables v has a column of ones, which fills what is short.
+        padded = [body + (n,) * (degree - len(body)) for body in monomials]
+        self.factors = torch.tensor(padded).T.contiguous()  # (degree, n_monomials)
+        places = [monomials.index(body) * n + column for body, column, _, _ in cells]
+        self.places = torch.tensor(places)
+        self.parameters = torch.tensor([parameter for *_, parameter, _ in cells])
+        self.scales = torch.tensor([scale for *_, scale in cells], dtype=dtype)
+        self.empty = torch.zeros(len(monomials) * n, dtype=dtype)
+        self.n_columns = n
+
+    def matrix(self, theta: Tensor) -> Tensor:
+        """C at the coefficients, (n_monomials, n_variables)."""
+        values = theta.index_select(0, self.parameters) * self.scales
+        return self.empty.index_add(0, self.places, values).view(-1, self.n_columns)
+
+    def at(self, v: Tensor, matrix: Tensor) -> Tensor:
+        """The gradient (n_rows, n_variables) at v, as many."""
+        v = torch.cat((v, v.new_ones(len(v), 1)), 1)
+        product = v.index_select(1, self.factors[0])
+        for factor in self.factors[1:]:
+            product = product * v.index_select(1, factor)
+        return product @ matrix
 
 
 class _Flow:
@@ -260,8 +293,9 @@ class _Flow:
         self.dtype = dtype
         self.positions = [model.states.index(name) for name in positions]
         self.momenta = [model.states.index(name) for name in momenta]
-        self.potential = _gradient(model, positions, dtype)
-        self.kinetic = _gradient(model, momenta, dtype)
+        bodies = [term.body for term in model.H]
+        self.potential = Gradient(bodies, positions, dtype)
+        self.kinetic = Gradient(bodies, momenta, dtype)
         self.n_steps = settings.steps
         self.absolute = settings.loss == "absolute"
 
@@ -288,11 +322,9 @@ class _Flow:
         V = self.potential.matrix(theta)
         h = h / self.n_steps
         for drift, kick in self._stages():
-            velocity = self.kinetic.features(_with_one(p)) @ T
-            q = q + drift * h * velocity
+            q = q + drift * h * self.kinetic.at(p, T)
             if kick:
-                force = self.potential.features(_with_one(q)) @ V
-                p = p - kick * h * force
+                p = p - kick * h * self.potential.at(q, V)
         if self.absolute:
             return (q1 - q).abs().mean() + (p1 - p).abs().mean()
         return (q1 - q).square().mean() + (p1 - p).square().mean()

@@ -13,14 +13,8 @@ import torch
 from torch import Tensor
 
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.integrators import (
-    FIRST_NODE,
-    SECOND_NODE,
-    integrator,
-)
-from phsi_opt.transcription.integrators import (
-    RightHandSide as Stage,
-)
+from phsi_opt.transcription.integrators import FIRST_NODE, SECOND_NODE, integrator
+from phsi_opt.transcription.integrators import RightHandSide as Stage
 
 # dx/dt (n_rows, n_states) at states x (n_rows, n_states) and at z, the inputs, the time
 # and a one (n_rows, n_inputs + 2).

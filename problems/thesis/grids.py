@@ -28,14 +28,7 @@ import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
-from problems.thesis.figures import (
-    EXAMPLES,
-    INSIDE,
-    TANK_4,
-    TRUTH,
-    around,
-    simulated,
-)
+from problems.thesis.figures import EXAMPLES, INSIDE, TANK_4, TRUTH, around, simulated
 from problems.thesis.methods import descent
 from problems.thesis.scores import attempted, free_run, score
 from problems.thesis.systems import FLOWS, SYSTEMS, System, known_leak, tank_model
@@ -82,11 +75,7 @@ GRIDS = {
         (0.0, 0.05, 0.5), (1, 2, 4), 3, "6.10", "neither improves nor worsens"
     ),
     "schrodinger": Grid(
-        (0.0, 0.05, 0.5),
-        (1, 5, 10),
-        10,
-        "6.12",
-        "helps (error about 5 times smaller)",
+        (0.0, 0.05, 0.5), (1, 5, 10), 10, "6.12", "helps (error about 5 times smaller)"
     ),
     "mass_spring": Grid(
         (0.0, 0.1, 0.5), (20, 40, 80), 80, "6.14", "helps, L1 most", force_weight=0.01

@@ -27,14 +27,7 @@ import phsi_opt as ph
 from phsi_opt.learning.hybrid import Hybrid, hybrid
 from phsi_opt.learning.hybrid_network import NeuralForce
 from phsi_opt.transcription.integrators import INTEGRATORS
-from problems.thesis.figures import (
-    EXAMPLES,
-    INSIDE,
-    TANK_4,
-    TRUTH,
-    around,
-    simulated,
-)
+from problems.thesis.figures import EXAMPLES, INSIDE, TANK_4, TRUTH, around, simulated
 from problems.thesis.scores import free_run, score
 from problems.thesis.systems import (
     LEAK_SLOPE,

@@ -178,9 +178,7 @@ def duffing_case(
     )
 
 
-def thesis_draw(
-    system: System,
-) -> Callable[[np.random.Generator], Drawn]:
+def thesis_draw(system: System) -> Callable[[np.random.Generator], Drawn]:
     """Starts and noise in the order in which `System.data` draws them."""
 
     def draw(rng: np.random.Generator) -> Drawn:
