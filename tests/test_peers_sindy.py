@@ -11,7 +11,7 @@ pytest.importorskip("pysindy", reason="needs the extra 'peers'")
 import phsi_opt as ph
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.model.terms import Dictionary
-from problems.peers.sindy import DERIVATIVES, lasso, regressions, sindy
+from problems.peers.sindy import lasso, regressions, sindy
 from problems.thesis.systems import SYSTEMS
 
 HENON_HEILES = replace(
@@ -32,17 +32,10 @@ def relative_error(found: Baseline) -> float:
 
 
 @pytest.mark.parametrize("optimizer", ["stlsq", "sr3"])
-@pytest.mark.parametrize("derivative", DERIVATIVES)
 def test_clean_data_give_the_support_and_the_coefficients(
-    optimizer: str, derivative: str
+    optimizer: str,
 ) -> None:
-    found = sindy(
-        HENON_HEILES.first_order(),
-        henon_heiles(),
-        optimizer,
-        0.2,
-        derivative=derivative,
-    )
+    found = sindy(HENON_HEILES.first_order(), henon_heiles(), optimizer, 0.2)
     assert set(found.values) == set(TRUTH)
     # (h omega)^2/12 with h = 0.02 and omega of about 1 is 3e-5 in the midpoint, (h
     # omega)^2/6 to /3 in the differences
@@ -58,16 +51,13 @@ def test_the_lasso_finds_the_support_and_shrinks_the_coefficients() -> None:
 
 
 @pytest.mark.parametrize("optimizer", ["stlsq", "sr3"])
-@pytest.mark.parametrize("derivative", DERIVATIVES)
 def test_without_threshold_and_ridge_it_is_plain_least_squares(
-    optimizer: str, derivative: str
+    optimizer: str,
 ) -> None:
     model, data = HENON_HEILES.first_order(), henon_heiles(noise=0.01)
-    found = sindy(
-        model, data, optimizer, threshold=0.0, ridge=0.0, derivative=derivative
-    )
+    found = sindy(model, data, optimizer, threshold=0.0, ridge=0.0)
     loss = 0.0
-    for problem in regressions(model, data, derivative):
+    for problem in regressions(model, data):
         expected, squares, *_ = np.linalg.lstsq(problem.columns, problem.rates)
         # two solvers of the same well-conditioned squares: rounding times the condition
         # number (about 1e2)
@@ -177,10 +167,6 @@ def test_lone_pairs_are_enough_for_the_midpoint() -> None:
     assert set(sindy(HENON_HEILES.first_order(), data, threshold=0.2).values) == set(
         TRUTH
     )
-    for derivative, least in (("finite difference", "3"), ("smoothed", "11")):
-        message = f"has 2 samples, but derivative='{derivative}' needs at least {least}"
-        with pytest.raises(ph.DataError, match=message):
-            sindy(HENON_HEILES.first_order(), data, derivative=derivative)
 
 
 def test_the_result_simulates_and_says_what_was_removed() -> None:
@@ -272,7 +258,6 @@ def test_a_model_that_is_no_linear_regression_is_refused(
         ({"threshold": -0.1}, "threshold=-0.1 .* number of at least 0"),
         ({"ridge": np.nan}, "ridge=nan .* expected"),
         ({"relaxation": 0.0, "optimizer": "sr3"}, "relaxation=0.0 .* a number above 0"),
-        ({"derivative": "spline"}, "derivative='spline' .*midpoint"),
         (
             {"fixed": {"F_x[y]": 1.0}},
             r"fixed names 'F_x\[y\]', which is not in the model",
@@ -297,8 +282,6 @@ def test_data_that_cannot_be_regressed_are_refused() -> None:
         sindy(one_state(ph.polynomials(["x"], 5)), decay(t=np.linspace(0, 1, 4)))
     with pytest.raises(ph.DataError, match="not finite over the data"):
         sindy(one_state(ph.formula("a*log(x - 0.5)", a=ph.Parameter())), decay())
-    with pytest.raises(ph.DataError, match="needs equal ones"):
-        sindy(LINEAR, decay(t=np.linspace(0, 1, 30) ** 2), derivative="smoothed")
 
 
 def test_sr3_that_does_not_converge_says_so() -> None:

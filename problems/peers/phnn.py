@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from phsi_opt.arguments import is_count, require, require_size
-from phsi_opt.baselines.descent import Adam, Progress, check_descent, descend
+from phsi_opt.baselines.descent import Adam, check_descent, descend
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible
@@ -91,7 +91,6 @@ def phnn(
     damping: Sequence[str] = (),
     force: tuple[Sequence[str], Sequence[str]] | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> PHNN:
     """Train H, R and F of dx/dt = (S - R) grad H + F (Eidnes et al. 2023).
 
@@ -107,7 +106,6 @@ def phnn(
         force: (equations, variables) of the force network, such as (["p"], ["t"]); None
             has no force.
         seed: of the weights and of the order of the batches.
-        progress: called with a line of text every few epochs.
 
     Raises:
         DataError: for data that do not suit.
@@ -134,7 +132,6 @@ def phnn(
             steps.tables,
             settings,
             generator,
-            progress=progress,
         )
         exact = Steps(grid, settings.integrator, torch.float64)
         loss_value = float(networks.loss(exact, exact.tables).detach())

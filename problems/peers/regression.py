@@ -11,14 +11,15 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.arguments import require
+from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.trajectory import SmoothInputs
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import aligned_once
-from problems.peers.sampled_rates import SampledRates, sampled_rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,15 +82,12 @@ def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
     return result
 
 
-def regressions(
-    model: Model, data: Measurements, derivative: str = "midpoint"
-) -> tuple[Regression, ...]:
+def regressions(model: Model, data: Measurements) -> tuple[Regression, ...]:
     """The regression of each equation that has unknown coefficients.
 
     Args:
         model: whose free parameters all enter linearly; see `with_fixed`.
         data: every state at every sample.
-        derivative: a name in ``sampled_rates.DERIVATIVES``.
 
     Raises:
         ModelError: for a model that is not a linear regression.
@@ -104,7 +102,8 @@ def regressions(
     dx = model.rhs()(x, u, t, theta)
     slopes = ca.jacobian(dx, theta)
     _check_regression(model, slopes, theta)
-    samples = sampled_rates(record, derivative)
+    x_at, u_at, t_at, rates_at = midpoint_rates(record)
+    at_zero = np.zeros((len(model.free), 1))
     problems = []
     for i, equation in enumerate(model.states):
         pattern = slopes.sparsity()
@@ -112,23 +111,34 @@ def regressions(
         if not chosen:
             continue
         row = ca.densify(ca.horzcat(dx[i], slopes[i, chosen])).T
-        terms = _values(ca.Function("row", [x, u, t, theta], [row]), samples)
+        at_samples = ca.Function("row", [x, u, t, theta], [row]).map(len(t_at))
+        terms = np.array(at_samples(x_at.T, u_at.T, t_at[None, :], at_zero)).T
         names = tuple(model.free[k] for k in chosen)
         _check_columns(equation, names, terms)
         # At zero coefficients dx is what is known already: the terms with fixed
         # coefficients.
         known = terms[:, 0]
-        rates = samples.dx[:, i] - known
+        rates = rates_at[:, i] - known
         problems.append(Regression(equation, names, terms[:, 1:], rates))
     return tuple(problems)
 
 
-def _values(row: ca.Function, samples: SampledRates) -> np.ndarray:
-    """The row (x, u, t, theta) -> (n_columns,) at zero theta, (n_rows, n_columns)."""
-    at_samples = row.map(len(samples.t))
-    theta = np.zeros((row.numel_in(3), 1))
-    t = samples.t[None, :]
-    return np.array(at_samples(samples.x.T, samples.u.T, t, theta)).T
+def midpoint_rates(data: Measurements) -> tuple[np.ndarray, ...]:
+    """States, inputs and times at the middle of every interval, and the rates
+    (x1 - x0)/h there, a row per interval of all trajectories.
+
+    PHSI needs none of this: its loss compares steps, not rates.
+    """
+    hold = hold_of_each(data.hold, data.inputs)
+    parts = []
+    for run in data.trajectories:
+        x, u, t = ((v[1:] + v[:-1]) / 2 for v in (run.x, run.u, run.t))
+        u = np.where(hold == "zero", run.u[:-1], u)
+        if "cubic" in hold:
+            first, last = SmoothInputs(run.t, run.u).lines(run.t[:-1], run.t[1:])
+            u = np.where(hold == "cubic", (first + last) / 2, u)
+        parts.append((x, u, t, np.diff(run.x, axis=0) / np.diff(run.t)[:, None]))
+    return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 def _check_complete(data: Measurements) -> None:

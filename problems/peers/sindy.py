@@ -6,8 +6,8 @@ others, a frequency for instance not, and it knows no bounds. The thresholding i
 by pysindy (STLSQ and SR3), the LASSO by CVXPY.
 
 Sources: S. L. Brunton, J. L. Proctor and J. N. Kutz (2016) for SINDy and STLSQ,
-P. Zheng et al. (2019) for SR3, R. Tibshirani (1996) for the LASSO, A. Savitzky and
-M. J. E. Golay (1964) for the filter.
+P. Zheng et al. (2019) for SR3, R. Tibshirani (1996) for the LASSO. Rates are
+(x1 - x0)/h at the middle of each interval.
 """
 
 import time
@@ -29,9 +29,8 @@ from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import FirstOrder
 from problems.peers.regression import Regression, regressions, with_fixed
-from problems.peers.sampled_rates import DERIVATIVES
 
-__all__ = ["DERIVATIVES", "Regression", "lasso", "regressions", "sindy"]
+__all__ = ["Regression", "lasso", "regressions", "sindy"]
 OPTIMIZERS = ("stlsq", "sr3")
 # Share of the rates (both as root mean squares) below which a term of the LASSO is the
 # solver's rounding.
@@ -65,7 +64,6 @@ def sindy(
     optimizer: str = "stlsq",
     threshold: float = 0.05,
     ridge: float = 0.05,
-    derivative: str = "midpoint",
     *,
     fixed: Mapping[str, float] | None = None,
     relaxation: float = 1.0,
@@ -89,10 +87,6 @@ def sindy(
         ridge: weight on a sum over all rows, as in pysindy (its default). It shrinks
             what multiplies small columns: with states of 0.2 and cubic terms, 0.05
             already hides the true ones; use 1e-10 there.
-        derivative: "midpoint": (x1 - x0)/h at (x0 + x1)/2, a row per interval (the only
-            one for lone pairs); "finite difference": second order at each sample;
-            "smoothed": the same after a Savitzky-Golay filter of 11 samples, whose
-            states are used as well. The last two by pysindy, per trajectory.
         fixed: values at which parameters are held, such as {"F_p.omega_t": 1.0} for a
             frequency.
         relaxation: of SR3.
@@ -135,18 +129,17 @@ def sindy(
     if optimizer == "stlsq":
         weight = f"ridge {ridge:g}"
     settings = (
-        f"threshold {threshold:g}, {weight}, derivative {derivative}, "
+        f"threshold {threshold:g}, {weight}, derivative midpoint, "
         f"debias {debias}{_fixed_text(fixed)}"
     )
     method = _Method(f"SINDy ({optimizer.upper()})", settings, solve)
-    return _regressed(model, data, derivative, fixed, method)
+    return _regressed(model, data, fixed, method)
 
 
 def lasso(
     model: FirstOrder,
     data: Measurements,
     weight: float,
-    derivative: str = "midpoint",
     *,
     fixed: Mapping[str, float] | None = None,
 ) -> Baseline:
@@ -165,7 +158,6 @@ def lasso(
         model: whose free parameters all enter linearly.
         data: every state at every sample.
         weight: of the sum of ``|coefficient|``.
-        derivative: as for `sindy`.
         fixed: values at which parameters are held.
 
     Returns:
@@ -177,19 +169,18 @@ def lasso(
         SolveError: if the convex program was not solved.
     """
     require_size("weight", weight)
-    settings = f"weight {weight:g}, derivative {derivative}{_fixed_text(fixed)}"
+    settings = f"weight {weight:g}, derivative midpoint{_fixed_text(fixed)}"
 
     def solve(columns: np.ndarray, rates: np.ndarray) -> np.ndarray:
         return _by_cvxpy(columns, rates, weight)
 
     method = _Method("LASSO", settings, solve)
-    return _regressed(model, data, derivative, fixed, method)
+    return _regressed(model, data, fixed, method)
 
 
 def _regressed(
     model: FirstOrder,
     data: Measurements,
-    derivative: str,
     fixed: Mapping[str, float] | None,
     method: _Method,
 ) -> Baseline:
@@ -198,7 +189,7 @@ def _regressed(
     held = with_fixed(model, fixed or {})
     values: dict[str, float] = {}
     loss = 0.0
-    for problem in regressions(held, data, derivative):
+    for problem in regressions(held, data):
         try:
             found = method.solve(problem.columns, problem.rates)
         except SolveError as error:

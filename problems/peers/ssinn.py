@@ -20,11 +20,9 @@ from torch import Tensor
 from phsi_opt.arguments import (
     is_size,
     require,
-    require_choice,
     require_count,
-    require_size,
 )
-from phsi_opt.baselines.descent import Adam, Progress, check_descent, descend
+from phsi_opt.baselines.descent import Adam, check_descent, descend
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
@@ -35,8 +33,6 @@ from phsi_opt.model.terms import Dictionary, polynomials
 from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete_intervals
-
-LOSSES = ("absolute", "squared")
 
 # The scheme of Forest and Ruth (1990): shares of the step of its drifts (of q) and of
 # its kicks (of p), in turns.
@@ -60,13 +56,8 @@ class SymplecticDescent:
             is multiplied by the factor. The authors' schedule for Henon-Heiles, 0.1,
             0.01 and 0.001 from the third to the fifth of six epochs, is the default; ()
             keeps the rate.
-        l1: weight of the sum of ``|coefficient|``. The authors take 1e-3; the default
-            is none, as for the other methods.
-        loss: "absolute" (the authors' choice) or "squared".
         steps: steps of the scheme per interval; two is what the authors' tolerance
             gives for a step of 0.1.
-        weight_decay: of Adam.
-        dtype: "float32" or "float64".
 
     Raises:
         ModelError: if a setting is not possible.
@@ -80,17 +71,13 @@ class SymplecticDescent:
         (1 / 2, 0.01),
         (2 / 3, 0.001),
     )
-    l1: float = 0.0
-    loss: str = "absolute"
     steps: int = 2
-    weight_decay: float = 0.0
+    weight_decay: float = 0.0  # of Adam
     dtype: str = "float64"
 
     def __post_init__(self) -> None:
         check_descent(self)
-        require_size("l1", self.l1)
         require_count("steps", self.steps)
-        require_choice("loss", self.loss, LOSSES)
         expected = "pairs (share of the epochs, factor) with increasing shares"
         require(self._decays(), "decay", self.decay, expected)
 
@@ -118,7 +105,6 @@ def ssinn(
     degree: int,
     settings: SymplecticDescent | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
 ) -> Baseline:
     """Learn the coefficients of H = T(p) + V(q) (thesis Section 6.1).
 
@@ -137,7 +123,6 @@ def ssinn(
         degree: of both polynomials.
         settings: see `SymplecticDescent`.
         seed: of the start, uniform within +-1/sqrt(terms), and of the batches.
-        progress: called with a line of text every few epochs.
 
     Returns:
         A `Baseline` whose model is a `PseudoHamiltonian` with coefficients such as
@@ -158,20 +143,13 @@ def ssinn(
         tables = flow.tables(grid)
         generator = torch.Generator().manual_seed(seed)
         theta = _random_start(len(model.H), generator).to(dtype).requires_grad_()
-        adam = Adam([theta], settings.weight_decay)
-
-        def step(gradients: Sequence[Tensor], rate: float) -> None:
-            gradients[0].add_(theta.detach().sign(), alpha=settings.l1)
-            adam.step(gradients, rate)
-
         history = descend(
             [theta],
-            step,
+            Adam([theta], settings.weight_decay).step,
             lambda batch: flow.loss(theta, batch),
             tables,
             settings,
             generator,
-            progress=progress,
         )
         values = dict(zip(model.entries, theta.tolist(), strict=True))
         loss_value = float(flow.loss(theta, tables).detach())
@@ -297,7 +275,6 @@ class _Flow:
         self.potential = Gradient(bodies, positions, dtype)
         self.kinetic = Gradient(bodies, momenta, dtype)
         self.n_steps = settings.steps
-        self.absolute = settings.loss == "absolute"
 
     def tables(self, grid: Grid) -> list[Tensor]:
         """What the loss needs of all intervals: p0, q0, q1, p1, h."""
@@ -325,9 +302,7 @@ class _Flow:
             q = q + drift * h * self.kinetic.at(p, T)
             if kick:
                 p = p - kick * h * self.potential.at(q, V)
-        if self.absolute:
-            return (q1 - q).abs().mean() + (p1 - p).abs().mean()
-        return (q1 - q).square().mean() + (p1 - p).square().mean()
+        return (q1 - q).abs().mean() + (p1 - p).abs().mean()
 
     def _stages(self) -> Iterator[tuple[float, float]]:
         """Drifts and kicks of all steps.
