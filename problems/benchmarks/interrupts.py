@@ -125,15 +125,15 @@ CALLS: dict[str, tuple[Callable[[], Any], Callable[[Any], object]]] = {
     ),
     "compare": (
         lambda: (_fit(), _record(10_000, 1, "q")),
-        lambda given: ph.compare(*given).bands,
+        lambda given: ph.compare(given[0], given[1]).bands,
     ),
     "bootstrap": (
         lambda: (_fit(), _record(500, 1, "q")),
-        lambda given: ph.bootstrap(*given, 20),
+        lambda given: ph.bootstrap(given[0], given[1], 20),
     ),
     "profile": (
         lambda: (_fit(), _record(500, 1, "q")),
-        lambda given: ph.profile(*given, "a"),
+        lambda given: ph.profile(given[0], given[1], "a"),
     ),
     "simulate": (
         lambda: STEP * np.arange(2_000_000),
