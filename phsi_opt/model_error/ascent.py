@@ -18,6 +18,7 @@ components: Lin, Biometrika 84, 1997).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -106,7 +107,7 @@ class Component:
         """y'P V P y with V the variance by the process."""
         return float(self.process.size**2 * np.sum(self.normals**2))
 
-    @property
+    @cached_property
     def mean(self) -> np.ndarray:
         """Its most likely values, (n,); of a small size, if it is not there yet."""
         return self.process.size**2 * self.whitener.coloured(self.normals)[:, 0]
@@ -123,15 +124,21 @@ class Component:
 
     def slope_of_precision(self, values: np.ndarray) -> np.ndarray:
         """Slope of the inverse covariance in the log time, times values (n, ...)."""
-        now, later = self.whitener.precision, self._later.precision
-        scale = self.process.size**2 * PRIOR_STEP
-        diagonal, below = ((b - a) / scale for a, b in zip(now, later, strict=True))
+        diagonal, below = self._slopes_of_precision
         result: np.ndarray = (diagonal * values.T).T
         result[1:] += (below * values[:-1].T).T
         result[:-1] += (below * values[1:].T).T
         return result
 
-    @property
+    @cached_property
+    def _slopes_of_precision(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of its two diagonals."""
+        diagonal, below = self.whitener.precision
+        later, later_below = self._later.precision
+        scale = self.process.size**2 * PRIOR_STEP
+        return (later - diagonal) / scale, (later_below - below) / scale
+
+    @cached_property
     def _later(self) -> Whitener:
         """Of a time that is a little longer."""
         return self.site.whitener(self.process.time * float(np.exp(PRIOR_STEP)))

@@ -276,11 +276,15 @@ class MarginalLikelihood:
 
     def _dynamics(self) -> coo_matrix:
         """Slopes of the dynamics in states and processes."""
+        if not self.sites:
+            return coo_matrix(self.problem.dynamics_in_states)
         of_processes = self.effects[self.problem.n_values :]
         return coo_matrix(hstack([self.problem.dynamics_in_states, of_processes]))
 
     def _shown(self) -> csr_matrix:
         """Slopes of the measured values in states and processes."""
+        if not self.sites:
+            return csr_matrix(self.problem.shown_in_states)
         of_processes = self.effects[: self.problem.n_values]
         return csr_matrix(hstack([self.problem.shown_in_states, of_processes]))
 
