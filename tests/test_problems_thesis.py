@@ -58,6 +58,7 @@ def test_clean_data_give_every_coefficient_to_1e_4_and_the_exact_support(
     assert inside_and_beyond(system, fit)[1] < 1e-4
 
 
+@pytest.mark.slow
 def test_clean_tanks_give_every_coefficient_to_1e_3_and_the_leak() -> None:
     system = SYSTEMS["tanks"]
     fit = solver(system, system.data(5, 0.0, n=12))
@@ -121,6 +122,7 @@ def test_defects_have_the_order_of_their_integrator_and_two_are_symmetric() -> N
     assert changes[False].min() > 1e-2
 
 
+@pytest.mark.slow
 def test_on_nearly_clean_data_the_order_is_the_accuracy_of_the_model() -> None:
     from problems.thesis.integrators import main
 
@@ -156,6 +158,7 @@ def test_what_is_regularised_gives_its_dynamics_away_and_without_weights_the_fit
     assert any("cannot tell" in note and "H[q**2]" in note for note in warnings[0.0])
 
 
+@pytest.mark.slow
 def test_every_method_is_scored_beside_the_solver_whose_errors_are_small() -> None:
     from problems.thesis.experiments import main, page
 
