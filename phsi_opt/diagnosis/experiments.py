@@ -25,7 +25,6 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_rows
 from phsi_opt.presentation.summary import printed_table
-from phsi_opt.presentation.tables import text_of_table
 from phsi_opt.presentation.units import spaced
 from phsi_opt.simulation.simulate import Runs, rates
 from phsi_opt.statistics import TINY
@@ -95,7 +94,7 @@ class Separation:
         )
 
     def __str__(self) -> str:
-        return f"{self.sentence}\n{text_of_table(self.table)}"
+        return f"{self.sentence}\n{self.table}"
 
     __repr__ = __str__
 
