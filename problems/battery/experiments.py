@@ -126,7 +126,6 @@ def simulate(
         RunawayError: the machine leaves every bound.
     """
     shape = e.starts.shape
-    step = float(e.t[1] - e.t[0])
 
     def rates(t: float, flat: Array, held: Array | None = None) -> Array:
         x = flat.reshape(shape)
@@ -138,18 +137,20 @@ def simulate(
             dx[:, e.row] += disturbance(t, x)
         return dx.ravel()
 
+    def moved(x0: Array, t: Array, *held: Array) -> Array:
+        step = float(t[1] - t[0])
+        flat = integrated(rates, x0.ravel(), t, step, *held, is_bounded=False)
+        return flat.reshape(len(t), *shape)
+
     if e.is_sampled:
         assert e.input_at is not None
-        found = [e.starts.ravel()]
+        found = [e.starts]
         for begin, end in pairwise(e.t):
-            held = e.input_at(begin, found[-1].reshape(shape))
-            both = np.array([begin, end])
-            found.append(
-                integrated(rates, found[-1], both, float(end - begin), held)[-1]
-            )
-        x = np.array(found).reshape(len(e.t), *shape)
+            held = e.input_at(begin, found[-1])
+            found.append(moved(found[-1], np.array([begin, end]), held)[-1])
+        x = np.array(found)
     else:
-        x = integrated(rates, e.starts.ravel(), e.t, step).reshape(len(e.t), *shape)
+        x = moved(e.starts, e.t)
     if e.input_at is None:
         return Motion(x, np.zeros((*x.shape[:2], 0)))
     u = [e.input_at(t, now) for t, now in zip(e.t, x, strict=True)]

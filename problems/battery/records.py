@@ -127,9 +127,16 @@ Rates = Callable[..., Array]
 
 
 def integrated(
-    rates: Rates, x0: Array, times: Array, max_step: float, *arguments: Array
+    rates: Rates,
+    x0: Array,
+    times: Array,
+    max_step: float,
+    *arguments: Array,
+    is_bounded: bool = True,
 ) -> Array:
     """Flat states (n_times, n) by LSODA; no kink or step of an input is passed over.
+
+    ``is_bounded``: it ends where a state is `ESCAPED` times what it begins with.
 
     Raises:
         RunawayError: the machine leaves every bound.
@@ -153,7 +160,7 @@ def integrated(
             rtol=RTOL,
             atol=RTOL * np.abs(x0).max(),
             max_step=max_step,
-            events=escaped,
+            events=escaped if is_bounded else None,
             args=arguments or None,
         )
     if solved.status != 0 or not np.isfinite(solved.y).all():
