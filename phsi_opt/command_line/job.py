@@ -94,7 +94,7 @@ def answer_to(error: PhsiOptError) -> Answer:
     """What is said where the input cannot be used, or no solution was found."""
     content: dict[str, object] = {"error": str(error)}
     if isinstance(error, StudyFileError):
-        content["complaints"] = [vars(one) for one in error.complaints]
+        content["complaints"] = list(map(vars, error.complaints))
     is_failure = isinstance(error, SolveError)
     code = ExitCode.FAILED if is_failure else ExitCode.BAD_INPUT
     return Answer(str(error), content, code)

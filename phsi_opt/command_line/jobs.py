@@ -81,8 +81,8 @@ def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
     content = {
         "study_file": str(study),
         "columns": [column.content for column in table.columns],
-        "further": [vars(variable) for variable in table.table.further],
-        "needs": [vars(need) for need in needs],
+        "further": list(map(vars, table.table.further)),
+        "needs": list(map(vars, needs)),
     }
     return Answer(lines(__package__, "first_study", **facts), content)
 

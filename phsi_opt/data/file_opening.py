@@ -118,7 +118,7 @@ def run_names(sources: Iterable[Any]) -> list[str]:
                 f"the file {place!r} is listed {n_times} times; its runs "
                 "are one measurement. List it once."
             )
-    named = [_path(file) for file in sources]
+    named = list(map(_path, sources))
     stems = [Path(path).stem if path else f"run {i}" for i, path in enumerate(named, 1)]
     return [
         path if path and stems.count(stem) > 1 else stem

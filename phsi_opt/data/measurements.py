@@ -417,7 +417,7 @@ class Measurements(TableReaders, Summarised):
         """
         import pandas as pd
 
-        values = np.column_stack([self.stacked(what) for what in ("t", "x", "u")])
+        values = np.column_stack(list(map(self.stacked, ("t", "x", "u"))))
         frame = pd.DataFrame(values, columns=["t", *self.states, *self.inputs])
         names = [run.name for run in self.trajectories]
         n_samples = [run.n_samples for run in self.trajectories]

@@ -288,7 +288,7 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
     values = np.unique(values)
     step = _even_step(values)
     if step == 0:  # trajectories with different offsets; one that rests is left out
-        different = [np.unique(run) for run in runs]
+        different = list(map(np.unique, runs))
         steps = [_even_step(own) for own in different if len(own) > 1]
         if len(steps) >= 2 and min(steps) > 0:
             step = float(np.median(steps))

@@ -131,10 +131,10 @@ def table_of_rows(
         if row_word == "line":
             width = widths[number]
             reference = "in the header"
-        names = [str(cell) for cell in first[:width]]
+        names = list(map(str, first[:width]))
         rows = {i: cells for i, cells in rows.items() if i != number}
     elif names is None:
-        names = [str(i) for i in range(width)]
+        names = list(map(str, range(width)))
     elif not any(map(_looks_like_a_value, first)):
         raise DataError(
             f"{title}, {row_word} {number} holds names, {first}, and columns "
@@ -245,7 +245,7 @@ def _is_header(cells: Sequence[Any]) -> bool:
     if not all(map(_looks_like_a_value, cells)):
         return True
     filled = [str(cell) for cell in cells if cell != ""]
-    return cells[0] == "" and filled == [str(i) for i in range(len(filled))]
+    return cells[0] == "" and filled == list(map(str, range(len(filled))))
 
 
 def _decimal_of(cells: Iterable[Any], separator: str) -> str | None:

@@ -107,7 +107,7 @@ def _candidate(
     model = base.fit.model
     # Those of its parameters that all trajectories share.
     names = new_names(model, one.effect, weighed.names)
-    places = [weighed.names.index(name) for name in names]
+    places = list(map(weighed.names.index, names))
     covariance = weighed.covariance[np.ix_(places, places)]
     size = size_of(one.effect, weighed.model, names, weighed.model.values, covariance)
     # What was tried is in the prior: values of inner numbers, and effects.

@@ -98,7 +98,7 @@ class LikelihoodEstimate(Estimate):
         """Mean of ((y - x)/sigma)^2, or of Huber's function of the residuals."""
         squares = float(np.sum(self.solution.residual**2) / 2)
         slope = 2 * (self.loss.huber or 0.0) / self.n_values
-        beyond = float(sum(np.sum(slack) for slack in self._huber_slacks()))
+        beyond = float(sum(map(np.sum, self._huber_slacks())))
         return squares + slope * beyond
 
     @property

@@ -383,7 +383,7 @@ class EffectChoice:
             considered = _all_meant(self.effects, considered)
         kept: list[Effect] = []
         for effect in considered:
-            is_out = any(_is_called(effect, one) for one in self.without)
+            is_out = any(_meant(one, [effect]) for one in self.without)
             if not is_out and not stands_in(model, effect) and effect not in kept:
                 kept.append(effect)
         return kept
@@ -405,11 +405,11 @@ def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
     return listed
 
 
-def _is_called(effect: Effect, one: Effect | str) -> bool:
-    """Whether a name, or an effect of that name and place, means the effect."""
-    if isinstance(one, str):
-        return one in (effect.name, str(effect))
-    return (one.name, one.equation) == (effect.name, effect.equation)
+def _meant(one: Effect | str, effects: Iterable[Effect]) -> list[Effect]:
+    """The effects of a name, or of an effect's name and place."""
+    name = str(one)
+    is_name = isinstance(one, str)
+    return [e for e in effects if name == str(e) or (is_name and name == e.name)]
 
 
 def _all_meant(given: Given, offered: list[Effect]) -> list[Effect]:
@@ -419,7 +419,7 @@ def _all_meant(given: Given, offered: list[Effect]) -> list[Effect]:
         if isinstance(one, Effect):
             found.append(one)
         else:
-            found += [effect for effect in offered if _is_called(effect, one)]
+            found += _meant(one, offered)
     return found
 
 
@@ -442,15 +442,14 @@ def _as_offered(
     if one in offered:
         return [str(one)]
     is_own = isinstance(one, Effect) and what == "effects"
-    if is_own or any(_is_called(effect, one) for effect in offered):
+    if is_own or _meant(one, offered):
         return [one]
     found: list[Effect | str] = []
     if isinstance(one, str):
-        aliases = [e for e in every_name(model, units) if _is_called(e, one)]
-        for alias in aliases:
+        for alias in _meant(one, every_name(model, units)):
             found += [str(e) for e in offered if _term_of(e) == _term_of(alias)]
         # What the units rule out may still be meant.
-        found = found or [e for e in catalogue(model) if _is_called(e, one)]
+        found = found or [*_meant(one, catalogue(model))]
     if found:
         return found
     names = sorted({effect.name for effect in offered})

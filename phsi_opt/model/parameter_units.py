@@ -13,6 +13,7 @@ equation is asked by itself.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         model: the model.
         units: by state, input and time, as `Measurements.units`.
     """
-    known = {name: unit for name, unit in units.items() if unit}
+    known = dict(filter(all, units.items()))
     found = _solved(model, known)
     time = known.get("t", "")
     told = {}
@@ -81,7 +82,7 @@ def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
         model: the model.
         units: by state, input and time, as `Measurements.units`.
     """
-    known = {name: unit for name, unit in units.items() if unit}
+    known = dict(filter(all, units.items()))
     found = _solved(model, known)
     told = {}
     for state in model.states:
@@ -180,9 +181,9 @@ class _Equations:
     def _variables(self, rate: Form) -> dict[str, Form]:
         """The forms of all names but the parameters in an equation of that rate."""
         model = self._model
-        names: dict[str, Form] = {
-            name: {name: 1.0} for name in (*model.states, *model.inputs, "t")
-        }
+        names: dict[str, Form] = {"t": {"t": 1.0}}
+        for name in (*model.states, *model.inputs):
+            names[name] = {name: 1.0}
         for effort, state in zip(model.efforts, model.states, strict=True):
             names[effort] = self._effort(state)
         for slope, of in zip(model.slopes, model.inputs, strict=True):
@@ -223,15 +224,21 @@ class _Equations:
         for name, entry in entries.items():
             if _is_stated(entry.parameter):
                 told[_parameter(name)] = entry.parameter.unit
-        split_units = {name: split(unit) for name, unit in told.items()}
-        known = {name: one for name, one in split_units.items() if one is not None}
+        known = {}
+        for name, unit in told.items():
+            powers = split(unit)
+            if powers is not None:
+                known[name] = powers
         said = [one for one in self.said if numbers_are_pure or not one.is_number]
         found = _solved_dimensions(said, known)
         if found is None:
             return None
-        names = {state: state for state in self._model.states}
-        names |= {name: _parameter(name) for name in entries}
-        return {name: found[one] for name, one in names.items() if one in found}
+        solved = {}
+        for name in (*self._model.states, *entries):
+            place = _parameter(name) if name in entries else name
+            if place in found:
+                solved[name] = found[place]
+        return solved
 
 
 @dataclass(frozen=True)
@@ -287,11 +294,9 @@ def _solved_dimensions(
     known_rows = _rows(said, list(known))
     without_angles = np.array([not likeness.is_angle for likeness in said], dtype=bool)
     _, determined = _least_squares(rows, np.zeros(len(said)))
-    found: dict[str, Any] = {
-        name: {}
-        for name, is_determined in zip(unknown, determined, strict=True)
-        if is_determined
-    }
+    found: dict[str, Any] = {}
+    for name in compress(unknown, determined):
+        found[name] = {}
     for unit in sorted({unit for powers in known.values() for unit in powers}):
         kept = without_angles if unit == RADIAN else np.full(len(said), fill_value=True)
         given = np.array([powers.get(unit, 0.0) for powers in known.values()])
@@ -310,8 +315,10 @@ def _solved_dimensions(
 
 def _rows(said: Sequence[_Likeness], names: Sequence[str]) -> np.ndarray:
     """The power of each name in each likeness, (n_likenesses, n_names)."""
-    rows = [[likeness.form.get(name, 0.0) for name in names] for likeness in said]
-    return np.array(rows).reshape(len(said), len(names))
+    rows = np.zeros((len(said), len(names)))
+    for row, likeness in zip(rows, said, strict=True):
+        row[:] = [likeness.form.get(name, 0.0) for name in names]
+    return rows
 
 
 def _least_squares(

@@ -98,7 +98,7 @@ def _momentum(model: BaseModel, S: np.ndarray, position: str) -> str:
     if len(partners) != 1 or not S[row, partners[0]] > 0:
         return ""
     momentum = model.states[partners[0]]
-    told = {model.kind.get(name) for name in (position, momentum)}
+    told = set(map(model.kind.get, (position, momentum)))
     if np.count_nonzero(S[partners[0]]) > 1:
         return momentum if told == {MECHANICAL} else ""
     is_canonical = S[row, partners[0]] == 1

@@ -298,7 +298,7 @@ class Coordinates:
         """
         origin = self.origin
         n_channels, n_processes = len(self.channels), len(origin.processes)
-        lowest = [self._lowest_noise(channel) for channel in self.channels]
+        lowest = list(map(self._lowest_noise, self.channels))
         members = []
         for group in self._groups(0, n_channels):
             highest = max(lowest[place] for place in group)

@@ -266,7 +266,7 @@ class Passage:
             if apart < n and np.any(is_far | (rank < 0) | (rank >= n)):
                 return None
             parts.append((effect[row, number], row, rank))
-        value, row, rank = (np.concatenate(part) for part in zip(*parts, strict=True))
+        value, row, rank = map(np.concatenate, zip(*parts, strict=True))
         state = np.argsort(self._rank)[rank]
         places = (row, place[row // n] * n + state)
         shape = (len(place) * n, blocks.shape[1])

@@ -322,7 +322,7 @@ class Solver:
         if "theta" not in self.program.variables:
             return ()
         place, label = self.program.variables["theta"]
-        names = [label(i) for i in range(place.stop - place.start)]
+        names = list(map(label, range(place.stop - place.start)))
         return names_at_bounds(names, z[place], self.program.bounds[:, place])
 
 

@@ -333,7 +333,7 @@ def _plotly_map(found: ForceMap) -> dict[str, Any]:
         **_looks()["map"],
         "x": rounded(found.x),
         "y": rounded(found.y),
-        "z": [rounded(row) for row in found.force],
+        "z": list(map(rounded, found.force)),
         "zmin": -found.largest,
         "zmax": found.largest,
         "colorbar": {"title": title},

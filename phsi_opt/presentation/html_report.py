@@ -42,7 +42,7 @@ class _Place(NamedTuple):
 
     def drawn(self) -> Any:
         """The figures, or the figure, for the browser."""
-        figures = [[plotly(chart) for chart in of_run] for of_run in self.charts]
+        figures = [list(map(plotly, of_run)) for of_run in self.charts]
         return figures[0][0] if self.shown is None else figures
 
 

@@ -84,7 +84,7 @@ def _deviation(variance: float) -> float:
 def fitted_size(base: Fit, fit: Fit, effect: Effect) -> Size:
     """Size of an effect in a re-fit of a base model."""
     names = new_names(base.model, effect, fit.names)
-    places = [fit.names.index(name) for name in names]
+    places = list(map(fit.names.index, names))
     covariance = fit.covariance[np.ix_(places, places)]
     size = size_of(effect, fit.model, names, fit.estimates, covariance)
     return replace(size, unit=size_unit(base.model, effect, fit.units))

@@ -217,7 +217,7 @@ def _within_what_is_tried(model: Model, tried: dict[str, np.ndarray]) -> Model:
 
 def _best(sensitivities: Sensitivities, points: list[dict[str, float]]) -> _Point:
     """The point that explains most."""
-    changes = [sensitivities(values) for values in points]
+    changes = list(map(sensitivities, points))
     parts = np.split(sensitivities.traces(changes), len(points), axis=1)
     tried = []
     for values, change, trace in zip(points, changes, parts, strict=True):

@@ -91,7 +91,7 @@ class Sensitivities:
         if trial.effect.memory:
             self._memory = MemoryIntegration(trial.model, self._grid, self.states)
             self._grid = self._grid.apart()  # the two ends of every interval
-        self._places = [trial.model.free.index(name) for name in trial.linear]
+        self._places = list(map(trial.model.free.index, trial.linear))
         self.at_rest = self._defects_at_rest()
 
     def __call__(self, values: dict[str, float]) -> Change:

@@ -464,7 +464,7 @@ class EvidenceRecord:
         that has gained by more than its own size has found a better one.
         """
         base = self.base
-        own = [larger.names.index(name) for name in base.names]
+        own = list(map(larger.names.index, base.names))
         n_states = self.weighing.n_states
         sigma = larger.disturbances.sigma[:, :n_states]
         start = Start(
@@ -571,7 +571,7 @@ def _at_their_bounds(fit: Fit, parameters: np.ndarray) -> np.ndarray:
     for place, name in enumerate(fit.model.free):
         if name in fit.outcome.at_bounds:
             bound = fit.model.entries[name].parameter.nearest_bound
-            exact[place] = [bound(value) for value in parameters[place]]
+            exact[place] = list(map(bound, parameters[place]))
     return exact
 
 

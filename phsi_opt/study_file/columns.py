@@ -249,8 +249,8 @@ class Column(Header):
 
 def columns_of(table: Table) -> list[Column]:
     """All columns of a table, in its order."""
-    headers = [str(column) for column in table.frame.columns]
-    lines = [table.row(i) for i in range(len(table.frame))]
+    headers = list(map(str, table.frame.columns))
+    lines = list(map(table.row, range(len(table.frame))))
     columns = []
     for number, header in enumerate(headers):
         cells = table.frame.iloc[:, number].map(

@@ -121,7 +121,7 @@ class DataSection:
         cls, content: Mapping[str, Any], places: Mapping[str, Path] | None = None
     ) -> "DataSection":
         """The section of usable entries; those that are empty are as if left out."""
-        settings = {name: one for name, one in content.items() if one not in ("", ())}
+        settings = without(content, "", ())
         settings["time"] = Times(**content.get("time", {}))
         for what in ("states", "inputs"):
             channels = content.get(what, {}).items()
@@ -173,7 +173,7 @@ class DataSection:
             "units": self.units,
             "noise": {name: one.noise for name, one in states if one.noise},
         }
-        return {name: one for name, one in arguments.items() if one not in (None, {})}
+        return without(arguments, None, {})
 
     @property
     def wanted(self) -> list[Any]:
@@ -273,7 +273,7 @@ class HeldOut:
 def _by_runs(
     data: Measurements, runs: tuple[str, ...]
 ) -> tuple[Measurements, Measurements]:
-    chosen = {data.trajectory_number(run) for run in runs}
+    chosen = set(map(data.trajectory_number, runs))
     judging = tuple(data.trajectories[number] for number in sorted(chosen))
     kept = tuple(run for run in data if run not in judging)
     if not kept or not judging:
@@ -309,8 +309,12 @@ class Sections:
 
 def told(record: Any) -> dict[str, Any]:
     """The fields of a record that say something: neither None nor the default."""
-    chosen = chosen_fields(record)
-    return {name: value for name, value in chosen.items() if value is not None}
+    return without(chosen_fields(record), None)
+
+
+def without(content: Mapping[str, Any], *values: Any) -> dict[str, Any]:
+    """The entries that have none of these values."""
+    return {name: one for name, one in content.items() if one not in values}
 
 
 def own_effect(name: str, own: Sequence[Effect]) -> Effect | None:

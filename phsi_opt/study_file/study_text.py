@@ -23,7 +23,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import LINE_WIDTH
-from phsi_opt.study_file.sections import Sections, own_effect, told
+from phsi_opt.study_file.sections import Sections, own_effect, told, without
 from phsi_opt.study_file.toml_text import key_text, text_template, toml_value
 
 Content = dict[str, Any]
@@ -123,8 +123,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Parameter):
         return _parameter(value)
     if is_dataclass(value):
-        content = _plain(told(value))
-        return {name: one for name, one in content.items() if one != {}}
+        return without(_plain(told(value)), {})
     if isinstance(value, Mapping):
         return {name: _plain(one) for name, one in value.items()}
     return list(map(_plain, value)) if isinstance(value, tuple) else value
@@ -146,7 +145,7 @@ def model_parts(model: Model) -> dict[str, Any]:
     energy = {"H": model.H} if model.has_energy else {}
     names = ("states", "inputs", "memory", "kind", *BY_EQUATION)
     parts = {name: getattr(model, name) for name in names}
-    return {name: one for name, one in parts.items() if one} | energy
+    return without(parts, (), {}) | energy
 
 
 def _model(model: Model) -> Content:
@@ -228,7 +227,7 @@ class Source:
 
     def call(self, name: str, /, *positional: Any, **named: Any) -> Code:
         """A call; an argument a line where it is long."""
-        arguments = [self.of(value) for value in positional]
+        arguments = list(map(self.of, positional))
         arguments += [f"{key}={self.of(value)}" for key, value in named.items()]
         return Code(_enclosed(f"{name}(", arguments, ")"))
 
@@ -303,7 +302,7 @@ def study_script(study: Sections) -> str:
         parts=parts,
         own={str(effect): effect for effect in study.own_effects},
         steps=steps,
-        choices={name: one for name, one in choices.items() if one is not None},
+        choices=without(choices, None),
         **{"call": source.call, "source": source.of, "code": Code, "named": named},
     )
     return "\n".join([SCRIPT_BEGIN, *sorted(source.imports), "", body])

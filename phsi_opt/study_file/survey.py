@@ -300,7 +300,7 @@ def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
     except TooManyComplaintsError:
         return ()
     model = file.get("model", {})
-    formulas = [model.get(name) for name in ("H", "R", "F", "sensor")]
+    formulas = list(map(model.get, ("H", "R", "F", "sensor")))
     words = re.findall(r"\w+", str([*formulas, file.get("effects")]))
     data = DataSection.of(file.get("data", {}))
     channels = {**data.states, **data.inputs}

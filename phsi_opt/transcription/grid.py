@@ -290,8 +290,8 @@ def aligned(model: Model, data: Measurements) -> Measurements:
     _check_names(model, known, data.inputs)
     if known == model.states and data.inputs == model.inputs and not lacking:
         return data
-    state_columns = [known.index(name) for name in model.states]
-    input_columns = [data.inputs.index(name) for name in model.inputs]
+    state_columns = list(map(known.index, model.states))
+    input_columns = list(map(data.inputs.index, model.inputs))
     trajectories = []
     for run in data.trajectories:
         not_measured = np.full((run.n_samples, len(lacking)), np.nan)
