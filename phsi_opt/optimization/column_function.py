@@ -88,16 +88,19 @@ def _carried_out(
     instructions: list[Instruction], arguments: Sequence[Any]
 ) -> Iterator[tuple[int, int, Any]]:
     """Number, entry and value of each result, from the entries of each argument."""
+    output, argument, constant = ca.OP_OUTPUT, ca.OP_INPUT, ca.OP_CONST
     held: dict[int, Any] = {}  # by register
     for kind, operation, read, written, value in instructions:
-        if kind == ca.OP_OUTPUT:
+        if kind == output:
             yield written[0], written[1], held[read[0]]
-        elif kind == ca.OP_INPUT:
+        elif kind == argument:
             held[written[0]] = arguments[read[0]][read[1]]
-        elif kind == ca.OP_CONST:
+        elif kind == constant:
             held[written[0]] = value
+        elif len(read) == 1:
+            held[written[0]] = operation(held[read[0]])
         else:
-            held[written[0]] = operation(*[held[register] for register in read])
+            held[written[0]] = operation(held[read[0]], held[read[1]])
 
 
 @lru_cache(128)  # those last asked for
