@@ -1,9 +1,9 @@
 """Forty fits as they were on one day, and what the present code makes of them.
 
-    python -m problems.judges.fits [--check] [name ...]
+    python -m problems.judges.fits --check|--freeze [name ...]
 
-Without --check the references in results/judges/fits.json are written anew. With it the
-present code is compared with them in results/judges/fits.md, and the exit code is 1
+With --freeze the references in results/judges/fits.json are written anew. With --check
+the present code is compared with them in results/judges/fits.md, and the exit code is 1
 where a fit fails, has other terms, or is less likely and farther from the truth of its
 own model. A name is the beginning of one in `fit_cases`; then no page is written.
 
@@ -194,6 +194,8 @@ def is_worse(row: Record) -> bool:
 
 def main() -> int:
     """Freeze the fits, or compare with them; how many are worse."""
+    if flag("check") == flag("freeze"):
+        raise SystemExit(__doc__)
     starts = tuple(chosen())
     references = kept(FILE)
     rows = []

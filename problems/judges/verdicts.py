@@ -1,9 +1,9 @@
 """Two hundred verdicts as they were on one day, and what the present code says.
 
-    python -m problems.judges.verdicts [--check] [--processes=N] [--first=SEED]
+    python -m problems.judges.verdicts --check|--freeze [--processes=N] [--first=SEED]
         [--cases=N]
 
-Without --check the references in results/judges/verdicts.json are made; with it the
+With --freeze the references in results/judges/verdicts.json are made; with --check the
 present code is compared with them, case by case. Each case is written as it is done,
 and the same command goes on where it was interrupted (a check: on the same commit).
 --cases=N takes the first N alone; other seeds have files of their own, try_<seed>_*,
@@ -190,6 +190,8 @@ def run(name: str, tasks: list[Task], done: dict[str, Record], jobs: int) -> Non
 
 def main() -> None:
     """Freeze the verdicts, or compare with them."""
+    if flag("check") == flag("freeze"):
+        raise SystemExit(__doc__)
     first = int(option("first", str(FIRST_VERDICT)))
     n_cases = int(option("cases", str(N_CASES)))
     jobs = int(option("processes", "1"))

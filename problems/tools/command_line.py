@@ -1,9 +1,14 @@
-"""What the scripts read from the command line, and how they print tables.
+"""What the scripts read from the command line.
 
-Names and flags such as ``--seeds=3``; no more than these scripts need.
+Names and flags such as ``--seeds=3``; no more than these scripts need. ``--help``
+prints the first lines of a script.
 """
 
 import sys
+
+if "--help" in sys.argv and "problems" in sys.argv[0]:
+    print(sys.modules["__main__"].__doc__)
+    raise SystemExit(0)
 
 
 def chosen() -> list[str]:
