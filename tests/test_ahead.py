@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.sweeps.local_workers import local_workers
 from phsi_opt.sweeps.sweep import Ahead
 from tests import sweep_tasks
@@ -113,28 +111,6 @@ def test_starts_in_processes_give_the_bits_of_one_process(workers: Executor) -> 
     assert [line.split("(")[0] for line in said_of_workers] == [
         line.split("(")[0] for line in said
     ]
-
-
-def test_a_start_that_fails_ends_the_call_as_in_one_process(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    solve = LikelihoodProblem.solve_from
-    n_solved = 0
-
-    def fails_twice(
-        self: LikelihoodProblem, start: StartingPoint
-    ) -> LikelihoodEstimate:
-        nonlocal n_solved
-        n_solved += 1
-        if n_solved in (2, 3):
-            raise ph.SolveError(f"start {n_solved}")
-        return solve(self, start)
-
-    monkeypatch.setattr(LikelihoodProblem, "solve_from", fails_twice)
-    for executor in (None, Counted()):
-        n_solved = 0
-        with pytest.raises(ph.SolveError, match=r"^start 2$"):
-            identified(executor)
 
 
 def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:

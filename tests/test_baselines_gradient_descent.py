@@ -156,32 +156,7 @@ def test_the_loss_is_that_of_the_solver_and_its_slopes_those_of_differences(
         assert float(gradient[i]) == slope
 
 
-def test_a_batch_has_the_loss_of_its_intervals() -> None:
-    run = run_at(at_random(everything()), record(), "srk4")
-    n = len(run.tables[0])
-    total = 0.0
-    for places, n_part in ((slice(2, 5), 3), ([0, 1, *range(5, n)], n - 3)):
-        part = run.loss([table[places] for table in run.tables])
-        total += n_part * float(part.detach())
-    assert total == pytest.approx(n * float(run.loss(run.tables).detach()), rel=1e-12)
-
-
 # ---- where it starts -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("bodies", "start"),
-    [
-        (("q", "q**2 * p", "p*q*p", "q*u*t**12", "1"), 0.2),
-        (("q/p", "sin(q)", "q**-1", "q**p", "q**2.5", "2*q", "q + p", "q*pi"), 1.0),
-    ],
-)
-def test_only_products_of_powers_start_as_polynomials(
-    bodies: tuple[str, ...], start: float
-) -> None:
-    terms = Dictionary(tuple(Term(body, ph.Parameter()) for body in bodies))
-    model = ph.FirstOrder(["q", "p"], {"q": terms}, inputs=["u"])
-    assert set(starting_values(model, Descent(), 0).tolist()) == {start}
 
 
 def test_the_starts_are_those_of_the_thesis() -> None:
@@ -215,26 +190,6 @@ def test_adam_takes_the_steps_of_torchs_adam() -> None:
     np.testing.assert_allclose(mine.detach(), theirs.detach(), rtol=1e-12)
 
 
-def test_a_relative_rate_scales_the_step() -> None:
-    def moved(relative: list[float] | None, rate: float) -> list[float]:
-        parameters = [torch.ones(1, dtype=torch.float64) for _ in range(2)]
-        adam = Adam(parameters, relative=relative)
-        for _ in range(3):
-            adam.step([torch.ones(1, dtype=torch.float64) for _ in range(2)], rate)
-        return list(map(float, parameters))
-
-    expected = [moved(None, 0.01)[0], moved(None, 0.001)[1]]
-    np.testing.assert_allclose(moved([1.0, 0.1], 0.01), expected, rtol=1e-12)
-
-
-def test_the_rate_falls_along_a_cosine() -> None:
-    settings = Descent(learning_rate=2.0, epochs=4, decay="cosine")
-    rates = [settings.rate(epoch) for epoch in (1, 3, 4)]
-    expected = [2.0, 1.0, 1 + np.cos(0.75 * np.pi)]
-    assert rates == pytest.approx(expected, rel=1e-14)
-    assert replace(settings, decay="none").rate(4) == 2.0
-
-
 def test_clean_data_give_the_true_terms_and_coefficients() -> None:
     fit = gradient_descent(HENON.model(), henon_data(n=400), FAST)
     # 520 steps: not converged.
@@ -264,15 +219,6 @@ def test_a_pruned_coefficient_stays_at_zero() -> None:
     assert n_terms == sorted(n_terms, reverse=True) and n_terms[0] == 34 > n_terms[-1]
     assert not set(fit.removed) & set(fit.values)
     assert len(lines) == 12 and "terms" in lines[-1]
-
-
-def test_pruning_waits_for_its_first_epoch() -> None:
-    early, late = (
-        descended(prune_every=2, threshold=0.15, prune_from=start).history["n_terms"]
-        for start in (None, 5)
-    )
-    assert early[1] < 34
-    assert late[:5].tolist() == [34] * 5 and late[5] < 34
 
 
 def test_a_removed_term_does_not_move_even_with_momentum() -> None:
@@ -317,13 +263,6 @@ def test_the_same_seed_gives_the_same_bits_and_another_start_another_result() ->
     assert first.values == again.values and first.history.equals(again.history)
     assert first.loss_value == again.loss_value
     assert all(first.values[name] != other.values[name] for name in first.values)
-
-
-def test_a_model_of_time_and_of_an_input_descends() -> None:
-    """Their columns at the stages come from NumPy column by column, not by row."""
-    settings = Descent(learning_rate=1e-3, epochs=3, batch=4, start="normal")
-    loss = gradient_descent(everything(), record(), settings).history["loss"]
-    assert loss.iloc[-1] < loss.iloc[0]
 
 
 def test_the_threads_of_torch_are_restored() -> None:

@@ -12,6 +12,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.model.catalogue import EffectChoice, effect_named, every_name
 from phsi_opt.model.kinds import KINDS
+from phsi_opt.model.laws import is_second_storage
 
 ROOT = Path(__file__).resolve().parents[1]
 EVERY_KIND: tuple[Any, ...] = ({}, *KINDS)
@@ -41,12 +42,6 @@ def two_masses() -> ph.PseudoHamiltonian:
         S=ph.canonical(2),
         H=ph.formula("(p1**2 + p2**2)/2"),
     )
-
-
-@pytest.mark.parametrize("model", [driven_spring(), two_masses(), two_tanks()])
-def test_every_effect_of_the_catalogue_has_a_family(model: ph.Model) -> None:
-    for effect in ph.catalogue(model):
-        assert effect.family, effect
 
 
 FAMILIES: list[tuple[str, set[str]]] = [
@@ -171,13 +166,7 @@ OF_THE_FIELD: list[tuple[Any, set[str]]] = [
             *("coulomb friction", "stribeck friction"),
         },
     ),
-    (
-        "hydraulic",
-        {
-            *("linear leak", "quadratic leak", "turbulent leak"),
-            *("saturating leak", "overflow"),
-        },
-    ),
+    ("hydraulic", {*("linear leak", "quadratic leak", "turbulent leak"), *("saturating leak", "overflow")}),
     (
         "electrical",
         {
@@ -186,7 +175,7 @@ OF_THE_FIELD: list[tuple[Any, set[str]]] = [
         },
     ),
     ("thermal", {"heat loss", "quadratic heat loss", "radiation"}),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "names"), OF_THE_FIELD)
@@ -391,63 +380,12 @@ def test_the_page_of_effects_has_every_name() -> None:
 # --- found in records
 
 
-def circuit() -> ph.PseudoHamiltonian:
-    """A coil and a capacitor at a measured voltage."""
-    return ph.PseudoHamiltonian(
-        states=["q", "phi"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + phi**2/2", k=ph.Parameter(1.0, lower=0)),
-        R={"phi": ph.formula("r", r=ph.Parameter(0.1, lower=0))},
-        F={"phi": ph.formula("u")},
-        kind="electrical",
-    )
-
-
 def heated() -> ph.FirstOrder:
     rates = {
         "T1": ph.formula("-a*T1 + u", a=ph.Parameter(0.3, lower=0)),
         "T2": ph.formula("-b*T2", b=ph.Parameter(0.2, lower=0)),
     }
     return ph.FirstOrder(["T1", "T2"], rates, inputs=["u"], kind="thermal")
-
-
-@pytest.mark.parametrize(
-    ("model", "name", "equation", "coefficient", "size"),
-    [
-        (circuit(), "leakage conductance", "q", "leakage_conductance_q", 0.15),
-        (circuit(), "coil saturation", "phi", "coil_saturation_phi", 0.1),
-        (heated(), "heat exchange with T1", "T2", "heat_exchange_T1_T2", 0.3),
-        (heated(), "quadratic heat loss", "T1", "quadratic_heat_loss_T1", 0.2),
-    ],
-)
-def test_an_effect_of_the_field_is_named_and_measured(
-    model: ph.Model, name: str, equation: str, coefficient: str, size: float
-) -> None:
-    truth = model.add(name, equation).with_values({coefficient: size})
-    train, test = simulated(truth).split(0.6)
-    found = ph.diagnose(ph.identify(model, train), train, test)
-    assert found.verdict == ph.Verdict.NAMED
-    assert str(found.effects[0]) == f"{name} on {equation}"
-    row = found.candidates.iloc[0]
-    assert abs(row["coefficient"] - size) < 4 * row["std_error"]
-
-
-def simulated(truth: ph.Model) -> ph.Measurements:
-    """Three runs of both states with 2 % of noise, at inputs of three frequencies."""
-    rng = np.random.default_rng(11)
-    t = np.linspace(0.0, 30.0, 301)
-    runs = []
-    for _ in range(3):
-        phases = np.outer(t, rng.uniform(0.5, 1.6, 3)) + rng.uniform(0, 6, 3)
-        u = np.sin(phases) @ rng.uniform(0.4, 0.8, 3)
-        x = ph.simulate(truth, t, [1.0, 0.5], u[:, None])
-        noise = 0.02 * x.std(axis=0) * rng.normal(size=x.shape)
-        runs.append((t, x + noise, u[:, None]))
-    times, states, inputs = zip(*runs, strict=True)
-    return ph.Measurements.from_arrays(
-        list(times), list(states), list(inputs), states=list(truth.states), inputs=["u"]
-    )
 
 
 def test_a_spring_without_an_energy_is_offered_what_one_with_it_is() -> None:
@@ -561,3 +499,155 @@ def test_what_units_rule_out_may_be_chosen_by_name() -> None:
     assert names == ["gravity torque", "gap"]
     without = EffectChoice(None, ["gravity torque"]).checked(spring, units)
     assert without.candidates(spring, units) == list(ph.catalogue(spring, units))
+
+
+# ---- a storage that nobody measures
+
+
+def room() -> ph.FirstOrder:
+    """Air and walls as one capacity."""
+    rate = ph.formula("(P - G*(T - To))/C", C=ph.Parameter(8.0), G=ph.Parameter(1.0))
+    return ph.FirstOrder(["T"], {"T": rate}, inputs=["P", "To"], kind="thermal")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("thermal", "second heat storage"), ("electrical", "second charge storage")],
+)
+def test_heat_and_charge_may_have_a_second_storage(kind: str, name: str) -> None:
+    model = ph.FirstOrder(
+        ["x"], {"x": ph.formula("u - c*x", c=1.0)}, inputs=["u"], kind=kind
+    )
+    offered = [one for one in ph.catalogue(model) if is_second_storage(one)]
+    assert [one.name for one in offered] == [name]
+    larger = model.add(offered[0])
+    assert not [one for one in ph.catalogue(larger) if is_second_storage(one)]
+
+
+def test_bodies_and_tanks_have_none() -> None:
+    for kind in ("mechanical", "hydraulic"):
+        model = ph.FirstOrder(["x"], {"x": ph.formula("-c*x", c=1.0)}, kind=kind)
+        assert not any(is_second_storage(one) for one in ph.catalogue(model))
+
+
+def test_a_second_storage_that_follows_at_once_changes_nothing_at_rest() -> None:
+    model = room().add("second heat storage", "T")
+    model = model.with_values({"second_heat_storage_T": 3.0, "following_time_T": 2.0})
+    rates = model.rhs()([1.5, 1.5], [0.75, 0.0], 0.0, model.theta).full().ravel()
+    alone = room().rhs()([1.5], [0.75, 0.0], 0.0, room().theta).full().ravel()
+    np.testing.assert_allclose(rates, [alone[0], 0.0], atol=1e-12)
+
+
+# ---- effects that are considered
+
+
+def coupled_masses() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q1", "q2", "p1", "p2"],
+        S=ph.canonical(2),
+        H=ph.formula("k*(q1 - q2)**2/2 + (p1**2 + p2**2)/2", k=ph.Parameter(1.0)),
+    )
+
+
+def own_effect(coefficient: str = "c") -> ph.Effect:
+    term = ph.formula(f"{coefficient}*q1*q2", **{coefficient: ph.Parameter()})
+    return ph.Effect("own", "F", "p1", term)
+
+
+def listed(choice: EffectChoice, model: ph.Model) -> list[str]:
+    return [str(effect) for effect in choice.checked(model).candidates(model)]
+
+
+def test_without_a_choice_the_whole_catalogue_is_considered() -> None:
+    model = coupled_masses()
+    assert EffectChoice().checked(model).candidates(model) == ph.catalogue(model)
+
+
+def test_a_name_means_every_equation_that_can_have_the_effect() -> None:
+    choice = EffectChoice(["coulomb friction", "gap on p2", own_effect()])
+    assert listed(choice, coupled_masses()) == [
+        "coulomb friction on p1",
+        "coulomb friction on p2",
+        "gap on p2",
+        "own on p1",
+    ]
+
+
+def test_an_effect_chosen_twice_is_considered_once() -> None:
+    choice = EffectChoice(["gap on p2", "gap", *ph.catalogue(coupled_masses())])
+    assert sorted(listed(choice, coupled_masses())) == sorted(
+        str(effect) for effect in ph.catalogue(coupled_masses())
+    )
+
+
+@pytest.mark.parametrize(
+    ("without", "left"),
+    [
+        (["coulomb friction"], {"gap on p1", "gap on p2", "own on p1"}),
+        (
+            ["gap on p2", "own"],
+            {"gap on p1", "coulomb friction on p1", "coulomb friction on p2"},
+        ),
+        (
+            ["gap", own_effect("d")],  # by its name and place
+            {"coulomb friction on p1", "coulomb friction on p2"},
+        ),
+    ],
+)
+def test_what_is_left_out_is_never_considered(without: list[Any], left: set) -> None:
+    choice = EffectChoice(["gap", "coulomb friction", own_effect()], without)
+    assert set(listed(choice, coupled_masses())) == left
+
+
+def test_an_effect_that_was_added_since_is_not_offered_again() -> None:
+    model = coupled_masses()
+    choice = EffectChoice(["coulomb friction", "stribeck friction on p1", own_effect()])
+    choice = choice.checked(model)
+    larger = model.add("coulomb friction", "p1").add(own_effect())
+    found = choice.candidates(larger)
+    assert [str(effect) for effect in found] == [
+        "coulomb friction on p2",
+        "stribeck friction on p1",
+    ]
+    assert len(found[1].term) == 1  # the rise alone: the model has the level
+
+
+def test_an_effect_of_the_catalogue_changes_with_what_the_model_has() -> None:
+    model = coupled_masses()
+    by_object = EffectChoice(ph.catalogue(model)).checked(model)
+    larger = model.add("coulomb friction", "p1")
+    found = by_object.candidates(larger)
+    (stribeck,) = (e for e in found if str(e) == "stribeck friction on p1")
+    larger.add(stribeck)
+
+
+@pytest.mark.parametrize(
+    ("effects", "without", "said"),
+    [
+        (["coulom friction"], (), "in effects is not in .* mean 'coulomb friction'"),
+        (None, ["gap on p3"], "'gap on p3' in without .* Did you mean 'gap on p"),
+        (None, ["overflow"], "'overflow' in without is not in the catalogue"),
+        (None, [own_effect()], "'own on p1' in without is not in the catalogue"),
+        (None, "gap", "without='gap' must be a list"),
+        (own_effect(), (), "must be a list of effects or of their names"),
+        ([3], (), "3 in effects is neither an Effect nor the name of one"),
+    ],
+)
+def test_what_no_equation_can_have_is_refused(
+    effects: Any, without: Any, said: str
+) -> None:
+    with pytest.raises(ph.ModelError, match=said):
+        EffectChoice(effects, without).checked(coupled_masses())
+
+
+def test_an_effect_of_ones_own_that_the_model_has_is_refused() -> None:
+    with pytest.raises(ph.ModelError, match="'own on p1' in effects stands in the"):
+        EffectChoice([own_effect()]).checked(coupled_masses().add(own_effect()))
+
+
+def test_a_narrower_choice_takes_other_effects_and_leaves_more_out() -> None:
+    choice = EffectChoice(["gap", "hysteresis"], ["gap on p1"])
+    assert choice.narrowed(None, ["hysteresis"]) == EffectChoice(
+        ["gap", "hysteresis"], ["gap on p1", "hysteresis"]
+    )
+    assert choice.narrowed(["gap"], ()) == EffectChoice(["gap"], ["gap on p1"])

@@ -52,16 +52,6 @@ def test_it_finds_what_casadi_finds(n: int) -> None:
         np.testing.assert_allclose(own, expected, rtol=1e-12, atol=1e-14)
 
 
-def test_one_value_for_all_places_is_that_value_at_each() -> None:
-    rng = np.random.default_rng(1)
-    function = function_of(FORMULAS)
-    a, b = rng.uniform(-2, 2, (2, 30)), np.array([1.3])
-    found = in_numbers(function, a, b)
-    each = in_numbers(function, a, np.full((1, 30), 1.3))
-    for own, expected in zip(found, each, strict=True):
-        np.testing.assert_array_equal(own, expected)
-
-
 def test_results_that_follow_no_argument_stand_at_every_place() -> None:
     a, b = ca.SX.sym("a"), ca.SX.sym("b")
     function = ca.Function("constant", [a, b], [ca.vertcat(2.0, b, 3 * b, a)])
@@ -75,14 +65,6 @@ def test_a_place_without_a_number_has_none_and_leaves_the_others() -> None:
     values, _ = in_numbers(function, a, np.array([[1.0, 1.0, 0.0]]))
     assert np.isfinite(values[0]).tolist() == [True, False, False]
     assert values[1, 0] == 1.0
-
-
-def test_no_place_gives_no_value() -> None:
-    values, slopes = in_numbers(
-        function_of(FORMULAS), np.zeros((2, 0)), np.zeros((1, 0))
-    )
-    assert values.shape == (12, 0)
-    assert slopes.shape[1] == 0
 
 
 def test_rows_of_a_table_have_the_results_of_each_column() -> None:

@@ -809,13 +809,6 @@ def test_the_forecast_falls_to_nothing_as_the_work_goes_on() -> None:
     assert [duration(s) for s in (7.9, 750, 3723)] == ["0:07", "12:30", "1:02:03"]
 
 
-def test_the_lines_that_the_forecast_waits_for_are_said() -> None:
-    code = [path.read_text() for path in (ROOT / "phsi_opt").rglob("*.py")]
-    for line in (FITTING, SCREENING, WEIGHING, ADDING):
-        assert any(f'say(f"{line} ' in text or f'say("{line}' in text for text in code)
-    assert ph.Verdict.NOTHING_MISSING == NOTHING_MISSING
-
-
 def test_what_is_not_finite_is_null_in_json() -> None:
     value = {"a": float("nan"), "b": (1.5, float("inf")), "c": Path("x"), "d": None}
     assert plain(value) == {"a": None, "b": [1.5, None], "c": "x", "d": None}

@@ -4,7 +4,6 @@ import io
 import os
 import re
 import signal
-import tomllib
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +19,6 @@ from phsi_opt import reading
 from phsi_opt.command_line.jobs import first_study
 from phsi_opt.data import excel_tables, matlab_tables
 from phsi_opt.errors import DataError
-from phsi_opt.study_file.toml_text import toml_tables
 from phsi_opt.sweeps.sweep import KeptResults
 
 T = np.arange(40.0)
@@ -257,12 +255,6 @@ def test_tables_of_matlab_are_no_hindrance_and_are_named() -> None:
         from_mat(io.BytesIO(content), time="t", states=["second"])
 
 
-def test_a_matlab_file_that_holds_a_name_twice_is_refused() -> None:
-    content = mat_file() + mat_file()[128:]
-    with pytest.raises(DataError, match='Duplicate variable name "t"'):
-        from_mat(io.BytesIO(content), **COLUMNS)
-
-
 def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -406,22 +398,6 @@ def test_a_study_file_made_to_do_harm_is_refused_at_once(
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ph.StudyFileError, match=message):
         ph.StudyFile.read(path)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a = '" + "x.y." * 100 + "'",
-        'a = """\n' + "[[" * 100 + '"""',
-        "a = '''\n" + "{{" * 100 + "'''",
-        "# " + "[a.b." * 100,
-        "a = [" + "[1], " * 100 + "]",
-        "a = '" + "9" * 1000 + "'",
-        "a = 1e-3",
-    ],
-)
-def test_what_stands_in_texts_and_comments_is_no_depth(text: str) -> None:
-    assert toml_tables(text) == tomllib.loads(text)
 
 
 def test_lists_in_lists_of_a_fit_are_refused(tmp_path: Path) -> None:

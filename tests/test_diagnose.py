@@ -1,6 +1,6 @@
 """Screening, re-fits and verdicts: the true effect is named, and nothing false is."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,23 +10,19 @@ from scipy.signal import lfilter
 import phsi_opt as ph
 from phsi_opt.comparison.compare import compare_record, deviance
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis import refit as refits
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.record import next_step
 from phsi_opt.diagnosis.refit import DiagnosedModel, finer_at_corner, refit
-from phsi_opt.estimation import missing_force
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord
-from phsi_opt.transcription.grid import aligned, grid_of
+from phsi_opt.transcription.grid import aligned
 from problems.battery.draw import ROWS, draw
-from problems.battery.records import Case
+from tests.machines import NOISE, STARTS, damped_spring, swings
+from tests.machines import TIMES as T
 
-T = np.linspace(0.0, 14.0, 141)
-STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
-NOISE = 0.01
 Model = ph.PseudoHamiltonian
 
 
@@ -42,10 +38,6 @@ def canonical(H: str, R: str, F: str, **free: ph.Parameter | float) -> Model:
     )
 
 
-def truth(H: str = "2.3*q**2/2 + p**2/2", R: str = "0.1", F: str = "") -> Model:
-    return canonical(H, R, F)
-
-
 def base() -> Model:
     return ph.PseudoHamiltonian(
         states=["q", "p"],
@@ -55,33 +47,10 @@ def base() -> Model:
     )
 
 
-def measured(
-    model: Model, seed: int, shows_p: bool = False, offset: float = 0.0, n: int = 141
-) -> ph.Measurements:
-    rng = np.random.default_rng(seed)
-    t = np.linspace(0.0, 14.0, n)
-    runs = [ph.simulate(model, t, x0) for x0 in STARTS]
-    runs = [x + NOISE * rng.normal(size=x.shape) for x in runs]
-    for x in runs:
-        x[:, 1] += offset if shows_p else np.nan
-    return ph.Measurements.from_arrays([t] * 3, runs, states=["q", "p"])
-
-
 def screening(fit: ph.Fit, data: ph.Measurements) -> ScoreTest:
     """Beside the force that a fit lacks."""
     record = EvidenceRecord.of(ph.compare(fit, data).record, None)
     return ScoreTest(LinearizedRecord.beside_force(record))
-
-
-def case_of(row: str, seed: int, few: bool = False) -> Case:
-    """A case of the battery; with ``few`` two runs for training and one held out."""
-    case = draw(ROWS[row], seed)
-    return replace(case, train=case.train[:2], test=case.test[:1]) if few else case
-
-
-def diagnosed(case: Case, *effects: str) -> ph.Diagnosis:
-    fit = ph.identify(case.model, case.train)
-    return ph.diagnose(fit, case.train, case.test, effects=effects)
 
 
 def is_near(row: Any, true: float) -> bool:
@@ -90,41 +59,12 @@ def is_near(row: Any, true: float) -> bool:
 
 @pytest.fixture(scope="module")
 def drag() -> tuple[ph.Fit, ph.Measurements, ScoreTest]:
-    data = measured(truth(R="0.1 + 0.25*abs(dH_dp)"), seed=0)
+    data = swings(damped_spring(loss="0.1 + 0.25*abs(dH_dp)"), seed=0)
     fit = ph.identify(base(), data)
     return fit, data, screening(fit, data)
 
 
 # ---- screening -----------------------------------------------------------------------
-
-
-def test_screening_expects_what_the_re_fit_then_finds(
-    drag: tuple[ph.Fit, ph.Measurements, ScoreTest],
-) -> None:
-    fit, data, screen = drag
-    expected = screen.screened(effect_named(fit.model, "quadratic drag", "p"))
-    assert expected is not None
-    found = ph.identify(fit.model.add(expected.effect), data, start=fit)
-    error = found.std_errors["quadratic_drag_p"]
-    # The expectation is linear at states of the missing force: good to a few standard
-    # errors of this strong effect.
-    assert abs(expected.coefficient - found.values["quadratic_drag_p"]) < 4 * error
-    assert abs(found.values["quadratic_drag_p"] - 0.25) < 3 * error
-    # It is expected beside the force, and found without.
-    assert expected.std_error > error
-
-
-def test_the_adjoint_correlates_every_force_with_the_residuals_as_its_trace_does(
-    drag: tuple[ph.Fit, ph.Measurements, ScoreTest],
-) -> None:
-    linearized = drag[2].linearized
-    n_defects = linearized.grid.n_intervals * 2
-    D = np.random.default_rng(1).normal(size=(n_defects, 3))
-    trace = linearized.traces(D, np.zeros((linearized.grid.n_nodes * 2, 3)))
-    # A defect offsets its constraint to the other side.
-    np.testing.assert_allclose(
-        -linearized.adjoint() @ D, trace.T @ linearized.residual, rtol=1e-6
-    )
 
 
 def test_an_effect_that_the_record_does_not_excite_gains_nothing(
@@ -197,7 +137,7 @@ def test_a_gain_beside_a_known_mass_is_a_candidate() -> None:
 
 def test_a_sign_that_physics_forbids_is_not_proposed() -> None:
     # damping that falls with the speed
-    data = measured(truth(R="0.3 - 0.1*abs(dH_dp)"), seed=1)
+    data = swings(damped_spring(loss="0.3 - 0.1*abs(dH_dp)"), seed=1)
     fit = ph.identify(base(), data)
     screen = screening(fit, data)
     for name in ("quadratic drag", "cubic drag"):
@@ -209,7 +149,7 @@ def test_a_sign_that_physics_forbids_is_not_proposed() -> None:
 def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() -> None:
     # The forced motion passes for one without losses, so that the traces near its
     # resonance are sharply larger.
-    case = case_of("harmonic_force_0.03", 8)
+    case = draw(ROWS["harmonic_force_0.03"], 8)
     fit = ph.identify(case.model, case.train)
     assert fit.estimates["R_p"] < 1e-3
     screen = screening(fit, aligned(fit.model, case.train))
@@ -226,8 +166,9 @@ def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() ->
 def test_an_offset_of_one_sensor_is_blamed_on_that_sensor_and_not_on_the_dynamics() -> (
     None
 ):
-    data = measured(truth(), seed=2, shows_p=True, offset=0.08, n=281)
-    train, test = data.split(0.7)
+    data = swings(damped_spring(), 2, shows_p=True, n=281)
+    runs = [replace(run, x=run.x + np.array([0.0, 0.08])) for run in data]
+    train, test = replace(data, trajectories=tuple(runs)).split(0.7)
     found = ph.diagnose(ph.identify(base(), train), train, test)
     assert found.verdict == ph.Verdict.NAMED
     assert str(found.effects[0]) == "sensor offset on p"
@@ -238,7 +179,7 @@ def test_an_offset_of_one_sensor_is_blamed_on_that_sensor_and_not_on_the_dynamic
 
 
 def test_an_effect_outside_the_catalogue_is_unexplained_until_it_is_given() -> None:
-    train, test = measured(truth(F="-1.2*q*abs(dH_dp)"), seed=3).split(0.7)
+    train, test = swings(damped_spring(force="-1.2*q*abs(dH_dp)"), seed=3).split(0.7)
     fit = ph.identify(base(), train)
     found = ph.diagnose(fit, train, test)
     assert found.verdict == ph.Verdict.UNEXPLAINED and found.findings == ()
@@ -287,7 +228,7 @@ def test_a_dead_zone_far_smaller_than_the_input_is_found() -> None:
 
 
 def test_a_tie_names_the_experiment_that_would_separate_it() -> None:
-    train, test = measured(truth(F="0.3"), seed=6).split(0.7)
+    train, test = swings(damped_spring(force="0.3"), seed=6).split(0.7)
     found = ph.diagnose(ph.identify(base(), train), train, test)
     names = {str(found.effects[0]), *found.ranking[0].confusable_with}
     # A linear spring under a constant force, seen through its position alone, is one
@@ -298,114 +239,6 @@ def test_a_tie_names_the_experiment_that_would_separate_it() -> None:
     named = [replace(one, effects=one.effects[:1]) for one in found.findings]
     assert named and replace(found, findings=tuple(named)).separation is None
     assert replace(found, findings=(), proposed=()).separation is None
-
-
-@pytest.mark.parametrize(
-    ("row", "seed", "rivals", "best"),
-    [
-        pytest.param(
-            "gravity_torque_0.03",
-            5,
-            ("cubic stiffness on p1", "gravity torque on p1"),
-            "gravity torque",
-            id="data held out count where those of the fit do not tell",
-        ),
-        pytest.param(
-            "linear_stiffness_0.1",
-            2,
-            ("hysteresis on p", "linear stiffness on p"),
-            "linear stiffness",
-            id="a hysteresis that never yields is a spring with a parameter more",
-        ),
-    ],
-)
-def test_of_two_that_are_alike_the_true_one_is_first(
-    row: str, seed: int, rivals: tuple[str, ...], best: str
-) -> None:
-    judged = diagnosed(case_of(row, seed), *rivals).candidates.iloc[0]
-    assert judged.effect == best and np.isfinite(judged.log_predictive)
-
-
-@pytest.mark.parametrize(
-    ("row", "seed", "effect"),
-    [
-        # Near twice the natural frequency the size of a trace changes twentyfold within
-        # a twentieth of the frequency.
-        ("parametric_stiffness_0.03", 15, "parametric stiffness on p"),
-        # What the sensor remembers at the start keeps the free run beside the fit.
-        pytest.param("sensor_delay", 3, "sensor delay on q", marks=pytest.mark.slow),
-    ],
-)
-def test_one_effect_is_named_with_its_size(row: str, seed: int, effect: str) -> None:
-    case = case_of(row, seed, few=row == "sensor_delay")
-    found = diagnosed(case, effect)
-    best, (true,) = found.candidates.iloc[0], case.truths
-    assert found.verdict == ph.Verdict.NAMED and is_near(best, true.coefficient)
-    assert best.held_out_rmse < 1.1 * found.base.noise_floor
-
-
-@pytest.mark.slow
-def test_a_gap_whose_corner_falls_between_samples_gets_finer_steps() -> None:
-    found = diagnosed(case_of("gap_0.01", 3, few=True), "gap on p2")
-    assert found.verdict == ph.Verdict.NAMED and found.proposed_fit is not None
-    most = [max(int(n.max()) for n in f.steps) for f in (found.fit, found.proposed_fit)]
-    assert most[1] > most[0]
-
-
-@pytest.mark.slow
-def test_a_delay_shorter_than_half_a_sample_is_told_from_a_lag_and_begins_as_it_goes_on() -> (
-    None
-):
-    case = case_of("input_delay_0.01", 7)
-    found = diagnosed(case, "input lag on p", "input delay on p")
-    best, nearest = found.candidates.iloc[0], found.proposed_fit
-    # A wild beginning (2476 for an input of size one) claimed a standard error a
-    # hundred times too small.
-    assert best.effect == "input delay" and is_near(best, case.truths[0].coefficient)
-    assert nearest is not None
-    largest = max(float(np.abs(run.u).max()) for run in case.train.trajectories)
-    place = nearest.model.states.index(nearest.model.memory[0])
-    assert all(abs(x[0, place]) <= 3.5 * largest for x in nearest.states)
-
-
-@pytest.mark.parametrize(
-    ("seed", "effect"),
-    [
-        pytest.param(2016, "constant force on p", id="damping in one direction"),
-        pytest.param(2004, "cubic stiffness on p", id="impact"),
-        pytest.param(2010, "cubic stiffness on p", id="what lasts for two samples"),
-    ],
-)
-def test_what_imitates_an_effect_from_outside_is_not_named(
-    seed: int, effect: str
-) -> None:
-    found = diagnosed(case_of("outside", seed), effect)
-    assert found.verdict == ph.Verdict.UNEXPLAINED and found.findings == ()
-    assert found.ranking[0].lost
-
-
-@pytest.mark.slow
-def test_noise_that_lasts_and_was_there_before_is_noise() -> None:
-    case = case_of("cubic_stiffness_0.03", 2000)
-    rng = np.random.default_rng(1)
-
-    def with_lasting_noise(data: ph.Measurements) -> ph.Measurements:
-        """The same with 6 % more noise that has a correlation of 0.7 with its past."""
-        runs = []
-        for run in data.trajectories:
-            seen = np.isfinite(run.x).any(axis=0)
-            size = np.where(seen, 0.06 * np.nanstd(np.where(seen, run.x, 0), axis=0), 0)
-            white = rng.normal(size=run.x.shape)
-            lasting = lfilter([np.sqrt(1 - 0.7**2)], [1, -0.7], white, axis=0)
-            runs.append(replace(run, x=run.x + size * lasting))
-        return replace(data, trajectories=tuple(runs))
-
-    case = replace(
-        case, train=with_lasting_noise(case.train), test=with_lasting_noise(case.test)
-    )
-    found = diagnosed(case, "cubic stiffness on p2")
-    assert {"force", "sensor error"} <= {row.kind for row in found.fit.model_error_rows}
-    assert found.verdict == ph.Verdict.NAMED
 
 
 def test_the_next_step_follows_from_the_verdict() -> None:
@@ -433,20 +266,21 @@ def test_the_next_step_follows_from_the_verdict() -> None:
 
 @pytest.mark.slow
 def test_two_effects_are_both_found_and_added() -> None:
-    data = measured(truth(H="2.3*q**2/2 + p**2/2 + 1.5*q**4/4", F="0.4"), seed=4)
+    data = swings(
+        damped_spring("2.3*q**2/2 + p**2/2 + 1.5*q**4/4", force="0.4"), seed=4
+    )
     names = ["cubic stiffness", "gravity torque", "constant force", "sensor offset"]
     effects = [*names, "coulomb friction", "quadratic drag", "cubic drag"]
     study = ph.Study(base(), *data.split(0.7), effects=effects)
     study.auto()
-    assert {effect.name for effect in study.added} <= set(names[:3])
-    assert len(study.added) == 2
+    assert {effect.name for effect in study.added} == {names[0], names[2]}
     last = study.history.iloc[-1]
     # One held-out run of 141 values knows its error to 6 %; 1.7 of those.
     assert last["held_out_rmse"] < 1.1 * last["noise_floor"]
 
 
 def test_an_effect_that_became_superfluous_is_taken_out_again() -> None:
-    data = measured(truth(R="0.1 + 0.25*abs(dH_dp)"), seed=5)
+    data = swings(damped_spring(loss="0.1 + 0.25*abs(dH_dp)"), seed=5)
     rivals = ["quadratic drag", "cubic drag", "coulomb friction", "sensor offset"]
     study = ph.Study(base(), *data.split(0.7), effects=rivals)
     study.add("cubic drag", "p")  # near, but wrong
@@ -486,7 +320,10 @@ def test_an_effect_that_is_needed_beside_a_force_stays() -> None:
     study.add("coulomb friction", "p")
     study.add("constant force", "p")
     study._check_earlier()
-    assert len(study.added) == 2
+    assert [effect.name for effect in study.added] == [
+        "coulomb friction",
+        "constant force",
+    ]
 
 
 # ---- re-fits -------------------------------------------------------------------------
@@ -508,19 +345,9 @@ def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(
 @pytest.fixture(scope="module")
 def complete() -> DiagnosedModel:
     """A damped spring of which nothing is missing."""
-    data = measured(truth(), seed=0)[:2]
+    data = swings(damped_spring(), seed=0)[:2]
     trained = ph.compare(ph.identify(base(), data), data)
     return DiagnosedModel(trained, trained, ph.MaximumLikelihood())
-
-
-def test_corners_beside_a_memory_stay_as_they_are_where_the_states_are_many(
-    complete: DiagnosedModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    delay = effect_named(complete.fit.model, "sensor delay", "q")
-    fit = replace(complete.fit, model=complete.fit.model.add(delay))
-    monkeypatch.setattr(refits, "MOST_SHARP_STATES", 100)
-    late = refits.Refitting(complete, Candidate(delay, 0.0, np.nan))
-    assert fit.model.memory and late.at_widths(fit, {}, 8) is None
 
 
 def test_a_second_effect_is_refitted_beside_the_memory_of_the_first(
@@ -537,42 +364,3 @@ def test_a_second_effect_is_refitted_beside_the_memory_of_the_first(
     assert done is not None and done.fit.model.memory == late.model.memory
     assert done.fit.states[0].shape == (len(T), late.model.n_states)
     assert deviance(done.fit) <= deviance(late) + 0.1  # a brief solve
-
-
-@dataclass(frozen=True)
-class Searched:
-    """What a search for the missing force would give."""
-
-    has_converged: bool
-    rounded: dict[str, float] = field(default_factory=dict)
-
-
-WIDTHS = [1.0, 4.0, 16.0, 64.0, 1.0]
-
-
-@pytest.mark.parametrize(
-    "expected",
-    [
-        [(1.0, False), (4.0, False)],
-        [*((width, False) for width in WIDTHS), (1.0, True)],
-    ],
-    ids=["a rounded corner before patience", "patience where no width helps"],
-)
-def test_a_corner_is_rounded_before_a_search_takes_many_iterations(
-    expected: list[tuple[float, bool]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tried: list[tuple[float, bool]] = []
-
-    def estimate_force(
-        model: Model, *_: object, is_patient: bool, **__: object
-    ) -> Searched:
-        tried.append((model.values["v0"], is_patient))
-        return Searched(tried[-1] == expected[-1])
-
-    monkeypatch.setattr(missing_force, "estimate_force", estimate_force)
-    monkeypatch.setattr(missing_force, "corner_widths", lambda model: {"v0": None})
-    model = replace(truth(), R={"p": ph.formula("(dH_dp**4 + v0**4)**(-1/4)", v0=1.0)})
-    runs = [ph.simulate(model, T, [1.0, 0.0])]
-    data = ph.Measurements.from_arrays([T], runs, states=["q", "p"])
-    missing_force.smoothed(model, grid_of(data), np.ones(2), known_noise=True)
-    assert tried == expected

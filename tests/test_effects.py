@@ -3,13 +3,12 @@ remembers what it must.
 """
 
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.initialization.relative_guesses import intervals_at_rest, resolve_guesses
+from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.augmented_states import MemoryIntegration, with_memory
@@ -66,22 +65,10 @@ DELAYED_INPUT = {"delay_u_p": 0.1, "u_delayed_p": 0.8, "u_delayed_p_bend": 3.0}
 DELAYED_SENSOR = {"sensor_delay_q": 0.1, "q_delayed": 0.5, "q_delayed_bend": 3.0}
 CASES = [
     ("viscous damping", "p", {"viscous_damping_p": 0.3}, -0.3 * V, 0),
-    (
-        "coulomb friction",
-        "p",
-        {"coulomb_friction_p": 0.3, "coulomb_friction_p.v0": 1e-6},
-        -0.3 * np.sign(V),
-        0,
-    ),
+    ("coulomb friction", "p", {"coulomb_friction_p": 0.3, "coulomb_friction_p.v0": 1e-6}, -0.3 * np.sign(V), 0),
     ("quadratic drag", "p", {"quadratic_drag_p": 0.3}, -0.3 * V * abs(V), 0),
     ("cubic drag", "p", {"cubic_drag_p": 0.3}, -0.3 * V**3, 0),
-    (
-        "position-dependent damping",
-        "p",
-        {"position-dependent_damping_p": 0.3},
-        -0.3 * Q**2 * V,
-        0,
-    ),
+    ("position-dependent damping", "p", {"position-dependent_damping_p": 0.3}, -0.3 * Q**2 * V, 0),
     ("linear stiffness", "p", {"linear_stiffness_q": 0.3}, -0.3 * Q, 0),
     ("quadratic stiffness", "p", {"quadratic_stiffness_q": 0.3}, -0.3 * Q**2, 0),
     ("cubic stiffness", "p", {"cubic_stiffness_q": 0.3}, -0.3 * Q**3, 0),
@@ -89,39 +76,21 @@ CASES = [
     ("gap", "p", {"gap_q": 0.3, "gap_q.play": 0.5}, -0.3 * (Q - 0.5), 0),
     ("constant force", "p", {"constant_force_p": 0.3}, 0.3, 0),
     ("drifting force", "p", {"drifting_force_p": 0.3}, 0.3 * T, 0),
-    (
-        "harmonic force",
-        "p",
-        {"F_p[sin(omega*t)]": 0.3, "F_p.omega": 2.0},
-        0.3 * np.sin(2 * T),
-        0,
-    ),
-    (
-        "parametric stiffness",
-        "p",
-        {"F_p[-q*cos(omega*t)]": 0.3, "F_p.omega": 2.0},
-        -0.3 * Q * np.cos(2 * T),
-        0,
-    ),
+    ("harmonic force", "p", {"F_p[sin(omega*t)]": 0.3, "F_p.omega": 2.0}, 0.3 * np.sin(2 * T), 0),
+    ("parametric stiffness", "p", {"F_p[-q*cos(omega*t)]": 0.3, "F_p.omega": 2.0}, -0.3 * Q * np.cos(2 * T), 0),
     ("input gain", "p", {"input_gain_u_p": -0.2}, -0.2 * 5 * U[0], 0),
     ("quadratic input", "p", {"quadratic_input_u_p": 0.3}, 0.3 * U[0] ** 2, 0),
     ("input dead zone", "p", {"dead_zone_u_p": 0.25}, -5 * 0.25, 0),
     ("input saturation", "p", {"saturation_u_p": 0.25}, -5 * (U[0] - 0.25), 0),
     ("input lag", "p", {"lag_u_p": 0.1, "u_lagged_p": 0.5}, 5 * (0.5 - U[0]), 0),
     ("input delay", "p", DELAYED_INPUT, 5 * (2 * (0.8 - U[0]) + 0.1**2 / 5 * 3), 0),
-    (
-        "hysteresis",
-        "p",
-        {"hysteresis_force_p": 0.3, "hysteresis_p": 0.5},
-        -0.3 * 0.5,
-        0,
-    ),
+    ("hysteresis", "p", {"hysteresis_force_p": 0.3, "hysteresis_p": 0.5}, -0.3 * 0.5, 0),
     ("sensor offset", "q", {"sensor_offset_q": 0.3}, 0, 0.3),
     ("sensor gain", "q", {"sensor_gain_q": 0.3}, 0, 0.3 * Q),
     ("sensor drift", "q", {"sensor_drift_q": 0.3}, 0, 0.3 * T),
     ("sensor clipping", "q", {"clipping_q": 0.5}, 0, 0.5 - Q),
     ("sensor delay", "q", DELAYED_SENSOR, 0, 2 * (0.5 - Q) + 0.1**2 / 5 * 3),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -148,18 +117,10 @@ def test_an_effect_adds_its_force_or_its_reading_and_nothing_else(
 
 LEAKS = [
     ("linear leak", {"linear_leak_h": 0.3}, -0.3 * Q),
-    (
-        "turbulent leak",
-        {"turbulent_leak_h": 0.3, "turbulent_leak_h.e0": 1e-6},
-        -0.3 * np.sqrt(Q),
-    ),
-    (
-        "saturating leak",
-        {"saturating_leak_h": 0.3, "saturating_leak_h.half": 0.5},
-        -0.3 * Q / (1 + Q / 0.5),
-    ),
+    ("turbulent leak", {"turbulent_leak_h": 0.3, "turbulent_leak_h.e0": 1e-6}, -0.3 * np.sqrt(Q)),
+    ("saturating leak", {"saturating_leak_h": 0.3, "saturating_leak_h.half": 0.5}, -0.3 * Q / (1 + Q / 0.5)),
     ("overflow", {"overflow_h": 0.3, "overflow_h.limit": 0.5}, -0.3 * (Q - 0.5)),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -269,23 +230,6 @@ def test_a_rim_is_not_sought_above_the_highest_level() -> None:
     )
 
 
-def test_a_body_that_stays_is_at_rest_and_one_that_turns_is_not() -> None:
-    mass = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("p**2/2")
-    )
-    t = np.linspace(0.0, 20.0, 401)
-    turning, dying = np.cos(t), np.where(t < 10, np.cos(t), 0.0)
-    for v, expected in ((turning, 0.0), (dying, 0.5)):
-        grid = grid_of(
-            ph.Measurements.from_arrays(
-                t, np.column_stack([0 * t, v]), states=["q", "p"]
-            )
-        )
-        assert intervals_at_rest(mass, grid, grid.y, "p", 0.03).mean() == pytest.approx(
-            expected, abs=0.01
-        )
-
-
 def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimated() -> (
     None
 ):
@@ -305,35 +249,6 @@ def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimate
         "q",
         "p",
     ]  # the lagged input is nobody's channel
-
-
-def test_a_model_with_memory_scans_and_sensors_is_data_in_a_file(
-    tmp_path: Path,
-) -> None:
-    t = np.linspace(0.0, 8.0, 161)
-    u = np.sin(2 * t)[:, None]
-    model = spring().add("input lag", "p").add("sensor offset", "q")
-    x = ph.simulate(
-        model.with_values({"lag_u_p": 0.3, "sensor_offset_q": 0.2}),
-        t,
-        [0.3, 0.0, 0.0],
-        u,
-    )[:, :2]
-    data = ph.Measurements.from_arrays(
-        t,
-        x + [0.2, 0.0] + 0.01 * np.random.default_rng(0).normal(size=x.shape),
-        u,
-        states=["q", "p"],
-        inputs=["u"],
-    )
-    fit = ph.identify(model.with_values({"lag_u_p": 0.2}), data)
-    fit.save(tmp_path / "m.json")
-    again = ph.Fit.load(tmp_path / "m.json")
-    assert again.model == fit.model and again.model.memory == ("u_lagged_p",)
-    start = [0.3, 0.0, 0.0]
-    np.testing.assert_array_equal(
-        again.simulate(t, start, u), fit.simulate(t, start, u)
-    )
 
 
 def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> None:

@@ -1,6 +1,5 @@
 """A diagnosis with its models weighed side by side: the bits of one after the other."""
 
-import pickle
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import Any
@@ -12,7 +11,6 @@ import phsi_opt as ph
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.sweeps.local_workers import local_workers
-from tests.sweep_tasks import Counted
 
 EFFECTS = ["coulomb friction", "quadratic drag", "cubic stiffness", "gravity torque"]
 STIFFENS = "1.2*q**3"
@@ -113,17 +111,6 @@ def test_processes_and_threads_give_the_bits_of_one_process(
             found, said_of_workers = diagnosed(fit, executor)
             assert_same(found, expected)
             assert said_of_workers == said
-
-
-def test_what_is_weighed_goes_to_the_executor(fit: ph.Fit) -> None:
-    counted = Counted()
-    found, said = diagnosed(fit, counted)
-    n_weighed = sum(line.startswith("weighing") for line in said)
-    assert len(counted.begun) >= n_weighed > 1
-    for one in found.ranking[1:]:  # the first is what a study adds
-        if one.trained is not None:
-            assert one.trained.record.estimate is found.record.estimate
-    pickle.dumps(found.proposed_fit)
 
 
 def test_what_cannot_compute_is_refused(fit: ph.Fit) -> None:

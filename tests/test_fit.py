@@ -20,7 +20,7 @@ from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.later import Later
 from phsi_opt.model.expressions import NUMPY, evaluate
-from phsi_opt.model.parameters import Scan, Share
+from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.ipopt import Outcome
 
 FOUND = "a local optimum was found"
@@ -133,17 +133,6 @@ def test_equations_keep_every_term_however_small() -> None:
             assert found == pytest.approx(rate(fit, at)[row], rel=2e-6)
 
 
-def test_what_would_be_endless_multiplied_out_is_left_as_it_is() -> None:
-    nested = "q"
-    for _ in range(6):  # 2**6 - 1 powers of q, with as many of p each
-        nested = f"({nested} + p)**2"
-    fit = fit_of(hamiltonian(ph.formula(f"c*{nested}", c=ph.Parameter(0.1))), c=0.1)
-    _, dp = fit.equations()
-    assert len(dp) < 2_000
-    found = float(evaluate(dp.split(" = ")[1], {"q": 0.3, "p": 0.2}, NUMPY))
-    assert found == pytest.approx(rate(fit, [0.3, 0.2])[1], rel=1e-5)
-
-
 def test_latex_holds_the_same_numbers_as_the_equations() -> None:
     energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=2.5)
     fit = fit_of(hamiltonian(energy, R=ph.damping("p")), R_p=0.0)
@@ -248,13 +237,6 @@ def test_a_fit_comes_back_equal_from_a_file_and_from_another_process(
             assert getattr(again, name) == getattr(fit, name), name
         assert str(again) == str(fit)
         assert again.equations() == fit.equations()
-
-
-def test_a_guess_survives_the_file(tmp_path: Path) -> None:
-    rich_fit().save(tmp_path / "fit.json")
-    entries = ph.Fit.load(tmp_path / "fit.json").model.entries
-    assert entries["F_p.omega_t"].parameter.guess == Scan("t")
-    assert entries["eps"].parameter.guess == Share("dH_dp", 0.05)
 
 
 def test_a_file_of_an_earlier_version_is_read_with_defaults_for_what_it_lacks(

@@ -22,7 +22,6 @@ from phsi_opt.transcription.grid import (
     Grid,
     aligned,
     grid_of,
-    steps_per_gap,
 )
 from phsi_opt.transcription.integrators import INTEGRATORS
 
@@ -94,22 +93,6 @@ def test_an_input_is_interpolated_between_the_samples_or_held(steps: int) -> Non
     np.testing.assert_array_equal(held.u1, before)
 
 
-def test_measured_values_are_counted_once_and_by_their_state() -> None:
-    grid = grid_of(data())
-    assert grid.measured is grid.measured
-    assert not grid.measured.flags.writeable
-    assert grid.channel.tolist() == [0, 1, 0, 1, 0, 0, 1, 0, 1, 0, 1, *[0, 1] * 4]
-    values = np.arange(len(grid.channel), dtype=float)
-    expected = [np.sqrt(np.mean(values[grid.channel == k] ** 2)) for k in (0, 1)]
-    np.testing.assert_allclose(grid.rms_by_channel(values), expected)
-
-
-def test_steps_of_a_gap_are_counted_by_trajectory() -> None:
-    steps = [np.array([1, 2, 1, 3, 1]), np.array([2, 1, 4])]
-    counted = steps_per_gap(grid_of(data(), steps))
-    assert [of_run.tolist() for of_run in counted] == [of.tolist() for of in steps]
-
-
 def test_a_defect_is_named_by_trajectory_times_and_row() -> None:
     grid = grid_of(data(), 2)
     label = partial(grid.interval_label, 2)
@@ -177,50 +160,22 @@ ONLY_Q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
             r"not measured: states=\{\.\.\., 'p': None\}",
         ),
         (bare(), record("pz"), ph.DataError, r"state 'q' .* measurements \(p, z\)"),
-        (
-            bare("u"),
-            record("qp", "vw"),
-            ph.DataError,
-            r"input 'u' of the model is not in the measurements \(v, w\)",
-        ),
-        (
-            ONLY_Q,
-            record("qp"),
-            ph.DataError,
-            "state 'p' of the measurements is not in the model; leave",
-        ),
+        (bare("u"), record("qp", "vw"), ph.DataError, r"input 'u' of the model is not in the measurements \(v, w\)"),
+        (ONLY_Q, record("qp"), ph.DataError, "state 'p' of the measurements is not in the model; leave"),
         (
             "spring",
             record("qp"),
             ph.ModelError,
             "model='spring' is no model; expected a PseudoHamiltonian or a FirstOrder",
         ),
-        (
-            bare(),
-            7,
-            ph.DataError,
-            r"data=7 are no Measurements; make them with Measurements\.from_arrays or",
-        ),
+        (bare(), 7, ph.DataError, r"data=7 are no Measurements; make them with Measurements\.from_arrays or"),
     ],
-)
+)  # fmt: skip
 def test_what_does_not_match_is_named(
     model: ph.Model, measured: ph.Measurements, error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=f"^{message}"):
         AlignedData.of(model, measured)
-
-
-def test_alignments_and_layouts_are_made_once() -> None:
-    first = AlignedData.of(bare(), record("pq"))
-    assert first.for_model(bare()) is first
-    assert first.for_model(bare().add("cubic stiffness", "p")) is first
-    larger = bare().add("hysteresis", "p")
-    extended = first.for_model(larger)
-    assert extended.data.states == larger.states
-    assert first.for_model(larger) is extended
-    ones = np.ones(5, dtype=int)
-    assert first.grid_with([ones]) is first.grid
-    assert first.grid_with([2 * ones]).n_nodes == 11
 
 
 # ---- defects
@@ -255,14 +210,6 @@ def test_defects_are_those_of_the_intervals_and_slopes_those_of_differences(
     np.testing.assert_allclose(slopes, np.column_stack(columns), atol=1e-7)
 
 
-def test_intervals_that_are_left_out_take_their_defects_with_them() -> None:
-    made, (grid, x) = model(), complete()
-    keep = np.array([0, 3, 6])
-    fewer = np.array(defects(made, grid.intervals(keep), "rk4", x.T, made.theta))
-    every = np.array(defects(made, grid, "rk4", x.T, made.theta))
-    np.testing.assert_array_equal(fewer, every[:, keep])
-
-
 @pytest.mark.parametrize("only", [None, [1]])
 def test_defects_of_known_states_are_those_of_the_symbols(
     only: list[int] | None,
@@ -295,11 +242,3 @@ def test_states_between_samples_follow_the_model_from_the_sample_before() -> Non
     ends_at_sample = grid.sample[grid.begin + 1]
     assert np.max(d[:, ~ends_at_sample]) < 1e-5  # of the scheme
     assert np.max(d[:, ends_at_sample]) > 0.1
-
-
-def test_states_that_would_run_away_between_samples_stay_where_they_were() -> None:
-    x = np.array([[1.0], [2.0], [1.5]])
-    runs = ph.Measurements.from_arrays([0.0, 1.0, 2.0], x, states=["x"])
-    growing = ph.FirstOrder(["x"], {"x": ph.formula("a*x", a=ph.Parameter(400.0))})
-    nodes = between_samples(growing, grid_of(runs, [np.full(2, 3)]), x, np.r_[400.0])
-    assert nodes[:, 0].tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 1.5]

@@ -191,16 +191,10 @@ def test_stiffness_and_mass_that_cannot_be_told_apart_are_flagged() -> None:
         ({"l1": -1.0}, "expected a finite number of at least 0"),
         ({"loss": "phsi"}, "is not a loss"),
         ({"loss": ph.PHSILoss()}, "'p' was never measured, but PHSILoss takes the"),
-        (
-            {"loss": ph.MaximumLikelihood(noise={"p": 0.1})},
-            "noise of the measured state 'q' is None",
-        ),
-        (
-            {"loss": ph.MaximumLikelihood(integrator="rk5")},
-            "integrator 'rk5' is unknown",
-        ),
+        ({"loss": ph.MaximumLikelihood(noise={"p": 0.1})}, "noise of the measured state 'q' is None"),
+        ({"loss": ph.MaximumLikelihood(integrator="rk5")}, "integrator 'rk5' is unknown"),
     ],
-)
+)  # fmt: skip
 def test_options_that_mean_nothing_are_refused(
     options: dict[str, Any], message: str
 ) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.initialization.scaling import first_point, kinematic_states
+from phsi_opt.initialization.scaling import kinematic_states
 from phsi_opt.transcription.grid import Grid, grid_of
 
 T = np.linspace(0.0, 20.0, 201)
@@ -45,36 +45,12 @@ def test_a_momentum_follows_from_the_rate_of_its_position() -> None:
     np.testing.assert_allclose(found[inside, 1], x[inside, 1], atol=0.01)
 
 
-def test_states_follow_in_turn_from_rates_that_follow() -> None:
-    rates = {"a": ph.formula("b"), "b": ph.formula("c"), "c": ph.formula("-a")}
-    chain = ph.FirstOrder(["a", "b", "c"], rates)
-    x = ph.simulate(chain, T, [1.0, 0.0, 0.0])
-    found, is_complete = kinematic_states(chain, first_state(chain, x[:, 0]))
-    assert is_complete
-    size = np.max(np.abs(x), axis=0)
-    # Differences of differences; the third derivative is of the size of the motion.
-    inside = slice(10, -10)
-    np.testing.assert_allclose(found[inside] / size, x[inside] / size, atol=0.02)
-
-
 def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
     rates = {"a": ph.formula("-a"), "b": ph.formula("a - b"), "c": ph.formula("b - c")}
     model = ph.FirstOrder(["a", "b", "c"], rates)
     found, is_complete = kinematic_states(model, first_state(model, np.exp(-T)))
     assert not is_complete
     np.testing.assert_array_equal(found[:, 1:], 0.0)
-
-
-def test_slopes_without_a_number_leave_the_size_of_a_hidden_state() -> None:
-    # A damper without bound where the position is zero: at both ends of the record.
-    c = ph.Parameter(0.1, lower=0.0)
-    model = hamiltonian("q**2/2 + p**2/(2*m)", "c/q**2", m=2.0, c=c)
-    t = np.linspace(0.0, 4.0, 401)
-    shown = np.sin(2 * np.pi * t)
-    shown[[0, -1]] = 0.0
-    sizes = first_point(model, first_state(model, shown, t)).x_scale.reshape(-1, 2)
-    # p is m dq/dt: 2 pi m over the root of two.
-    np.testing.assert_allclose(sizes[:, 1], 2.0 * 2 * np.pi / np.sqrt(2), rtol=0.1)
 
 
 # ---- formulas without values ---------------------------------------------------------

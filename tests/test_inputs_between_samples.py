@@ -14,10 +14,9 @@ import phsi_opt as ph
 from phsi_opt.data.trajectory import SmoothInputs
 from phsi_opt.page.drafts import StudyDraft
 from phsi_opt.simulation.simulate import free_run
-from phsi_opt.study_file.study_file import section_of, write_table
 from phsi_opt.study_file.toml_text import toml_tables
 from phsi_opt.transcription.grid import aligned, grid_of
-from tests.pushed_mass import pushed_mass
+from tests.machines import pushed_mass
 
 # ---- smooth inputs
 
@@ -87,33 +86,6 @@ def test_the_mass_is_found_from_six_samples_a_period() -> None:
     assert abs(straight.values["m"] - MASS) > 0.03
     assert smooth.noise["q"] < 0.1 * straight.noise["q"]
     assert ph.compare(smooth, moved("cubic")).rmse < 3 * NOISE
-
-
-@pytest.mark.parametrize("steps", [1, 3])
-def test_nodes_lie_on_the_spline_of_their_trajectory(steps: int) -> None:
-    t = TIMES
-    x = [np.zeros((len(t), 1)), np.zeros((9, 1))]
-    data = ph.Measurements.from_arrays(
-        [t, t[:9]], x, [push(t), -push(t[:9])], states=["q"], inputs=["u"], hold="cubic"
-    )
-    grid = grid_of(data, steps)
-    for number, run in enumerate(data):
-        smooth = SmoothInputs(run.t, run.u)
-        own = grid.trajectory == number
-        np.testing.assert_allclose(grid.u[own], smooth(grid.t[own]))
-        begin = grid.begin[grid.runs == number]
-        first, last = smooth.lines(grid.t[begin], grid.t[begin + 1])
-        np.testing.assert_array_equal(grid.u0[grid.runs == number], first)
-        np.testing.assert_array_equal(grid.u1[grid.runs == number], last)
-
-
-def test_a_model_without_inputs_takes_it() -> None:
-    data = ph.Measurements.from_arrays(
-        TIMES, np.exp(-TIMES), states=["a"], hold="cubic"
-    )
-    assert grid_of(data).u0.shape == (len(TIMES) - 1, 0)
-    model = ph.FirstOrder(["a"], {"a": ph.formula("-k*a", k=ph.Parameter(0.5))})
-    assert ph.identify(model, data).values["k"] == pytest.approx(1.0, abs=1e-5)
 
 
 # ---- a way for each input
@@ -290,11 +262,3 @@ def test_a_study_file_its_page_and_its_report_say_it(tmp_path: Path) -> None:
     path.write_text(STUDY.replace('"zero"', '"zeros"'))
     with pytest.raises(ph.StudyFileError, match=r"data.inputs.valve.hold = .*'zero'\?"):
         ph.StudyFile.read(path)
-
-
-def test_measurements_of_a_study_are_written_with_it(tmp_path: Path) -> None:
-    section = section_of(record(), "tank.csv")
-    write_table(record(), tmp_path / "tank.csv")
-    again = section.measurements(tmp_path)
-    assert again.hold == record().hold
-    assert again.digest == record().digest

@@ -145,15 +145,6 @@ def test_a_handler_that_is_not_pythons_own_stays() -> None:
     assert heard == [signal.SIGINT]
 
 
-def test_another_thread_leaves_the_handler_alone() -> None:
-    fits = []
-    data = record()
-    thread = threading.Thread(target=lambda: fits.append(ph.identify(SPRING, data)))
-    thread.start()
-    thread.join()
-    assert fits[0].values["k"] == pytest.approx(1.4, abs=0.05)
-
-
 def test_a_study_goes_on_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
     study = ph.Study(SPRING, record())
     n_evaluated = 0

@@ -123,25 +123,6 @@ def test_the_network_learns_the_force_beside_the_dictionary(
     assert hybrid.values["k"] == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_force_has_a_learning_rate_of_its_own() -> None:
-    start, slow, fast = (
-        joint_descent(
-            driven(),
-            record(),
-            Descent(epochs=1),
-            force=JointForce(("p",), ("p",), hidden=(4,), rate=rate),
-        )
-        for rate in (1e-12, 1e-4, None)
-    )
-    assert all(isinstance(fit, HybridBaseline) for fit in (start, slow, fast))
-    weights = [
-        np.concatenate([w.ravel() for w, _ in fit.layers])  # type: ignore[attr-defined]
-        for fit in (start, slow, fast)
-    ]
-    near, far = (np.abs(w - weights[0]).max() for w in weights[1:])
-    assert near <= 1.01e-4 < 1e-3 < far  # one step of Adam is at most its rate
-
-
 def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -> None:
     t = np.linspace(0, 3, 31)
     with_force, without = (
@@ -163,20 +144,11 @@ def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -
         ({"equations": ("p",), "variables": ("p", "p")}, "variables=.*only once"),
         ({"equations": ("p",), "variables": ("p",), "hidden": (0,)}, r"hidden=\(0,\)"),
         ({"equations": ("p",), "variables": ("p",), "first": "sine"}, "first='sine'"),
-        (
-            {"equations": ("p",), "variables": ("p",), "rate": 0.0},
-            "rate=0.0 .* above 0",
-        ),
-        (
-            {"equations": ("p",), "variables": ("v",)},
-            "variable 'v' of the neural force is unknown",
-        ),
-        (
-            {"equations": ("v",), "variables": ("p",)},
-            "equation of the neural force 'v' is not a state",
-        ),
+        ({"equations": ("p",), "variables": ("p",), "rate": 0.0}, "rate=0.0 .* above 0"),
+        ({"equations": ("p",), "variables": ("v",)}, "variable 'v' of the neural force is unknown"),
+        ({"equations": ("v",), "variables": ("p",)}, "equation of the neural force 'v' is not a state"),
     ],
-)
+)  # fmt: skip
 def test_a_force_that_makes_no_sense_is_refused(
     force: dict[str, Any], message: str
 ) -> None:

@@ -2,7 +2,6 @@
 outliers, gaps, starts, steps.
 """
 
-import weakref
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.terms import Dictionary
-from phsi_opt.model_error.marginal_likelihood import OptimalitySystem
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
@@ -226,14 +224,6 @@ def test_huber_keeps_its_accuracy_where_one_sample_in_ten_is_wrong() -> None:
     assert "outliers" in warning
 
 
-def test_huber_is_the_squares_where_the_limit_is_beyond_every_residual() -> None:
-    data, noise = usual(150), {"q": NOISE, "p": NOISE}
-    squares = ph.identify(duffing(), data, ph.MaximumLikelihood(noise=noise))
-    loss = ph.MaximumLikelihood(noise=noise, huber=10.0)
-    robust = ph.identify(duffing(), data, loss)
-    assert robust.values == pytest.approx(squares.values, rel=1e-6)
-
-
 # ---- scales, chaos -------------------------------------------------------------------
 
 
@@ -331,31 +321,6 @@ def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
     assert any("steps of integration are too long" in one for one in fit.warnings)
 
 
-def test_finer_steps_have_the_room_of_the_factors_before(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    eliminate, solve = OptimalitySystem.__init__, LikelihoodProblem.solve
-    made: list[weakref.ref[OptimalitySystem]] = []
-    n_finer = []
-
-    def remembered(self: OptimalitySystem, *parts: Any, **named: Any) -> None:
-        made.append(weakref.ref(self))
-        eliminate(self, *parts, **named)
-
-    def with_room(
-        self: LikelihoodProblem, start: StartingPoint, **options: Any
-    ) -> LikelihoodEstimate:
-        if made:
-            n_finer.append(True)
-            assert all(before() is None for before in made)
-        return solve(self, start, **options)
-
-    monkeypatch.setattr(OptimalitySystem, "__init__", remembered)
-    monkeypatch.setattr(LikelihoodProblem, "solve", with_room)
-    ph.identify(duffing(), coarse(0.4, sigma=0.001))
-    assert n_finer
-
-
 def test_the_report_says_how_many_starts_agree() -> None:
     loss = ph.MaximumLikelihood(starts=3)
     fits = [ph.identify(duffing(), usual(200), loss) for _ in range(2)]
@@ -400,24 +365,6 @@ def test_a_parameter_that_starting_values_press_to_zero_is_at_its_bound() -> Non
         assert one.outcome.at_bounds == ("a",)
         assert any(w.startswith("a ended at its lower bound 0") for w in one.warnings)
         assert not any("say nothing" in w for w in one.warnings)
-
-
-def test_the_band_of_a_run_is_what_it_scatters_by_when_the_noise_is_drawn_again() -> (
-    None
-):
-    t, x, u = record(120)
-    drawn = [measured(t, noisy(x, seed, 0.05), u) for seed in range(40)]
-    loss = ph.MaximumLikelihood(noise={"q": 0.05, "p": 0.05})
-    fits = [ph.identify(duffing(), data, loss) for data in drawn]
-    comparison = ph.compare(fits[0], drawn[0])
-    assert comparison.bands is not None
-    np.testing.assert_allclose(comparison.shown[0], fits[0].states[0], atol=1e-4)
-    ratio = np.std([fit.states[0] for fit in fits], axis=0) / comparison.bands[0]
-    # The scatter of 40 runs is known to 11 %; neighbouring times are not independent,
-    # so their mean is not much better.
-    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.2)
-    assert ratio.min() > 0.6
-    assert ratio.max() < 1.6
 
 
 def test_large_residuals_of_a_wrong_model_do_not_keep_the_solver_from_its_optimum() -> (

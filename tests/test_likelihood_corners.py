@@ -1,6 +1,5 @@
 """Awkward data and models: what a fit says must be right, or refused in words."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,12 +7,8 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation.estimate import Task
-from phsi_opt.estimation.identify import estimate_by
-from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.transcription.grid import AlignedData
 
 NOISE = 0.02
 HUBER = ph.MaximumLikelihood(huber=1.345)
@@ -107,21 +102,6 @@ def test_the_band_knows_that_the_offset_of_the_sensor_is_uncertain() -> None:
     np.testing.assert_allclose(ratio, 1.0, atol=0.5)
 
 
-def test_a_drifting_sensor_does_not_hide_the_friction() -> None:
-    t = np.linspace(0.0, 6.0, 200)
-    friction = ph.formula("-0.5*dH_dp*(dH_dp**4 + v0**4)**(-0.25)", v0=0.05)
-    truth = spring(2.5, F={"p": friction}).with_values({"R_p": 0.5})
-    runs = []
-    for seed, start in enumerate(([1.0, 0.0], [0.6, 1.0])):
-        noise = 0.01 * np.random.default_rng(seed).normal(size=len(t))
-        q = ph.simulate(truth, t, start)[:, 0] + 1.0 + 0.5 * t + noise
-        runs.append(np.column_stack([q, np.full(len(t), np.nan)]))
-    data = ph.Measurements.from_arrays([t, t], runs, states=["q", "p"])
-    drift = ph.formula("b + d*t", b=ph.Parameter(0.0), d=ph.Parameter(0.0))
-    fit = ph.identify(spring(2.5, sensor={"q": drift}), data)
-    assert str(ph.diagnose(fit, data).effects[0]) == "coulomb friction on p"
-
-
 # ---- outliers ------------------------------------------------------------------------
 
 
@@ -133,14 +113,6 @@ def test_the_standard_errors_of_huber_are_those_of_repeated_draws() -> None:
     # 40 draws tell a standard deviation to 11 %.
     assert np.mean(errors) == pytest.approx(spread, rel=0.2)
     assert min(errors) > 0.7 * spread
-
-
-def test_a_comparison_keeps_the_loss_of_the_fit() -> None:
-    t, y = decaying(100, 1, 0.01)
-    fit = ph.identify(decay(), of_x(t, y), HUBER)
-    y[::12] += 1.0
-    comparison = ph.compare(fit, of_x(t, y))
-    assert comparison.simulated[0][0, 0] == pytest.approx(2.0, abs=0.02)
 
 
 # ---- starts and files ----------------------------------------------------------------
@@ -205,52 +177,3 @@ def test_a_channel_that_never_changes_does_not_harm_the_other(value: float) -> N
     fit = ph.identify(ph.FirstOrder(["x", "z"], rates), data)
     assert fit.values["a"] == pytest.approx(0.7, abs=0.05)
     assert fit.values["c"] == pytest.approx(0.0, abs=1e-4)
-
-
-def test_other_data_are_started_from_states_as_accurate_as_the_run(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    t = np.linspace(0.0, 30.0, 101)
-    rng = np.random.default_rng(0)
-    truth = spring(2.0).with_values({"R_p": 0.05})
-    records = []
-    for x0 in ([1.0, 0.0], [0.0, 3.0]):
-        x = ph.simulate(truth, t, x0)
-        noise = 0.005 * np.std(x, axis=0)
-        y = x + noise * rng.normal(size=x.shape)
-        records.append(ph.Measurements.from_arrays(t, y, states=["q", "p"]))
-    train, other = records
-    fit = ph.identify(spring(ph.Parameter(2.1, lower=0.1)), train)
-    coarse = replace(fit, steps=tuple(np.ones_like(n) for n in fit.steps))
-
-    def error() -> float:
-        (residual,) = ph.compare(coarse, other).residuals
-        return float(np.sqrt(np.mean((residual / noise) ** 2)))
-
-    fine = error()
-    monkeypatch.setattr("phsi_opt.estimation.record.STEP_REFINEMENTS", 0)
-    assert fine < 1.1 and error() > 1.3
-
-
-def test_the_change_of_the_deviance_by_a_fixed_number_needs_no_fit() -> None:
-    t = np.linspace(0.0, 4.0, 120)
-    x = ph.simulate(spring(2.0).with_values({"R_p": 1.0}), t, [1.0, 0.0])
-    y = x + NOISE * np.random.default_rng(0).normal(size=x.shape)
-    y[:, 1] = np.nan
-    data = ph.Measurements.from_arrays(t, y, states=["q", "p"])
-
-    def estimate(damping: float) -> LikelihoodEstimate:
-        model = spring(ph.Parameter(2.0)).with_fixed({"R_p": damping})
-        aligned = AlignedData.of(model, data)
-        task = Task(model, aligned, {}, None, ph.SolverSettings())
-        found = estimate_by(ph.MaximumLikelihood(), task, None)
-        assert isinstance(found, LikelihoodEstimate)
-        return found
-
-    here, there, beyond = (estimate(c) for c in (1.1, 1.101, 1.102))
-    # At 1.101 by both neighbours: the slope is that of the deviances, fitted anew.
-    slope = (beyond.deviance - here.deviance) / 2
-    # The noise is that of the values less the mass and two starting states.
-    slope *= (there.n_values - 3) / there.n_values
-    assert there.deviance_change(beyond.model) == pytest.approx(slope, rel=1e-3)
-    assert there.deviance_change(there.model) == 0

@@ -13,7 +13,7 @@ from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.maximum_likelihood import crude_start
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.model.model import Model, built_of
+from phsi_opt.model.model import built_of
 from phsi_opt.model_error import joint_estimate
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.model_error.linearization import Linearizer
@@ -108,16 +108,6 @@ def test_an_optimum_at_a_bound_is_that_of_ipopt(c: ph.Parameter) -> None:
     expected = pytest.approx(by_ipopt.std_errors, rel=1e-4, nan_ok=True)
     assert fit.std_errors == expected and np.isnan(fit.std_errors["c"])
     assert fit.bic == pytest.approx(by_ipopt.bic, abs=1e-3)
-
-
-def test_large_residuals_of_a_model_that_lacks_much_end_where_ipopt_ends() -> None:
-    data = with_cubic(0.4)
-    smaller = ph.identify(spring(positive(1.0), 0.2), data)
-    fit = ph.identify(unknown(), data, start=smaller, settings=BRIEF)
-    assert fit.outcome.status == DIRECT_STEPS
-    by_ipopt = ph.identify(unknown(), data, start=smaller, settings=BY_IPOPT)
-    assert_same(fit, by_ipopt, 1e-2)
-    assert fit.bic == pytest.approx(by_ipopt.bic, abs=0.1)
 
 
 def test_many_states_are_solved_as_few_are() -> None:
@@ -292,18 +282,6 @@ def test_steps_that_lead_nowhere_say_so() -> None:
     assert "stalled" in str(brief.solution.outcome)
 
 
-def test_a_white_force_as_large_as_the_rates_leaves_nearly_a_linear_problem() -> None:
-    """Whatever the start; its optimum beside a small force is that of the likelihood."""
-    data = swinging(only_q=False)
-    solver, start = solver_and_start(unknown(k=300.0, c=40.0), data)
-    there = solver.continued(start)
-    assert there is not None
-    best = ph.identify(unknown(), data, ph.MaximumLikelihood(steps=1))
-    errors = np.sqrt(np.diag(best.covariance))
-    found = np.array(list(best.estimates.values()))
-    assert np.all(np.abs(there.theta - found) < errors)
-
-
 # ---- dry friction: a body that sticks ------------------------------------------------
 
 STUCK_TIMES = np.linspace(0.0, 12.0, 161)
@@ -386,60 +364,7 @@ def test_the_limit_of_time_is_told() -> None:
         ph.identify(friction_and_damping_free(0.3), rubbed(0.3), settings=brief)
 
 
-def test_steps_come_to_no_place_that_is_worse_than_one_before_in_both(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Neither in the objective nor in the violations, beside a corner that is sharp."""
-    data = swinging(rubbing(0.01, 0.2, 0.1), seed=3)
-    blunt = ph.identify(rubbing(0.2, positive(0.1), positive(0.2)), data)
-    passed: list[list[tuple[float, float]]] = []
-    step, search = JointProblem._lower, JointProblem.optimum
-
-    def noted(self: JointProblem, place: Any, *arguments: Any) -> Any:
-        passed[-1].append((place.objective, place.missed))
-        return step(self, place, *arguments)
-
-    def begun(self: JointProblem, *arguments: Any, **options: Any) -> Any:
-        passed.append([])
-        return search(self, *arguments, **options)
-
-    monkeypatch.setattr(JointProblem, "_lower", noted)
-    monkeypatch.setattr(JointProblem, "optimum", begun)
-    ph.identify(rubbing(0.004, positive(0.1), positive(0.2)), data, start=blunt)
-    longest = max(passed, key=len)
-    assert len(longest) > 5
-    for number, (objective, missed) in enumerate(longest):
-        for before, missed_before in longest[:number]:
-            is_same = (objective, missed) == (before, missed_before)
-            assert is_same or objective < before or missed < missed_before
-
-
 # ---- what is built once --------------------------------------------------------------
-
-
-def test_a_second_fit_builds_no_function_of_the_formulas(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    ph.identify(unknown(), swinging())
-    built = Model.built
-
-    def kept(model: Model, key: Any, make: Any) -> Any:
-        assert key in model._built, f"{key} was built again"
-        return built(model, key, make)
-
-    monkeypatch.setattr(Model, "built", kept)
-    # Another model object, with other values to start from, and other data.
-    fit = ph.identify(unknown(1.2, 0.2), swinging(seed=1))
-    assert fit.outcome.success
-
-
-def test_what_is_built_depends_on_the_formulas_and_the_known_numbers_alone() -> None:
-    one, free = unknown(1.0)._built, ph.Parameter(1.0)
-    for same in (unknown(2.0), spring(free, free), unknown().with_values({"k": 3.0})):
-        assert same._built is one
-    larger = unknown().dynamics().with_free(["m"])
-    for other in (spring(1.0, free), spring(free, free, m=2.0), larger):
-        assert other._built is not one
 
 
 def test_a_fit_is_the_same_to_the_bit_whatever_was_fitted_before() -> None:

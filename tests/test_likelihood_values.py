@@ -113,16 +113,3 @@ def test_variables_begin_and_end_where_those_of_the_program_do() -> None:
         unscaled = one.point.unscaled(program.start)
         for block, values in program.values(program.start).items():
             np.testing.assert_array_equal(unscaled[block], values)
-
-
-def test_slack_variables_are_told_without_a_program() -> None:
-    runs = ("run 1", "run 2")
-    unknown = Theta.of(duffing(), runs)
-    model = ph.FirstOrder(["q", "p"], F={"q": ph.polynomials("q", degree=3)})
-    sparse = Theta.of(model, runs)
-    loss = MaximumLikelihood()
-    assert not loss.has_slacks(unknown, {})
-    assert MaximumLikelihood(huber=1.345).has_slacks(unknown, {})
-    assert not loss.has_slacks(sparse, {})
-    assert loss.has_slacks(sparse, {"F": 0.1})
-    assert not loss.has_slacks(sparse, {"H": 0.1})

@@ -10,9 +10,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from phsi_opt.errors import SolveError
 from phsi_opt.optimization.banded import (
-    APART,
     FEWEST_STATES,
-    PANEL,
     Banded,
     BandLayout,
     Chain,
@@ -239,28 +237,6 @@ def test_gaps_are_those_of_dense_algebra(n: int, reach: int) -> None:
         np.testing.assert_allclose(right[rows], own, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(slopes, expected_slopes, rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(effects, expected_effects, rtol=1e-9, atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("gaps", "fewest", "most"),
-    [(Gaps(300, 1, 0.02), APART, APART), (Gaps(90, 90), 91, 300)],
-    ids=["far apart", "each touches all"],
-)
-def test_states_share_a_column_where_they_are_far_apart(
-    gaps: Gaps, fewest: int, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    passed = gaps.passage()
-    widths = []
-    followed = Passage.followed
-
-    def counted(self: Passage, right: np.ndarray) -> np.ndarray:
-        widths.append(right.shape[1])
-        return followed(self, right)
-
-    monkeypatch.setattr(Passage, "followed", counted)
-    passed.slopes()
-    assert fewest <= sum(widths) <= most  # several tries where they are not
-    assert max(widths) == PANEL
 
 
 # ---- the covariance of parameters

@@ -342,16 +342,6 @@ def test_a_share_outside_zero_and_one_is_refused(fraction: Any) -> None:
         short.split()
 
 
-def test_noise_can_be_given_later() -> None:
-    data = record()
-    other = data.with_noise({"p": 2})
-    assert (data.noise, other.noise) == ({"q": 0.1}, {"p": 2.0})
-    assert data.with_noise(None).noise is None
-    assert other.trajectories is data.trajectories
-    with pytest.raises(DataError, match="noise names the unknown 'u'"):
-        data.with_noise({"u": 1.0})
-
-
 def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
     x = np.array([[1.0, np.nan, np.nan], [-2.5, 3.0, np.nan]])
     data = Measurements.from_arrays(
@@ -450,23 +440,6 @@ def test_a_held_input_is_averaged_from_each_new_sample_to_the_next() -> None:
     np.testing.assert_array_equal(run.t, [0.375, 1.375, 2.375])
     expected = [0.625 * 1 + 0.375 * 5, 0.625 * 5 + 0.375 * 2, 2.0]
     np.testing.assert_allclose(run.u[:, 0], expected, rtol=1e-15)  # sums of floats
-
-
-def test_what_a_force_passes_on_stays_with_the_mean_of_a_held_input() -> None:
-    """The momentum between new samples is the force times the time, whatever n."""
-    rng = np.random.default_rng(3)
-    t = np.cumsum(rng.uniform(0.5, 1.5, 60))
-    u = rng.normal(size=60)
-    data = Measurements.from_arrays(
-        t, np.zeros(60), u, states=["p"], inputs=["u"], hold="zero"
-    )
-    thin = data.thinned(7).trajectories[0]
-    fine = np.linspace(thin.t[0], thin.t[-1], 200_001)
-    held = u[np.searchsorted(t, fine, side="right") - 1]
-    momentum = np.mean(held) * (thin.t[-1] - thin.t[0])
-    passed = np.sum(thin.u[:-1, 0] * np.diff(thin.t))
-    # A step between two of the 200 001 points is off by at most their distance.
-    assert passed == pytest.approx(momentum, abs=5e-3)
 
 
 def test_samples_that_fill_no_group_are_left_out_of_means_alone() -> None:

@@ -65,17 +65,6 @@ def test_a_memory_begins_within_what_it_is_later_and_its_range_to_both_sides(
     assert is_bounded.sum() == 2 * len(inputs)
 
 
-def test_a_memory_that_never_changes_and_no_memory_have_no_bounds() -> None:
-    grid = grid_of_inputs(PUSHED, np.full(len(T), 1.0))
-    x = np.zeros((grid.n_nodes, 3))
-    bounds = memory_start_bounds(PUSHED, grid, x, PUSHED.theta)
-    assert not np.isfinite(bounds).any()
-    bare = spring(ph.Parameter(1.5))
-    grid = grid_of_inputs(bare, np.sin(T))
-    bounds = memory_start_bounds(bare, grid, x[:, :2], bare.theta)
-    assert not np.isfinite(bounds).any()
-
-
 def test_the_fit_begins_within_these_bounds() -> None:
     # Of a lag shorter than a sample the first residual alone could tell the start.
     rng = np.random.default_rng(0)

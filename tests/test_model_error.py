@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
 from scipy.stats import f as f_distribution
 from scipy.stats import t as student_t
 
@@ -36,18 +35,13 @@ from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import (
     LENGTH,
     LINEAR_SHARE,
-    Coordinates,
     Disturbances,
     Process,
     StateFunction,
-    Whitener,
     smooth_functions,
 )
-from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border
 from phsi_opt.model_error.standard_errors import (
-    FEWEST,
-    MOST,
     Clusters,
     Source,
     degrees_of_freedom,
@@ -525,93 +519,7 @@ def test_pieces_of_a_long_record_show_what_the_whole_shows() -> None:
     assert expected.time == pytest.approx(TIME, rel=0.3)
 
 
-def test_cut_pieces_are_what_the_record_is_there() -> None:
-    problem = search_of(0).problem
-    numbers = problem.piece_numbers(3)
-    assert np.bincount(numbers).tolist() == [100, 100, 100]
-    left_out = problem.cut(np.where(numbers == 1, -1, numbers))
-    assert left_out.n_trajectories == 2
-    np.testing.assert_array_equal(
-        left_out.residual, problem.residual[numbers[problem.node] != 1]
-    )
-    assert left_out.grid.n_intervals == 198
-    np.testing.assert_allclose(left_out.middles[99:], problem.middles[200:])
-    # Without disturbances, what a model shows of the cut is what it shows there.
-    _assert_same_dynamics(left_out, problem)
-
-
-def _assert_same_dynamics(cut: Linearization, whole: Linearization) -> None:
-    later = whole.dynamics_in_states.toarray()[400:, 400:]
-    np.testing.assert_array_equal(cut.dynamics_in_states.toarray()[198:, 200:], later)
-    assert not cut.dynamics_in_states.toarray()[:198, 200:].any()
-
-
-def test_coordinates_are_logarithms_within_their_bounds() -> None:
-    forces = (Process(1, 0.2, 1.0), Process(1, 0.3, 0.05))
-    origin = Disturbances(
-        np.array([[0.1, 0.5], [0.2, 0.5]]),
-        forces,
-        (Process(0, 0.4, 2.0),),
-        (StateFunction(1, 0, 0.6),),
-    )
-    coordinates = Coordinates(
-        origin=origin,
-        channels=(0,),
-        least_noise=np.array([0.015, 0.5]),
-        shortest=0.05,
-        longest=8.0,
-        largest_functions=(1.2,),
-    )
-    moved = coordinates.at(np.log([2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.5]))
-    np.testing.assert_allclose(moved.sigma, [[0.2, 0.5], [0.4, 0.5]])
-    numbers = [(p.size, p.time) for p in moved.processes]
-    # The white force stays white.
-    np.testing.assert_allclose(numbers, [(0.6, 5.0), (1.2, 0.05), (2.4, 1.0)])
-    assert moved.functions[0].size == pytest.approx(0.9)
-    lower, upper = np.array(coordinates.bounds).T
-    # The error that lasts is more than the least noise: a tenth of that stays white.
-    assert lower[0] == pytest.approx(np.log(0.01))
-    without = replace(coordinates, origin=replace(origin, sensors=()))
-    assert without.bounds[0][0] == pytest.approx(np.log(0.1))
-    assert (lower[3], upper[3]) == pytest.approx((np.log(0.05), np.log(8.0)))
-    assert upper[6] == pytest.approx(np.log(2.0))
-    assert coordinates.is_free(0.1).all()
-
-
 # --- Parts, against dense algebra and simulation
-
-
-@pytest.mark.parametrize("time", [0.0, 0.3, 20.0])
-def test_the_whitener_is_that_of_the_covariance(time: float) -> None:
-    rng = np.random.default_rng(0)
-    runs = [np.cumsum(rng.uniform(0.05, 0.6, n)) for n in (12, 1, 7)]
-    t = np.concatenate(runs)
-    trajectory = np.repeat([0, 1, 2], [12, 1, 7])
-    blocks = []
-    for of_run in runs:
-        distance = np.abs(of_run[:, None] - of_run)
-        same = np.eye(len(of_run))
-        blocks.append(np.exp(-distance / time) if time else same)
-    covariance = block_diag(*blocks)
-    whitener = Whitener.of(t, trajectory, time)
-    n = len(t)
-    matrix = np.diag(whitener.diagonal) + np.diag(whitener.below, -1)
-    np.testing.assert_allclose(matrix @ covariance @ matrix.T, np.eye(n), atol=1e-12)
-    values = rng.normal(size=n)
-    np.testing.assert_allclose(whitener.whitened(values), matrix @ values, atol=1e-12)
-    precision = np.linalg.inv(covariance)
-    diagonal, below = whitener.precision
-    np.testing.assert_allclose(diagonal, np.diag(precision))
-    np.testing.assert_allclose(below, np.diag(precision, -1), atol=1e-10)
-    log_det = np.linalg.slogdet(covariance)[1]
-    assert whitener.log_det == pytest.approx(-log_det / 2, abs=1e-10)
-    weights = rng.normal(size=(n, 3))
-    factor = whitener.factor_of(weights)
-    np.testing.assert_allclose(factor.T @ factor, weights.T @ covariance @ weights)
-    values = whitener.coloured(weights)
-    np.testing.assert_allclose(matrix @ values, weights, atol=1e-12)
-    np.testing.assert_allclose(whitener.coloured(weights[:, 0]), values[:, 0])
-    assert whitener.factor_of(np.zeros((n, 0))).shape == (n, 0)
 
 
 def test_smooth_functions_have_the_correlation_of_their_length() -> None:
@@ -682,27 +590,6 @@ def test_the_jackknife_leaves_out_one_trajectory_at_a_time() -> None:
     np.testing.assert_allclose(two.jackknife(), expected[:2, :2], rtol=1e-6)
 
 
-def test_trajectories_that_say_more_count_as_fewer() -> None:
-    rng = np.random.default_rng(5)
-    clusters, _, _ = regressions(rng, 12, 9)
-    one = np.repeat(clusters.information[:1], 12, axis=0)
-    equal = replace(clusters, information=one)
-    np.testing.assert_allclose(equal.effective_numbers(), 12.0)
-    assert equal.is_enough
-    heavy = one.copy()
-    heavy[0] *= 1e4
-    unequal = replace(clusters, information=heavy)
-    np.testing.assert_allclose(unequal.effective_numbers(), 1.0, atol=0.01)
-    assert not unequal.is_enough
-    ten = replace(clusters, scores=clusters.scores[:9], information=one[:9])
-    assert not ten.is_enough
-    blind = one.copy()
-    blind[:, 1] = blind[:, :, 1] = 0.0  # nothing is told of the second parameter
-    told = replace(clusters, information=blind, prior=np.zeros((3, 3)))
-    assert told.effective_numbers()[1] == 0.0
-    assert not told.is_enough
-
-
 def test_the_agreement_of_trajectories_is_a_p_value() -> None:
     """Uniform where they differ by noise alone, small where they differ by more."""
     rng = np.random.default_rng(6)
@@ -743,19 +630,6 @@ def test_degrees_of_freedom_are_those_of_the_chi_square_that_scatters_alike(
     draws = rng.chisquare(freedom, size=(200_000, 2)) / freedom @ both
     simulated_freedom = 2 * np.mean(draws) ** 2 / np.var(draws)
     assert found == pytest.approx(simulated_freedom, rel=0.04)
-
-
-def test_degrees_of_freedom_stay_within_their_limits() -> None:
-    def falling(x: np.ndarray) -> np.ndarray:
-        return np.array([20 * x.sum(), 0.0])
-
-    nothing_told = np.zeros((2, 2))
-    found = degrees_of_freedom(nothing_told, falling, np.array([True, False]))
-    np.testing.assert_allclose(found, [FEWEST, MOST], rtol=1e-12)
-    nothing_estimated = degrees_of_freedom(
-        nothing_told, falling, np.array([False, False])
-    )
-    np.testing.assert_array_equal(nothing_estimated, MOST)
 
 
 def test_what_is_missing_is_looked_for_without_a_force_that_hides_it() -> None:
@@ -874,28 +748,6 @@ def search_of_a_chain() -> DisturbanceSearch:
     estimate = estimated(state_growth.data(10, 200), MaximumLikelihood(), chain)
     assert isinstance(estimate, LikelihoodEstimate)
     return estimate.plain.search
-
-
-def test_a_function_gains_what_the_evidence_says() -> None:
-    search = search_of(0)
-    candidates = search._function_candidates()
-    with_all = Disturbances(search.plain, functions=candidates)
-    border = search.likelihood(with_all).at(with_all).border
-    rates = search._rates_of(with_all.functions)
-    absent = 1e-9 * rates
-    sizes = np.zeros(len(rates))
-    sizes[0] = 0.02 * rates[0]
-    there = np.maximum(sizes, absent)
-    before = replace(border, sizes=there).log_evidence
-    for number in range(1, len(rates)):
-        tried = np.array([0.0, 0.01, 0.1]) * rates[number]
-        gains = replace(border, sizes=sizes).gains_by_function(number, tried)
-        assert gains[0] == 0
-        for size, gain in zip(tried[1:], gains[1:], strict=True):
-            trial = there.copy()
-            trial[number] = size
-            expected = replace(border, sizes=trial).log_evidence - before
-            assert gain == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["force", "tied sensors"])

@@ -414,25 +414,6 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
     np.testing.assert_allclose(found.coefficients, wanted, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_trajectories_say_adds_up_to_what_all_say(kind: str) -> None:
-    problem = problem_of("several runs, all steps")
-    moving = np.arange(3)
-    d = cases(problem)[kind]
-    system = likelihood_of(problem, d, moving).at(d)
-    whole = system.border
-    parts = system.borders_by_trajectory()
-    assert len(parts) == 3
-    together = type(whole).sum(parts)
-    scale = np.abs(whole.information).max()
-    np.testing.assert_allclose(
-        together.information, whole.information, atol=1e-12 * scale
-    )
-    np.testing.assert_allclose(together.gradient, whole.gradient, atol=1e-9)
-    assert together.constant == pytest.approx(whole.constant, rel=1e-10)
-    assert together.log_constant == pytest.approx(whole.log_constant, rel=1e-10)
-
-
 def test_a_trajectory_says_what_it_says_by_itself() -> None:
     problem = problem_of("several runs, all steps")
     moving = np.arange(3)
@@ -817,66 +798,3 @@ def test_the_likelihood_of_different_models_is_that_of_a_kalman_filter() -> None
         ours = likelihood_of(problem, d, NONE).at(d).log_likelihood
         there = Continuous(k, damping, force).smoothed(run.t, run.x[:, 0], NOISE)
         assert ours == pytest.approx(there.llf + flat, abs=0.02)  # held over a step
-
-
-def discrete_transition(
-    problem: Linearization, force: Process
-) -> tuple[np.ndarray, np.ndarray]:
-    """Of scaled states and force from node to node, (3, 3, n), and variance of what is
-    new in the force, (1, 1, n).
-    """
-    n = problem.grid.n_nodes
-    dynamics = problem.dynamics_in_states.toarray()
-    middles = problem.middles
-    transition = np.zeros((3, 3, n))
-    new = np.zeros((1, 1, n))
-    for i in range(n - 1):
-        rows = dynamics[2 * i : 2 * i + 2]
-        at_begin = rows[:, 2 * i : 2 * i + 2]
-        at_end = rows[:, 2 * i + 2 : 2 * i + 4]
-        effect = problem.effect_of_force(1)[i]
-        transition[:2, :2, i] = -np.linalg.solve(at_end, at_begin)
-        transition[:2, 2, i] = np.linalg.solve(at_end, effect)
-        if i < n - 2:
-            kept = np.exp(-(middles[i + 1] - middles[i]) / force.time)
-            transition[2, 2, i] = kept
-            new[0, 0, i] = force.size**2 * (1 - kept**2)
-    return transition, new
-
-
-def of_statsmodels(problem: Linearization, d: Disturbances, start: str) -> Any:
-    """What its filter and smoother find on the same discrete model.
-
-    Args:
-        problem: with a force in the second of two states, the first measured.
-        d: white noise and that force.
-        start: "diffuse", in the limit, or "approximate_diffuse".
-    """
-    force = d.forces[0]
-    y = np.full(problem.grid.n_nodes, np.nan)
-    y[problem.node] = problem.residual
-    transition, new = discrete_transition(problem, force)
-    seen = problem.shown_in_states.toarray()[0, :2]
-    selection = np.array([[0.0], [0.0], [1.0]])
-    sigma = float(d.sigma[0, 0])
-    return smoothed_by_statsmodels(
-        y, seen, sigma, transition, selection, new, force.size, start
-    )
-
-
-def test_evidence_states_and_forces_are_those_of_statsmodels() -> None:
-    """Its smoothed states have a wide prior: with transitions that change in time, those
-    within an exactly diffuse start are others than the limit.
-    """
-    problem = estimated(forced_record(), free_oscillator(), 2).linearized()
-    gains = []
-    for size, time, sigma in TRIED:
-        d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
-        system = likelihood_of(problem, d, NONE).at(d, REGULAR)
-        gains.append(system.log_evidence - of_statsmodels(problem, d, "diffuse").llf)
-        ours = system.smoothed()
-        theirs = of_statsmodels(problem, d, "approximate_diffuse").smoothed_state
-        # States and forces are of the order of one; rounding beside a variance of 1e7.
-        np.testing.assert_allclose(ours.x, theirs[:2].T, atol=1e-6)
-        np.testing.assert_allclose(ours.processes, theirs[2, :-1], atol=1e-6)
-    assert np.ptp(gains) < 1e-6  # the constant is the same for all

@@ -18,7 +18,6 @@ from phsi_opt.learning.hybrid import (
 from phsi_opt.learning.hybrid_network import NeuralForce
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS
-from problems.thesis.methods import hinges
 
 SMALL = NeuralForce(
     ("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3
@@ -97,16 +96,6 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None
     assert a.values == b.values != c.values
     for own, other in zip(a.force.network.layers, b.force.network.layers, strict=True):
         assert np.array_equal(own[0], other[0]) and np.array_equal(own[1], other[1])
-
-
-def test_a_force_of_one_variable_becomes_a_dictionary_of_hinges(found: Hybrid) -> None:
-    terms = hinges(found, data())
-    assert list(terms) == ["p"]
-    distilled = ph.FirstOrder(["q", "p"], {"p": terms["p"]}).frozen()
-    q = np.linspace(-1, 1, 21)
-    values = [float(distilled.rhs()([v, 0.0], [], 0.0, [])[1]) for v in q]
-    force = found.force(np.column_stack([q, 0 * q]))[:, 0]
-    assert np.abs(np.array(values) - force).max() < 0.15
 
 
 def test_equations_name_the_network_and_a_saved_hybrid_is_the_same_when_loaded(

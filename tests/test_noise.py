@@ -52,22 +52,6 @@ def test_a_jump_is_no_noise() -> None:
     assert noise == pytest.approx(difference_noise(data)[0], rel=0.01)
 
 
-def test_noise_has_the_unit_of_its_channel() -> None:
-    data = noisy_sine()
-    (run,) = data.trajectories
-    scaled = one_channel(run.t, 1024 * run.x[:, 0])
-    # a power of two scales without rounding
-    assert difference_noise(scaled)[0] == 1024 * difference_noise(data)[0]
-
-
-def test_four_samples_tell_no_noise_and_five_do() -> None:
-    t = np.arange(5.0)
-    y = np.array([0.0, 1.0, np.nan, 0.0, 1.0])
-    assert np.isnan(difference_noise(one_channel(t, y))[0])
-    y[2] = 3.0
-    assert difference_noise(one_channel(t, y))[0] > 0
-
-
 def test_noise_that_is_given_is_kept_and_what_is_unknown_is_guessed() -> None:
     data = noisy_sine()
     np.testing.assert_array_equal(initial_noise(data), [difference_noise(data)[0], 1.0])
@@ -76,13 +60,6 @@ def test_noise_that_is_given_is_kept_and_what_is_unknown_is_guessed() -> None:
     few = one_channel(np.arange(3.0), np.array([0.0, 1.0, 2.0]))
     # a tenth of the spread where differences tell nothing
     assert initial_noise(few)[0] == pytest.approx(0.1 * np.std([0, 1, 2]))
-
-
-def test_noise_is_never_less_than_what_weights_can_carry() -> None:
-    t = np.linspace(0.0, 1.0, 20)
-    line = one_channel(t, t)
-    (noise,) = initial_noise(line)
-    assert noise == LEAST_NOISE_SHARE * np.nanstd(t)
 
 
 def test_a_channel_that_does_not_move_is_measured_by_its_size() -> None:
@@ -109,18 +86,3 @@ def test_runs_whose_scatter_differs_have_noises_of_their_own() -> None:
         own = [difference_noise(data[k])[0] for k in range(3)]
         expected = own if len(set(sizes)) > 1 else [difference_noise(data)[0]] * 3
         np.testing.assert_allclose(scatter_by_run(data)[:, 0], expected, rtol=1e-14)
-
-
-def test_few_samples_or_gaps_leave_one_scatter_for_all_runs() -> None:
-    rng = np.random.default_rng(4)
-    times = [np.sort(rng.uniform(0.0, 10.0, n)) for n in (42, 5, 43, 2, 92)]
-    sizes = (0.1, 1.0, 0.3, 1.0, 0.02)
-    values = [
-        np.sin(t) + s * rng.normal(size=len(t))
-        for t, s in zip(times, sizes, strict=True)
-    ]
-    values[4][10:20] = np.nan
-    data = Measurements.from_arrays(times, values, states=["q"])
-    np.testing.assert_array_equal(
-        scatter_by_run(data)[:, 0], [initial_noise(data)[0]] * 5
-    )

@@ -61,13 +61,6 @@ def test_residuals_cut_at_hubers_limit_show_the_noise_of_the_uncut_ones(
     np.testing.assert_allclose(found, SIGMA, rtol=0.02)
 
 
-def test_known_noise_is_not_updated(grid: Grid) -> None:
-    of_program = residuals(grid, 2.0, 3.0) * np.sqrt(2 / grid.measured.sum())
-    found = iteration(grid, False, True).updated(SIGMA, of_program)
-    assert found[0] == SIGMA[0]
-    assert found[1] == pytest.approx(3 * SIGMA[1], rel=0.02)
-
-
 def test_a_common_factor_of_all_noise_leaves_the_estimates_but_not_under_l1(
     grid: Grid,
 ) -> None:

@@ -37,16 +37,13 @@ from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import words
 from phsi_opt.page.worker import Order, Shown, WorkerHandle
-from phsi_opt.presentation.charts import force_chart, plotly, run_chart
 from phsi_opt.presentation.content import (
     Channel,
     ErrorStep,
     ForceRun,
     Glance,
-    Run,
     StudyContent,
 )
-from phsi_opt.presentation.units import Scale
 from phsi_opt.study.content import worst_moment
 from tests.page_tools import bad_table, contrast, spring_table, wait_for
 
@@ -348,18 +345,14 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
 @pytest.mark.parametrize(
     ("held_out", "after", "expected"),
     [
-        (
-            0.06,
-            0.043,
-            "Held-out error 0.06 m → 0.043 m (28 % less, at the noise floor)",
-        ),
+        (0.06, 0.043, "Held-out error 0.06 m → 0.043 m (28 % less, at the noise floor)"),
         (0.06, 0.05, "Held-out error 0.06 m → 0.05 m (17 % less)"),
         (0.043, 0.042, "Held-out error 0.043 m → 0.042 m (2 % less)"),
         (0.06, 0.07, "Held-out error 0.06 m → 0.07 m (17 % more)"),
         (0.06, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
         (None, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
     ],
-)
+)  # fmt: skip
 def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all(
     held_out: float | None, after: float | None, expected: str
 ) -> None:
@@ -419,60 +412,6 @@ def test_the_worst_moment_is_where_the_model_is_off_while_the_force_is_sure() ->
     assert worst_moment(force, channel, 0, (0.0, 5.0)) == 4.0
     unsure = replace(force, force=strong / 10)
     assert worst_moment(unsure, channel, 0, (0.0, 10.0)) == 4.0
-
-
-def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days(
-    studied: Session,
-) -> None:
-    assert studied.content is not None
-    t = np.linspace(0.0, 20.0, 101)
-    channel = Channel("Ti", "degC", 0.01, t, np.sin(t), (np.cos(t),), (1.0,), 0.7)
-    run = Run("house", "training", (channel,))
-    house = replace(studied.content, time=Scale("days", 86400.0), names=("base model",))
-    figure = plotly(run_chart(house, run, 0, (5.0, "worst moment")))
-    notes = {note["text"]: note for note in figure["layout"]["annotations"]}
-    assert notes["worst moment"]["x"] == 5.0
-    assert figure["data"][0]["x"][-1] == 20.0
-    assert figure["layout"]["xaxis"]["title"]["text"] == "t (days)"
-    force = ForceRun("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
-    assert "At t = 0.25 days of house" in words(
-        "at_time", [force], run, 0.25, house.time, 2.0
-    )
-    *_, line = plotly(force_chart([force], "days"))["data"]
-    assert line["name"] == "missing in dTi/dt"
-    assert line["y"][0] == 1.0
-
-
-def test_work_says_what_it_does_now_and_how_much_longer() -> None:
-    job = Job("Fitting the base model", done="Fitted")
-    assert job.words == "Fitting the base model: starting"
-    job.say("fitting the base model")
-    assert job.words == "Fitting the base model"
-    job.show()
-    assert job.words == "Fitted; looking for what is missing"
-    job.say("screening 24 candidate effects")
-    assert job.words == (
-        "Fitted; looking for what is missing: screening 24 candidate effects"
-    )
-
-
-def test_a_table_of_a_study_file_is_taken_away_where_it_lies(tmp_path: Path) -> None:
-    for name in ("a.csv", "b.csv"):
-        (tmp_path / name).write_text("t,x\n0,1\n1,3\n2,2\n3,4\n")
-    path = tmp_path / "study.toml"
-    files = BARE_FILE.replace('["bare.txt"]', '["a.csv", "b.csv"]')
-    columns = files.replace("column = 1", 'column = "x"')
-    path.write_text(columns.replace("step = 0.5", 'column = "t"'))
-    session = Session(tmp_path / "session", path)
-    session.remove_file("a.csv")
-    assert session.upload_error == ""
-    assert session.draft.data is not None
-    assert session.draft.data.files == ["b.csv"]
-    assert len(session.draft.data.runs) == 1
-    session.upload("c.csv", b"t,x\n0,1\n1,3\n2,2\n")
-    session.close()
-    assert session.draft.data.files == ["c.csv"]
-    assert "takes the place of b.csv" in session.message
 
 
 def test_the_exported_script_reproduces_every_step(

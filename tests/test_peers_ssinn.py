@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import phsi_opt as ph
-from problems.peers.ssinn import Gradient, SymplecticDescent, _Flow, separable, ssinn
+from problems.peers.ssinn import SymplecticDescent, _Flow, separable, ssinn
 from problems.thesis.systems import SYSTEMS
 
 HENON = SYSTEMS["henon_heiles"]
@@ -123,14 +123,3 @@ def test_the_schedule_falls_at_its_shares() -> None:
         0.001,
         0.001,
     ]
-
-
-def test_the_gradient_is_that_of_the_terms_of_its_variables() -> None:
-    bodies = ["x**2*z", "y", "q**3", "x*q"]
-    gradient = Gradient(bodies, ["x", "y", "z"], torch.float64)
-    v = np.random.default_rng(0).normal(size=(4, 3))
-    theta = torch.tensor([0.7, -0.4, 5.0, 6.0], dtype=torch.float64)
-    found = gradient.at(torch.tensor(v), gradient.matrix(theta))
-    x, _, z = v.T
-    expected = np.column_stack((1.4 * x * z, np.full(4, -0.4), 0.7 * x**2))
-    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-15)  # rounding

@@ -10,10 +10,8 @@ from scipy.integrate import solve_ivp
 import phsi_opt as ph
 from phsi_opt.force_analysis.analysis import (
     ForceAnalysis,
-    place_answer,
     step_without_name,
 )
-from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -130,22 +128,6 @@ def test_a_law_of_the_position_that_does_not_repeat_is_no_wave() -> None:
     assert analysis.follows.iloc[0]["variable"] == "q"
 
 
-def test_the_picture_is_folded_to_the_period() -> None:
-    analysis = analysed(cogging)
-    force = analysis.force_in("p")
-    assert force.wave is not None
-    found = follows_of(force)
-    assert "folded to the period of 1.0" in found.x_label
-    assert np.ptp(found.x) <= force.wave.period
-
-
-def test_the_report_says_what_it_repeats_along() -> None:
-    force = analysed(cogging).force_in("p")
-    answer = place_answer(force, is_named=False, is_known=False)
-    told = "It depends on the position q and repeats every 1.0"
-    assert told in answer.lead
-
-
 def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
     data = turned(cogging, "deg")
     g = ph.Parameter(40.0, lower=0)
@@ -173,14 +155,6 @@ def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
 def screening(trained: ph.Comparison) -> ScoreTest:
     record = EvidenceRecord.of(trained.record, None)
     return ScoreTest(LinearizedRecord.beside_force(record))
-
-
-def test_a_frequency_that_is_given_is_not_sought() -> None:
-    test = screening(compared(cogging))
-    for given, expected in ((None, "q"), (5.5, None)):
-        wave = ph.trigonometric("q", frequency=given)
-        trial = test.trial(ph.Effect("ripple", "F", "p", wave))
-        assert trial.scanned == expected
 
 
 def test_along_what_stands_still_no_wave_is_expected() -> None:

@@ -14,7 +14,7 @@ from problems.battery import ask, run, score, store
 from problems.battery import experiments as field
 from problems.battery.ask import CLASS, FALSE, NAME, SILENT, Task
 from problems.battery.draw import KINDS, ROWS, Row, draw
-from problems.battery.effects import EFFECTS, Drive, Hidden, Moment
+from problems.battery.effects import Drive, Hidden
 from problems.battery.field_machines import cubic, spring, viscous
 from problems.battery.masses import Machine, measured, simulate
 from problems.battery.page import field_page
@@ -83,31 +83,6 @@ def test_quick_and_tight_simulation_agree_with_an_input_that_is_delayed_and_lagg
     # Runge and Kutta of order 4 with h = 0.0125: about 1e-8; LSODA passes kinks at 1e-8
     # per step
     assert quick == pytest.approx(tight, abs=1e-5)
-
-
-@pytest.mark.parametrize(("hold", "at_middle"), [("linear", 3.0), ("zero", 2.0)])
-def test_a_drive_is_held_before_its_start_and_between_its_samples(
-    hold: str, at_middle: float
-) -> None:
-    drive = Drive(0.5, np.array([[2.0, 4.0, 1.0]]), hold)
-    found = [drive.at(t)[0] for t in (-1.0, 0.25, 0.5, 1.0)]
-    assert found == [2.0, at_middle, 4.0, 1.0]
-
-
-def test_hysteresis_takes_energy_from_a_loop_and_keeps_within_its_yield_force() -> None:
-    shape, q = {"beta": 2.0, "gamma": 2.0}, np.sin(np.linspace(0.0, 6 * np.pi, 6001))
-    rates = EFFECTS["hysteresis"].rates
-    assert rates is not None
-    z, forces = ZERO, []
-    for dq in np.diff(q):  # explicit Euler along a prescribed path
-        moment = Moment(0.0, z, np.full(1, dq), z, z[None, :], None)
-        z = z + rates(1.0, shape, moment)[0]
-        forces.append(float(z[0]))
-    work = np.sum(np.array(forces)[2000:4000] * np.diff(q)[2000:4000])
-    assert max(np.abs(forces)) <= 0.25 + 1e-6  # 1/(beta + gamma)
-    # the parallelogram that is cut by the yield force: 4 z_max (q_max - z_max) at most
-    # 1, rounded corners take some
-    assert 0.5 < work < 1.0
 
 
 def test_a_delayed_sensor_shows_what_the_state_was() -> None:
@@ -180,14 +155,6 @@ def test_a_case_depends_on_row_and_seed_alone(row: Row, seed: int) -> None:
     assert first.train.n_samples < 1000
 
 
-def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
-    case = draw(ROWS["quadratic_stiffness_0.03"], 3)  # its first experiment does
-    assert case.truths[0].effect == "quadratic stiffness"
-    assert case.listed == case.places  # the model lacks it
-    other = draw(ROWS["quadratic_stiffness_0.03"], 4)
-    assert other.train.digest != case.train.digest
-
-
 def test_the_calibrated_error_is_that_of_a_refit_and_the_truth_has_no_misfit() -> None:
     case = draw(ROWS["cubic_stiffness_0.03"], 4)
     comparison = ph.compare(ph.identify(case.model, case.train), case.train)
@@ -225,28 +192,6 @@ def test_with_the_true_effect_added_a_case_reaches_its_floor(
         assert abs(fit.values[new] - truth) < 4 * fit.std_errors[new]
 
 
-def test_noise_and_model_error_are_as_strong_as_they_say() -> None:
-    case = draw(KINDS["closed_loop"], 1)
-    fit = ph.identify(case.model, case.train, raise_on_failure=False)
-    assert case.noise == 0.02
-    scatter = ph.compare(fit, case.train).noise_floor
-    x = np.concatenate([run.x for run in case.train.trajectories])
-    # The floor is estimated beside a strong missing force.
-    assert scatter == pytest.approx(0.02 * np.sqrt(np.nanmean(x**2)), rel=0.2)
-
-
-def test_some_pendulums_stick_before_the_end_and_all_go_over_the_top() -> None:
-    n_stuck = 0
-    for seed in range(2):
-        case = draw(replace(KINDS["pendulum"], model_error=0.0), seed)
-        for run_ in case.train.trajectories:
-            q = run_.x[:, 0]
-            assert np.ptp(q) > np.pi
-            sigma = case.noise * np.sqrt(np.mean(q**2))
-            n_stuck += bool(np.ptp(q[-15:]) < 6 * sigma and "coulomb" in case.hidden)
-    assert n_stuck > 0
-
-
 def test_a_record_prepared_in_another_way_is_the_same_motion() -> None:
     case = draw(KINDS["circuit"], 1)
     ways = ask.prepared((case.train, case.test), seed=1)
@@ -274,13 +219,6 @@ def test_two_effects_are_right_only_when_each_is_found_once_and_nothing_else() -
     assert not ask.matches(truths, [{gap}])
     assert not ask.matches(truths, [{gap}, {"gap on p2"}])
     assert not ask.matches(truths, [{gap}, {coupling}, {"constant force on p1"}])
-
-
-def test_the_interval_covers_within_two_standard_errors_and_not_without_one() -> None:
-    assert ask.covered(1.0, 1.19, 0.1) == 1.0
-    assert ask.covered(1.0, 1.21, 0.1) == 0.0
-    assert ask.covered(1.0, 1.0, np.nan) == 0.0
-    assert np.isnan(ask.covered(np.nan, 1.0, 0.1))
 
 
 def test_answers_are_right_false_or_silent() -> None:

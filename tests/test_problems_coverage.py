@@ -8,7 +8,6 @@ import pytest
 
 import phsi_opt as ph
 from problems.benchmarks.coverage import (
-    COLUMNS,
     DEFAULT,
     HIGHEST,
     LOWEST,
@@ -34,8 +33,6 @@ from problems.benchmarks.oscillator import (
     Layout,
     Nonlinearities,
     cubic_coefficient,
-    detectability,
-    estimate_limits,
     kind_of,
     least_squares_estimate,
     model,
@@ -64,21 +61,6 @@ def test_the_force_has_its_size_and_its_correlation_time() -> None:
     assert force.std() == pytest.approx(0.2, rel=0.05)
     correlation = np.mean(force[:, :-later] * force[:, later:]) / np.mean(force**2)
     assert correlation == pytest.approx(np.exp(-1), abs=0.06)
-
-
-def test_the_noise_keeps_its_size_where_it_lasts() -> None:
-    noise = Draw.of(1, Disturbance(noise_correlation=0.7), Layout(400, 50)).noise
-    assert noise.std() == pytest.approx(0.02, rel=0.03)
-    correlation = np.mean(noise[:, 1:] * noise[:, :-1]) / np.mean(noise**2)
-    assert correlation == pytest.approx(0.7, abs=0.03)
-
-
-def test_the_cubic_spring_has_its_share_of_the_force() -> None:
-    cubic = cubic_coefficient(0.05)
-    q = positions(Draw.of(5, Disturbance(), Layout(100, 400)), cubic)
-    part = cubic * q**3
-    share = np.sqrt(np.mean(part**2) / np.mean((TRUTH["k"] * q + part) ** 2))
-    assert share == pytest.approx(0.05, rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -111,14 +93,6 @@ def test_a_drawn_nonlinearity_has_its_share_and_no_linear_part(
         assert abs(alike / of_linear / size).max() < 0.01
 
 
-def test_losses_that_are_drawn_stay_losses(drawn: Nonlinearities) -> None:
-    is_loss = drawn.kind >= KINDS.index("quadratic drag")
-    assert is_loss.any()
-    velocity = np.full(len(drawn.kind), 2.0)  # twice its root mean square
-    pull = drawn.pull(np.zeros_like(velocity), velocity) + TRUTH["R_v"] * velocity
-    assert (pull[is_loss] > 0).all()
-
-
 def test_an_estimate_of_a_linear_machine_tends_to_the_truth() -> None:
     draw = Draw.of(1, Disturbance(), Layout(20, 100))
     found = least_squares_estimate(positions(draw, 0.0), draw.voltage)
@@ -132,34 +106,6 @@ def test_least_squares_is_the_estimate_of_the_package_on_the_same_record() -> No
     found = least_squares_estimate(positions(draw, cubic) + draw.noise, draw.voltage)
     fit = ph.identify(model(), records([1], disturbance, SHORT)[0])
     assert fit.estimates == pytest.approx(found, rel=1e-4)
-
-
-def test_a_stiffening_spring_is_estimated_stiffer() -> None:
-    limit = estimate_limits(Disturbance(cubic_share=0.05), 100)
-    assert 4.05 < limit["k"] < 4.4
-
-
-def test_what_a_spring_is_imitated_by_is_the_bias_of_least_squares() -> None:
-    disturbance = Disturbance(cubic_share=0.01)
-    layout = Layout(1, 200)
-    seen = detectability([1, 2], disturbance, layout)
-    cubic = cubic_coefficient(disturbance.cubic_share)
-    for i, seed in enumerate((1, 2)):
-        draw = Draw.of(seed, disturbance, layout)
-        found = least_squares_estimate(positions(draw, cubic), draw.voltage)
-        # Linearised, so to a share of itself that is a few times that of the spring.
-        assert seen.bias[i] == pytest.approx(found["k"] - TRUTH["k"], rel=0.05)
-
-
-def test_more_runs_and_stiffer_springs_are_seen_better() -> None:
-    one = detectability([1], Disturbance(cubic_share=0.01), Layout(1, 100))
-    two = detectability([1], Disturbance(cubic_share=0.01), Layout(2, 100))
-    stiffer = detectability([1], Disturbance(cubic_share=0.03), Layout(1, 100))
-    assert one.noncentrality[0] < two.noncentrality[0]
-    # By the square of the coefficient, but for what the motion changes.
-    times = stiffer.noncentrality[0] / one.noncentrality[0]
-    assert times == pytest.approx(9, rel=0.3)
-    assert 0.05 < one.power[0] < stiffer.power[0] <= 1
 
 
 def test_coverage_is_counted_and_a_failed_fit_holds_nothing() -> None:
@@ -191,24 +137,6 @@ def test_exact_intervals_are_counted_within_the_limits_as_often_as_drawn() -> No
     share = 100 * held.mean(axis=1)
     counted = np.mean((share >= LOWEST) & (share <= HIGHEST))
     assert chance_within(40) == pytest.approx(counted, abs=0.015)  # four errors
-
-
-def test_fits_are_kept_taken_up_and_told(tmp_path: Path) -> None:
-    path = tmp_path / "fits.csv"
-    plain = Job("none", SHORT, DEFAULT)
-    make([(plain, [1, 2])], path)
-    first = path.read_text()
-    make([(plain, [1, 2, 3])], path)
-    assert path.read_text().startswith(first)
-    rows = kept(path)
-    assert list(rows.columns) == COLUMNS
-    assert rows["seed"].tolist() == [1] * 3 + [2] * 3 + [3] * 3
-    half = rows["half"]
-    is_white = rows["source"] == "white noise"
-    assert is_white.any()
-    pd.testing.assert_series_equal(
-        half[is_white], rows["white_half"][is_white], check_names=False, rtol=1e-4
-    )
 
 
 def test_the_page_tells_every_method(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """The measured sets: loaders, models, stories, and halves of records."""
 
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -72,29 +71,6 @@ def test_the_ball_and_hoop_study_reaches_the_reference() -> None:
     assert rest.n_samples > train.n_samples
 
 
-def test_windows_of_the_quarter_drone_share_ends_and_keep_the_mean_command() -> None:
-    present("quarter_drone")
-    begin, end = machines.FLYING
-    runs = machines.drone().trajectories
-    assert len(runs) == round((end - begin) / machines.DRONE_WINDOW)
-    for earlier, later in pairwise(runs):
-        assert earlier.t[-1] == later.t[0] and earlier.x[-1, 0] == later.x[0, 0]
-    (whole,) = machines.drone(thin=1, window=end - begin).trajectories
-    n = machines.DRONE_THIN * (len(runs[0].t) - 1)
-    assert runs[0].u[:-1].mean() == pytest.approx(whole.u[:n].mean())
-    assert np.all(np.abs(np.rad2deg(whole.x[:, 0])) < 90)
-
-
-def test_the_pendulum_swings_up_from_hanging() -> None:
-    present("torque_pendulum")
-    (run,) = machines.pendulum().trajectories
-    assert abs(run.x[0, 0]) < 0.01
-    assert run.x[-1, 0] == pytest.approx(np.pi, abs=0.05)
-    # the velocity is that of the angle: both channels agree over the whole record
-    way = np.trapezoid(run.x[:, 1], run.t)
-    assert way == pytest.approx(run.x[-1, 0] - run.x[0, 0], rel=0.05)
-
-
 @pytest.mark.parametrize("number", [1, 3])
 def test_houses_have_one_temperature_and_three_inputs(number: int) -> None:
     present("building")
@@ -112,22 +88,6 @@ def test_the_second_heater_is_the_weaker_one() -> None:
     fit = ph.identify(storages.heaters_model(), storages.heaters())
     assert fit.values["a2"] < fit.values["a1"]
     assert fit.values["coupling"] > 0
-
-
-def test_cycles_of_the_battery_keep_their_charge_and_their_jumps() -> None:
-    present("battery_cell")
-    data = storages.cell()
-    assert len(data) == 6
-    for run in data:
-        current = run.u[:, 0]
-        # per cycle the file counts -0.24, 0.06 and -3.00 A h
-        charge = np.trapezoid(current, run.t) / 3600
-        assert charge == pytest.approx(-3.18, abs=0.03)
-        jumps = np.flatnonzero(np.abs(np.diff(current)) > storages.JUMP)
-        assert np.allclose(np.diff(run.t)[jumps], storages.RAMP)
-        assert np.all(np.isnan(run.x[jumps + 1, 0]))
-    for earlier, later in pairwise(data):
-        assert earlier.t[-1] >= later.t[0]  # the rest before a cycle is in both
 
 
 def test_signs_of_the_coupled_drives_unfold_the_speed() -> None:
@@ -209,23 +169,6 @@ def test_halves_share_no_sample_and_lose_only_short_ends(
     assert set(values) <= set(whole.tolist())
     most = 0 if size is None else size // 2
     assert len(whole) - len(values) <= most * len(data) * 2
-
-
-def test_alternating_windows_take_turns_and_dealt_ones_do_not() -> None:
-    data = decays(0, n_runs=1)
-    alternating, _ = halved(data, 10, "alternating")
-    begins = [run.t[0] for run in alternating]
-    assert np.allclose(np.diff(begins), 2 * 10 * 0.05)
-    dealt, again = (halved(data, 10, "dealt", seed=3)[0] for _ in range(2))
-    assert dealt.digest == again.digest
-    assert dealt.digest != alternating.digest
-
-
-def test_first_and_second_half_are_cut_from_every_trajectory() -> None:
-    first, second = halved(decays(0), 20, "first and second")
-    assert len(first) == len(second) == 2
-    for early, late in zip(first, second, strict=True):
-        assert early.t[-1] < late.t[0]
 
 
 def test_white_noise_leaves_a_root_mean_square_near_one() -> None:

@@ -14,7 +14,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.initialization.scaling import MOST_RATIO, theta_scale
 from phsi_opt.optimization import ipopt
-from phsi_opt.optimization.ipopt import _is_settled, solve
+from phsi_opt.optimization.ipopt import solve
 from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.grid import grid_of
@@ -161,20 +161,6 @@ def test_a_limit_is_named_where_it_ends_a_solve(
     assert solve(program).outcome.status == "Solve_Succeeded"
 
 
-def test_a_solve_that_goes_to_and_fro_over_a_kink_has_settled() -> None:
-    def ended(objectives: list[float], violation: float = 1e-8) -> bool:
-        violations = [violation] * len(objectives)
-        stats = {"iterations": {"obj": objectives, "inf_pr": violations}}
-        return _is_settled(stats, n_residuals=1000)
-
-    over_and_back = [3.0, 1.2] + 5 * [0.96299157, 0.96299151]
-    assert ended(over_and_back)
-    assert not ended(over_and_back, violation=1e-3)  # the constraints do not hold
-    assert not ended([1.0 - 1e-3 * k for k in range(12)])  # still falling
-    assert not ended(over_and_back[:6])  # too few to tell
-    assert not ended([*over_and_back, float("nan")])
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [("max_seconds", -1), ("tolerance", "a"), ("max_iterations", 0), ("solver", "x")],
@@ -261,29 +247,6 @@ def test_without_l1_it_ends_where_directions_leave_no_trace_and_names_them() -> 
     assert fit.std_errors["R_phi3"] > 0
 
 
-def swing() -> ph.Measurements:
-    t = np.linspace(0, 8, 81)
-    x = np.column_stack([np.cos(t), -np.sin(t)])
-    return ph.Measurements.from_arrays([t], [x], states=["q", "p"])
-
-
-def test_the_size_of_a_frequency_follows_no_vanishing_amplitude() -> None:
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.polynomials(["q", "p"], degree=2),
-        F={"p": ph.trigonometric("t")},
-    )
-    grid = grid_of(swing())
-    theta = np.full(len(model.free), 1.0)
-    place = model.free.index("F_p.omega_t")
-    theta[place] = 0.3
-    for name in ("F_p[sin(omega_t*t)]", "F_p[cos(omega_t*t)]"):
-        theta[model.free.index(name)] = 1e-12
-    sizes = theta_scale(model, grid, theta, grid.y, np.ones(2))
-    assert sizes[place] == pytest.approx(MOST_RATIO * 0.3)
-
-
 def test_the_size_of_a_parameter_at_its_bound_is_that_of_its_effect() -> None:
     t = np.linspace(0, 8, 81)
     data = ph.Measurements.from_arrays([t], [np.exp(-t)[:, None]], states=["v"])
@@ -334,15 +297,3 @@ def test_ipopt_and_the_faster_steps_agree_in_the_objective(name: str) -> None:
     assert by_ipopt.outcome.solver == "IPOPT"
     expected = by_steps.outcome.objective
     assert by_ipopt.outcome.objective == pytest.approx(expected, rel=1e-8)
-
-
-def test_the_reference_needs_no_start() -> None:
-    problem = PROBLEMS["Duffing, q alone"]()
-    only = ph.SolverSettings(solver="ipopt")
-    by_steps = ph.identify(problem.model, problem.data)
-    by_ipopt = ph.identify(problem.model, problem.data, settings=only)
-    assert by_steps.outcome.solver != by_ipopt.outcome.solver == "IPOPT"
-    assert "(IPOPT: Solve_Succeeded" in str(by_ipopt)
-    for name, error in by_steps.std_errors.items():
-        close = pytest.approx(by_steps.values[name], abs=1e-3 * error)
-        assert by_ipopt.values[name] == close

@@ -25,7 +25,6 @@ from phsi_opt.force_analysis.analysis import (
     step_without_name,
 )
 from phsi_opt.force_analysis.dependence import Causes
-from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import Pace
 from phsi_opt.presentation.charts import glance_chart, rounded, svg
 from phsi_opt.presentation.content import (
@@ -33,7 +32,6 @@ from phsi_opt.presentation.content import (
     LOOK,
     SEVERITY_WORDS,
     Channel,
-    ForceRun,
     ParameterRow,
     Ranked,
     Run,
@@ -56,29 +54,19 @@ from phsi_opt.presentation.numbers import (
     with_error,
 )
 from phsi_opt.presentation.units import (
-    Scale,
-    date_words,
-    dates_words,
-    frequency_words,
     rate_unit,
-    scale_of_errors,
-    scale_of_rate,
     times_words,
 )
 from phsi_opt.study.answers import (
     answer,
     disturbance_word,
-    gaps_of,
     nearest_candidate,
-    since_when,
     undetermined_words,
     where_answer,
 )
 from phsi_opt.study.content import (
-    _errors,
     ends_within,
     glance_of,
-    is_just_below,
     study_content,
 )
 from phsi_opt.study.record import StudyRecord
@@ -306,20 +294,6 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     )
 
 
-def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
-    study: ph.Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    base: Any = SimpleNamespace(rmse=1.04, noise_floor=1.0)
-    unknown = unexplained(study.record.diagnoses[0], base=base)
-    monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
-    monkeypatch.setattr(EquationForce, "is_uncertain", True)
-    begin = "The residuals are as small as noise, but not as random"
-    said = certainty_words(unknown)
-    assert said.startswith(f"{begin}. The cause is not known.")
-    lead = answer("missing", unknown, is_held_out=True).lead
-    assert lead.startswith(f"{begin}; no missing force is sure; ")
-
-
 def with_errors(diagnosis: ph.Diagnosis, after: float) -> ph.Diagnosis:
     """The proposed effect leaves a share of the error, far above the noise."""
     (first, *others) = diagnosis.ranking
@@ -365,37 +339,6 @@ def test_a_class_whose_members_act_at_several_places_has_no_one_place(
     assert where_answer(named).lead.startswith("In dp/dt, the force on q.")
 
 
-def test_samples_that_are_missing_where_it_is_strongest_are_told(
-    study: ph.Study,
-) -> None:
-    named = study.record.diagnoses[0]
-    assert "Samples of" not in since_when(named, named.base).lead
-    window = named.analysis.force_in().window
-    number_of = named.data.trajectory_number(window.trajectory)
-    run = named.data.trajectories[number_of]
-    middle = (window.begin + window.end) / 2
-    x = run.x.copy()
-    x[(run.t >= window.begin) & (run.t <= middle), 0] = np.nan
-    runs = list(named.data.trajectories)
-    runs[number_of] = replace(run, x=x)
-    data: Any = SimpleNamespace(data=replace(named.data, trajectories=tuple(runs)))
-    assert gaps_of(data, named.analysis.force_in()) == ["q"]
-
-
-def test_what_the_parameters_make_up_for_shows_in_the_data_held_out(
-    study: ph.Study,
-) -> None:
-    named = study.record.diagnoses[0]
-    floor = named.base.noise_floor
-    trained: Any = SimpleNamespace(rmse=1.05 * floor, noise_floor=floor)
-    judged: Any = SimpleNamespace(rmse=3.0 * floor, noise_floor=floor)
-    followed = replace(named, base=judged)
-    told = since_when(followed, trained)
-    assert told.lead.startswith("All along the data held out; in the training data")
-    assert told.detail.startswith("The missing force is there: ")
-    assert "held out" not in str(since_when(followed, judged))
-
-
 def test_beside_the_verdict_stands_the_run_where_it_shows(
     content: StudyContent, study: ph.Study
 ) -> None:
@@ -433,12 +376,7 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
     [
         ({}, "thermal", "p", "a further store of heat"),
         ({}, "", "p", "a part that moves by itself (play"),
-        (
-            {"parameters": 0.8},
-            "electrical",
-            "p",
-            "Fit each half of the record by itself",
-        ),
+        ({"parameters": 0.8}, "electrical", "p", "Fit each half of the record by itself"),
         ({"parameters": 0.8}, "electrical", "p", "second resistor and capacitor"),
         ({"inputs": 0.8}, "", "p", "Measure the force on p directly, or give"),
         ({"time": 0.8}, "", "p", "Repeat the run"),
@@ -447,7 +385,7 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
         ({"conserved": 0.8}, "", "q, p", "depends on q and p."),
         ({"conserved": 0.8}, "", "dH_dp", "on p."),
     ],
-)
+)  # fmt: skip
 def test_what_to_do_follows_from_what_the_force_looks_like(
     shares: dict[str, float], kind: str, variable: str, expected: str
 ) -> None:
@@ -562,29 +500,6 @@ def test_long_times_are_told_in_hours_and_days(
     times: tuple[float, float], unit: str, said: str
 ) -> None:
     assert times_words(*times, unit) == said
-
-
-def test_rates_and_periods_of_long_records_are_told_by_the_hour() -> None:
-    units = {"Ti": "degC", "p": "kg m/s", "q": "m", "t": "s"}
-    day = 86400.0
-    assert scale_of_rate("Ti", units, day) == Scale("degC/h", 1 / 3600)
-    assert scale_of_rate("Ti", units, 600.0) == Scale("degC/s")
-    assert scale_of_rate("p", units, day) == Scale("N")
-    assert scale_of_rate("Ti", units | {"t": "h"}, 300.0) == Scale("degC/h")
-    assert frequency_words(1.157e-5, {"t": "s"}) == "with a period of 24 h"
-    assert frequency_words(51.1, {"t": "s"}) == "at 51.1 Hz"
-    assert scale_of_errors("standard deviations") == (100.0, "% of the movement")
-
-
-def test_times_that_were_dates_are_told_as_dates() -> None:
-    origin = dt.datetime(2021, 11, 22, 6, 30)
-    assert date_words(0.0, origin) == "2021-11-22 06:30"
-    assert date_words(90.0, origin) == "2021-11-22 06:31:30"
-    assert date_words(90.0, None) == dates_words(0, 1, None) == ""
-    assert dates_words(3600, 7200, origin) == "2021-11-22 07:30 to 08:30"
-    assert dates_words(0, 1e5, origin) == "2021-11-22 to 2021-11-23"
-    late = dates_words(6e4, 7e4, origin)
-    assert late == "2021-11-22 23:10 to 2021-11-23 01:56"
 
 
 def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
@@ -766,33 +681,6 @@ def _channel(rng: np.random.Generator, name: str, n_samples: int) -> Channel:
     return Channel(name, "m", 0.1, t, measured, (np.zeros(n_samples),), (1.0,), 1.0)
 
 
-def test_where_every_value_is_unknown_the_pictures_are_drawn_still(
-    content: StudyContent,
-) -> None:
-    t = np.array([0.0, 1.0])
-    nothing = np.full(2, np.nan)
-    channel = Channel("q", "m", None, t, nothing, (nothing,), (None,))
-    steps = tuple(
-        replace(step, train=None, held_out=None, floor=None, bic=None)
-        for step in content.steps
-    )
-    force = replace(
-        content.diagnoses[0].forces[0],
-        runs=(ForceRun("a", "training", "p", "N", t, nothing, nothing),),
-        shown=0,
-    )
-    empty = replace(
-        content,
-        steps=steps,
-        glance=None,
-        runs=(Run("a", "training", (channel,)),),
-        names=("base model",),
-        shown=0,
-        diagnoses=(replace(content.diagnoses[0], forces=(force,)),),
-    )
-    assert "not known" in Reader(html_report(empty)).text
-
-
 def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
     x = np.sin(np.arange(20_000) / 50)
     x[7_777] = 9.0
@@ -802,20 +690,6 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
     assert (np.diff(kept) > 0).all() and kept[0] == 0 and kept[-1] == len(x) - 1
     assert 7_777 in kept and np.isnan(x[kept]).any()
     assert np.array_equal(thinned([x[:50]], 400), np.arange(50))
-
-
-def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
-    study: ph.Study,
-) -> None:
-    assert is_just_below(0.0423, 0.0424)
-    assert not is_just_below(0.0440, 0.0424)
-    assert not is_just_below(0.0203, 0.0424)
-    comparison: Any = SimpleNamespace(rmse=0.0423, noise_floor=0.0424, error_unit="m")
-    training: Any = SimpleNamespace(rmse=0.0412, noise_floor=0.0424, error_unit="m")
-    step = replace(study.steps[0], held_out=comparison, train=training)
-    assert _errors(replace(study.record, steps=(step,))).endswith(
-        "0.0423 and 0.0412 (training) equal the noise floor within its own uncertainty."
-    )
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.noise import (
-    difference_noise,
     initial_noise,
-    quantisation_noise,
     resolution,
 )
 from phsi_opt.diagnosis.candidate import Grade
@@ -56,24 +54,11 @@ def test_the_step_of_single_precision_is_that_of_the_sensor(step: float) -> None
     assert resolution([values]) == pytest.approx(step, rel=1e-4)
 
 
-def test_levels_that_are_never_met_leave_the_step() -> None:
-    # Two and three steps apart: no gap is a single one.
-    values = 0.1 * np.random.default_rng(0).choice([0, 2, 5, 8, 10, 13], size=200)
-    assert resolution([values]) == pytest.approx(0.1, rel=1e-6)
-
-
 def test_printed_digits_do_not_hide_the_step_of_the_converter() -> None:
     values = np.round(rounded_to(0.0322265625, 30 * decaying(2000)), 2)
     # A thousand steps, each printed to a sixth of a step at most.
     assert resolution([values]) == pytest.approx(0.0322265625, rel=1e-3)
     assert resolution([np.round(decaying(), 2)]) == pytest.approx(0.01, rel=1e-6)
-
-
-def test_uneven_steps_have_the_size_of_the_typical_one() -> None:
-    levels = np.exp(rounded_to(0.1, 1 + decaying()))
-    gaps = np.diff(np.unique(levels))
-    assert gaps.min() < 0.5 * gaps.max()
-    assert gaps.min() < resolution([levels]) < gaps.max()
 
 
 CONTINUOUS: dict[str, Callable[[], np.ndarray]] = {
@@ -170,18 +155,6 @@ def measured(
     )
 
 
-def test_differences_of_a_slow_channel_show_no_less_than_its_steps() -> None:
-    t = np.arange(600.0)
-    slow = 21 + 30 * (1 - np.exp(-t / 200))
-    data = ph.Measurements.from_arrays(
-        [t], [rounded_to(0.32, slow)[:, None]], states=["T1"]
-    )
-    repeats = np.mean(np.diff(data.trajectories[0].x[:, 0]) == 0)
-    assert repeats > 0.5  # their median says nothing
-    assert difference_noise(data)[0] == pytest.approx(0.32 * PER_STEP, rel=1e-6)
-    assert initial_noise(data)[0] == pytest.approx(0.32 * PER_STEP, rel=1e-6)
-
-
 def test_declared_noise_stays_as_declared() -> None:
     data = measured(truth(), 0.25, declared={"q": 0.001})
     assert initial_noise(data, np.array([0.001, np.nan]))[0] == 0.001
@@ -242,50 +215,6 @@ def test_what_is_missing_is_named_through_a_quantised_sensor() -> None:
     assert nothing.verdict is ph.Verdict.NOTHING_MISSING
 
 
-def warming() -> ph.FirstOrder:
-    """A body that takes the temperature of its surroundings."""
-    return ph.FirstOrder(
-        ["T1"],
-        {"T1": ph.formula("a*(50 - T1)", a=ph.Parameter(0.01, lower=0, unit="1/s"))},
-    )
-
-
-def test_slow_steps_of_a_temperature_are_its_noise() -> None:
-    t = np.arange(600.0)
-    exact = ph.simulate(warming().with_values({"a": 0.005}), t, [21.0])
-    data = ph.Measurements.from_arrays(
-        [t], [rounded_to(0.32, exact)], states=["T1"], units={"T1": "degC"}
-    )
-    fit = ph.identify(warming(), data)
-    assert fit.noise["T1"] == pytest.approx(0.32 * PER_STEP, rel=0.05)
-    # 600 values of a step of 0.32: the rate follows to a thousandth.
-    assert fit.values["a"] == pytest.approx(0.005, rel=3e-3)
-    assert ph.compare(fit, data).noise_floor == pytest.approx(0.32 * PER_STEP, rel=0.05)
-    found = ph.diagnose(fit, data)
-    assert np.isfinite(found.missing_force[["T1", "std_T1"]].to_numpy()).all()
-
-
-def test_each_channel_keeps_its_own_noise_beside_quantised_and_constant_ones() -> None:
-    data = measured(truth(), 0.1, noise=0.004, hidden=False)
-    of_q, of_p = quantisation_noise(data)
-    assert of_q == pytest.approx(0.1 * PER_STEP, rel=1e-6)
-    assert of_p == 0.0
-    runs = []
-    for run in data.trajectories:
-        runs.append(np.column_stack([run.x, np.full(run.n_samples, 21.5)]))
-    states = ["q", "p", "T1"]
-    model = ph.PseudoHamiltonian(
-        states=states,
-        S=np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
-        R=ph.damping("p"),
-    )
-    fit = ph.identify(model, ph.Measurements.from_arrays([T] * 3, runs, states=states))
-    assert fit.values["k"] == pytest.approx(2.3, abs=5 * fit.std_errors["k"])
-    assert fit.noise["p"] == pytest.approx(0.004, rel=0.1)  # 843 values: 2.4 %
-    assert fit.noise["q"] >= 0.1 * PER_STEP * (1 - 1e-6)
-
-
 def heaters(coupling: float = 0.0) -> ph.FirstOrder:
     """Two heated bodies that lose heat to a room of 21 degC, and to one another."""
     rates = {}
@@ -320,19 +249,3 @@ def test_the_noise_floor_of_a_wrong_model_is_that_of_the_steps() -> None:
     floor = ph.compare(fit, data).noise
     assert floor["T1"] == pytest.approx(step * PER_STEP, rel=0.05)
     assert floor["T2"] == pytest.approx(step * PER_STEP, rel=0.05)
-
-
-def test_the_noise_floor_of_two_measured_heaters_is_above_their_steps() -> None:
-    table = measured_table("heaters/tclab.txt").to_numpy()
-    data = ph.Measurements.from_arrays(
-        table[:, 0],
-        table[:, 3:5],
-        table[:, 1:3],
-        states=["T1", "T2"],
-        inputs=["Q_T1", "Q_T2"],
-        hold="zero",
-    )
-    floor = ph.compare(ph.identify(heaters(), data), data).sigma
-    step = 330 / 1024 / 10
-    assert np.all(floor > step * PER_STEP)
-    assert np.all(floor < 10 * step)

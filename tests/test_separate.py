@@ -10,10 +10,7 @@ from scipy.optimize import least_squares
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.experiments import (
-    Experiment,
     Separation,
-    SimulatedRecord,
-    experiments,
     separating,
 )
 from phsi_opt.simulation.simulate import free_run
@@ -198,25 +195,3 @@ def test_memory_that_the_measurements_do_not_hold_is_imitated_too() -> None:
     assert found.table["separates"].any()
     # Nobody can measure or move z.
     assert not any("z" in name.split() for name in found.table["experiment"])
-
-
-def test_experiments_have_names_of_their_own_and_leave_the_record_as_it_is() -> None:
-    t = np.linspace(0.0, 4.0, 101)
-    u = np.cos(9.0 * t)[:, None]
-    model = spring(**DRIVEN)
-    data = positions(model, t, [1.0, 0.0], u)
-    x0 = np.array([1.0, 0.0])
-    itself = Experiment("the record", t, u, data.measured, x0)
-    shown = free_run(model, t, [1.0, 0.0], u)
-    record = SimulatedRecord(itself, data, model, shown)
-    before = u.copy()
-    found = list(experiments(record))
-    assert len({experiment.name for experiment in found}) == len(found)
-    assert np.array_equal(u, before)
-    # As many values as there are samples and sensors, and the same start for all that
-    # change no start.
-    for experiment in found:
-        assert experiment.u.shape == (len(experiment.t), 1)
-        moves_start = experiment.name.startswith("start")
-        assert moves_start != np.array_equal(experiment.x0, x0)
-    assert {experiment.measured for experiment in found} == {("q",), ("q", "p")}

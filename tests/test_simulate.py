@@ -6,7 +6,6 @@ import gc
 from collections.abc import Callable
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
@@ -210,21 +209,6 @@ def test_the_free_run_is_that_of_scipy_without_its_help(
     np.testing.assert_array_equal(x, again)
 
 
-def test_a_run_from_rest_stays_there() -> None:
-    x = free_run(spring(F=""), regular(0.05), [0.0, 0.0])
-    np.testing.assert_array_equal(x, 0.0)
-
-
-def test_half_the_steps_are_tried_until_nothing_changes_beyond_the_tolerance() -> None:
-    t, x0, u = regular(0.1), np.array([1.0, 0.0]), np.zeros((300, 1))
-    runs = Runs(rates(DUFFING))
-    exact = runs.run(t, x0, u, np.array(["linear"]), 1e-9)
-    rough = runs.run(t, x0, u, np.array(["linear"]), 1e-3)
-    assert exact is not None and rough is not None
-    error = np.max(np.abs(rough - exact) / np.std(exact, axis=0))
-    assert 1e-8 < error < 1e-3
-
-
 def test_what_explicit_steps_cannot_do_is_left_to_scipy() -> None:
     model = first_order("u", a="1e6*(u - a)")
     t = np.linspace(0.0, 2.0, 41)
@@ -232,26 +216,3 @@ def test_what_explicit_steps_cannot_do_is_left_to_scipy() -> None:
     assert Runs(rates(model)).run(t, np.zeros(1), u, np.array(["linear"])) is None
     expected = ph.simulate(model, t, [0.0], u)
     np.testing.assert_array_equal(free_run(model, t, [0.0], u), expected)
-
-
-def test_the_loop_is_built_once_for_all_records_of_a_model(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    built = []
-    step = simulating._step
-
-    def noted(rhs: ca.Function) -> ca.Function:
-        built.append(rhs)
-        return step(rhs)
-
-    monkeypatch.setattr(simulating, "_step", noted)
-    t = np.linspace(0, 2, 41)
-    u = np.sin(t)[:, None]
-    model = spring()
-    first = free_run(model, t, [1.0, 0.0], u)
-    shorter = free_run(model.with_values({"k": K}), t[:21], [0.5, 0.0], u[:21])
-    assert len(built) == 1 and len(shorter) == 21
-    softer = free_run(model.with_values({"k": 30.0}), t, [1.0, 0.0], u)
-    assert len(built) == 2 and np.max(np.abs(softer - first)) > 0.1
-    np.testing.assert_array_equal(free_run(model, t, [1.0, 0.0], u), first)
-    assert len(built) == 2

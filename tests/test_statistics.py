@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import signal, stats
+from scipy import stats
 from scipy.signal import lfilter
 from statsmodels.stats.diagnostic import acorr_ljungbox
 
@@ -61,14 +61,6 @@ def test_the_time_is_that_of_its_definition(lengths: tuple[int, ...]) -> None:
     assert max(times) > 1.0
 
 
-@pytest.mark.parametrize("size", [1.0, 1e-3])
-def test_a_series_that_is_correlated_to_its_end_has_all_of_its_pairs(
-    size: float,
-) -> None:
-    pairs = sum((7 - lag) / 7 for lag in range(7))  # the eighth, at lag 7, is zero
-    assert autocorrelation_time([np.full(7, size)]) == pytest.approx(2 * pairs - 1)
-
-
 @pytest.mark.parametrize(
     ("values", "whole", "last"),
     [
@@ -100,13 +92,6 @@ def test_tails_and_limits_are_those_of_scipy() -> None:
         assert statistics.f_limit(level, 1, 12.5) == stats.f.isf(level, 1, 12.5)
         limits = statistics.student_limit(level, freedoms)
         np.testing.assert_array_equal(limits, stats.t.isf(level, freedoms))
-
-
-def test_products_with_itself_shifted_are_the_convolution_of_scipy() -> None:
-    values = np.random.default_rng(6).normal(size=157)
-    expected = signal.fftconvolve(values, values[::-1])
-    np.testing.assert_array_equal(statistics.self_convolved(values), expected)
-    assert len(statistics.self_convolved(np.zeros(0))) == 0
 
 
 def test_p_values_are_uniform_for_white_noise_and_tiny_for_lasting_noise() -> None:

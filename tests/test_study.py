@@ -3,10 +3,8 @@ effects, pictures.
 """
 
 import io
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import matplotlib
@@ -19,10 +17,8 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
-from phsi_opt.estimation import record
 from phsi_opt.presentation.charts import LOG, draw, errors_chart
 from phsi_opt.presentation.content import ErrorStep
-from phsi_opt.transcription import grid
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import CSV, TIMES, simulated, table
 
@@ -145,58 +141,6 @@ def test_the_noise_given_to_a_study_holds_for_the_candidates_too(
     study = ph.Study(spring(), hidden.train, loss=loss, effects=["coulomb friction"])
     study.diagnose()
     assert study.add("coulomb friction", "p").noise == {"q": 0.08}
-
-
-def test_add_by_a_wrong_name_suggests_the_right_one(complete: ph.Study) -> None:
-    with pytest.raises(ph.ModelError, match="Did you mean 'coulomb friction'"):
-        complete.add("coulom friction", "p")
-    with pytest.raises(ph.ModelError, match="is not a state"):
-        complete.add("coulomb friction", "v")
-
-
-def test_the_catalogue_knows_slots_and_leaves_out_what_the_model_has() -> None:
-    listed = {(e.name, e.slot, e.equation) for e in ph.catalogue(spring())}
-    assert ("coulomb friction", "R", "p") in listed
-    assert ("cubic stiffness", "H", "p") in listed
-    assert ("harmonic force", "F", "p") in listed
-    # The model has its damper, and k of its formula is the stiffness.
-    assert not {"viscous damping", "linear stiffness"} & {name for name, *_ in listed}
-    # dq/dt = dH/dp is kinematics: only its sensor can be wrong.
-    assert {slot for _, slot, equation in listed if equation == "q"} == {"sensor"}
-    first_order = ph.FirstOrder(["v"], {"v": ph.polynomials(["v"], 1)})
-    names = {e.name for e in ph.catalogue(first_order)}
-    assert {"coulomb friction", "quadratic drag", "overflow", "constant force"} <= names
-    assert not {"viscous damping", "linear leak"} & names  # its linear term
-    assert not any(e.slot == "H" for e in ph.catalogue(first_order))  # it has no energy
-
-
-def test_quadratic_drag_is_found_in_a_one_state_drive_with_held_input() -> None:
-    rng = np.random.default_rng(5)
-    t = 0.1 * np.arange(600)
-    u = np.repeat(rng.uniform(-1, 1, 30), 20)[:, None]
-    truth = ph.PseudoHamiltonian(
-        states=["v"],
-        inputs=["u"],
-        S=[[0.0]],
-        H=ph.formula("v**2/2"),
-        R={"v": ph.formula("0.4 + 0.3*abs(dH_dv)")},
-        F={"v": ph.formula("5*u")},
-    )
-    v = ph.simulate(truth, t, [0.0], u, hold="zero") + 0.05 * rng.normal(size=(600, 1))
-    data = ph.Measurements.from_arrays(t, v, u, states=["v"], inputs=["u"], hold="zero")
-    base = ph.PseudoHamiltonian(
-        states=["v"],
-        inputs=["u"],
-        S=[[0.0]],
-        H=ph.formula("v**2/2"),
-        R=ph.damping("v"),
-        F={"v": ph.formula("b*u", b=ph.Parameter(1.0))},
-    )
-    study = ph.Study(base, *data.split(0.7))
-    study.auto()
-    assert list(study.history["effect"]) == ["base model", "quadratic drag on v"]
-    row = study.fit.parameters.set_index("name").loc["quadratic_drag_v"]
-    assert abs(row["value"] - 0.3) < 3 * row["std_error"]
 
 
 def test_pictures_use_the_axes_given_and_the_report_is_text(
@@ -335,71 +279,6 @@ def test_measurements_that_tell_nothing_are_refused(q: np.ndarray, said: str) ->
     data = ph.Measurements.from_arrays(t, x, states=["q", "p"])
     with pytest.raises(ph.DataError, match=said):
         ph.identify(spring(), data)
-
-
-def test_friction_is_found_beside_a_sensor_with_an_offset_and_a_load_that_differs_between_runs() -> (
-    None
-):
-    data = measurements(2.0, seed=5)
-    runs = [replace(run, x=run.x + np.array([0.4, 0.0])) for run in data.trajectories]
-    train, held_out = replace(data, trajectories=tuple(runs)).split(0.6)
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        H=ph.formula(
-            "k*q**2/2 + p**2/(2*m)",
-            k=40.0,
-            m=ph.Parameter(2.5, lower=0.1, per_trajectory=True),
-        ),
-        sensor={"q": ph.formula("b", b=ph.Parameter(0.0))},
-    )
-    effects = ["coulomb friction", "quadratic drag", "constant force", "sensor gain"]
-    study = ph.Study(model, train, held_out, effects=effects)
-    found = study.diagnose()
-    assert (found.verdict, str(found.effects[0])) == (
-        "missing: named",
-        "coulomb friction on p",
-    )
-    fit = study.add(found.effects[0])
-    assert (
-        abs(fit.values["coulomb_friction_p"] - 2.0)
-        < 3 * fit.std_errors["coulomb_friction_p"]
-    )
-    # The offset of the sensor stays the sensor's.
-    assert abs(fit.values["b"] - 0.4) < 3 * fit.std_errors["b"]
-    assert study.compare().rmse < 1.1 * study.compare().noise_floor
-
-
-def test_a_diagnosis_and_a_step_go_on_from_the_record_that_was_made(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    counted: list[str] = []
-
-    def count(module: ModuleType, name: str) -> None:
-        function = getattr(module, name)
-
-        def call(*args: Any, **kwargs: Any) -> Any:
-            counted.append(name)
-            return function(*args, **kwargs)
-
-        monkeypatch.setattr(module, name, call)
-
-    count(record, "missing_force_of")
-    count(grid, "aligned")
-    data = measurements(2.0, seed=3)[:3]
-    effects = ["coulomb friction", "quadratic drag", "hysteresis", "sensor delay"]
-    study = ph.Study(spring(), *data.split(0.6), effects=effects)
-    once_for_each_of_two_records = ["aligned", "missing_force_of"] * 2
-    assert sorted(counted) == sorted(once_for_each_of_two_records)
-    study.compare()
-    study.diagnose()
-    # Larger models with states of their own are laid out once each; what remains of the
-    # missing force is asked of what is proposed, along both records.
-    assert counted[4:].count("missing_force_of") == 2
-    n_before = len(counted)
-    study.add("coulomb friction", "p")
-    assert not counted[n_before:]
 
 
 def test_the_data_that_a_comparison_is_on_can_be_named(complete: ph.Study) -> None:

@@ -1,7 +1,5 @@
 """The study file: what it says becomes data, model and study, and goes back into text."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,13 +59,6 @@ def changed(path: Path, *changes: tuple[str, str]) -> Path:
         text = text.replace(old, new)
     path.write_text(text)
     return path
-
-
-def few_runs(table: Path) -> None:
-    """Leave three of the eight runs: enough to see the friction, and sooner solved."""
-    lines = table.read_text().splitlines()
-    kept = [line for line in lines if line[:5] not in {f"run {n}" for n in range(4, 9)}]
-    table.write_text("\n".join(kept))
 
 
 def complaints(path: Path) -> dict[str, str]:
@@ -178,21 +169,6 @@ def test_times_may_be_cut_counted_or_dates(spring: Path) -> None:
     assert again.measurements().digest == file.measurements().digest
     table.write_text(table.read_text().replace("2020-03-01 00:00:02", "monday"))
     assert "line 6" in str(complaints(dates))
-
-
-def test_numbers_that_look_like_dates_are_told_with_what_to_do(spring: Path) -> None:
-    table = spring.with_name("spring.csv")
-    table.write_text(
-        "run,t_s,position_m\na,20210131,1\na,20210201,2\nb,20210201,2\nb,20210202,3\n"
-    )
-    said = complaints(spring)["data.time.column"]
-    assert "column 't_s', line 2: 20210131 looks like 2021-01-31" in said
-    assert 'date_format = "%Y%m%d"' in said
-    form = 'column = "t_s", date_format = ""'
-    file = ph.StudyFile.read(changed(spring, ('column = "t_s"', form)))
-    assert file.measurements().trajectories[0].t.tolist() == [20210131, 20210201]
-    again = ph.StudyFile.read(file.write(spring.with_name("again.toml")))
-    assert again.data == replace(file.data, files=again.data.files)
 
 
 @pytest.mark.parametrize("suffix", ["txt", "xlsx", "mat"])
@@ -575,23 +551,6 @@ def test_the_script_builds_the_same_model_data_and_effects(tmp_path: Path) -> No
     assert "ph.MaximumLikelihood(huber=1.5)" in after
 
 
-@pytest.mark.slow
-def test_the_script_runs_and_finds_what_the_study_finds(spring: Path) -> None:
-    few_runs(spring.with_name("spring.csv"))
-    file = ph.StudyFile.read(changed(spring, ("[]", '["coulomb friction on p"]')))
-    spring.with_name("study.py").write_text(file.script())
-    run = subprocess.run(
-        [sys.executable, str(spring.with_name("study.py"))],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PYTHONPATH": str(Path(ph.__file__).parents[1]), "OMP_NUM_THREADS": "1"},
-    )
-    study = file.study()
-    assert str(study.compare()) in run.stdout
-    assert list(study.history["effect"]) == ["base model", "coulomb friction on p"]
-
-
 # ---- adding to the text --------------------------------------------------------------
 
 
@@ -654,23 +613,3 @@ def test_the_file_as_it_was_is_kept_and_no_backup_is_overwritten(spring: Path) -
         "coulomb friction on p",
         "gap on p",
     )
-
-
-def test_files_of_one_name_in_two_folders_keep_apart_and_all_faults_are_told(
-    spring: Path,
-) -> None:
-    files = ["a/run.csv", "b/run.csv"]
-    for file in files:
-        path = spring.parent / file
-        path.parent.mkdir()
-        path.write_text("t_s,position_m\n0,1\n1,2\n2,1\n3,2\n")
-    changes = (
-        ('["spring.csv"]\ntrajectory = "run"', f"{files!r}"),
-        ("share = 0.4", "share = 0.5"),
-    )
-    changed(spring, *changes)
-    runs = ph.StudyFile.read(spring).measurements()
-    assert [run.name for run in runs] == [str(spring.parent / file) for file in files]
-    (spring.parent / "a/run.csv").write_text("")
-    (spring.parent / "b/run.csv").write_text("t_s,position_m\n0,1\n1,fast\n2,1\n")
-    assert set(complaints(spring)) == {"data.files[0]", "data.states.q.column"}

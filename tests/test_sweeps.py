@@ -333,15 +333,6 @@ def test_a_bootstrap_refuses_what_it_cannot_draw(fitted: Fit, tmp_path: Path) ->
         bootstrap(identify(sweep_tasks.model(), measured, PHSILoss()), measured)
 
 
-def test_one_process_computes_no_further_than_the_loop_has_come() -> None:
-    called: list[int] = []
-    cases = {str(n): n for n in range(20)}
-    swept = sweep(called.append, cases, executor=InThisProcess())
-    next(swept)
-    next(swept)
-    assert called == [0, 1]
-
-
 def test_a_table_grows_by_whole_lines_and_a_cut_one_is_computed_again(
     tmp_path: Path,
 ) -> None:

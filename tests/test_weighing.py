@@ -291,19 +291,6 @@ def test_screening_expects_the_coefficient_that_is_weighed() -> None:
     assert expected.gain > DECISIVE_EVIDENCE
 
 
-def test_values_are_tried_on_pieces_of_a_long_record_and_judged_on_all_of_it() -> None:
-    record = late_by(0.25, n_samples=2401)
-    whole = LinearizedRecord.beside_force(record)
-    assert whole.part.grid.n_intervals < whole.grid.n_intervals / 1.5
-    effect = effect_named(record.base.model, "input delay", "p")
-    found = ScoreTest(whole).screened(effect)
-    whole.__dict__["part"] = whole
-    exact = ScoreTest(whole).screened(effect)
-    assert found is not None and exact is not None
-    assert found.coefficient == pytest.approx(exact.coefficient, rel=0.1)
-    assert 0.95 * exact.gain < found.gain < 1.001 * exact.gain
-
-
 @pytest.mark.parametrize(
     ("name", "equation"),
     [("constant force", "p"), ("cubic stiffness", "p"), ("sensor offset", "q")],

@@ -21,11 +21,9 @@ from phsi_opt.force_analysis.analysis import (
     sentence,
 )
 from phsi_opt.force_analysis.cross_validation import (
-    N_FOLDS,
     explained_share,
     fold_numbers,
     left_out_error,
-    odd_basis,
     piecewise_linear_basis,
     product_basis,
 )
@@ -206,13 +204,6 @@ def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
     assert "other values of the model's own parameters" in tanks.sentences[1]
 
 
-def test_a_parameter_of_small_numbers_is_not_taken_for_one_at_its_bound() -> None:
-    H = "1e9*k*q**2/2 + p**2/(2*m)"
-    small = replace(spring(c=0.0), H=ph.formula(H, k=ph.Parameter(3e-8, lower=0), m=M))
-    found = ForceAnalysis.of(spring_with(HIDDEN["cubic"], model=small, n=41))
-    assert found.force_in("p").by_parameters.shape[1] == 1
-
-
 def test_noise_earns_no_share_and_units_change_none(
     cases: dict[str, ForceAnalysis],
 ) -> None:
@@ -288,23 +279,6 @@ def test_a_sine_has_its_amplitude_in_the_spectrum(even: bool) -> None:
     assert found.amplitudes.max() == pytest.approx(2.0, rel=0.01 if even else 0.1)
 
 
-def test_a_record_too_short_for_a_spectrum_has_no_peak() -> None:
-    found = spectrum(np.array([0.0, 1.0]), np.zeros(2, dtype=int), np.ones(2))
-    assert found.peak == 0.0 and not found.amplitudes.any()
-
-
-def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(
-    cases: dict[str, ForceAnalysis],
-) -> None:
-    posterior = cases["cubic"].record.estimate.posterior
-    draws = posterior.error_draws(n_draws=400)
-    # 400 draws tell each standard deviation to 3.5 %; the mean over all intervals
-    # better than that.
-    ratio = draws.std(axis=2) / posterior.deviation
-    assert ratio.mean() == pytest.approx(1.0, abs=0.03)
-    assert np.ptp(ratio) < 0.4
-
-
 # ---- in words ------------------------------------------------------------------------
 
 
@@ -341,11 +315,7 @@ def test_a_place_is_told_as_people_say_it(cases: dict[str, ForceAnalysis]) -> No
 @pytest.mark.parametrize(
     ("name", "causes", "expected"),
     [
-        (
-            "friction",
-            None,
-            r"\. It depends on the velocity of q\. It changes how energy is lost.*",
-        ),
+        ("friction", None, r"\. It depends on the velocity of q\. It changes how energy is lost.*"),
         ("wave", None, r"\. It depends on the time, not on a place\..*"),
         ("cubic", None, r"\. It depends on the position q; largest where q is high.*"),
         (
@@ -355,7 +325,7 @@ def test_a_place_is_told_as_people_say_it(cases: dict[str, ForceAnalysis]) -> No
             r"\(above [\d.]+ m\).*",
         ),
     ],
-)
+)  # fmt: skip
 def test_a_place_never_contradicts_what_the_force_follows(
     cases: dict[str, ForceAnalysis], name: str, causes: Causes | None, expected: str
 ) -> None:
@@ -475,62 +445,11 @@ def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "q2")
 
 
-@pytest.mark.usefixtures("closing")
-def test_tanks_are_drawn_over_the_states_that_matter(tanks: ForceAnalysis) -> None:
-    over_time, over_states, beside, by_frequency, *_ = plot_where(tanks, "h1").axes
-    assert {over_states.get_xlabel(), over_states.get_ylabel()} == {"h1", "h2"}
-    assert "follows h1" in beside.get_title()
-    assert by_frequency.get_xlabel() == "frequency (cycles per unit of time)"
-    assert over_time.get_ylabel() == "missing force"
-
-
-@pytest.mark.usefixtures("closing")
-def test_a_model_of_one_state_has_the_force_over_it_in_place_of_a_map() -> None:
-    rng = np.random.default_rng(6)
-    t = np.linspace(0, 20, 200)
-    u = 1 + np.sin(0.7 * t)
-
-    def tank(law: str, **free: ph.Parameter) -> ph.FirstOrder:
-        return ph.FirstOrder(["h"], {"h": ph.formula(law, **free)}, ["u"])
-
-    x = ph.simulate(tank("u - 0.5*h - 0.1*h**2"), t, [0.5], u)
-    y = x + 0.005 * rng.normal(size=x.shape)
-    data = ph.Measurements.from_arrays(t, y, u[:, None], states=["h"], inputs=["u"])
-    fit = ph.identify(tank("u - a*h", a=ph.Parameter(0.4, lower=0)), data)
-    ax = plot_where(ForceAnalysis.of(Record.of(fit, data))).axes[MAP]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("h", "missing force")
-    labels = ax.get_legend_handles_labels()[1]
-    assert set(labels) == {"force", "mean in bins", "std. deviation"}
-
-
 # ---- functions, and the stretches that judge them ------------------------------------
 
 
 def share(w: np.ndarray, fold: np.ndarray, *bases: np.ndarray) -> float:
     return explained_share(left_out_error(w, fold, bases), float(w @ w))
-
-
-def test_functions_between_knots_sum_to_one_and_hold_straight_lines() -> None:
-    rng = np.random.default_rng(0)
-    z = rng.normal(size=500)
-    columns = piecewise_linear_basis(z, 9)
-    of_two = product_basis(z, rng.uniform(size=500))
-    for functions in (columns, of_two):
-        np.testing.assert_allclose(functions.sum(axis=1), 1.0, atol=1e-14)  # rounding
-    inside = np.abs(z) < 1.0  # between the outer knots, which stand near +-2.3
-    fit = np.linalg.lstsq(columns[inside], z[inside], rcond=None)[0]
-    np.testing.assert_allclose(columns[inside] @ fit, z[inside], atol=1e-10)
-    np.testing.assert_array_equal(odd_basis(-z), -odd_basis(z))
-    # A variable that stands still has the constant alone.
-    still = piecewise_linear_basis(np.full(20, 3.0))
-    np.testing.assert_array_equal(still, np.ones((20, 1)))
-
-
-def test_every_fold_leaves_out_a_similar_part_in_contiguous_stretches() -> None:
-    fold = fold_numbers(np.repeat([0, 1, 2], [400, 300, 100]))
-    # Forty stretches of about twenty intervals, eight to a fold.
-    np.testing.assert_allclose(np.bincount(fold) / 800, 1 / N_FOLDS, atol=0.05)
-    assert 1 + np.count_nonzero(np.diff(fold)) <= 40
 
 
 def test_a_true_function_predicts_what_was_left_out_and_a_wrong_one_does_not() -> None:
@@ -560,18 +479,3 @@ def test_a_held_and_a_slow_input_together_do_not_tell_the_time() -> None:
         fold = fold_numbers(run, np.column_stack([held, slow]))
         bases = [piecewise_linear_basis(u) for u in (held, slow)]
         assert share(w, fold, *bases, product_basis(held, slow)) < 0.2
-
-
-def test_a_true_function_of_a_held_input_is_found() -> None:
-    held = np.repeat(np.random.default_rng(5).uniform(0, 900, 24), 30)
-    fold = fold_numbers(np.zeros(720, dtype=int), held[:, None])
-    assert share((held / 900) ** 2 - 0.3, fold, piecewise_linear_basis(held)) > 0.9
-
-
-def test_inputs_that_move_or_are_switched_once_leave_the_stretches_as_they_are() -> (
-    None
-):
-    run = np.repeat([0, 1], 200)
-    t = np.arange(400) / 200
-    for u in (np.sin(7 * t), np.where(t < 0.1, 0.0, 1.0), np.ones(400)):
-        np.testing.assert_array_equal(fold_numbers(run, u[:, None]), fold_numbers(run))

@@ -84,22 +84,16 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(
             lambda: ph.identify(spring(), measured(), ph.PHSILoss(), [1]),  # type: ignore[arg-type]
             r"l1=\[1\]",
         ),
-        (
-            lambda: ph.identify(spring(), measured(x=0 * X), ph.PHSILoss()),
-            "every state is zero",
-        ),
+        (lambda: ph.identify(spring(), measured(x=0 * X), ph.PHSILoss()), "every state is zero"),
         (lambda: ph.SolverSettings(max_iterations=0), "max_iterations=0"),
         (lambda: ph.SolverSettings(max_iterations=1.5), "max_iterations=1.5"),  # type: ignore[arg-type]
         (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
         (lambda: ph.MaximumLikelihood("a"), "noise='a'"),  # type: ignore[arg-type]
         (lambda: ph.MaximumLikelihood({"q": -1.0}), r"noise\['q'\]=-1"),
-        (
-            lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]),
-            "no NUL",
-        ),
+        (lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]), "no NUL"),
         (lambda: ph.Fit.load(None), "None cannot be read"),  # type: ignore[arg-type]
     ],
-)
+)  # fmt: skip
 def test_a_wrong_argument_is_named(call: Callable[[], Any], said: str) -> None:
     with pytest.raises(PhsiOptError, match=said):
         call()
