@@ -6,6 +6,7 @@ import json
 import pickle
 import re
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -345,3 +346,29 @@ def test_a_file_that_is_not_a_fit_is_refused(text: str, tmp_path: Path) -> None:
         ph.Fit.load(tmp_path / "fit.json")
     with pytest.raises(DataError, match="cannot be read as a fit"):
         ph.Fit.load(tmp_path / "none.json")
+
+
+# ---- a value that is computed when it is asked for
+
+
+def test_the_work_is_done_once_and_begins_anew_where_it_was_interrupted() -> None:
+    calls: list[int] = []
+
+    def work() -> int:
+        calls.append(1)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return 7
+
+    later = Later(work)
+    assert calls == []
+    with pytest.raises(KeyboardInterrupt):
+        _ = later.value
+    assert (later.value, later.value) == (7, 7)
+    assert calls == [1, 1]
+
+
+def test_copies_hold_the_value() -> None:
+    later = Later(lambda: [1, 2])  # a lambda cannot be pickled
+    assert pickle.loads(pickle.dumps(later)).value == [1, 2]
+    assert deepcopy(later).value == [1, 2]
