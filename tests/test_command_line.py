@@ -137,16 +137,6 @@ def test_a_report_without_a_name_gets_one() -> None:
     assert with_report_name(named) == named
 
 
-def test_completion_is_that_of_the_shell(tmp_path: Path) -> None:
-    environment = {**ENVIRONMENT, "_PHSI_OPT_COMPLETE": "complete_bash"}
-    environment |= {"COMP_WORDS": "phsi-opt di", "COMP_CWORD": "1"}
-    code = "from phsi_opt.command_line.app import app; app(prog_name='phsi-opt')"
-    result = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
-    )
-    assert result.stdout.strip() == "diagnose"
-
-
 # ---- init ----------------------------------------------------------------------------
 
 
@@ -438,33 +428,6 @@ def test_check_says_what_a_study_file_holds(demo: Path) -> None:
     assert content["measured"] == ["q"]
     assert content["n_held_out"] == 201
     assert content["empty"] == ['model.F: no forces, such as F = { p = "u" }']
-
-
-def test_check_tells_what_is_empty(tmp_path: Path) -> None:
-    table = tmp_path / "data.csv"
-    table.write_text("t,q,u\n0,1,5\n1,2,4\n1,broken,4\n3,2,1\n")
-    study = tmp_path / "s.toml"
-    told = said("init", table, "-o", study).out
-    assert "t: time; line 4 has 1, not after 1 of line 3" in told
-    assert 'q: state; line 4 holds "broken", no finite number' in told
-    assert complained(study) == ["data.time.column", "data.states.q.column", "model.H"]
-    table.write_text("t,q,u\n0,1,5\n1,2,4\n2,1,4\n3,2,1\n")
-    result = said("check", study)
-    assert result.code == ExitCode.BAD_INPUT
-    for words in [
-        "one thing to correct",
-        "Also empty; fill in what applies:",
-        "parameters: none yet",
-        'model.R: no losses, such as R = { q = "c" }',
-        'model.F: no forces, such as F = { q = "u" }',
-        "units: none is given for the time, q, u",
-    ]:
-        assert words in result.err
-    study.write_text(study.read_text().replace('H = ""', 'H = "q**2"'))
-    content = json.loads(said("check", study, "--json").out)
-    assert content["exit_code"] == ExitCode.DONE
-    keys = [one.partition(":")[0] for one in content["empty"]]
-    assert keys == ["model.R", "model.F", "model.inputs", "units"]
 
 
 def test_check_tells_all_errors_at_once_without_a_trace(demo: Path) -> None:

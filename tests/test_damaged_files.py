@@ -232,29 +232,6 @@ def test_matlab_files_of_other_machines_are_read() -> None:
     assert data.trajectories[0].x[:, 0].tolist() == [1.5, -2.0, 3.0]
 
 
-def test_tables_of_matlab_are_no_hindrance_and_are_named() -> None:
-    content = mat_file()
-    for name in (b"first", b"second"):
-        matrix = elements(
-            "<",
-            (6, np.array([6, 0], "<u4").tobytes()),
-            (5, np.array([1, 1], "<i4").tobytes()),
-            (1, b""),
-            (9, np.array([1.0]).tobytes()),
-        )
-        table = elements(
-            "<",
-            (6, np.array([17, 0], "<u4").tobytes()),
-            (1, name),
-            (1, b"MCOS"),
-            (1, b"table"),
-            (14, matrix),
-        )
-        content += elements("<", (14, table))
-    with pytest.raises(DataError, match=r"'second' \(.* a table or an object"):
-        from_mat(io.BytesIO(content), time="t", states=["second"])
-
-
 def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -13,8 +13,6 @@ from scipy.optimize import least_squares
 
 import phsi_opt as ph
 from phsi_opt.errors import DataError, ModelError
-from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import grid_of
@@ -251,24 +249,6 @@ def test_parameters_ten_orders_of_magnitude_apart_are_found() -> None:
     assert all(fit.std_errors[name] < 0.05 * value for name, value in truth.items())
 
 
-def test_chaos_over_many_lyapunov_times_gives_the_right_parameters() -> None:
-    def lorenz(**values: Any) -> ph.FirstOrder:
-        rates = {"x": "s*(y - x)", "y": "x*(r - z) - y", "z": "x*y - b*z"}
-        terms = {}
-        for (state, rate), name in zip(rates.items(), "srb", strict=True):
-            terms[state] = ph.formula(rate, **{name: values[name]})
-        return ph.FirstOrder(states=("x", "y", "z"), F=terms)
-
-    t = np.linspace(0.0, 20.0, 1001)  # 18 Lyapunov times of 1.1
-    truth = {"s": 10.0, "r": 28.0, "b": 8 / 3}
-    x = ph.simulate(lorenz(**truth), t, [-8.0, 7.0, 27.0])
-    y = noisy(x, sigma=0.1 * x.std(axis=0))
-    data = ph.Measurements.from_arrays(t, y, states=["x", "y", "z"])
-    fit = ph.identify(lorenz(**dict.fromkeys(truth, ph.Parameter())), data)
-    assert largest_z(fit, truth) < 3.5
-    assert fit.values["r"] == pytest.approx(28.0, rel=1e-3)
-
-
 # ---- steps, starts -------------------------------------------------------------------
 
 
@@ -298,27 +278,6 @@ def test_coarse_samples_get_steps_in_between_and_fine_ones_none() -> None:
     # Refinement ends below a tenth of a standard error.
     assert shift[refined] < 0.1
     assert shift[crude] > 0.5
-
-
-def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    solve = LikelihoodProblem.solve
-
-    def failing_beyond_one(
-        self: LikelihoodProblem, start: StartingPoint, **options: Any
-    ) -> LikelihoodEstimate:
-        found = solve(self, start, **options)
-        if not start.steps or max(int(np.max(s)) for s in start.steps) == 1:
-            return found
-        outcome = replace(found.solution.outcome, success=False)
-        return replace(found, solution=replace(found.solution, outcome=outcome))
-
-    monkeypatch.setattr(LikelihoodProblem, "solve", failing_beyond_one)
-    fit = ph.identify(duffing(), coarse(0.4, sigma=0.001))
-    assert fit.outcome.success
-    assert most_steps(fit) == 1
-    assert any("steps of integration are too long" in one for one in fit.warnings)
 
 
 def test_the_report_says_how_many_starts_agree() -> None:

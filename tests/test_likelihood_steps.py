@@ -12,18 +12,13 @@ from phsi_opt.diagnosis.refit import BRIEF
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.maximum_likelihood import crude_start
-from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import built_of
 from phsi_opt.model_error import joint_estimate
-from phsi_opt.model_error.joint_estimate import JointProblem
-from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.optimization import banded
 from phsi_opt.optimization.banded import FEWEST_STATES
 from phsi_opt.optimization.ipopt import DIRECT_STEPS
 from phsi_opt.transcription.defects import mapped
-from phsi_opt.transcription.grid import AlignedData, grid_of
-from phsi_opt.transcription.likelihood_values import LikelihoodValues
-from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import state_growth
 from problems.benchmarks.peer_cases import PROBLEMS, drawn
 
@@ -156,26 +151,6 @@ def test_a_crude_start_leads_to_the_optimum_where_the_model_lacks_something() ->
     near = ph.identify(unknown(fit.values["k"], fit.values["c"]), data)
     assert fit.bic == pytest.approx(near.bic, abs=1e-3)
     assert fit.noise["q"] > 2 * NOISE
-
-
-def test_the_likelier_of_both_ways_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    # A cubic spring that the model lacks: the residuals are more than the scatter of
-    # the samples, so that the force that shrinks is tried too; here it leads somewhere
-    # far worse.
-    data = with_cubic(0.1)
-    fit = ph.identify(unknown(1.5, 0.15), data)
-    wrong = ph.identify(spring(positive(200.0), positive(9.0), 0.01), data)
-    lost: list[StartingPoint] = []
-
-    def astray(_solver: LikelihoodProblem, start: StartingPoint) -> StartingPoint:
-        theta = np.array([wrong.values["k"], wrong.values["c"]])
-        lost.append(replace(start, theta=theta, states=wrong.states, is_optimum=True))
-        return lost[-1]
-
-    monkeypatch.setattr(LikelihoodProblem, "continued", astray)
-    kept = ph.identify(unknown(1.5, 0.15), data)
-    assert lost
-    assert kept.bic == pytest.approx(fit.bic, abs=1e-3)
 
 
 def test_states_that_nothing_tells_begin_at_the_size_of_what_they_drive() -> None:
@@ -335,26 +310,6 @@ def test_friction_that_begins_at_its_bound_leaves_it_and_ends_at_another() -> No
     fit = ph.identify(capped, data)
     assert fit.outcome.at_bounds == ("f",)
     assert fit.values["f"] == 0.22
-
-
-def test_starting_states_stay_within_their_bounds() -> None:
-    data = rubbed(0.3)
-    model = friction_and_damping_free(0.3)
-    grid = grid_of(data)
-    theta = Theta.of(model, ("run 1", "run 2"))
-    runs = [ph.simulate(model, STUCK_TIMES, x0) for x0 in STARTS]
-    nodes = np.concatenate(runs)
-    lower, upper = np.full(nodes.shape, -np.inf), np.full(nodes.shape, np.inf)
-    upper[0, 0] = 0.9  # the position at which the first run begins
-    nodes[0, 0] = 0.8
-    point = point_at(model, grid, theta, model.theta, nodes)
-    point = replace(point, x_bounds=np.array([lower, upper]))
-    values = LikelihoodValues(model, grid, "srk4", point, theta)
-    problem = JointProblem.white(Linearizer(values), np.array([FINE_NOISE, 1.0]))
-    found = problem.optimum(point.scaled, 100)
-    assert found.has_converged and found.violation < 1e-7
-    began = point.unscaled(found.point.z)["x"][0]
-    assert began == pytest.approx(0.9, abs=1e-9)
 
 
 def test_the_limit_of_time_is_told() -> None:

@@ -497,28 +497,6 @@ def test_the_steps_end_where_the_marginal_likelihood_says(
     assert estimate.misfit == pytest.approx(0.9, abs=0.15)
 
 
-# --- The search for disturbances
-
-
-def test_pieces_of_a_long_record_show_what_the_whole_shows() -> None:
-    estimate = estimated(simulated(3, n=2600), MaximumLikelihood(steps=1))
-    assert isinstance(estimate, LikelihoodEstimate)
-    search = estimate.plain.search
-    pieces = search.pieces
-    assert pieces is not None
-    assert pieces.problem.grid.n_intervals < 0.6 * search.problem.grid.n_intervals
-    found = search.found()
-    whole = search._found_directly()
-    assert found.disturbances.structure == whole.disturbances.structure
-    (force,) = found.disturbances.forces
-    (expected,) = whole.disturbances.forces
-    assert force.size == pytest.approx(expected.size, rel=0.05)
-    assert force.time == pytest.approx(expected.time, rel=0.2)
-    assert found.log_evidence == pytest.approx(whole.log_evidence, abs=1.0)
-    assert expected.size == pytest.approx(SIZE, rel=0.1)
-    assert expected.time == pytest.approx(TIME, rel=0.3)
-
-
 # --- Parts, against dense algebra and simulation
 
 
@@ -588,17 +566,6 @@ def test_the_jackknife_leaves_out_one_trajectory_at_a_time() -> None:
     np.testing.assert_allclose(step, estimate, rtol=1e-6)
     two = Clusters.of(borders, step)
     np.testing.assert_allclose(two.jackknife(), expected[:2, :2], rtol=1e-6)
-
-
-def test_the_agreement_of_trajectories_is_a_p_value() -> None:
-    """Uniform where they differ by noise alone, small where they differ by more."""
-    rng = np.random.default_rng(6)
-    p_values = [regressions(rng, 10, 8)[0].agreement() for _ in range(400)]
-    # 400 values: their mean is known to 0.014, a share of 5 % to 1.1 %.
-    assert np.mean(p_values) == pytest.approx(0.5, abs=0.05)
-    assert np.mean(np.array(p_values) < 0.05) == pytest.approx(0.05, abs=0.035)
-    clusters, _, _ = regressions(rng, 10, 8)
-    assert replace(clusters, scores=2 * clusters.scores).agreement() < 1e-3
 
 
 def of_chi_squares(freedom: np.ndarray, weights: np.ndarray) -> float:
@@ -748,38 +715,6 @@ def search_of_a_chain() -> DisturbanceSearch:
     estimate = estimated(state_growth.data(10, 200), MaximumLikelihood(), chain)
     assert isinstance(estimate, LikelihoodEstimate)
     return estimate.plain.search
-
-
-@pytest.mark.parametrize("kind", ["force", "tied sensors"])
-def test_slopes_at_size_zero_are_those_of_the_evidence(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Traces to 2 % of their spread.
-    monkeypatch.setattr(ascent, "N_SIGNS", 2000 if kind == "force" else 1000)
-    search = search_of(0) if kind == "force" else search_of_a_chain()
-    white = Disturbances(search.plain)
-    system = search.likelihood(white).at(white)
-    problem = system.problem
-    if kind == "force":
-        (place,) = problem.forced[-1:]
-        small: tuple[Process, ...] = (
-            Process(place, 1e-3 * float(search.rates()[place]), TIME),
-        )
-        there = replace(white, forces=small)
-        sites = [problem.site_of_force(place)]
-    else:
-        small = search._sensors(0.01, TIME)
-        there = replace(white, sensors=small)
-        sites = [problem.site_of_sensor(one.place) for one in small]
-    components = []
-    for one, site in zip(small, sites, strict=True):
-        components.append(ascent.Component.of(one, site, system.projected_data))
-    test = ascent.ScoreTest(system, search.channels, is_tied=True)
-    (slope,) = test.slopes([components], np.ones(1))
-    rise = search.evidence(there).log_evidence - search.evidence(white).log_evidence
-    # It is the small difference of two traces, one of them by random signs.
-    seen = sum(one.squares for one in components)
-    assert slope == pytest.approx(rise, rel=0.05, abs=0.01 * seen)
 
 
 def test_many_channels_promise_nothing_by_their_number() -> None:

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import phsi_opt as ph
@@ -249,33 +248,6 @@ def test_a_force_is_found_where_it_acts_and_superfluous_terms_go(name: str) -> N
     assert row["is_right"], row
     assert (row["superfluous"], row["missed"]) == (0, 0)
     assert row["n_candidates"] > 50
-
-
-def test_the_page_of_the_open_questions_counts_what_was_kept(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    from problems.thesis import open_questions
-    from problems.tools import provenance
-
-    def tanks_place(seed: int, n: int | None) -> list[dict[str, Any]]:
-        if seed == open_questions.FIRST_DRAW + 2:
-            raise ph.SolveError("no")
-        is_right = seed == open_questions.FIRST_DRAW
-        said = "mu4" if is_right else "mu3 mu4"
-        counts = {"n_candidates": 9, "superfluous": 1 - is_right, "missed": 0}
-        return [{"answer": "place", "is_right": is_right, "said": said} | counts]
-
-    monkeypatch.setattr(open_questions, "QUESTIONS", {tanks_place: "tanks"})
-    monkeypatch.setattr("sys.argv", ["open_questions.py"])
-    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
-    open_questions.main(n_draws=2)
-    open_questions.main(n_draws=3)
-    kept = pd.read_csv(tmp_path / "thesis" / "open_questions.csv")
-    assert list(kept["draw"]) == [5000, 5001, 5002]
-    page = (tmp_path / "thesis" / "open_questions.md").read_text(encoding="utf-8")
-    assert "33% (6% to 79%) | 3 | 5000 to 5002" in page
-    assert "1 x mu3 mu4" in page
-    assert "tanks_place, draw 5002: no" in page
 
 
 @pytest.mark.parametrize(

@@ -22,11 +22,10 @@ from phsi_opt.optimization.column_function import (
 )
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.optimization.program import Program
-from phsi_opt.transcription.defects import KnownDefects
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.parameter_vector import Point
 from problems.judges.fit_cases import PROBLEMS
-from problems.thesis.systems import SYSTEMS, known_leak, tank_model
+from problems.thesis.systems import SYSTEMS
 
 # ---- a convex loss, written out by hand
 
@@ -121,32 +120,6 @@ def test_an_entry_is_named_by_its_block_and_a_start_that_is_not_finite_refused()
         Program().variable("x", np.array([0.0, np.nan]))
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.3])
-def test_slopes_that_are_given_lead_where_casadis_own_lead(weight: float) -> None:
-    rng = np.random.default_rng(3)
-    A = rng.normal(size=(40, 3))
-    b = A @ np.array([1.0, 0.0, -2.0]) + 0.1 * rng.normal(size=40)
-
-    def made(has_slopes: bool) -> Program:
-        program = Program()
-        scale = np.array([2.0, 0.5, 10.0])
-        x = program.variable("x", np.zeros(3), -1.5, 5.0, scale)
-        curved = 0.7 * (ca.DM(A) @ x + 0.1 * x[0] ** 2 - ca.DM(b))
-        first = ca.DM(A[:, :1]) + 0.2 * x[0]
-        slopes = 0.7 * ca.horzcat(first, ca.DM(A[:, 1:]))
-        program.add_residual(curved, slopes if has_slopes else None)
-        if weight:
-            program.add_l1("x", x, np.full(3, weight), np.zeros(3), scale)
-        return program
-
-    given = solve(made(has_slopes=True))
-    own = solve(made(has_slopes=False))
-    # The same numbers in another order: rounding only.
-    np.testing.assert_allclose(given.values["x"], own.values["x"], atol=1e-10)
-    assert given.outcome.iterations == own.outcome.iterations
-    assert given.values["x"][2] == pytest.approx(-1.5)
-
-
 @pytest.mark.parametrize(
     ("limit", "status", "advice"),
     [
@@ -212,29 +185,6 @@ def test_every_program_is_symbolic_and_its_answer_is_the_fit(
     np.testing.assert_array_equal(found.values["theta"], list(fit.values.values()))
     said = f"IPOPT: Solve_Succeeded, {fit.outcome.iterations} iterations"
     assert said in str(fit)
-
-
-def test_defects_and_slopes_in_symbols_are_those_in_numbers(
-    solved: list[tuple[Program, ipopt.Solution]],
-) -> None:
-    data = SYSTEMS["tanks"].data(5, 0.01, n=2)
-    model = tank_model(known_leak())
-    ph.identify(model, data, ph.PHSILoss(), {"H": 1e-3})
-    program, solution = solved[-1]
-    known = KnownDefects(model, grid_of(data), "srk4").at(solution.values["theta"])
-    in_numbers = known.d.T.ravel()
-    share = np.linalg.norm(solution.residual) / np.linalg.norm(in_numbers)
-    # Rounding alone: the same operations in the same order, but for the weight.
-    np.testing.assert_allclose(solution.residual, share * in_numbers, rtol=1e-9)
-    slopes = known.slopes.reshape(-1, model.n_states, len(model.free))
-    by_equation = slopes.transpose(1, 0, 2).reshape(-1, len(model.free))
-    scale = share * program.scale[: len(model.free)]
-    expected = (by_equation * scale).T @ (by_equation * scale)
-    no_multipliers = np.zeros(program.g.numel())
-    upper = program.hessian()(solution.z, program.set_to, 1.0, no_multipliers)
-    upper = np.array(upper)[: len(model.free), : len(model.free)]
-    hessian = upper + np.triu(upper, 1).T
-    np.testing.assert_allclose(hessian, expected, atol=1e-9 * np.max(expected))
 
 
 def test_without_l1_it_ends_where_directions_leave_no_trace_and_names_them() -> None:

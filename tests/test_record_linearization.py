@@ -275,20 +275,3 @@ def test_values_and_slopes_are_those_of_the_program(name: str, steps: int) -> No
     check(likelihood.jacobian.part(everything).dense(values.jacobian), of_g)
     shown = likelihood.shown.part(everything).dense(values.slopes)
     check(-weights[:, None] * shown, of_residual)
-
-
-def test_variables_begin_and_end_where_those_of_the_program_do() -> None:
-    free = laid_out(duffing(per_trajectory=True))
-    bounds = np.full((2, *free.point.x.shape), [[[-np.inf]], [[np.inf]]])
-    bounds[0, 0] = -2.0
-    bounds[1, 3] = 4.0
-    point = replace(free.point, x_bounds=bounds)
-    bounded = LikelihoodValues(free.model, free.grid, "srk4", point, free.unknown)
-    for one in (free, bounded):
-        program = MaximumLikelihood().program(one, {}, SIGMA)
-        np.testing.assert_array_equal(one.point.scaled, program.start)
-        np.testing.assert_array_equal(one.point.scale, program.scale)
-        np.testing.assert_array_equal([one.lower, one.upper], program.bounds)
-        unscaled = one.point.unscaled(program.start)
-        for block, values in program.values(program.start).items():
-            np.testing.assert_array_equal(unscaled[block], values)

@@ -102,41 +102,6 @@ def test_a_study_file_is_the_data_and_the_model_that_a_user_would_write(
     assert [train.digest, held_out.digest] == [part.digest for part in data.split(0.6)]
 
 
-def test_noise_inputs_and_files_are_read(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.csv").write_text("t;y;u\n0;1;0\n1;2;0\n2;1.5;1\n")
-    path = tmp_path / "study.toml"
-    path.write_text(
-        """
-[data]
-files = ["a.csv", "b.csv"]
-hold = "zero"
-time = { column = "t" }
-states = { x = { column = "y", unit = "V", noise = 0.1 } }
-inputs = { u = { column = "u", unit = "A" } }
-[held_out]
-runs = ["b"]
-[model]
-type = "FirstOrder"
-states = ["x"]
-inputs = ["u"]
-kind = "electrical"
-F = { x = ["-a*x", { body = "u", coefficient = { start = 1 }, name = "gain" }] }
-[parameters]
-a = { start = 1.0 }
-"""
-    )
-    file = ph.StudyFile.read(path)
-    train, held_out = file.split()
-    assert held_out is not None
-    assert [run.name for run in train] == ["a"]
-    assert [run.name for run in held_out] == ["b"]
-    assert train.noise == {"x": 0.1}
-    assert train.hold == "zero"
-    assert file.model().free == ("a", "gain")
-    assert file.model().kind == {"x": "electrical"}
-
-
 def test_a_part_of_the_time_can_be_held_out(spring: Path) -> None:
     file = ph.StudyFile.read(changed(spring, ("share = 0.4", "after = 3.0")))
     train, held_out = file.split()

@@ -418,33 +418,6 @@ def test_the_four_panels_name_what_they_show(cases: dict[str, ForceAnalysis]) ->
         plot_where(cases["wave"], "q")
 
 
-@pytest.mark.usefixtures("closing")
-def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
-    rng = np.random.default_rng(0)
-    t = np.linspace(0, 20, 201)
-    loss = ph.formula("c", c=ph.Parameter(0.1, lower=0))
-    k = ph.Parameter(5.0, lower=0)
-    model = ph.PseudoHamiltonian(
-        states=["q1", "q2", "p1", "p2"],
-        S=ph.canonical(2),
-        R={"p1": loss, "p2": loss},
-        H=ph.formula("k*(q1**2 + q2**2)/2 + p1**2/2 + p2**2/4", k=k),
-    )
-
-    def between(_: float, x: np.ndarray) -> np.ndarray:
-        f = 2 * (x[0] - x[1]) ** 3
-        return np.array([0.0, 0.0, -f, f])
-
-    x = ph.simulate(model, t, [1.0, -0.5, 0.0, 1.0], force=between)
-    y = x + 0.01 * rng.normal(size=x.shape)
-    data = ph.Measurements.from_arrays(t, y, states=["q1", "q2", "p1", "p2"])
-    found = ForceAnalysis.of(Record.of(ph.identify(model, data), data))
-    assert best(found, "p1")[0] == "q1, q2"
-    assert "positions q1, q2" in cause_of(found.force_in("p1"))
-    ax = plot_where(found, "p1").axes[MAP]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "q2")
-
-
 # ---- functions, and the stretches that judge them ------------------------------------
 
 
