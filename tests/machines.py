@@ -1,7 +1,5 @@
 """Machines and records that several tests are about."""
 
-from typing import Any
-
 import numpy as np
 
 import phsi_opt as ph
@@ -9,11 +7,6 @@ import phsi_opt as ph
 TIMES = np.linspace(0.0, 14.0, 141)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
 NOISE = 0.01
-
-
-def pair(**slots: Any) -> ph.PseudoHamiltonian:
-    """A model of a position q and its momentum p, with these slots."""
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), **slots)
 
 
 def pushed_mass(m: float | ph.Parameter) -> ph.PseudoHamiltonian:
