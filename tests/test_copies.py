@@ -7,7 +7,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.command_line.jobs import checked
-from phsi_opt.comparison.profile_likelihood import bootstrap
 from phsi_opt.data.copies import check_can_judge, copies_in, sentence_about
 from phsi_opt.sweeps.local_workers import InThisProcess
 
@@ -65,7 +64,9 @@ def test_what_follows_a_fit_counts_copies_once_too() -> None:
     pairs = ((fit, copied), (one, alone))
     limits = [ph.profile(*pair, "k").ci_lower for pair in pairs]
     assert limits[0] == limits[1]
-    drawn = [bootstrap(*pair, 2, executor=InThisProcess()).estimates for pair in pairs]
+    drawn = [
+        ph.bootstrap(*pair, 2, executor=InThisProcess()).estimates for pair in pairs
+    ]
     assert drawn[0].equals(drawn[1])
 
 

@@ -18,7 +18,6 @@ import phsi_opt as ph
 from phsi_opt import reading
 from phsi_opt.command_line.jobs import first_study
 from phsi_opt.data import excel_tables, matlab_tables
-from phsi_opt.errors import DataError
 from phsi_opt.sweeps.sweep import KeptResults
 
 T = np.arange(40.0)
@@ -76,7 +75,7 @@ def test_a_pipe_is_refused_and_not_waited_for(
 ) -> None:
     path, read = entry
     held_pipe(path)
-    with pytest.raises(DataError, match="it is a pipe and no regular file"):
+    with pytest.raises(ph.DataError, match="it is a pipe and no regular file"):
         read(path)
 
 
@@ -86,13 +85,13 @@ def test_a_device_and_a_file_that_is_too_large_are_refused_before_they_are_read(
 ) -> None:
     path, read = entry
     path.symlink_to("/dev/null")
-    with pytest.raises(DataError, match="it is a device and no regular file"):
+    with pytest.raises(ph.DataError, match="it is a device and no regular file"):
         read(path)
     path.unlink()
     with path.open("wb") as file:
         file.truncate(reading.LARGEST_FILE + 1)  # takes no place on the disk
     most = 1 if path.suffix == ".toml" else 500
-    with pytest.raises(DataError, match=f"MB or more; at most {most} MB are read"):
+    with pytest.raises(ph.DataError, match=f"MB or more; at most {most} MB are read"):
         read(path)
 
 
@@ -154,7 +153,7 @@ def read_or_refused(content: bytes, read: Any, path: Path) -> None:
     path.write_bytes(content)
     try:
         read(path, **COLUMNS)
-    except DataError as error:
+    except ph.DataError as error:
         assert path.name in str(error)
 
 
@@ -199,7 +198,7 @@ def test_a_workbook_whose_xml_is_damaged_is_read_or_refused_by_name() -> None:
         damage.name = "bench.xlsx"
         try:
             from_excel(damage, **COLUMNS)
-        except DataError as error:
+        except ph.DataError as error:
             n_refused += 1
             assert "bench.xlsx" in str(error)
     assert n_refused
@@ -239,7 +238,7 @@ def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(
     savemat(zeros, {"t": np.zeros(10_000)}, do_compression=True)
     zeros.seek(0)
     monkeypatch.setattr(reading, "LARGEST_FILE", 50_000)
-    with pytest.raises(DataError, match=r"more than 0\.05 MB when decompressed"):
+    with pytest.raises(ph.DataError, match=r"more than 0\.05 MB when decompressed"):
         from_mat(zeros, **COLUMNS)
 
 
@@ -263,7 +262,9 @@ def test_a_matlab_file_whose_reading_crashes_or_never_ends_is_refused(
     script.write_text(worker)
     monkeypatch.setattr(matlab_tables, "WORKER", script)
     monkeypatch.setattr(matlab_tables, "TIME_LIMIT", time_limit)
-    with pytest.raises(DataError, match=f"open file cannot be read: .*{why}.* as CSV"):
+    with pytest.raises(
+        ph.DataError, match=f"open file cannot be read: .*{why}.* as CSV"
+    ):
         from_mat(io.BytesIO(mat_file()), **COLUMNS)
 
 
@@ -272,7 +273,7 @@ def test_a_program_without_a_python_interpreter_says_so(
 ) -> None:
     """As frozen programs are, which would start themselves again."""
     monkeypatch.setattr("sys.frozen", True, raising=False)
-    with pytest.raises(DataError, match="needs a Python interpreter"):
+    with pytest.raises(ph.DataError, match="needs a Python interpreter"):
         from_mat(io.BytesIO(mat_file()), **COLUMNS)
 
 
@@ -316,7 +317,7 @@ def test_a_sheet_that_would_lose_rows_or_grow_is_refused(
         assert xml.count(old) == 1
         return new + xml if new.startswith(b"\xff") else xml.replace(old, new)
 
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(ph.DataError, match=message):
         from_excel(with_part(SHEET, change), **COLUMNS)
 
 
@@ -325,7 +326,7 @@ def test_one_filled_cell_far_away_does_not_make_a_sheet_that_fills_the_memory(
 ) -> None:
     monkeypatch.setattr(excel_tables, "MOST_CELLS", 100)
     book = with_part(SHEET, lambda xml: xml.replace(b'r="B41"', b'r="XFD41"'))
-    with pytest.raises(DataError, match="or more than 100 cells"):
+    with pytest.raises(ph.DataError, match="or more than 100 cells"):
         from_excel(book, **COLUMNS)
 
 
@@ -334,7 +335,9 @@ def test_a_workbook_that_grows_beyond_the_bound_is_refused(
 ) -> None:
     book = with_part("docProps/app.xml", lambda xml: xml + bytes(10**6))
     monkeypatch.setattr(reading, "LARGEST_FILE", 10**6)
-    with pytest.raises(DataError, match=r"has 1\.0 MB when decompressed; at most 1 MB"):
+    with pytest.raises(
+        ph.DataError, match=r"has 1\.0 MB when decompressed; at most 1 MB"
+    ):
         from_excel(book, **COLUMNS)
 
 
@@ -380,7 +383,7 @@ def test_a_study_file_made_to_do_harm_is_refused_at_once(
 def test_lists_in_lists_of_a_fit_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     path.write_text("[" * DEEP + "]" * DEEP)
-    with pytest.raises(DataError, match="fit: its lists or mappings lie too deep"):
+    with pytest.raises(ph.DataError, match="fit: its lists or mappings lie too deep"):
         ph.Fit.load(path)
 
 
@@ -405,7 +408,7 @@ def test_an_open_file_without_end_is_refused(
     part: str | bytes, read: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(reading, "LARGEST_FILE", 3_000_000)
-    with pytest.raises(DataError, match=r"cannot be read: .* at most 3 MB are read"):
+    with pytest.raises(ph.DataError, match=r"cannot be read: .* at most 3 MB are read"):
         read(Endless(part), **COLUMNS)
 
 

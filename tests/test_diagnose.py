@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 import phsi_opt as ph
 from phsi_opt.comparison.compare import compare_record, deviance
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis.candidate import Candidate, Grade
+from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.diagnosis.record import next_step
 from phsi_opt.diagnosis.refit import DiagnosedModel, finer_at_corner, refit
 from phsi_opt.model.catalogue import effect_named
@@ -360,7 +360,7 @@ def test_a_second_effect_is_refitted_beside_the_memory_of_the_first(
     trained = compare_record(record.refitted(late))
     beside = replace(complete, trained=trained, judged=trained)
     drag = effect_named(late.model, "quadratic drag", "p")
-    done = refit(beside, Candidate(drag, 0.0, np.nan, log_bayes=0.0))
+    done = refit(beside, ph.Candidate(drag, 0.0, np.nan, log_bayes=0.0))
     assert done is not None and done.fit.model.memory == late.model.memory
     assert done.fit.states[0].shape == (len(T), late.model.n_states)
     assert deviance(done.fit) <= deviance(late) + 0.1  # a brief solve

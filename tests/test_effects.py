@@ -9,8 +9,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.initialization.relative_guesses import resolve_guesses
-from phsi_opt.model.effect import Effect
-from phsi_opt.model.model import Model
 from phsi_opt.transcription.augmented_states import MemoryIntegration, with_memory
 from phsi_opt.transcription.grid import grid_of
 
@@ -49,7 +47,7 @@ def change(
     )
     extended = np.r_[x, [values.get(z, 0.0) for z in larger.memory]]
 
-    def both(m: Model, at: np.ndarray) -> np.ndarray:
+    def both(m: ph.Model, at: np.ndarray) -> np.ndarray:
         theta = m.theta
         return np.concatenate(
             [
@@ -257,4 +255,4 @@ def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> 
     with pytest.raises(
         ph.ModelError, match="slot 'G' is unknown; expected one of H, R, F, sensor"
     ):
-        Effect("odd", "G", "p", ph.formula("1"))
+        ph.Effect("odd", "G", "p", ph.formula("1"))

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.sweeps.local_workers import local_workers
 from phsi_opt.sweeps.sweep import Ahead
 from tests import sweep_tasks
@@ -63,7 +61,7 @@ def fit() -> ph.Fit:
     return fitted(record(120, 0))
 
 
-def diagnosed(fit: ph.Fit, executor: Any) -> tuple[Diagnosis, list[str]]:
+def diagnosed(fit: ph.Fit, executor: Any) -> tuple[ph.Diagnosis, list[str]]:
     said: list[str] = []
     records = record(120, 0), record(60, 1)
     options: Any = {"effects": EFFECTS, "executor": executor, "progress": said.append}
@@ -73,11 +71,11 @@ def diagnosed(fit: ph.Fit, executor: Any) -> tuple[Diagnosis, list[str]]:
 
 
 @pytest.fixture(scope="module")
-def serial(fit: ph.Fit) -> tuple[Diagnosis, list[str]]:
+def serial(fit: ph.Fit) -> tuple[ph.Diagnosis, list[str]]:
     return diagnosed(fit, None)
 
 
-def content(one: Candidate) -> list[Any]:
+def content(one: ph.Candidate) -> list[Any]:
     """All numbers and words of a candidate."""
     found: list[Any] = []
     for name in one.__dataclass_fields__:
@@ -93,7 +91,7 @@ def content(one: Candidate) -> list[Any]:
     return found
 
 
-def assert_same(found: Diagnosis, expected: Diagnosis) -> None:
+def assert_same(found: ph.Diagnosis, expected: ph.Diagnosis) -> None:
     assert found.verdict == expected.verdict
     assert found.reason == expected.reason
     assert found.proposed == expected.proposed
@@ -106,7 +104,7 @@ def assert_same(found: Diagnosis, expected: Diagnosis) -> None:
 
 
 def test_processes_and_threads_give_the_bits_of_one_process(
-    fit: ph.Fit, serial: tuple[Diagnosis, list[str]], workers: Executor
+    fit: ph.Fit, serial: tuple[ph.Diagnosis, list[str]], workers: Executor
 ) -> None:
     expected, said = serial
     assert sum(line.startswith("weighing") for line in said) > 1

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from phsi_opt.errors import ModelError
+import phsi_opt as ph
 from phsi_opt.model.expressions import FUNCTIONS, NUMPY, evaluate, names_of, parse
 from phsi_opt.model.sympy_backend import SYMPY
 
@@ -97,7 +97,7 @@ def test_names_are_those_that_need_a_value() -> None:
     ],
 )
 def test_what_is_not_a_formula_is_refused(text: str, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(ph.ModelError, match=message):
         parse(text)
 
 
@@ -107,5 +107,5 @@ def test_an_exponent_of_at_most_64_is_allowed() -> None:
 
 
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(ModelError, match=r"name 'omgea' .* Did you mean 'omega'\?"):
+    with pytest.raises(ph.ModelError, match=r"name 'omgea' .* Did you mean 'omega'\?"):
         evaluate("sin(omgea)", {"omega": 1.0}, NUMPY)

@@ -17,7 +17,6 @@ import pytest
 import sympy as sp
 
 import phsi_opt as ph
-from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit_record import FitUncertainty
 from phsi_opt.later import Later
 from phsi_opt.model.expressions import NUMPY, evaluate
@@ -164,7 +163,7 @@ def test_the_tables_have_a_row_per_parameter_with_its_bounds_and_limits() -> Non
     assert list(intervals.columns) == ["value", "ci_lower", "ci_upper"]
     assert list(intervals.index) == list(fit.names)
     assert 1.8 < intervals["ci_lower"]["k"] < 1.875 < intervals["ci_upper"]["k"]
-    with pytest.raises(DataError, match="level=1 must lie between 0 and 1"):
+    with pytest.raises(ph.DataError, match="level=1 must lie between 0 and 1"):
         fit.intervals(1)
 
 
@@ -175,13 +174,13 @@ def test_a_trajectory_is_known_by_its_name_and_by_its_number() -> None:
     assert fit.model_of("another run").values["m"] == 2.0
     by_name = fit.simulate(T, x0, trajectory="run 1")
     np.testing.assert_array_equal(fit.simulate(T, x0, trajectory=0), by_name)
-    with pytest.raises(DataError, match="there is no trajectory 2; the fit has 2"):
+    with pytest.raises(ph.DataError, match="there is no trajectory 2; the fit has 2"):
         fit.model_of(2)
-    with pytest.raises(DataError, match="'run 3' has no parameters of its own"):
+    with pytest.raises(ph.DataError, match="'run 3' has no parameters of its own"):
         fit.simulate(T, x0, trajectory="run 3")
     shared = rich_fit()
     assert shared.model_of(7) == shared.model_of("run 1") == shared.model
-    with pytest.raises(DataError, match="none: all parameters are shared"):
+    with pytest.raises(ph.DataError, match="none: all parameters are shared"):
         shared.simulate(T, x0, trajectory=0)
 
 
@@ -290,7 +289,7 @@ def test_a_formula_that_is_not_a_formula_is_refused_and_never_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = damaged(tmp_path, lambda c: first(c).update(body=attack, inner={}))
-    with pytest.raises(DataError, match="holds a model that is not valid"):
+    with pytest.raises(ph.DataError, match="holds a model that is not valid"):
         ph.Fit.load(path)
     assert not (tmp_path / "ran").exists()
 
@@ -331,7 +330,7 @@ def k_of(content: Any) -> Any:
 )
 def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
     said = r"fit\.json (is damaged|holds a model that is not valid)"
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(ph.DataError, match=said):
         ph.Fit.load(damaged(tmp_path, change))
 
 
@@ -342,9 +341,9 @@ def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
 def test_a_file_that_is_not_a_fit_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "fit.json").write_text(text)
     said = r"fit\.json (cannot be read as a fit|is not a file of the format)"
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(ph.DataError, match=said):
         ph.Fit.load(tmp_path / "fit.json")
-    with pytest.raises(DataError, match="cannot be read as a fit"):
+    with pytest.raises(ph.DataError, match="cannot be read as a fit"):
         ph.Fit.load(tmp_path / "none.json")
 
 

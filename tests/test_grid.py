@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.errors import ModelError
 from phsi_opt.optimization.column_function import AT_ONCE
 from phsi_opt.transcription.defects import (
     KnownDefects,
@@ -307,7 +306,7 @@ def test_a_scheme_is_symmetric_exactly_where_it_says_so(scheme: Integrator) -> N
 
 def test_an_unknown_scheme_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(
-        ModelError,
+        ph.ModelError,
         match=r"integrator 'rk44' is unknown; expected one of .* Did you mean 'rk4'\?",
     ):
         integrator("rk44")

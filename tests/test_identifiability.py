@@ -4,17 +4,8 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.comparison.profile_likelihood import profile
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.uncertainty import SilentDirections, silent_directions
-from phsi_opt.model.model import FirstOrder
-from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.terms import formula
 from phsi_opt.optimization.bounded_step import regularized_inverse
-from phsi_opt.transcription.losses import PHSILoss
 
 NAMES = [f"c{i}" for i in range(30)]
 
@@ -90,27 +81,27 @@ def test_information_that_is_not_finite_is_a_solve_error() -> None:
 # ---- the profile likelihood
 
 
-def decay(noise: float, rate: Parameter) -> tuple[FirstOrder, Measurements]:
+def decay(noise: float, rate: ph.Parameter) -> tuple[ph.FirstOrder, ph.Measurements]:
     """x' = -r x from 1, few and noisy samples: the rate is known badly to the fast
     side.
     """
     t = np.linspace(0.0, 4.0, 12)
     y = np.exp(-0.8 * t) + noise * np.random.default_rng(2).normal(size=len(t))
-    return FirstOrder(
-        states=("x",), F={"x": formula("-r*x", r=rate)}
-    ), Measurements.from_arrays(t, y, states=["x"])
+    return ph.FirstOrder(
+        states=("x",), F={"x": ph.formula("-r*x", r=rate)}
+    ), ph.Measurements.from_arrays(t, y, states=["x"])
 
 
 @pytest.fixture(scope="module")
-def loose() -> tuple[Fit, Measurements]:
-    model, data = decay(0.15, Parameter(1.0, lower=0.0))
-    return identify(model, data), data
+def loose() -> tuple[ph.Fit, ph.Measurements]:
+    model, data = decay(0.15, ph.Parameter(1.0, lower=0.0))
+    return ph.identify(model, data), data
 
 
 def test_little_noise_gives_the_interval_of_the_curvature() -> None:
-    model, data = decay(0.002, Parameter(1.0))
-    fit = identify(model, data)
-    found = profile(fit, data, "r")
+    model, data = decay(0.002, ph.Parameter(1.0))
+    fit = ph.identify(model, data)
+    found = ph.profile(fit, data, "r")
     assert not found.is_curved
     intervals = fit.intervals()
     lower = intervals["ci_lower"]["r"]
@@ -121,20 +112,20 @@ def test_little_noise_gives_the_interval_of_the_curvature() -> None:
 
 
 def test_much_noise_gives_a_longer_arm_to_the_fast_side(
-    loose: tuple[Fit, Measurements],
+    loose: tuple[ph.Fit, ph.Measurements],
 ) -> None:
     fit, data = loose
-    found = profile(fit, data, "r")
+    found = ph.profile(fit, data, "r")
     assert found.is_curved
     assert found.ci_upper - found.value > 1.1 * (found.value - found.ci_lower)
     assert "curvature alone" in str(found)
 
 
 def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(
-    loose: tuple[Fit, Measurements],
+    loose: tuple[ph.Fit, ph.Measurements],
 ) -> None:
     fit, data = loose
-    found = profile(fit, data, "r")
+    found = ph.profile(fit, data, "r")
     run = data.trajectories[0]
 
     def misfit(rate: float) -> float:
@@ -150,19 +141,19 @@ def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(
 
 
 def test_an_end_is_the_bound_where_the_profile_meets_it_first() -> None:
-    model, data = decay(0.15, Parameter(0.75, lower=0.7))
-    fit = identify(model, data)
-    assert profile(fit, data, "r").ci_lower == 0.7
+    model, data = decay(0.15, ph.Parameter(0.75, lower=0.7))
+    fit = ph.identify(model, data)
+    assert ph.profile(fit, data, "r").ci_lower == 0.7
 
 
 def test_a_parameter_without_a_profile_is_refused(
-    loose: tuple[Fit, Measurements],
+    loose: tuple[ph.Fit, ph.Measurements],
 ) -> None:
     fit, data = loose
-    with pytest.raises(ModelError, match="parameter 's' is not a free, shared one"):
-        profile(fit, data, "s")
-    with pytest.raises(ModelError, match="level=2"):
-        profile(fit, data, "r", level=2)
-    one_step = identify(fit.model, data, PHSILoss())
-    with pytest.raises(ModelError, match="fit is one by PHSILoss"):
-        profile(one_step, data, "r")
+    with pytest.raises(ph.ModelError, match="parameter 's' is not a free, shared one"):
+        ph.profile(fit, data, "s")
+    with pytest.raises(ph.ModelError, match="level=2"):
+        ph.profile(fit, data, "r", level=2)
+    one_step = ph.identify(fit.model, data, ph.PHSILoss())
+    with pytest.raises(ph.ModelError, match="fit is one by PHSILoss"):
+        ph.profile(one_step, data, "r")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.errors import DataError, ModelError, SolveError
 from phsi_opt.estimation import likelihood_estimate
 from phsi_opt.model_error.standard_errors import (
     PlainEstimate,
@@ -198,14 +197,14 @@ def test_stiffness_and_mass_that_cannot_be_told_apart_are_flagged() -> None:
 def test_options_that_mean_nothing_are_refused(
     options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises((DataError, ModelError), match=message):
+    with pytest.raises((ph.DataError, ph.ModelError), match=message):
         ph.identify(spring(), positions_only(), **options)
 
 
 def test_a_state_that_is_not_in_the_data_is_refused() -> None:
     data = ph.Measurements.from_arrays([T], [np.cos(T)[:, None]], states=["q"])
     said = r"state 'p' of the model is not in the measurements \(q\); declare it"
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(ph.DataError, match=said):
         ph.identify(spring(), data)
 
 
@@ -217,7 +216,7 @@ def test_a_solve_that_is_cut_short_raises_and_says_what_to_do() -> None:
     data = ph.Measurements.from_arrays([t], [x], states=["q", "v"])
     options: Any = {"settings": ph.SolverSettings(max_iterations=1)}
     said = r"iteration limit was reached.*allow more iterations"
-    with pytest.raises(SolveError, match=said):
+    with pytest.raises(ph.SolveError, match=said):
         ph.identify(model, data, ph.PHSILoss(), **options)
     fit = ph.identify(model, data, ph.PHSILoss(), raise_on_failure=False, **options)
     assert not fit.outcome.success

@@ -12,7 +12,6 @@ import torch
 import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.model.parameters import Parameter
 from phsi_opt.sweeps.local_workers import one_thread
 from problems.peers.joint_force import HybridBaseline, JointForce
 from problems.thesis.joint_descent import _JointRun, joint_descent
@@ -101,7 +100,7 @@ def hybrid() -> HybridBaseline:
     model = ph.PseudoHamiltonian(
         states=["q", "p"],
         S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=Parameter(0.5)),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(0.5)),
     )
     force = JointForce(("p",), ("p",), hidden=(20, 20), first="tanh")
     fit = joint_descent(

@@ -12,7 +12,6 @@ import pytest
 from scipy.optimize import least_squares
 
 import phsi_opt as ph
-from phsi_opt.errors import DataError, ModelError
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import grid_of
@@ -375,7 +374,7 @@ def test_large_residuals_of_a_wrong_model_do_not_keep_the_solver_from_its_optimu
 )
 def test_options_that_mean_nothing_are_refused(options: dict[str, Any]) -> None:
     said = f"{next(iter(options))}.*=.* is not possible; expected"
-    with pytest.raises(ModelError, match=said):
+    with pytest.raises(ph.ModelError, match=said):
         ph.MaximumLikelihood(**options)
 
 
@@ -385,14 +384,14 @@ def test_sensors_and_parameters_per_trajectory_have_no_place_in_the_phsi_loss(
     t, x, u = record(50)
     y = noisy(x)
     said = "PHSILoss has no place for the {}"
-    with pytest.raises(ModelError, match=said.format("sensor of 'q'")):
+    with pytest.raises(ph.ModelError, match=said.format("sensor of 'q'")):
         ph.identify(duffing(OFFSET_AND_GAIN), measured(t, y, u), ph.PHSILoss())
     own = said.format("parameter per trajectory 'm'")
-    with pytest.raises(ModelError, match=own):
+    with pytest.raises(ph.ModelError, match=own):
         ph.identify(loaded(OWN_MASS), loads, ph.PHSILoss())
     y[:, 0] = np.nan
     said = "has a sensor of 'q', but 'q' was never measured"
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(ph.DataError, match=said):
         ph.identify(duffing(OFFSET_AND_GAIN), measured(t, y, u))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse import coo_matrix, csr_matrix
 
-from phsi_opt.errors import SolveError
+import phsi_opt as ph
 from phsi_opt.optimization.banded import (
     FEWEST_STATES,
     Banded,
@@ -72,7 +72,7 @@ def test_a_symmetric_matrix_is_solved_by_its_transposed_factors(n_columns: int) 
 
 def test_a_singular_system_is_refused() -> None:
     match = "singular: a state may neither be measured nor act on one that is"
-    with pytest.raises(SolveError, match=match):
+    with pytest.raises(ph.SolveError, match=match):
         factors_of(np.ones((2, 2)), np.arange(2))
 
 
@@ -271,7 +271,7 @@ def test_information_that_is_no_number_is_refused_with_what_to_do() -> None:
         r"parameter has a standard error; give parameters bounds, or start them nearer "
         r"to the truth\.$"
     )
-    with pytest.raises(SolveError, match=match):
+    with pytest.raises(ph.SolveError, match=match):
         regularized_inverse(np.array([[1.0, 0.0], [0.0, np.inf]]))
 
 

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError
+import phsi_opt as ph
 
 # All comparisons are exact: reading, joining and splitting copy numbers and never
 # compute with them.
 
 
-def record(n_runs: int = 3, seed: int = 0) -> Measurements:
+def record(n_runs: int = 3, seed: int = 0) -> ph.Measurements:
     """Irregularly sampled runs of different lengths with gaps, two states and one
     input.
     """
@@ -29,7 +28,7 @@ def record(n_runs: int = 3, seed: int = 0) -> Measurements:
         x[rng.integers(len(x), size=2), 1] = np.nan
     us = [rng.normal(size=(len(t), 1)) for t in ts]
     units = {"q": "m", "u": "N", "t": "s"}
-    return Measurements.from_arrays(
+    return ph.Measurements.from_arrays(
         ts,
         xs,
         us,
@@ -41,7 +40,7 @@ def record(n_runs: int = 3, seed: int = 0) -> Measurements:
     )
 
 
-def assert_same(a: Measurements, b: Measurements) -> None:
+def assert_same(a: ph.Measurements, b: ph.Measurements) -> None:
     for what in ("states", "inputs", "hold", "noise", "units"):
         assert getattr(a, what) == getattr(b, what)
     assert [run.name for run in a] == [run.name for run in b]
@@ -65,31 +64,33 @@ def test_a_table_gives_back_exactly_the_numbers_that_were_written(
         **{"units": dict(data.units), "noise": data.noise},
     }
     if separator is None:
-        assert_same(Measurements.from_dataframe(table, **options), data)
+        assert_same(ph.Measurements.from_dataframe(table, **options), data)
     else:
         table.to_csv(tmp_path / "bench.csv", index=False, sep=separator)
-        assert_same(Measurements.from_csv(tmp_path / "bench.csv", **options), data)
+        assert_same(ph.Measurements.from_csv(tmp_path / "bench.csv", **options), data)
 
 
 # ---- arrays and pairs ----
 
 
 def test_one_trajectory_or_several_come_from_arrays() -> None:
-    one = Measurements.from_arrays([0, 1, 2], [1, 2, 3], [4, 5, 6], states=["q"])
+    one = ph.Measurements.from_arrays([0, 1, 2], [1, 2, 3], [4, 5, 6], states=["q"])
     assert (one.n_trajectories, one.n_states, one.inputs) == (1, 1, ("u1",))
-    two = Measurements.from_arrays(
+    two = ph.Measurements.from_arrays(
         [[0, 1], [0, 1, 2]], [np.ones((2, 2)), np.ones((3, 2))], states=["q", "p"]
     )
     assert [run.name for run in two] == ["run 1", "run 2"]
     assert (len(two), two.n_samples, two.n_inputs) == (2, 5, 0)
-    named = Measurements.from_arrays([[0, 1]], [[1, 2]], states=["q"], names=["swing"])
+    named = ph.Measurements.from_arrays(
+        [[0, 1]], [[1, 2]], states=["q"], names=["swing"]
+    )
     assert named.trajectories[0].name == "swing"
 
 
 def test_arrays_of_the_user_are_neither_changed_nor_shared() -> None:
     t, x, u = np.arange(3.0), np.ones((3, 1)), np.zeros((3, 1))
     units, noise = {"q": "m"}, {"q": 0.1}
-    data = Measurements.from_arrays(t, x, u, states=["q"], units=units, noise=noise)
+    data = ph.Measurements.from_arrays(t, x, u, states=["q"], units=units, noise=noise)
     t[0], x[0], u[0], units["q"], noise["q"] = -1, -1, -1, "km", 7.0
     run = data.trajectories[0]
     assert (run.t[0], run.x[0, 0], run.u[0, 0]) == (0, 1, 0)
@@ -122,13 +123,13 @@ def test_a_copy_in_another_process_is_the_same_and_read_only(duplicate: Any) -> 
 
 def test_masked_entries_are_missing_samples() -> None:
     x = np.ma.masked_array([1.0, -999.0, 3.0], mask=[False, True, False])
-    data = Measurements.from_arrays([0, 1, 2], x, states=["q"])
+    data = ph.Measurements.from_arrays([0, 1, 2], x, states=["q"])
     np.testing.assert_array_equal(data.trajectories[0].x, [[1], [np.nan], [3]])
 
 
 def test_an_entirely_empty_channel_of_one_trajectory_is_fine() -> None:
     empty = np.array([[np.nan, 1.0], [np.nan, 2.0]])
-    data = Measurements.from_arrays(
+    data = ph.Measurements.from_arrays(
         [[0, 1], [0, 1]], [empty, empty[:, ::-1]], states=["q", "p"]
     )
     assert data.measured == ("q", "p")
@@ -144,7 +145,7 @@ def test_consecutive_pairs_that_share_their_sample_join() -> None:
     t, x = np.cumsum(rng.uniform(0.1, 1, 9)), rng.normal(size=(9, 2))
     x[4, 1] = np.nan  # a sample that was not measured is shared too
     keep = np.array([0, 1, 2, 4, 5, 6, 7])  # pair 3 is lost: two trajectories
-    data = Measurements.from_pairs(*(array[keep] for array in pairs(x, t)))
+    data = ph.Measurements.from_pairs(*(array[keep] for array in pairs(x, t)))
     assert data.states == ("x1", "x2")
     assert [run.name for run in data] == ["run 1", "run 2"]
     np.testing.assert_array_equal(data.trajectories[0].x, x[:4])
@@ -153,13 +154,13 @@ def test_consecutive_pairs_that_share_their_sample_join() -> None:
 
 
 def test_a_jump_separates_pairs_unless_it_is_of_a_held_input() -> None:
-    noisy = Measurements.from_pairs([1.0, 2.0], [2.1, 3.0], [0, 1], [1, 2])
+    noisy = ph.Measurements.from_pairs([1.0, 2.0], [2.1, 3.0], [0, 1], [1, 2])
     assert [run.n_samples for run in noisy] == [2, 2]
     x0, x1, t0, t1, u = [1.0, 2.0], [2.0, 3.0], [0, 1], [1, 2], [5.0, 6.0]
-    linear = Measurements.from_pairs(x0, x1, t0, t1, u_start=u, u_end=u)
+    linear = ph.Measurements.from_pairs(x0, x1, t0, t1, u_start=u, u_end=u)
     assert [run.n_samples for run in linear] == [2, 2]
     for u_end in (u, None):
-        held = Measurements.from_pairs(
+        held = ph.Measurements.from_pairs(
             x0, x1, t0, t1, u_start=u, u_end=u_end, hold="zero", inputs=["force"]
         )
         assert held.inputs == ("force",)
@@ -188,8 +189,8 @@ def test_pairs_that_cannot_be_used_are_refused(
         "t_start": [0, 1],
         "t_end": [1, 2],
     }
-    with pytest.raises(DataError, match=message):
-        Measurements.from_pairs(**(good | changes))
+    with pytest.raises(ph.DataError, match=message):
+        ph.Measurements.from_pairs(**(good | changes))
 
 
 @pytest.mark.parametrize(
@@ -236,8 +237,8 @@ def test_arrays_that_cannot_be_used_are_refused(
     changes: dict[str, Any], message: str
 ) -> None:
     good: dict[str, Any] = {"t": [0, 1, 2], "x": [1, 2, 3], "states": ["q"]}
-    with pytest.raises(DataError, match=message):
-        Measurements.from_arrays(**(good | changes))
+    with pytest.raises(ph.DataError, match=message):
+        ph.Measurements.from_arrays(**(good | changes))
 
 
 @pytest.mark.parametrize(
@@ -249,8 +250,8 @@ def test_arrays_that_cannot_be_used_are_refused(
     ],
 )
 def test_what_are_no_trajectories_is_refused(trajectories: Any, message: str) -> None:
-    with pytest.raises(DataError, match=message):
-        Measurements(trajectories, ("q",))
+    with pytest.raises(ph.DataError, match=message):
+        ph.Measurements(trajectories, ("q",))
 
 
 # ---- looking, choosing, splitting ----
@@ -284,7 +285,7 @@ def test_a_trajectory_is_chosen_by_name_number_or_slice() -> None:
     ],
 )  # fmt: skip
 def test_a_trajectory_that_does_not_exist_is_refused(key: Any, message: str) -> None:
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(ph.DataError, match=message):
         record(2)[key]
 
 
@@ -334,17 +335,17 @@ def test_one_trajectory_is_split_in_time_without_sharing_a_sample(
 
 @pytest.mark.parametrize("fraction", [0, 1, 70, np.nan, "0.7", None])
 def test_a_share_outside_zero_and_one_is_refused(fraction: Any) -> None:
-    with pytest.raises(DataError, match="is not between 0 and 1"):
+    with pytest.raises(ph.DataError, match="is not between 0 and 1"):
         record().split(fraction)
-    short = Measurements.from_arrays([0, 1, 2], [1, 2, 3], states=["q"])
+    short = ph.Measurements.from_arrays([0, 1, 2], [1, 2, 3], states=["q"])
     said = "trajectory 'run 1' has 3 samples; a split in time needs at least 4"
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(ph.DataError, match=said):
         short.split()
 
 
 def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
     x = np.array([[1.0, np.nan, np.nan], [-2.5, 3.0, np.nan]])
-    data = Measurements.from_arrays(
+    data = ph.Measurements.from_arrays(
         [0, 2.5],
         x,
         [0, 1],
@@ -371,7 +372,7 @@ def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
 T = np.arange(12.0) / 4  # quarters: all sums and means below are exact
 
 
-def measurements(**options: Any) -> Measurements:
+def measurements(**options: Any) -> ph.Measurements:
     x = np.column_stack([T**2, np.where(T == 0.25, np.nan, -T)])
     u = np.repeat([1.0, 5.0, 2.0], 4)
     settings: dict[str, Any] = {
@@ -380,7 +381,9 @@ def measurements(**options: Any) -> Measurements:
         "noise": {"q": 0.4},
         "hold": "zero",
     }
-    return Measurements.from_arrays([T, T + 1], [x, x], [u, u], **(settings | options))
+    return ph.Measurements.from_arrays(
+        [T, T + 1], [x, x], [u, u], **(settings | options)
+    )
 
 
 def test_a_part_in_time_keeps_the_clock_and_both_ends() -> None:
@@ -409,7 +412,7 @@ def test_a_part_in_time_keeps_the_clock_and_both_ends() -> None:
 def test_a_part_that_cannot_be_had_is_refused(
     begin: Any, end: Any, message: str
 ) -> None:
-    with pytest.raises(DataError, match=f"(?s){message}"):
+    with pytest.raises(ph.DataError, match=f"(?s){message}"):
         measurements().between(begin, end)
 
 
@@ -427,7 +430,7 @@ def test_the_mean_of_groups_stands_at_their_mean_time() -> None:
 def test_the_mean_removes_what_picking_would_turn_into_something_slow() -> None:
     t = np.arange(100) / 100
     fast = np.where(np.arange(100) % 2, -1.0, 1.0)
-    data = Measurements.from_arrays(t, fast, states=["q"])
+    data = ph.Measurements.from_arrays(t, fast, states=["q"])
     np.testing.assert_array_equal(data.thinned(10).trajectories[0].x, 0)
     picked = data.thinned(10, by="picking").trajectories[0]
     np.testing.assert_array_equal(picked.x, 1)
@@ -461,5 +464,5 @@ def test_samples_that_fill_no_group_are_left_out_of_means_alone() -> None:
     ],
 )  # fmt: skip
 def test_thinning_that_cannot_be_done_is_refused(n: Any, by: Any, message: str) -> None:
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(ph.DataError, match=message):
         measurements().thinned(n, by)

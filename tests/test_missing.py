@@ -9,12 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise
 from phsi_opt.estimation.missing_force import ForceEstimate, estimate_force
-from phsi_opt.model.model import PseudoHamiltonian
-from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import damping, formula
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.parameter_vector import Point
 from problems.examples.friction_spring import CSV
@@ -23,12 +19,12 @@ K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02
 START = ([1.0, 0.0], [-0.8, 0.0], [0.6, 1.5])
 
 
-def spring() -> PseudoHamiltonian:
-    model = PseudoHamiltonian(
+def spring() -> ph.PseudoHamiltonian:
+    model = ph.PseudoHamiltonian(
         states=("q", "p"),
-        S=canonical(1),
-        H=formula("k*q**2/2 + p**2/(2*m)", k=K, m=M),
-        R=damping("p"),
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=K, m=M),
+        R=ph.damping("p"),
     )
     return model.with_values({"R_p": D})
 
@@ -56,7 +52,7 @@ def case() -> tuple[ForceEstimate, np.ndarray]:
         )
         for x in truth
     ]
-    data = Measurements.from_arrays([t] * 3, noisy, states=["q", "p"])
+    data = ph.Measurements.from_arrays([t] * 3, noisy, states=["q", "p"])
     grid = grid_of(data)
     point = Point(
         np.array([D]), np.nan_to_num(grid.y), np.ones(1), np.array([0.5, 5.0])

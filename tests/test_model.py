@@ -8,36 +8,31 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phsi_opt.errors import ModelError
-from phsi_opt.model.catalogue import catalogue
-from phsi_opt.model.effect import Effect
-from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
-from phsi_opt.model.parameters import Parameter, Scan, with_value
-from phsi_opt.model.structure import canonical
+import phsi_opt as ph
+from phsi_opt.model.parameters import Scan, with_value
 from phsi_opt.model.terms import (
     Dictionary,
     Term,
-    damping,
-    formula,
-    polynomials,
-    trigonometric,
 )
-from phsi_opt.transcription.losses import MaximumLikelihood
 
 
-def spring(**changes: Any) -> PseudoHamiltonian:
+def spring(**changes: Any) -> ph.PseudoHamiltonian:
     parts: dict[str, Any] = {
         "states": ("q", "p"),
         "inputs": ("u",),
-        "S": canonical(1),
-        "H": formula("k*q**2/2 + p**2/(2*m)", k=Parameter(40.0, lower=0.0), m=2.5),
-        "R": damping("p"),
-        "F": {"p": formula("b*u*cos(t) - c*tanh(dH_dp)", b=1.5, c=Parameter(0.3))},
+        "S": ph.canonical(1),
+        "H": ph.formula(
+            "k*q**2/2 + p**2/(2*m)", k=ph.Parameter(40.0, lower=0.0), m=2.5
+        ),
+        "R": ph.damping("p"),
+        "F": {
+            "p": ph.formula("b*u*cos(t) - c*tanh(dH_dp)", b=1.5, c=ph.Parameter(0.3))
+        },
     }
-    return PseudoHamiltonian(**(parts | changes))
+    return ph.PseudoHamiltonian(**(parts | changes))
 
 
-def rate(model: Model, x: Any, u: Any = (), t: float = 0.0) -> np.ndarray:
+def rate(model: ph.Model, x: Any, u: Any = (), t: float = 0.0) -> np.ndarray:
     theta = model.theta
     return np.array(model.rhs()(np.array(x), np.array(u), t, theta)).ravel()
 
@@ -59,7 +54,7 @@ def test_without_loss_and_force_the_energy_does_not_change() -> None:
     rng = np.random.default_rng(0)
     a = rng.normal(size=(4, 4))
     names = ["q1", "q2", "p1", "p2"]
-    model = PseudoHamiltonian(states=names, S=a - a.T, H=polynomials(names, 3))
+    model = ph.PseudoHamiltonian(states=names, S=a - a.T, H=ph.polynomials(names, 3))
     model = model.with_values({name: float(rng.normal()) for name in model.free})
     theta = model.theta
     for _ in range(5):
@@ -88,18 +83,18 @@ def test_the_efforts_are_the_gradient_of_the_energy() -> None:
 
 
 def test_a_first_order_model_takes_its_states_as_efforts() -> None:
-    model = FirstOrder(
+    model = ph.FirstOrder(
         states=("a", "b"),
-        F={"a": formula("dH_db", **{}), "b": formula("2*a")},
-        R={"b": formula("d", d=0.5)},
+        F={"a": ph.formula("dH_db", **{}), "b": ph.formula("2*a")},
+        R={"b": ph.formula("d", d=0.5)},
     )
     np.testing.assert_allclose(rate(model, [3.0, 4.0]), [4.0, 6.0 - 2.0], rtol=1e-15)
 
 
 def test_an_energy_that_is_a_number_pushes_nothing() -> None:
-    force = {"p": formula("c", c=Parameter(1.0))}
-    model = PseudoHamiltonian(
-        states=("q", "p"), S=canonical(1), H=formula("3"), F=force
+    force = {"p": ph.formula("c", c=ph.Parameter(1.0))}
+    model = ph.PseudoHamiltonian(
+        states=("q", "p"), S=ph.canonical(1), H=ph.formula("3"), F=force
     )
     np.testing.assert_array_equal(rate(model, [1.0, 1.0]), [0.0, 1.0])
 
@@ -122,8 +117,10 @@ def test_every_parameter_has_one_entry_in_its_place() -> None:
 
 
 def test_a_parameter_of_formulas_may_stand_in_several_places() -> None:
-    k = Parameter(2.0)
-    model = spring(H=formula("k*q**2/2 + p**2/2", k=k), F={"p": formula("k*u", k=k)})
+    k = ph.Parameter(2.0)
+    model = spring(
+        H=ph.formula("k*q**2/2 + p**2/2", k=k), F={"p": ph.formula("k*u", k=k)}
+    )
     assert model.free.count("k") == 1
     assert rate(model.with_values({"k": 3.0}), [1.0, 0.0], [1.0])[1] == pytest.approx(
         0.0, abs=1e-15
@@ -135,18 +132,19 @@ def test_setting_values_makes_a_new_model() -> None:
     assert model.with_values({"k": 1.0}).values["k"] == 1.0
     assert model.values["k"] == 40.0
     with pytest.raises(
-        ModelError, match=r"parameter 'R_pp' is not in the model. Did you mean 'R_p'\?"
+        ph.ModelError,
+        match=r"parameter 'R_pp' is not in the model. Did you mean 'R_p'\?",
     ):
         model.with_values({"R_pp": 1.0})
 
 
 def test_removing_a_term_leaves_the_others_as_they_are() -> None:
-    model = PseudoHamiltonian(
+    model = ph.PseudoHamiltonian(
         states=("q", "p"),
-        S=canonical(1),
-        H=polynomials(["q", "p"], 2),
-        R=damping("p"),
-        F={"p": trigonometric("t")},
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], 2),
+        R=ph.damping("p"),
+        F={"p": ph.trigonometric("t")},
     )
     smaller = model.without({"H[q]", "F_p[cos(omega_t*t)]", "R_p"})
     assert set(model.entries) - set(smaller.entries) == {
@@ -169,16 +167,18 @@ def test_adding_an_effect_makes_a_new_model_with_its_parameter(
     slot: str, equation: str, text: str
 ) -> None:
     model = spring()
-    bigger = model.add(Effect("extra", slot, equation, formula(text, a=Parameter(0.1))))
+    bigger = model.add(
+        ph.Effect("extra", slot, equation, ph.formula(text, a=ph.Parameter(0.1)))
+    )
     assert set(bigger.entries) - set(model.entries) == {"a"}
     assert (bigger.entries["a"].slot, bigger.entries["a"].equation) == (slot, equation)
-    assert type(bigger) is PseudoHamiltonian
+    assert type(bigger) is ph.PseudoHamiltonian
 
 
 def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
     model = spring()
     (friction,) = (
-        effect for effect in catalogue(model) if effect.name == "coulomb friction"
+        effect for effect in ph.catalogue(model) if effect.name == "coulomb friction"
     )
     assert model.add("coulomb friction", "p") == model.add(friction)
     assert model.add("coulomb friction") == model.add(friction)  # of p alone
@@ -195,22 +195,25 @@ def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
         (("coulom friction",), r"Did you mean 'coulomb friction'\?"),
         (("sensor offset",), r"can act in several equations: q, p; say which"),
         (("coulomb friction", "v"), "'coulomb friction': 'v' is not a state"),
-        ((Effect("extra", "F", "p", formula("1")), "q"), "acts on 'p', not on 'q'"),
-        ((formula("1"),), "is not an effect; give an Effect, or the name of one"),
+        (
+            (ph.Effect("extra", "F", "p", ph.formula("1")), "q"),
+            "acts on 'p', not on 'q'",
+        ),
+        ((ph.formula("1"),), "is not an effect; give an Effect, or the name of one"),
     ],
 )
 def test_an_effect_that_cannot_be_added_is_refused(
     arguments: tuple[Any, ...], message: str
 ) -> None:
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(ph.ModelError, match=message):
         spring().add(*arguments)
 
 
 def test_what_is_built_serves_all_values_of_unknown_parameters() -> None:
-    model = PseudoHamiltonian(
+    model = ph.PseudoHamiltonian(
         states=["q", "p"],
-        S=canonical(1),
-        H=formula("k*q**2/2 + p**2/(2*m)", k=Parameter(3.0), m=2.0),
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(3.0), m=2.0),
     )
     moved = model.with_values({"k": 5.0})
     assert moved.rhs() is model.rhs()
@@ -226,11 +229,11 @@ def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
     with pytest.raises(FrozenInstanceError):
         model.states = ("a", "b")  # type: ignore[misc]
     with pytest.raises(TypeError):
-        model.F["q"] = formula("1")  # type: ignore[index]
+        model.F["q"] = ph.formula("1")  # type: ignore[index]
     again = pickle.loads(pickle.dumps(model))
     assert again == model
     with pytest.raises(TypeError):
-        again.F["q"] = formula("1")
+        again.F["q"] = ph.formula("1")
 
 
 # ---- refusals ------------------------------------------------------------------------
@@ -251,46 +254,46 @@ def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
         ({"inputs": ("q",)}, "the name 'q' is used 2 times"),
         ({"H": Dictionary()}, "H has no term"),
         ({"H": "q**2"}, "H='q\\*\\*2' is not a dictionary"),
-        ({"H": formula("q*u")}, "uses 'u', but an energy depends on the states alone"),
-        ({"H": formula("k*q**2")}, "name 'k' in 'k\\*q\\*\\*2' .* If it is a parameter"),
-        ({"R": {"x": formula("1")}}, "equation of R 'x' is not a state"),
-        ({"F": [formula("u")]}, "must map a state to its terms"),
-        ({"F": {"p": formula("dH_dx")}}, r"name 'dH_dx' .* Did you mean"),
-        ({"F": {"p": formula("u*q", u=Parameter(1.0))}}, "parameter name 'u' is also a state, an input"),
-        ({"F": {"p": formula("k*u", k=Parameter(1.0))}}, "parameter 'k' is defined twice and differently"),
+        ({"H": ph.formula("q*u")}, "uses 'u', but an energy depends on the states alone"),
+        ({"H": ph.formula("k*q**2")}, "name 'k' in 'k\\*q\\*\\*2' .* If it is a parameter"),
+        ({"R": {"x": ph.formula("1")}}, "equation of R 'x' is not a state"),
+        ({"F": [ph.formula("u")]}, "must map a state to its terms"),
+        ({"F": {"p": ph.formula("dH_dx")}}, r"name 'dH_dx' .* Did you mean"),
+        ({"F": {"p": ph.formula("u*q", u=ph.Parameter(1.0))}}, "parameter name 'u' is also a state, an input"),
+        ({"F": {"p": ph.formula("k*u", k=ph.Parameter(1.0))}}, "parameter 'k' is defined twice and differently"),
     ],
 )  # fmt: skip
 def test_a_model_that_contradicts_itself_is_refused(
     changes: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(ph.ModelError, match=message):
         spring(**changes)
 
 
 def test_a_first_order_model_refuses_an_energy_and_a_structure() -> None:
-    force = {"q": formula("-a*q", a=Parameter(1.0))}
-    with pytest.raises(ModelError, match="has no S and no H"):
-        FirstOrder(states=["q"], F=force, H=formula("q**2"))
-    model = FirstOrder(states=["q"], F=force)
-    with pytest.raises(ModelError, match="a FirstOrder model has none"):
-        model.add(Effect("gravity", "H", "", formula("q")))
+    force = {"q": ph.formula("-a*q", a=ph.Parameter(1.0))}
+    with pytest.raises(ph.ModelError, match="has no S and no H"):
+        ph.FirstOrder(states=["q"], F=force, H=ph.formula("q**2"))
+    model = ph.FirstOrder(states=["q"], F=force)
+    with pytest.raises(ph.ModelError, match="a FirstOrder model has none"):
+        model.add(ph.Effect("gravity", "H", "", ph.formula("q")))
     assert model.with_values({"a": 2.0}).values["a"] == 2.0
 
 
 def test_a_change_that_changes_nothing_is_the_model_itself() -> None:
-    model = PseudoHamiltonian(
+    model = ph.PseudoHamiltonian(
         states=["q", "p"],
-        S=canonical(1),
-        H=formula("k*q**2/2 + p**2/2", k=Parameter(2.0)),
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0)),
     )
     assert model.with_values({"k": 2.0}) is model
     assert model.with_values({"k": 2.5}).values == {"k": 2.5}
     assert model.dynamics() is model
-    own = formula("k*q**2/2 + p**2/2", k=Parameter(2.0, per_trajectory=True))
+    own = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, per_trajectory=True))
     of_each = replace(model, H=own)
     (entry,) = of_each.dynamics().entries.values()
     assert not entry.parameter.per_trajectory
-    shown = replace(model, sensor={"q": formula("b", b=Parameter(0.0))})
+    shown = replace(model, sensor={"q": ph.formula("b", b=ph.Parameter(0.0))})
     assert not shown.dynamics().sensor
 
 
@@ -300,10 +303,10 @@ def test_a_change_that_changes_nothing_is_the_model_itself() -> None:
 def test_a_parameter_starts_at_its_value_or_where_its_bounds_are_nearest_to_zero() -> (
     None
 ):
-    assert Parameter(2.0).start == 2.0
-    assert Parameter().start == 0.0
-    assert Parameter(lower=0.5).start == 0.5
-    assert Parameter(upper=-0.5).start == -0.5
+    assert ph.Parameter(2.0).start == 2.0
+    assert ph.Parameter().start == 0.0
+    assert ph.Parameter(lower=0.5).start == 0.5
+    assert ph.Parameter(upper=-0.5).start == -0.5
 
 
 @pytest.mark.parametrize(
@@ -322,8 +325,8 @@ def test_a_parameter_starts_at_its_value_or_where_its_bounds_are_nearest_to_zero
 def test_a_parameter_that_contradicts_itself_is_refused(
     arguments: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ModelError, match=message):
-        Parameter(**arguments)
+    with pytest.raises(ph.ModelError, match=message):
+        ph.Parameter(**arguments)
 
 
 @pytest.mark.parametrize(("n", "degree"), [(1, 1), (1, 4), (2, 3), (3, 2)])
@@ -331,14 +334,14 @@ def test_polynomials_are_all_monomials_up_to_the_degree_and_each_once(
     n: int, degree: int
 ) -> None:
     names = [f"x{i}" for i in range(n)]
-    bodies = [term.body for term in polynomials(names, degree, constant=True)]
+    bodies = [term.body for term in ph.polynomials(names, degree, constant=True)]
     assert len(bodies) == len(set(bodies)) == comb(n + degree, degree)
     assert bodies[0] == "1"
-    assert [t.body for t in polynomials(names, degree)] == bodies[1:]
+    assert [t.body for t in ph.polynomials(names, degree)] == bodies[1:]
 
 
 def test_monomials_are_written_as_formulas() -> None:
-    assert [t.body for t in polynomials(["q", "p"], 2)] == [
+    assert [t.body for t in ph.polynomials(["q", "p"], 2)] == [
         "q",
         "p",
         "q**2",
@@ -348,16 +351,16 @@ def test_monomials_are_written_as_formulas() -> None:
 
 
 def test_a_trigonometric_pair_shares_one_frequency_that_is_scanned() -> None:
-    sine, cosine = trigonometric("t")
+    sine, cosine = ph.trigonometric("t")
     assert (sine.body, cosine.body) == ("sin(omega_t*t)", "cos(omega_t*t)")
     assert dict(sine.inner) == dict(cosine.inner)
     assert sine.inner["omega_t"].guess == Scan("t")
-    assert [t.body for t in trigonometric("q", n=2)][2] == "sin(omega_q2*q)"
-    assert trigonometric("t", frequency=2.0).terms[0].inner["omega_t"].value == 2.0
+    assert [t.body for t in ph.trigonometric("q", n=2)][2] == "sin(omega_q2*q)"
+    assert ph.trigonometric("t", frequency=2.0).terms[0].inner["omega_t"].value == 2.0
 
 
 def test_damping_is_never_negative() -> None:
-    terms = damping("p1", "p2")
+    terms = ph.damping("p1", "p2")
     assert list(terms) == ["p1", "p2"]
     coefficient = terms["p1"].terms[0].coefficient
     assert coefficient is not None
@@ -365,78 +368,81 @@ def test_damping_is_never_negative() -> None:
 
 
 def test_one_name_and_a_list_of_names_are_the_same() -> None:
-    assert damping("q", "p") == damping(["q", "p"])
-    assert damping("p") == damping(["p"])
-    assert polynomials("q", 2) == polynomials(["q"], 2)
-    assert trigonometric("t") == trigonometric(["t"])
-    both = trigonometric(["t", "q"], n=2)
-    assert both == trigonometric("t", n=2) + trigonometric("q", n=2)
+    assert ph.damping("q", "p") == ph.damping(["q", "p"])
+    assert ph.damping("p") == ph.damping(["p"])
+    assert ph.polynomials("q", 2) == ph.polynomials(["q"], 2)
+    assert ph.trigonometric("t") == ph.trigonometric(["t"])
+    both = ph.trigonometric(["t", "q"], n=2)
+    assert both == ph.trigonometric("t", n=2) + ph.trigonometric("q", n=2)
 
 
 def test_coefficients_are_named_by_place_and_body() -> None:
-    (constant,), (q,) = Dictionary((Term("1", Parameter()),)), polynomials(["q"], 1)
+    (constant,), (q,) = (
+        Dictionary((Term("1", ph.Parameter()),)),
+        ph.polynomials(["q"], 1),
+    )
     assert constant.coefficient_name("R_p") == "R_p"
     assert q.coefficient_name("H") == "H[q]"
-    assert Term("q", Parameter(), name="k").coefficient_name("H") == "k"
-    assert trigonometric("t").terms[0].inner_name("omega_t", "F_p") == "F_p.omega_t"
-    assert formula("k*q", k=1.0).terms[0].inner_name("k", "H") == "k"
+    assert Term("q", ph.Parameter(), name="k").coefficient_name("H") == "k"
+    assert ph.trigonometric("t").terms[0].inner_name("omega_t", "F_p") == "F_p.omega_t"
+    assert ph.formula("k*q", k=1.0).terms[0].inner_name("k", "H") == "k"
 
 
 def test_a_plain_number_in_a_formula_is_a_fixed_parameter() -> None:
-    (term,) = formula("k*q", k=2.5)
-    assert term.inner["k"] == Parameter(2.5, fixed=True)
+    (term,) = ph.formula("k*q", k=2.5)
+    assert term.inner["k"] == ph.Parameter(2.5, fixed=True)
     assert term.is_formula
 
 
 def test_setting_a_value_keeps_the_bounds() -> None:
-    (term,) = damping("p")["p"]
+    (term,) = ph.damping("p")["p"]
     assert term.coefficient is not None
-    assert with_value(term.coefficient, -1e-9) == Parameter(0.0, lower=0.0)
+    assert with_value(term.coefficient, -1e-9) == ph.Parameter(0.0, lower=0.0)
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: polynomials(["q", "q"], 2), "each only once"),
-        (lambda: polynomials([], 2), "at least one name"),
-        (lambda: polynomials(["sin"], 2), "variable 'sin' is not a usable name"),
-        (lambda: polynomials(["q q"], 2), "variable 'q q' is not a usable name"),
-        (lambda: polynomials(["q"], 0), "polynomials: degree=0 is not possible"),
-        (lambda: polynomials(["q"], 1.5), "polynomials: degree=1.5 is not possible"),  # type: ignore[arg-type]
-        (lambda: polynomials(["q"], 10**9), "degree=1000000000 .* is beyond 64"),
-        (lambda: polynomials(["q"], 10**5000), "degree=a number beyond 10.* beyond 64"),
+        (lambda: ph.polynomials(["q", "q"], 2), "each only once"),
+        (lambda: ph.polynomials([], 2), "at least one name"),
+        (lambda: ph.polynomials(["sin"], 2), "variable 'sin' is not a usable name"),
+        (lambda: ph.polynomials(["q q"], 2), "variable 'q q' is not a usable name"),
+        (lambda: ph.polynomials(["q"], 0), "polynomials: degree=0 is not possible"),
+        (lambda: ph.polynomials(["q"], 1.5), "polynomials: degree=1.5 is not possible"),  # type: ignore[arg-type]
+        (lambda: ph.polynomials(["q"], 10**9), "degree=1000000000 .* is beyond 64"),
+        (lambda: ph.polynomials(["q"], 10**5000), "degree=a number beyond 10.* beyond 64"),
         (
-            lambda: polynomials([f"x{i}" for i in range(20)], 5),
+            lambda: ph.polynomials([f"x{i}" for i in range(20)], 5),
             "degree=5 in 20 variables would have 53130 terms; at most 5000",
         ),
-        (lambda: polynomials(["q"], True), "polynomials: degree=True is not possible"),
-        (lambda: trigonometric(["t", "q"], n=10**9), "n=1000000000 for 2 variables would have 4000000000 terms"),
-        (lambda: trigonometric("t", n=10**5000), "n=a number beyond 10"),
-        (lambda: Dictionary(5001 * tuple(formula("q"))), "would have 5001 terms"),
-        (lambda: canonical(10**9), r"canonical: n=1000000000 .* from 1 to 1000"),
-        (lambda: MaximumLikelihood(steps=10**9), "steps=1000000000 .* from 1 to 1000"),
-        (lambda: damping("q", ["q", "p"]), "each only once"),
-        (lambda: trigonometric("t", n=0), "trigonometric: n=0 is not possible"),
-        (lambda: polynomials(["q"], 2) + polynomials(["q"], 1), "term 'q' stands in the dictionary twice"),
-        (lambda: polynomials(["q"], 2) + 3, "3 cannot be added to a dictionary"),  # type: ignore[operator]
-        (lambda: formula("k*q", k=1.0, m=2.0), "parameter 'm' does not occur in 'k\\*q'"),
+        (lambda: ph.polynomials(["q"], True), "polynomials: degree=True is not possible"),
+        (lambda: ph.trigonometric(["t", "q"], n=10**9), "n=1000000000 for 2 variables would have 4000000000 terms"),
+        (lambda: ph.trigonometric("t", n=10**5000), "n=a number beyond 10"),
+        (lambda: Dictionary(5001 * tuple(ph.formula("q"))), "would have 5001 terms"),
+        (lambda: ph.canonical(10**9), r"canonical: n=1000000000 .* from 1 to 1000"),
+        (lambda: ph.MaximumLikelihood(steps=10**9), "steps=1000000000 .* from 1 to 1000"),
+        (lambda: ph.damping("q", ["q", "p"]), "each only once"),
+        (lambda: ph.trigonometric("t", n=0), "trigonometric: n=0 is not possible"),
+        (lambda: ph.polynomials(["q"], 2) + ph.polynomials(["q"], 1), "term 'q' stands in the dictionary twice"),
+        (lambda: ph.polynomials(["q"], 2) + 3, "3 cannot be added to a dictionary"),  # type: ignore[operator]
+        (lambda: ph.formula("k*q", k=1.0, m=2.0), "parameter 'm' does not occur in 'k\\*q'"),
     ],
 )  # fmt: skip
 def test_a_dictionary_that_makes_no_sense_is_refused(make: Any, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(ph.ModelError, match=message):
         make()
 
 
 def test_a_term_cannot_be_changed_and_can_be_pickled() -> None:
-    (term,) = formula("k*q", k=1.0)
+    (term,) = ph.formula("k*q", k=1.0)
     with pytest.raises(TypeError):
-        term.inner["k"] = Parameter(2.0)  # type: ignore[index]
+        term.inner["k"] = ph.Parameter(2.0)  # type: ignore[index]
     assert pickle.loads(pickle.dumps(term)) == term
 
 
 def test_what_was_not_chosen_is_not_printed() -> None:
-    spring = formula("k*q**2/2", k=Parameter(2.0, lower=0, unit="N/m"))
-    assert repr(Parameter()) == "Parameter()"
+    spring = ph.formula("k*q**2/2", k=ph.Parameter(2.0, lower=0, unit="N/m"))
+    assert repr(ph.Parameter()) == "Parameter()"
     assert repr(spring) == (
         "Dictionary(terms=(Term(body='k*q**2/2', "
         "inner={'k': Parameter(value=2.0, lower=0.0, unit='N/m')}),))"

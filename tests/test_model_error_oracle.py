@@ -15,13 +15,10 @@ import pytest
 from scipy.linalg import block_diag, expm, hadamard
 from scipy.optimize import minimize
 
-from phsi_opt.data.measurements import Measurements
+import phsi_opt as ph
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.model.model import FirstOrder
-from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.terms import formula
 from phsi_opt.model_error import ascent
 from phsi_opt.model_error.disturbance_search import BRIEF_GAIN
 from phsi_opt.model_error.disturbances import (
@@ -34,9 +31,7 @@ from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Smoothed
 from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
 from phsi_opt.optimization.bounded_step import REGULAR
-from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.transcription.grid import AlignedData
-from phsi_opt.transcription.losses import MaximumLikelihood
 
 pytest.importorskip("statsmodels")
 
@@ -50,21 +45,21 @@ ROUNDING = 1e-7
 # --- Records
 
 
-def oscillator() -> FirstOrder:
-    return FirstOrder(
+def oscillator() -> ph.FirstOrder:
+    return ph.FirstOrder(
         states=("q", "v"),
         inputs=("u",),
         F={
-            "q": formula("v"),
-            "v": formula("-k*q - c*v", k=Parameter(3.5), c=Parameter(0.4))
-            + formula("g*u", g=Parameter(1.2)),
+            "q": ph.formula("v"),
+            "v": ph.formula("-k*q - c*v", k=ph.Parameter(3.5), c=ph.Parameter(0.4))
+            + ph.formula("g*u", g=ph.Parameter(1.2)),
         },
     )
 
 
 def record(
     lengths: Sequence[int], seed: int, gap: float = 0.0, with_v: bool = False
-) -> Measurements:
+) -> ph.Measurements:
     """Noisy oscillations with an offset that wanders, at irregular times.
 
     Args:
@@ -92,14 +87,16 @@ def record(
         times.append(t)
         states.append(x)
         inputs.append(np.sin(1.3 * t[:, None] + phase) / 3)
-    return Measurements.from_arrays(
+    return ph.Measurements.from_arrays(
         times, states, inputs, states=["q", "v"], inputs=["u"], hold="linear"
     )
 
 
-def estimated(data: Measurements, model: FirstOrder, steps: int) -> LikelihoodEstimate:
-    task = Task(model, AlignedData.of(model, data), {}, None, SolverSettings())
-    estimate = estimate_by(MaximumLikelihood(steps=steps), task, None)
+def estimated(
+    data: ph.Measurements, model: ph.FirstOrder, steps: int
+) -> LikelihoodEstimate:
+    task = Task(model, AlignedData.of(model, data), {}, None, ph.SolverSettings())
+    estimate = estimate_by(ph.MaximumLikelihood(steps=steps), task, None)
     assert isinstance(estimate, LikelihoodEstimate)
     assert estimate.is_success
     return estimate
@@ -697,12 +694,15 @@ def smoothed_by_statsmodels(
     return smoother.smooth()
 
 
-def free_oscillator() -> FirstOrder:
-    F = {"q": formula("v"), "v": formula("-k*q", k=Parameter(4.0)) + formula("-0.3*v")}
-    return FirstOrder(states=("q", "v"), F=F)
+def free_oscillator() -> ph.FirstOrder:
+    F = {
+        "q": ph.formula("v"),
+        "v": ph.formula("-k*q", k=ph.Parameter(4.0)) + ph.formula("-0.3*v"),
+    }
+    return ph.FirstOrder(states=("q", "v"), F=F)
 
 
-def forced_record() -> Measurements:
+def forced_record() -> ph.Measurements:
     """60 samples of the oscillator beside a force that lasts two units of time."""
     rng = np.random.default_rng(3)
     system = Continuous(4.0, 0.3, Process(1, 0.5, 2.0))
@@ -716,7 +716,7 @@ def forced_record() -> Measurements:
         q.append(x[0] + NOISE * rng.normal())
     y = np.column_stack([q, np.full(len(t), np.nan)])
     y[[7, 30, 31], 0] = np.nan
-    return Measurements.from_arrays(t, y, states=["q", "v"])
+    return ph.Measurements.from_arrays(t, y, states=["q", "v"])
 
 
 # Size and correlation time of a force, and noise.
@@ -791,8 +791,11 @@ def test_the_likelihood_of_different_models_is_that_of_a_kalman_filter() -> None
     d = Disturbances(np.full((1, 2), NOISE), (force,))
     flat = np.log(2 * np.pi * VARIANCE)  # of two starting states
     for damping in (0.0, 0.3, 3.0):
-        F = {"q": formula("v"), "v": formula(f"-k*q - {damping}*v", k=Parameter(4.0))}
-        estimate = estimated(data, FirstOrder(states=("q", "v"), F=F), steps=16)
+        F = {
+            "q": ph.formula("v"),
+            "v": ph.formula(f"-k*q - {damping}*v", k=ph.Parameter(4.0)),
+        }
+        estimate = estimated(data, ph.FirstOrder(states=("q", "v"), F=F), steps=16)
         problem = estimate.linearized()
         k = float(estimate.theta[0])
         ours = likelihood_of(problem, d, NONE).at(d).log_likelihood

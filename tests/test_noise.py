@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import (
     LEAST_NOISE_SHARE,
     difference_noise,
@@ -14,22 +13,21 @@ from phsi_opt.data.noise import (
     least_noise,
     scatter_by_run,
 )
-from phsi_opt.errors import DataError
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.transcription.grid import Grid, grid_of
 
 
-def one_channel(t: np.ndarray, y: np.ndarray) -> Measurements:
-    return Measurements.from_arrays(t, y, states=["q"])
+def one_channel(t: np.ndarray, y: np.ndarray) -> ph.Measurements:
+    return ph.Measurements.from_arrays(t, y, states=["q"])
 
 
-def noisy_sine(n_samples: int = 2000, noise: float = 0.05) -> Measurements:
+def noisy_sine(n_samples: int = 2000, noise: float = 0.05) -> ph.Measurements:
     """A sine with noise, and a state which nobody measured."""
     rng = np.random.default_rng(0)
     t = np.linspace(0.0, 5.0, n_samples)
     q = np.sin(t) + noise * rng.normal(size=n_samples)
     x = np.column_stack([q, np.full(n_samples, np.nan)])
-    return Measurements.from_arrays(t, x, states=["q", "p"])
+    return ph.Measurements.from_arrays(t, x, states=["q", "p"])
 
 
 def test_the_difference_noise_of_a_smooth_curve_is_that_which_was_added() -> None:
@@ -77,7 +75,7 @@ def test_a_channel_that_does_not_move_is_measured_by_its_size() -> None:
 def test_measurements_in_which_nothing_moves_are_refused() -> None:
     still = one_channel(np.arange(6.0), np.full(6, 2.5))
     with pytest.raises(
-        DataError, match=r"every measured value of q is the same \(2\.5"
+        ph.DataError, match=r"every measured value of q is the same \(2\.5"
     ):
         initial_noise(still)
 
@@ -87,7 +85,7 @@ def test_runs_whose_scatter_differs_have_noises_of_their_own() -> None:
     t = np.linspace(0.0, 10.0, 200)
     for sizes in ((0.1, 0.1, 0.1), (0.1, 0.3, 0.02)):
         runs = [np.sin(t) + size * rng.normal(size=200) for size in sizes]
-        data = Measurements.from_arrays([t] * 3, runs, states=["q"])
+        data = ph.Measurements.from_arrays([t] * 3, runs, states=["q"])
         own = [difference_noise(data[k])[0] for k in range(3)]
         expected = own if len(set(sizes)) > 1 else [difference_noise(data)[0]] * 3
         np.testing.assert_allclose(scatter_by_run(data)[:, 0], expected, rtol=1e-14)

@@ -18,7 +18,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.criteria import FAILING_ERROR
-from phsi_opt.errors import Complaint
 from phsi_opt.page.draft_views import unknown_names
 from phsi_opt.page.drafts import (
     INPUT,
@@ -481,7 +480,7 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     said = [complaint_words(one) for one in session.check()]
     assert "Field states: expected the names of the states, such as q, p." in said
     advice = 'the model has it: give { column = "..." }, or { measured = false }. Other'
-    words = complaint_words(Complaint("data.states.x", "", advice))
+    words = complaint_words(ph.Complaint("data.states.x", "", advice))
     assert words.startswith("Column of x: the model has it: choose a column")
 
 

@@ -4,7 +4,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units, state_units
 from phsi_opt.presentation.units import coefficient_unit, powers_as_written
 from phsi_opt.screening.effect_size import size_unit
@@ -95,7 +94,7 @@ def test_without_any_force_or_momentum_a_mass_has_no_unit_that_is_known() -> Non
     ],
 )
 def test_sizes_of_effects_have_the_unit_that_their_equation_gives(
-    model: Model, units: dict[str, str], name: str, expected: str
+    model: ph.Model, units: dict[str, str], name: str, expected: str
 ) -> None:
     equation = model.states[-1]
     effect = effect_named(model, name, equation)

@@ -12,7 +12,6 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.candidate import Finding
 from phsi_opt.presentation.tables import (
     MOST_ROWS,
     PrintedTable,
@@ -210,7 +209,7 @@ def test_a_model_prints_its_equations_and_the_catalogue_a_table() -> None:
 
 def test_a_size_without_a_standard_error_is_told_without_one() -> None:
     effect = ph.catalogue(spring())[0]
-    finding = Finding((effect,), "", 1.5, np.nan, 0.9, "N")
+    finding = ph.Finding((effect,), "", 1.5, np.nan, 0.9, "N")
     assert "nan" not in str(finding) and "1.5 N" in str(finding)
     assert str(Size(1.5, np.nan, "N")) == "1.5 N"
     assert text_of_cell(np.nan) == "-"

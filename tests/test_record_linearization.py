@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearizer
@@ -21,7 +19,6 @@ from phsi_opt.optimization.bounded_step import REGULAR, RIDGE, Room
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import Grid, aligned, grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
-from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Point, Theta
 from phsi_opt.transcription.sensors import outputs
 
@@ -29,7 +26,7 @@ SCHEME = "srk4"
 RUNS = ("run 1", "run 2")
 
 
-def spring(sensor: Mapping[str, Dictionary] | None = None) -> Model:
+def spring(sensor: Mapping[str, Dictionary] | None = None) -> ph.Model:
     """With a mass of every trajectory's own."""
     return ph.PseudoHamiltonian(
         states=["q", "p"],
@@ -46,20 +43,20 @@ def spring(sensor: Mapping[str, Dictionary] | None = None) -> Model:
     )
 
 
-def with_sensor() -> Model:
+def with_sensor() -> ph.Model:
     """The position is shown with an offset of every trajectory's own, and a gain."""
     offset = ph.Parameter(0.3, per_trajectory=True)
     shown = ph.formula("g*q + c", g=ph.Parameter(0.2), c=offset)
     return spring(sensor={"q": shown})
 
 
-def with_memory() -> Model:
+def with_memory() -> ph.Model:
     """The force acts late: three states more, which nobody measures."""
     model = spring()
     return model.add(effect_named(model, "input delay", "p"))
 
 
-def grid_of_two_runs(model: Model) -> Grid:
+def grid_of_two_runs(model: ph.Model) -> Grid:
     """Position measured everywhere but once, momentum nowhere in the second run."""
     rng = np.random.default_rng(0)
     times = [np.linspace(0, 2, 9), np.linspace(0, 1, 6)]
@@ -67,7 +64,7 @@ def grid_of_two_runs(model: Model) -> Grid:
     states[0][3, 0] = np.nan
     states[1][:, 1] = np.nan
     inputs = [rng.normal(size=(len(t), 1)) for t in times]
-    data = Measurements.from_arrays(
+    data = ph.Measurements.from_arrays(
         times, states, inputs, states=["q", "p"], inputs=["u"]
     )
     return grid_of(aligned(model, data))
@@ -253,7 +250,7 @@ MODELS_LIKELIHOOD_VALUES = {
 @pytest.mark.parametrize("steps", [1, 2])
 def test_values_and_slopes_are_those_of_the_program(name: str, steps: int) -> None:
     likelihood = laid_out(MODELS_LIKELIHOOD_VALUES[name], steps)
-    program = MaximumLikelihood().program(likelihood, {}, SIGMA)
+    program = ph.MaximumLikelihood().program(likelihood, {}, SIGMA)
     rng = np.random.default_rng(1)
     z = program.start + 0.1 * rng.normal(size=program.start.size)
     values = likelihood.at(z)

@@ -11,13 +11,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit_file import model_content, model_from
 from phsi_opt.model.kinds import kind_of_unit
-from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
-from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import (
-    canonical,
     forced_rows,
     kind_of,
     position_of_momentum,
@@ -25,42 +21,42 @@ from phsi_opt.model.structure import (
     storage_states,
     with_kinds_of_units,
 )
-from phsi_opt.model.terms import Dictionary, Term, damping, formula, polynomials
+from phsi_opt.model.terms import Dictionary, Term
 
 
-def spring() -> PseudoHamiltonian:
-    return PseudoHamiltonian(
+def spring() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
         states=["q", "p"],
-        S=canonical(1),
-        H=formula("q**2/2 + p**2/2"),
-        R=damping("p"),
+        S=ph.canonical(1),
+        H=ph.formula("q**2/2 + p**2/2"),
+        R=ph.damping("p"),
     )
 
 
-def two_tanks() -> PseudoHamiltonian:
+def two_tanks() -> ph.PseudoHamiltonian:
     """Two storages, and the flow in a pipe between them that loses energy."""
-    return PseudoHamiltonian(
+    return ph.PseudoHamiltonian(
         states=["left", "right", "flow"],
         S=[[0, 0, -1], [0, 0, 1], [1, -1, 0]],
-        H=formula("(left**2 + right**2 + flow**2)/2"),
-        R=damping("flow"),
+        H=ph.formula("(left**2 + right**2 + flow**2)/2"),
+        R=ph.damping("flow"),
     )
 
 
-def first_order() -> FirstOrder:
-    return FirstOrder(states=["a", "b"], F={"a": polynomials(["a", "b"], 1)})
+def first_order() -> ph.FirstOrder:
+    return ph.FirstOrder(states=["a", "b"], F={"a": ph.polynomials(["a", "b"], 1)})
 
 
 def test_canonical_is_the_structure_matrix_of_hamilton() -> None:
     np.testing.assert_array_equal(
-        canonical(2), [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]]
+        ph.canonical(2), [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]]
     )
 
 
 @pytest.mark.parametrize("n", [0, -1, 1.0, "2"])
 def test_canonical_needs_a_whole_number_of_positions(n: Any) -> None:
-    with pytest.raises(ModelError, match=r"canonical: n=.* expected the number of"):
-        canonical(n)
+    with pytest.raises(ph.ModelError, match=r"canonical: n=.* expected the number of"):
+        ph.canonical(n)
 
 
 def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
@@ -70,20 +66,20 @@ def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
 
 
 def test_a_pair_is_a_position_and_its_momentum_whatever_their_order() -> None:
-    turned = PseudoHamiltonian(
-        states=["p", "q"], S=-canonical(1), H=formula("q**2/2 + p**2/2")
+    turned = ph.PseudoHamiltonian(
+        states=["p", "q"], S=-ph.canonical(1), H=ph.formula("q**2/2 + p**2/2")
     )
     assert position_of_momentum(spring()) == {"p": "q"}
     assert position_of_momentum(turned) == {"p": "q"}
     assert position_of_momentum(two_tanks()) == {}
 
 
-def motor(kind: Any = None) -> PseudoHamiltonian:
+def motor(kind: Any = None) -> ph.PseudoHamiltonian:
     """The flux of a motor and the momentum of its rotor: a gyrator between the two."""
-    return PseudoHamiltonian(
+    return ph.PseudoHamiltonian(
         states=["turn", "flux"],
         S=[[0.0, 2.0], [-2.0, 0.0]],
-        H=formula("turn**2/2 + flux**2/2"),
+        H=ph.formula("turn**2/2 + flux**2/2"),
         kind=kind or {},
     )
 
@@ -103,12 +99,12 @@ def test_a_capacitor_may_leak_and_the_position_of_a_body_may_not() -> None:
     assert forced_rows(motor("mechanical")) == (1,)
 
 
-def piston(kind: Any = None) -> PseudoHamiltonian:
+def piston(kind: Any = None) -> ph.PseudoHamiltonian:
     """A piston of place q and momentum p before oil of pressure z."""
-    return PseudoHamiltonian(
+    return ph.PseudoHamiltonian(
         states=["q", "p", "z"],
         S=[[0, 1, 0], [-1, 0, 0.5], [0, -0.5, 0]],
-        H=formula("q**2/2 + p**2/2 + z**2/2"),
+        H=ph.formula("q**2/2 + p**2/2 + z**2/2"),
         kind=kind or {},
     )
 
@@ -128,7 +124,7 @@ def test_a_momentum_coupled_to_more_than_its_position_is_told_to_be_mechanical()
 
 
 def test_a_gyrator_is_known_by_its_units_too() -> None:
-    lossless = replace(motor(), S=canonical(1))
+    lossless = replace(motor(), S=ph.canonical(1))
     assert position_of_momentum(lossless) == {"flux": "turn"}
     known = with_kinds_of_units(lossless, {"turn": "N m s", "flux": "V s"})
     assert known.kind == {"turn": "mechanical", "flux": "electrical"}
@@ -138,17 +134,17 @@ def test_a_gyrator_is_known_by_its_units_too() -> None:
 @pytest.mark.parametrize(
     "rate",
     [
-        formula("v"),
-        formula("3.6*v"),
-        formula("c*v", c=3.6),
-        formula("v/(2 + 2)"),
-        Dictionary((Term("v", Parameter(2.0, fixed=True)),)),
+        ph.formula("v"),
+        ph.formula("3.6*v"),
+        ph.formula("c*v", c=3.6),
+        ph.formula("v/(2 + 2)"),
+        Dictionary((Term("v", ph.Parameter(2.0, fixed=True)),)),
     ],
 )
 def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(
     rate: Dictionary,
 ) -> None:
-    model = FirstOrder(["x", "v"], {"x": rate, "v": formula("-x")})
+    model = ph.FirstOrder(["x", "v"], {"x": rate, "v": ph.formula("-x")})
     assert position_of_momentum(model) == {"v": "x"}
     assert forced_rows(model) == (1,)
     heat = replace(model, kind="thermal")
@@ -158,37 +154,39 @@ def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(
 @pytest.mark.parametrize(
     "rate",
     [
-        formula("c*v", c=Parameter(1.0)),
-        formula("-v"),
-        formula("v**2"),
-        formula("v + 1"),
-        formula("v + x"),
-        formula("v*0"),
-        formula("sqrt(v)"),  # of a level: without a value at some of the velocities
-        formula("1/(v - 1)"),
-        formula("u"),
-        formula("x"),
-        polynomials("v", 1),
-        formula("v") + formula("u"),
+        ph.formula("c*v", c=ph.Parameter(1.0)),
+        ph.formula("-v"),
+        ph.formula("v**2"),
+        ph.formula("v + 1"),
+        ph.formula("v + x"),
+        ph.formula("v*0"),
+        ph.formula("sqrt(v)"),  # of a level: without a value at some of the velocities
+        ph.formula("1/(v - 1)"),
+        ph.formula("u"),
+        ph.formula("x"),
+        ph.polynomials("v", 1),
+        ph.formula("v") + ph.formula("u"),
     ],
 )
 def test_no_other_equation_is(rate: Dictionary) -> None:
-    model = FirstOrder(["x", "v"], {"x": rate, "v": formula("-x")}, inputs=["u"])
+    model = ph.FirstOrder(["x", "v"], {"x": rate, "v": ph.formula("-x")}, inputs=["u"])
     assert position_of_momentum(model) == {}
-    lossy = FirstOrder(
-        ["x", "v"], {"x": formula("v"), "v": formula("-x")}, R={"x": formula("1")}
+    lossy = ph.FirstOrder(
+        ["x", "v"],
+        {"x": ph.formula("v"), "v": ph.formula("-x")},
+        R={"x": ph.formula("1")},
     )
     assert forced_rows(lossy) == (0, 1)
 
 
 def test_of_two_positions_of_one_velocity_the_first_is_taken() -> None:
-    rates = {"a": formula("v"), "b": formula("2*v"), "v": formula("-a - b")}
-    model = FirstOrder(["a", "b", "v"], rates)
+    rates = {"a": ph.formula("v"), "b": ph.formula("2*v"), "v": ph.formula("-a - b")}
+    model = ph.FirstOrder(["a", "b", "v"], rates)
     assert position_of_momentum(model) == {"v": "a"}
 
 
 def test_a_state_of_a_pair_is_mechanical_or_of_the_kind_of_the_other_one() -> None:
-    lossless = replace(motor(), S=canonical(1))
+    lossless = replace(motor(), S=ph.canonical(1))
     assert kind_of(lossless, "turn") == kind_of(lossless, "flux") == "mechanical"
     told = replace(lossless, kind={"flux": "electrical"})
     assert kind_of(told, "turn") == kind_of(told, "flux") == "electrical"

@@ -19,13 +19,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from phsi_opt.comparison.profile_likelihood import bootstrap
-from phsi_opt.errors import DataError, ModelError, SolveError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify
+import phsi_opt as ph
 from phsi_opt.sweeps.local_workers import InThisProcess, local_workers
-from phsi_opt.sweeps.sweep import KeptResults, sweep
-from phsi_opt.transcription.losses import PHSILoss
+from phsi_opt.sweeps.sweep import KeptResults
 from phsi_opt.writing import write_whole
 from problems.tools.kept_tables import append_rows
 from tests import sweep_tasks
@@ -70,7 +66,7 @@ class Watched(Executor):
 
 @pytest.fixture(scope="module")
 def serial() -> dict[str, Any]:
-    return results(sweep(sweep_tasks.estimates, draws(6), executor=InThisProcess()))
+    return results(ph.sweep(sweep_tasks.estimates, draws(6), executor=InThisProcess()))
 
 
 def test_processes_and_threads_give_the_bits_of_one_process(
@@ -80,9 +76,9 @@ def test_processes_and_threads_give_the_bits_of_one_process(
     cases = {str(n): n for n in range(8)}
     with local_workers(N_WORKERS) as workers, ThreadPoolExecutor(N_WORKERS) as threads:
         for executor in (workers, threads):
-            swept = sweep(sweep_tasks.estimates, draws(6), executor=executor)
+            swept = ph.sweep(sweep_tasks.estimates, draws(6), executor=executor)
             assert results(swept) == serial
-        where = sweep(sweep_tasks.process_and_threads, cases, executor=workers)
+        where = ph.sweep(sweep_tasks.process_and_threads, cases, executor=workers)
         of_each = set(results(where).values())
     assert os.getpid() not in {pid for pid, _ in of_each}
     assert {n_threads for _, n_threads in of_each} == {"1"}
@@ -102,7 +98,7 @@ def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
         pids = list(client.run(os.getpid).values())
         found: dict[str, Any] = {}
         executor = client.get_executor()
-        for done in sweep(sweep_tasks.slow_estimates, draws(6), executor=executor):
+        for done in ph.sweep(sweep_tasks.slow_estimates, draws(6), executor=executor):
             if not found:
                 os.kill(pids[0], signal.SIGKILL)  # one of the three, in the middle
             found[done.key] = done.result
@@ -115,7 +111,7 @@ def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
 def test_a_sweep_asks_no_more_of_an_executor_than_it_may_hold() -> None:
     watched = Watched()
     cases = {str(n): n for n in range(30)}
-    found = results(sweep(sweep_tasks.square, cases, executor=watched, in_flight=4))
+    found = results(ph.sweep(sweep_tasks.square, cases, executor=watched, in_flight=4))
     assert found == {str(n): n**2 for n in range(30)}
     assert watched.most_running <= 4
     assert not watched.was_shut_down
@@ -124,19 +120,21 @@ def test_a_sweep_asks_no_more_of_an_executor_than_it_may_hold() -> None:
 
 def test_a_worker_that_dies_is_told_with_its_case() -> None:
     match = "a worker ended while 'a'"
-    with local_workers(2) as workers, pytest.raises(SolveError, match=match):
-        list(sweep(sweep_tasks.dies, {"a": 1}, executor=workers))
+    with local_workers(2) as workers, pytest.raises(ph.SolveError, match=match):
+        list(ph.sweep(sweep_tasks.dies, {"a": 1}, executor=workers))
 
 
 def test_leaving_the_loop_and_an_error_cancel_what_is_not_begun() -> None:
     watched = Watched()
     cases = {str(n): n for n in range(100)}
-    swept = sweep(sweep_tasks.square, cases, executor=watched, in_flight=4)
+    swept = ph.sweep(sweep_tasks.square, cases, executor=watched, in_flight=4)
     next(swept)
     swept.close()  # type: ignore[attr-defined]  # a generator
     assert watched.n_submitted <= 5
     with pytest.raises(ValueError, match="three") as raised:
-        results(sweep(sweep_tasks.fails_at_three, cases, executor=watched, in_flight=1))
+        results(
+            ph.sweep(sweep_tasks.fails_at_three, cases, executor=watched, in_flight=1)
+        )
     assert "'3'" in raised.value.__notes__[0]
     assert watched.n_submitted <= 10
     watched.pool.shutdown()
@@ -145,7 +143,7 @@ def test_leaving_the_loop_and_an_error_cancel_what_is_not_begun() -> None:
 def test_a_restart_computes_only_what_is_not_kept(tmp_path: Path) -> None:
     folder = tmp_path / "kept"
     cases = {f"case {n}/of:9": n for n in range(9)}
-    squared = partial(sweep, sweep_tasks.square, cases, executor=InThisProcess())
+    squared = partial(ph.sweep, sweep_tasks.square, cases, executor=InThisProcess())
     swept = squared(folder=folder, of="squares")
     first = [next(swept) for _ in range(4)]
     swept.close()  # type: ignore[attr-defined]
@@ -159,7 +157,7 @@ def test_a_restart_computes_only_what_is_not_kept(tmp_path: Path) -> None:
     assert results(again) == {key: n**2 for key, n in cases.items()}
     assert said[-1].startswith("9 of 9: ")
     assert not list(folder.glob("*.part"))
-    with pytest.raises(DataError, match="another sweep"):
+    with pytest.raises(ph.DataError, match="another sweep"):
         list(squared(folder=folder, of="cubes"))
 
 
@@ -171,7 +169,7 @@ def test_keys_of_any_kind_have_files_of_their_own(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == len(keys)
     for number, (key, result) in enumerate(kept.found(keys)):
         assert (key, result) == (keys[number], number / 3)
-    with pytest.raises(DataError, match="cannot be kept"):
+    with pytest.raises(ph.DataError, match="cannot be kept"):
         kept.keep("object", object())
 
 
@@ -203,8 +201,8 @@ def test_a_file_is_whole_or_what_it_was(
 def test_what_cannot_be_swept_is_refused_at_once(
     function: Any, cases: Any, in_flight: int, said: str
 ) -> None:
-    with pytest.raises(DataError, match=said):
-        sweep(function, cases, in_flight=in_flight)
+    with pytest.raises(ph.DataError, match=said):
+        ph.sweep(function, cases, in_flight=in_flight)
 
 
 COMPUTING = """
@@ -286,15 +284,17 @@ def _is_alive(pid: int) -> bool:
 
 
 @pytest.fixture(scope="module")
-def fitted() -> Fit:
-    return identify(sweep_tasks.model(), sweep_tasks.data(3))
+def fitted() -> ph.Fit:
+    return ph.identify(sweep_tasks.model(), sweep_tasks.data(3))
 
 
 def test_a_bootstrap_scatters_as_the_standard_errors_say(
-    fitted: Fit, tmp_path: Path
+    fitted: ph.Fit, tmp_path: Path
 ) -> None:
     data = sweep_tasks.data(3)
-    drawn = partial(bootstrap, fitted, data, folder=tmp_path, executor=InThisProcess())
+    drawn = partial(
+        ph.bootstrap, fitted, data, folder=tmp_path, executor=InThisProcess()
+    )
     few = drawn(4)
     said: list[str] = []
     found = drawn(20, progress=said.append)
@@ -311,26 +311,30 @@ def test_a_bootstrap_scatters_as_the_standard_errors_say(
     assert "bootstrap of 20 draws" in str(found)
     kept = json.loads(next(tmp_path.glob("*.json")).read_text())
     assert kept["of"].startswith("bootstrap ")
-    with pytest.raises(DataError, match="another sweep"):
-        bootstrap(fitted, data, 8, seed=1, folder=tmp_path)
-    with pytest.raises(DataError, match="level=2"):
+    with pytest.raises(ph.DataError, match="another sweep"):
+        ph.bootstrap(fitted, data, 8, seed=1, folder=tmp_path)
+    with pytest.raises(ph.DataError, match="level=2"):
         found.intervals(2)
 
 
-def test_a_bootstrap_refuses_what_it_cannot_draw(fitted: Fit, tmp_path: Path) -> None:
+def test_a_bootstrap_refuses_what_it_cannot_draw(
+    fitted: ph.Fit, tmp_path: Path
+) -> None:
     data = sweep_tasks.data(3)
     fitted.save(tmp_path / "fit.json")
-    with pytest.raises(DataError, match="has no states"):
-        bootstrap(Fit.load(tmp_path / "fit.json"), data)
-    with pytest.raises(DataError, match="samples"):
-        bootstrap(fitted, data.split(0.5)[0])
-    with pytest.raises(DataError, match="n_draws=1"):
-        bootstrap(fitted, data, 1)
+    with pytest.raises(ph.DataError, match="has no states"):
+        ph.bootstrap(ph.Fit.load(tmp_path / "fit.json"), data)
+    with pytest.raises(ph.DataError, match="samples"):
+        ph.bootstrap(fitted, data.split(0.5)[0])
+    with pytest.raises(ph.DataError, match="n_draws=1"):
+        ph.bootstrap(fitted, data, 1)
     both = data.trajectories[0].x.copy()
     both[:, 1] = np.gradient(both[:, 0], data.trajectories[0].t)
     measured = type(data).from_arrays(data.trajectories[0].t, both, states=["x", "v"])
-    with pytest.raises(ModelError, match="PHSILoss"):
-        bootstrap(identify(sweep_tasks.model(), measured, PHSILoss()), measured)
+    with pytest.raises(ph.ModelError, match="PHSILoss"):
+        ph.bootstrap(
+            ph.identify(sweep_tasks.model(), measured, ph.PHSILoss()), measured
+        )
 
 
 def test_a_table_grows_by_whole_lines_and_a_cut_one_is_computed_again(

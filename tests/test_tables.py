@@ -14,8 +14,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError
+import phsi_opt as ph
 from problems.tools.data_paths import folder
 
 # Numbers are compared exactly: reading copies them. Times from dates are differences of
@@ -28,8 +27,8 @@ def frame(**columns: Any) -> pd.DataFrame:
     )
 
 
-def read(text: str, **options: Any) -> Measurements:
-    return Measurements.from_csv(
+def read(text: str, **options: Any) -> ph.Measurements:
+    return ph.Measurements.from_csv(
         io.StringIO(text), **({"time": "t", "states": ["q"]} | options)
     )
 
@@ -71,7 +70,7 @@ def test_harmless_variations_of_a_file_read_the_same(text: str, tmp_path: Path) 
     path = tmp_path / "a.csv"
     path.write_bytes(text.encode("utf-8"))
     for source in (path, str(path), io.StringIO(text)):
-        data = Measurements.from_csv(source, time="t", states=["q"])
+        data = ph.Measurements.from_csv(source, time="t", states=["q"])
         np.testing.assert_array_equal(data.trajectories[0].t, [0, 1])
         np.testing.assert_array_equal(data.trajectories[0].x, [[1], [2]])
 
@@ -80,7 +79,7 @@ def test_an_open_file_is_read_and_left_open(tmp_path: Path) -> None:
     path = tmp_path / "swing.csv"
     path.write_text("t,q\n0,1\n1,2\n", encoding="utf-8")
     with path.open(encoding="utf-8") as file:
-        data = Measurements.from_csv(file, time="t", states=["q"])
+        data = ph.Measurements.from_csv(file, time="t", states=["q"])
         assert not file.closed
     assert [run.name for run in data] == ["swing"]
     assert [run.name for run in read("t,q\n0,1\n1,2\n")] == ["run 1"]
@@ -94,12 +93,12 @@ def test_several_files_are_several_trajectories_in_the_order_given(
         path.write_text(
             f"t,q,run\n0,{i},x\n1,{i},x\n0,7,y\n1,7,y\n2,7,y\n", encoding="utf-8"
         )
-    by_value = Measurements.from_csv(paths, time="t", states=["q"], trajectory="run")
+    by_value = ph.Measurements.from_csv(paths, time="t", states=["q"], trajectory="run")
     assert [run.name for run in by_value] == ["b/x", "b/y", "a/x", "a/y"]
     assert [run.n_samples for run in by_value] == [2, 3, 2, 3]
     for path in paths:
         path.write_text("t,q\n0,1\n1,2\n", encoding="utf-8")
-    by_file = Measurements.from_csv(iter(paths), time="t", states=["q"])
+    by_file = ph.Measurements.from_csv(iter(paths), time="t", states=["q"])
     assert [run.name for run in by_file] == ["b", "a"]
 
 
@@ -112,11 +111,13 @@ def test_files_keep_apart_whatever_their_names(tmp_path: Path) -> None:
         path.parent.mkdir(exist_ok=True)
         path.write_text(text, encoding="utf-8")
     sources: list[Any] = [io.StringIO(text), *paths]
-    data = Measurements.from_csv(sources, time="t", states=["q"])
+    data = ph.Measurements.from_csv(sources, time="t", states=["q"])
     assert [run.name for run in data] == ["run 1", *map(str, paths)]
     paths[1].write_text("t,q\n0,1\n1,x\n", encoding="utf-8")
-    with pytest.raises(DataError, match=r"file '.*tuesday.*', column 'q', line 3: 'x'"):
-        Measurements.from_csv(paths, time="t", states=["q"])
+    with pytest.raises(
+        ph.DataError, match=r"file '.*tuesday.*', column 'q', line 3: 'x'"
+    ):
+        ph.Measurements.from_csv(paths, time="t", states=["q"])
 
 
 def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
@@ -174,7 +175,7 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
 def test_a_file_that_cannot_be_used_is_refused_by_place(
     text: str, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(DataError, match=f"(?s){message}"):
+    with pytest.raises(ph.DataError, match=f"(?s){message}"):
         read(text, **options)
 
 
@@ -184,23 +185,23 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     with (
         latin.open(encoding="utf-8") as opened,
         pytest.raises(
-            DataError, match=r"latin\.csv' cannot be read: 'utf-8' .* Give its"
+            ph.DataError, match=r"latin\.csv' cannot be read: 'utf-8' .* Give its"
         ),
     ):
-        Measurements.from_csv(opened, time="t", states=["q"])
+        ph.Measurements.from_csv(opened, time="t", states=["q"])
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"t,q\n0,1\x00\xff\n")
-    with pytest.raises(DataError, match="it holds binary data and no text"):
-        Measurements.from_csv(binary, time="t", states=["q"])
-    with pytest.raises(DataError, match=r"missing\.csv' cannot be read"):
-        Measurements.from_csv(tmp_path / "missing.csv", time="t", states=["q"])
-    with pytest.raises(DataError, match="cannot be read"):
-        Measurements.from_csv(tmp_path, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match="it holds binary data and no text"):
+        ph.Measurements.from_csv(binary, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match=r"missing\.csv' cannot be read"):
+        ph.Measurements.from_csv(tmp_path / "missing.csv", time="t", states=["q"])
+    with pytest.raises(ph.DataError, match="cannot be read"):
+        ph.Measurements.from_csv(tmp_path, time="t", states=["q"])
     of_bytes: Any = io.BytesIO(b"t,q\n0,1\n1,2\n")
-    data = Measurements.from_csv(of_bytes, time="t", states=["q"])
+    data = ph.Measurements.from_csv(of_bytes, time="t", states=["q"])
     assert data.n_samples == 2, "an open file may give text or bytes"
-    with pytest.raises(DataError, match="gives str; expected bytes"):
-        Measurements.from_excel(io.StringIO("t,q"), time="t", states=["q"])
+    with pytest.raises(ph.DataError, match="gives str; expected bytes"):
+        ph.Measurements.from_excel(io.StringIO("t,q"), time="t", states=["q"])
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
@@ -209,7 +210,7 @@ def test_a_text_is_read_in_the_encodings_of_spreadsheets(
 ) -> None:
     path = tmp_path / "data.csv"
     path.write_bytes("t,Größe\r\n0,1.5\r\n1,2\r\n".encode(encoding))
-    data = Measurements.from_csv(path, time="t", states={"q": "Größe"})
+    data = ph.Measurements.from_csv(path, time="t", states={"q": "Größe"})
     assert data.trajectories[0].x[:, 0].tolist() == [1.5, 2.0]
 
 
@@ -224,8 +225,8 @@ def test_a_text_is_read_in_the_encodings_of_spreadsheets(
     ],
 )
 def test_a_source_of_the_wrong_type_is_refused(source: Any, message: str) -> None:
-    with pytest.raises(DataError, match=message):
-        Measurements.from_csv(source, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match=message):
+        ph.Measurements.from_csv(source, time="t", states=["q"])
 
 
 # ---- data frames ----
@@ -234,7 +235,7 @@ def test_a_source_of_the_wrong_type_is_refused(source: Any, message: str) -> Non
 def test_a_data_frame_is_not_changed() -> None:
     table = frame(run=["a", "a", "a"], note=["x", None, "y"])
     before = table.copy(deep=True)
-    data = Measurements.from_dataframe(
+    data = ph.Measurements.from_dataframe(
         table, time="t", states=["q"], inputs=["u"], trajectory="run"
     )
     pd.testing.assert_frame_equal(table, before)
@@ -256,7 +257,7 @@ def test_a_data_frame_is_not_changed() -> None:
     ],
 )
 def test_every_numeric_kind_of_column_is_read(column: pd.Series) -> None:
-    data = Measurements.from_dataframe(frame(q=column), time="t", states=["q"])
+    data = ph.Measurements.from_dataframe(frame(q=column), time="t", states=["q"])
     assert data.trajectories[0].x.dtype == np.float64
     assert data.trajectories[0].x[0, 0] == 1.0
 
@@ -268,7 +269,9 @@ def test_every_numeric_kind_of_column_is_read(column: pd.Series) -> None:
 def test_runs_may_be_named_by_anything(labels: Any) -> None:
     table = pd.DataFrame({"t": [0.0, 0.0, 1.0], "q": 1.0, "run": labels})
     table = pd.concat([table, table.iloc[[1]].assign(t=1.0)])
-    data = Measurements.from_dataframe(table, time="t", states=["q"], trajectory="run")
+    data = ph.Measurements.from_dataframe(
+        table, time="t", states=["q"], trajectory="run"
+    )
     assert [run.name for run in data] == [str(labels[0]), str(labels[1])]
 
 
@@ -290,29 +293,31 @@ def test_a_data_frame_that_cannot_be_used_is_refused_by_row(
     table: pd.DataFrame, options: dict[str, Any], message: str
 ) -> None:
     table = table.set_axis(["a", "b", "c"][: len(table)], axis=0)
-    with pytest.raises(DataError, match=message):
-        Measurements.from_dataframe(table, **({"time": "t", "states": ["q"]} | options))
+    with pytest.raises(ph.DataError, match=message):
+        ph.Measurements.from_dataframe(
+            table, **({"time": "t", "states": ["q"]} | options)
+        )
 
 
 def test_what_is_no_data_frame_is_refused() -> None:
     with pytest.raises(
-        DataError, match=r"frame is a dict; expected a pandas\.DataFrame"
+        ph.DataError, match=r"frame is a dict; expected a pandas\.DataFrame"
     ):
-        Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])  # type: ignore[arg-type]
+        ph.Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("cell", [np.complex64(2j), 10**400, 1 + 0j])
 def test_a_cell_that_no_float_holds_is_refused(cell: Any) -> None:
     table = frame(q=pd.Series([1.0, cell, 2.0], dtype=object))
-    with pytest.raises(DataError, match=r"row 1: .* is not a real number"):
-        Measurements.from_dataframe(table, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match=r"row 1: .* is not a real number"):
+        ph.Measurements.from_dataframe(table, time="t", states=["q"])
 
 
 # ---- text of all kinds ----
 
 
-def read_text(text: str, **options: Any) -> Measurements:
-    return Measurements.from_csv(io.StringIO(text), **options)
+def read_text(text: str, **options: Any) -> ph.Measurements:
+    return ph.Measurements.from_csv(io.StringIO(text), **options)
 
 
 @pytest.mark.parametrize(
@@ -415,7 +420,7 @@ def test_rows_may_be_counted_where_no_column_has_the_times() -> None:
 def test_a_table_that_cannot_be_used_is_refused_by_place(
     text: str, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(DataError, match=f"(?s){message}"):
+    with pytest.raises(ph.DataError, match=f"(?s){message}"):
         read_text(text, **({"time": 0, "states": {"q": 1}} | options))
 
 
@@ -460,14 +465,14 @@ def test_numbers_that_look_like_dates_are_refused_until_told_what_they_are(
     number = float(first)
     said = f"column 'day', .*{first} looks like 2021-01-31 .* expected.*{form}"
     for units in (None, {"t": "s"}):
-        with pytest.raises(DataError, match=said):
+        with pytest.raises(ph.DataError, match=said):
             read_text(text, units=units, **options)
-    with pytest.raises(DataError, match=r"column 'day'.*looks like 2021-01-31"):
-        Measurements.from_dataframe(frame, **options)
+    with pytest.raises(ph.DataError, match=r"column 'day'.*looks like 2021-01-31"):
+        ph.Measurements.from_dataframe(frame, **options)
     for kind, t in ((form, [0, apart]), ("", [number, float(second)])):
         table = read_text(text, date_format=kind, **options)
         np.testing.assert_array_equal(table.trajectories[0].t, t)
-        table = Measurements.from_dataframe(frame, date_format=kind, **options)
+        table = ph.Measurements.from_dataframe(frame, date_format=kind, **options)
         np.testing.assert_array_equal(table.trajectories[0].t, t)
 
 
@@ -541,14 +546,14 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
 def test_dates_that_cannot_be_used_are_refused_by_row(
     first: str, second: str, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(DataError, match=f"(?s){message}"):
+    with pytest.raises(ph.DataError, match=f"(?s){message}"):
         read_text(f"t;q\n{first};1\n{second};2\n", time="t", states=["q"], **options)
 
 
 def test_dates_of_a_data_frame_are_times_too() -> None:
     times = pd.date_range("2021-11-22", periods=3, freq="15min", tz="Europe/Berlin")
     frame = pd.DataFrame({"t": times, "q": [1.0, 2.0, 3.0]})
-    data = Measurements.from_dataframe(frame, time="t", states=["q"])
+    data = ph.Measurements.from_dataframe(frame, time="t", states=["q"])
     np.testing.assert_array_equal(data.trajectories[0].t, [0, 900, 1800])
 
 
@@ -575,12 +580,12 @@ def test_an_excel_sheet_reads_like_the_text_table(tmp_path: Path) -> None:
         [1, 3],
     ]
     path = workbook(tmp_path / "bench.xlsx", {"notes": [], "Tabelle1": rows})
-    data = Measurements.from_excel(path, time="t", states=["q"])
+    data = ph.Measurements.from_excel(path, time="t", states=["q"])
     assert [run.name for run in data] == ["bench"]
     np.testing.assert_array_equal(data.trajectories[0].t, [0, 0.5, 1])
     np.testing.assert_array_equal(data.trajectories[0].x[:, 0], [1.5, np.nan, 3])
     with path.open("rb") as file:
-        again = Measurements.from_excel(file, time=0, states={"q": 1})
+        again = ph.Measurements.from_excel(file, time=0, states={"q": 1})
     np.testing.assert_array_equal(again.trajectories[0].x, data.trajectories[0].x)
 
 
@@ -588,7 +593,7 @@ def test_excel_dates_texts_and_sheets_without_a_header(tmp_path: Path) -> None:
     begin = dt.datetime(2021, 11, 22, 9)
     rows = [[begin, "1,5"], [begin + dt.timedelta(minutes=15), "2,5"]]
     path = workbook(tmp_path / "a.xlsx", {"one": rows, "two": rows})
-    data = Measurements.from_excel(
+    data = ph.Measurements.from_excel(
         path, sheet="two", time=0, states={"q": 1}, decimal=","
     )
     np.testing.assert_array_equal(data.trajectories[0].t, [0, 900])
@@ -616,8 +621,8 @@ def test_a_workbook_that_cannot_be_used_is_refused_by_place(
     tmp_path: Path,
 ) -> None:
     path = workbook(tmp_path / "bench.xlsx", sheets)
-    with pytest.raises(DataError, match=f"(?s)file '.*bench.xlsx'.*{message}"):
-        Measurements.from_excel(path, **({"time": "t", "states": ["q"]} | options))
+    with pytest.raises(ph.DataError, match=f"(?s)file '.*bench.xlsx'.*{message}"):
+        ph.Measurements.from_excel(path, **({"time": "t", "states": ["q"]} | options))
 
 
 def test_a_file_of_another_kind_is_refused_with_the_reader_it_needs(
@@ -630,14 +635,14 @@ def test_a_file_of_another_kind_is_refused_with_the_reader_it_needs(
     ):
         path = tmp_path / name
         path.write_bytes(b"t,q\n0,1\n1,2\n")
-        with pytest.raises(DataError, match=message):
-            Measurements.from_csv(path, time="t", states=["q"])
-    with pytest.raises(DataError, match="is no Excel workbook of the kind"):
-        Measurements.from_excel(path, time="t", states=["q"])
-    with pytest.raises(DataError, match="it is no MATLAB file, or a damaged one"):
-        Measurements.from_mat(path, time="t", states=["q"])
-    with pytest.raises(DataError, match="gives str; expected bytes"):
-        Measurements.from_excel(io.StringIO("t"), time="t", states=["q"])
+        with pytest.raises(ph.DataError, match=message):
+            ph.Measurements.from_csv(path, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match="is no Excel workbook of the kind"):
+        ph.Measurements.from_excel(path, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match="it is no MATLAB file, or a damaged one"):
+        ph.Measurements.from_mat(path, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match="gives str; expected bytes"):
+        ph.Measurements.from_excel(io.StringIO("t"), time="t", states=["q"])
 
 
 # ---- MATLAB ----
@@ -667,7 +672,7 @@ X = np.column_stack([T**2, -T])
 def test_vectors_matrices_and_structs_of_matlab_are_columns(
     content: dict[str, Any], options: dict[str, Any]
 ) -> None:
-    data = Measurements.from_mat(mat(content), **options)
+    data = ph.Measurements.from_mat(mat(content), **options)
     np.testing.assert_array_equal(data.trajectories[0].t, T)
     np.testing.assert_array_equal(data.trajectories[0].x[:, 0], T**2)
     np.testing.assert_array_equal(data.trajectories[0].u[:, 0], -T)
@@ -701,28 +706,28 @@ def test_vectors_matrices_and_structs_of_matlab_are_columns(
 def test_a_matlab_file_that_cannot_be_used_is_refused_with_what_it_holds(
     content: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(DataError, match=f"(?s)open file.*{message}"):
-        Measurements.from_mat(mat(content), time="t", states=["q"])
+    with pytest.raises(ph.DataError, match=f"(?s)open file.*{message}"):
+        ph.Measurements.from_mat(mat(content), time="t", states=["q"])
 
 
 def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do() -> None:
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124, b" ")
     version_and_order = b"\x00\x02IM"
     file = io.BytesIO(header + version_and_order + bytes(384) + b"\x89HDF\r\n\x1a\n")
-    with pytest.raises(DataError, match=r"version 7\.3 .*save\(name, '-v7'\)"):
-        Measurements.from_mat(file, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match=r"version 7\.3 .*save\(name, '-v7'\)"):
+        ph.Measurements.from_mat(file, time="t", states=["q"])
 
 
 def test_a_vector_may_be_written_as_a_column_of_a_matrix_and_as_no_other() -> None:
-    data = Measurements.from_mat(
+    data = ph.Measurements.from_mat(
         mat({"log": {"X": X[:, :1]}}), step=1, states={"q": "log.X(:,1)"}
     )
     assert data.trajectories[0].x[:, 0].tolist() == (T**2).tolist()
-    with pytest.raises(DataError, match=r"has no column 'X\(1,:\)'"):
-        Measurements.from_mat(mat({"X": X[:, :1]}), step=1, states={"q": "X(1,:)"})
+    with pytest.raises(ph.DataError, match=r"has no column 'X\(1,:\)'"):
+        ph.Measurements.from_mat(mat({"X": X[:, :1]}), step=1, states={"q": "X(1,:)"})
     for column in ("X(:,3)", "X(0,:)", "X(1,1)"):
-        with pytest.raises(DataError, match=r"has no column 'X.*4 x 2 numbers: X"):
-            Measurements.from_mat(mat({"X": X}), step=1, states={"q": column})
+        with pytest.raises(ph.DataError, match=r"has no column 'X.*4 x 2 numbers: X"):
+            ph.Measurements.from_mat(mat({"X": X}), step=1, states={"q": column})
 
 
 # ---- measured sets
@@ -760,7 +765,9 @@ def test_a_measured_table_is_read_by_a_short_call(name: str) -> None:
     columns, n_samples, end = MEASURED[name]
     part = columns.get("between", (None, None))
     columns = {key: value for key, value in columns.items() if key != "between"}
-    read = Measurements.from_mat if path.suffix == ".mat" else Measurements.from_csv
+    read = (
+        ph.Measurements.from_mat if path.suffix == ".mat" else ph.Measurements.from_csv
+    )
     data = read(path, **columns).between(*part)
     assert data.n_samples == n_samples
     # The last lines of the files are written here with five digits.

@@ -8,7 +8,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis.candidate import Candidate, Grade
+from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model_error.joint_estimate import JointPoint
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
@@ -327,7 +327,7 @@ def test_traces_are_the_slopes_of_the_residuals(name: str, equation: str) -> Non
 
 def test_a_grade_is_that_of_all_data_and_of_what_was_weighed_alone() -> None:
     effect = effect_named(spring(), "constant force", "p")
-    one = Candidate(effect, 0.1, 0.01, log_bayes=3.5, was_weighed=True)
+    one = ph.Candidate(effect, 0.1, 0.01, log_bayes=3.5, was_weighed=True)
     assert one.grade == Grade.STRONG
     assert replace(one, log_predictive=2.0).grade == Grade.DECISIVE
     assert replace(one, log_predictive=-3.0).grade == Grade.WEAK

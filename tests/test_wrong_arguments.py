@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.errors import PhsiOptError, did_you_mean
+from phsi_opt.errors import did_you_mean
 from phsi_opt.writing import write_whole
 
 T = np.linspace(0.0, 5.0, 51)
@@ -95,7 +95,7 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(
     ],
 )  # fmt: skip
 def test_a_wrong_argument_is_named(call: Callable[[], Any], said: str) -> None:
-    with pytest.raises(PhsiOptError, match=said):
+    with pytest.raises(ph.PhsiOptError, match=said):
         call()
 
 
@@ -146,7 +146,7 @@ def test_a_file_behind_a_link_is_replaced_and_keeps_its_rights(tmp_path: Path) -
 
 def test_data_errors_are_value_errors_and_errors_of_this_package() -> None:
     assert issubclass(ph.DataError, ValueError) and issubclass(
-        ph.DataError, PhsiOptError
+        ph.DataError, ph.PhsiOptError
     )
 
 
