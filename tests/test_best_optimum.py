@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.comparison.compare import flat_sentence, is_flat
+from phsi_opt.comparison.compare import flat_sentence
 
 PER_PERIOD = 20
 CORRELATION_TIME = 1.0
@@ -96,24 +96,6 @@ def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
     diagnosed = ph.diagnose(flat_fit, swinging, effects=[effect])
     assert diagnosed.sentences[0] == flat_sentence(["q"])
     assert "The free run of q is flat" in str(diagnosed)
-
-
-def test_a_study_says_that_its_base_model_is_flat(swinging: ph.Measurements) -> None:
-    said: list[str] = []
-    model = oscillator(0.25, ph.Parameter(0.1, lower=0))
-    ph.Study(model, swinging, progress=said.append)
-    assert flat_sentence(["q"]) in said
-
-
-def test_flat_is_a_run_that_neither_moves_nor_explains() -> None:
-    t = np.linspace(0, 60, 600)
-    y = np.sin(t)
-    still = np.zeros(600)
-    assert is_flat(y, still, 0.01)
-    # Out of step it moves; near the mean of a state that shows noise it is right.
-    assert not is_flat(y, -y, 0.01)
-    assert not is_flat(y, 0.2 * y, 0.01)
-    assert not is_flat(y, still, 0.7)
 
 
 # ---- a fit that ended in the wrong optimum -------------------------------------------

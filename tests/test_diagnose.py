@@ -8,15 +8,12 @@ import pytest
 from scipy.signal import lfilter
 
 import phsi_opt as ph
-from phsi_opt.comparison.compare import compare_record, deviance
 from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.diagnosis.record import next_step
-from phsi_opt.diagnosis.refit import DiagnosedModel, finer_at_corner, refit
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
-from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import aligned
 from problems.battery.draw import ROWS, draw
@@ -103,29 +100,6 @@ def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
     grades = {one.name: one.grade for one in found.ranking}
     assert [str(effect) for effect in found.proposed] == ["coulomb friction on p"]
     assert all(grades.get(name, Grade.NONE) == Grade.NONE for name in alike)
-
-
-@pytest.mark.parametrize("share", [0.25, 0.5, 1.0, 2.0])
-def test_a_delay_acts_on_an_interval_with_the_mean_of_what_arrives(
-    share: float,
-) -> None:
-    data = pushed("0.5")
-    fit = ph.identify(driven(ph.Parameter(2.0, fixed=True)), data)
-    screen = screening(fit, data)
-    tau = share * (T[1] - T[0])
-    fine = np.linspace(T[0], T[-1], 40 * (len(T) - 1) + 1)
-    u = data.trajectories[0].u[:, 0]
-    late = np.interp(fine - tau, T, u) - np.interp(fine, T, u)
-    windows = np.lib.stride_tricks.sliding_window_view(late, 41)[::40]
-    mean = np.trapezoid(windows, dx=1 / 40)
-    trial = screen.trial(effect_named(fit.model, "input delay", "p"))
-    sensitivities = Sensitivities(screen.linearized, trial)
-    of_defects = sensitivities({"delay_u_p": tau}).of_defects
-    change = -of_defects.reshape(-1, 2)[:, 1]
-    # 3 %: Pade's delay of the kinks at the samples, and the steps in which it is
-    # followed.
-    ratio = change[10:] @ mean[10:] / (mean[10:] @ mean[10:])
-    assert ratio == pytest.approx(1.0, abs=0.03)
 
 
 def test_a_gain_beside_a_known_mass_is_a_candidate() -> None:
@@ -324,43 +298,3 @@ def test_an_effect_that_is_needed_beside_a_force_stays() -> None:
         "coulomb friction",
         "constant force",
     ]
-
-
-# ---- re-fits -------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("n", [2, 3, 5])
-def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(
-    n: int, drag: tuple[ph.Fit, ph.Measurements, ScoreTest]
-) -> None:
-    v = np.array([0.5, -0.5, -0.5, -0.5, -0.5])[:n]
-    x = np.column_stack([v, v])
-    runs = ph.Measurements.from_arrays([T[:n]], [x], states=["q", "p"])
-    part = replace(drag[0], states=(x,))
-    whole = (np.ones(n - 1, dtype=int),)
-    (steps,) = finer_at_corner(part, runs, "dH_dp", 0.01, whole)
-    assert steps.tolist() == [8, 8, 1, 1][: n - 1]
-
-
-@pytest.fixture(scope="module")
-def complete() -> DiagnosedModel:
-    """A damped spring of which nothing is missing."""
-    data = swings(damped_spring(), seed=0)[:2]
-    trained = ph.compare(ph.identify(base(), data), data)
-    return DiagnosedModel(trained, trained, ph.MaximumLikelihood())
-
-
-def test_a_second_effect_is_refitted_beside_the_memory_of_the_first(
-    complete: DiagnosedModel,
-) -> None:
-    record = complete.record
-    delay = effect_named(complete.fit.model, "sensor delay", "q")
-    late = ph.identify(complete.fit.model.add(delay), record.data, start=complete.fit)
-    # The missing force beside it is that of the model without a memory.
-    trained = compare_record(record.refitted(late))
-    beside = replace(complete, trained=trained, judged=trained)
-    drag = effect_named(late.model, "quadratic drag", "p")
-    done = refit(beside, ph.Candidate(drag, 0.0, np.nan, log_bayes=0.0))
-    assert done is not None and done.fit.model.memory == late.model.memory
-    assert done.fit.states[0].shape == (len(T), late.model.n_states)
-    assert deviance(done.fit) <= deviance(late) + 0.1  # a brief solve

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.transcription.augmented_states import MemoryIntegration, with_memory
 from phsi_opt.transcription.grid import grid_of
 
@@ -205,27 +204,6 @@ def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
     np.testing.assert_allclose(
         shown, expected, atol=0.05
     )  # of a jump of 2: Pade rings behind it, and steps of 0.125
-
-
-def test_a_rim_is_not_sought_above_the_highest_level() -> None:
-    data = ph.Measurements.from_arrays(
-        T * np.arange(5), np.array([[0.5], [2.0], [3.0], [1.0], [0.7]]), states=["h"]
-    )
-    model = ph.FirstOrder(["h"], {"h": ph.formula("-k*h", k=0.1)})
-    larger = model.add("overflow", "h")
-    grid = grid_of(data)
-    (limit,) = (
-        e.parameter
-        for n, e in resolve_guesses(larger, grid, grid.y).entries.items()
-        if n.endswith("limit")
-    )
-    assert limit.upper == 3.0 and 0 < limit.start < 3.0
-    assert (
-        resolve_guesses(larger, grid, grid.y)
-        .with_values({"overflow_h.limit": 9.0})
-        .values["overflow_h.limit"]
-        == 3.0
-    )
 
 
 def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimated() -> (

@@ -166,36 +166,6 @@ def test_lines_and_errors_come_when_their_case_is_asked_for(workers: Executor) -
         assert said == ["halving 4", "halving 1", "halving 3"]
 
 
-class Slow:
-    """Has done the first of five cases when it has got all of them."""
-
-    def __init__(self) -> None:
-        self.begun: list[Future[Any]] = []
-
-    def submit(self, fn: Any, /, *args: Any) -> Future[Any]:
-        if not self.begun:
-            self.first = fn(*args)
-        self.begun.append(Future())
-        if len(self.begun) == 5:
-            self.begun[0].set_result(self.first)
-        return self.begun[-1]
-
-
-def test_what_is_not_asked_for_is_cancelled() -> None:
-    slow = Slow()
-    executor: Any = slow
-    cases = {str(n): n for n in range(5)}
-    ahead = Ahead(sweep_tasks.halved, cases, executor, print)
-    assert ahead.result("0") == 0
-    assert not any(future.cancelled() for future in slow.begun)
-    ahead.close()
-    assert [future.cancelled() for future in slow.begun] == [False, *4 * [True]]
-    counted: Any = Counted()
-    one_case = Ahead(sweep_tasks.halved, {"1": 1}, counted, print)
-    assert one_case.result("1") == 0.5
-    assert not counted.begun  # it would gain nothing elsewhere
-
-
 # ---- starts --------------------------------------------------------------------------
 
 

@@ -5,12 +5,10 @@ whose derivatives are those of finite differences.
 from functools import partial
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.optimization.column_function import AT_ONCE
 from phsi_opt.transcription.defects import (
     KnownDefects,
     between_samples,
@@ -208,28 +206,6 @@ def test_defects_are_those_of_the_intervals_and_slopes_those_of_differences(
         columns.append(change.ravel() / (2 * step))
     # Central differences: rounding of defects near 10 over the step, 1e-15 * 10 / 1e-6.
     np.testing.assert_allclose(slopes, np.column_stack(columns), atol=1e-7)
-
-
-@pytest.mark.parametrize("only", [None, [1]])
-def test_defects_of_known_states_are_those_of_the_symbols(
-    only: list[int] | None,
-) -> None:
-    start = ph.Parameter(0.5)
-    rate = ph.formula("-a*x + b*x**3", a=start, b=start)
-    cubic = ph.FirstOrder(["x"], F={"x": rate})
-    rng = np.random.default_rng(1)
-    t = np.cumsum(0.1 + 0.05 * rng.random(AT_ONCE + 7))
-    x = rng.normal(size=(len(t), 1))
-    grid = grid_of(ph.Measurements.from_arrays([t], [x], states=["x"]))
-    theta = np.array([0.4, 0.3])
-    known = KnownDefects(cubic, grid, "srk4", only=only).at(theta)
-    symbol = ca.SX.sym("theta", 2)
-    d = ca.vec(defects(cubic, grid, "srk4", ca.DM(grid.y.T), symbol))
-    both = ca.Function("J", [symbol], [d, ca.jacobian(d, symbol)])(theta)
-    values, slopes = (np.array(one) for one in both)
-    np.testing.assert_allclose(known.d, values, rtol=1e-12)
-    chosen = [0, 1] if only is None else only
-    np.testing.assert_allclose(known.slopes, slopes[:, chosen], rtol=1e-12)
 
 
 def test_states_between_samples_follow_the_model_from_the_sample_before() -> None:

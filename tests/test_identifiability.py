@@ -72,12 +72,6 @@ def test_two_open_directions_are_named_apart_however_their_eigenvectors_are_mixe
     ]
 
 
-def test_information_that_is_not_finite_is_a_solve_error() -> None:
-    information = np.array([[1.0, np.nan], [np.nan, 1.0]])
-    with pytest.raises(ph.SolveError, match="beyond all numbers"):
-        regularized_inverse(information)
-
-
 # ---- the profile likelihood
 
 

@@ -5,11 +5,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.initialization.scaling import kinematic_states
-from phsi_opt.transcription.augmented_states import (
-    memory_start_bounds,
-    with_memory,
-)
-from phsi_opt.transcription.grid import AlignedData, Grid, grid_of
+from phsi_opt.transcription.grid import Grid, grid_of
 
 T = np.linspace(0.0, 20.0, 201)
 
@@ -104,43 +100,6 @@ def spring(k: ph.Parameter | float = 1.5) -> ph.PseudoHamiltonian:
 PUSHED = spring().add("input lag", "p").with_values({"lag_u_p": LAG})
 
 
-def grid_of_inputs(model: ph.Model, *inputs: np.ndarray) -> Grid:
-    """A record per input, its states of no account."""
-    data = ph.Measurements.from_arrays(
-        [FINE] * len(inputs),
-        [np.zeros((len(FINE), 2)) for _ in inputs],
-        [u[:, None] for u in inputs],
-        states=["q", "p"],
-        inputs=["u"],
-    )
-    return AlignedData.of(model, data).grid
-
-
-@pytest.mark.parametrize(
-    ("inputs", "lowest", "highest"),
-    [
-        # At rest it is 0, at the end 2 (1 - exp(-3/0.5)).
-        ([np.where(FINE > 1.0, 2.0, 0.0)], 0.0, 2.0 * (1 - np.exp(-3.0 / LAG))),
-        # The records share what their memory may begin with.
-        ([np.full(len(FINE), -1.0), np.full(len(FINE), 3.0)], -1.0, 3.0),
-    ],
-)
-def test_a_memory_begins_within_what_it_is_later_and_its_range_to_both_sides(
-    inputs: list[np.ndarray], lowest: float, highest: float
-) -> None:
-    grid = grid_of_inputs(PUSHED, *inputs)
-    x = np.zeros((grid.n_nodes, 3))
-    bounds = memory_start_bounds(PUSHED, grid, x, PUSHED.theta)
-    reach = highest - lowest
-    np.testing.assert_allclose(
-        bounds[0, grid.first, 2], lowest - reach, rtol=1e-2, atol=1e-9
-    )
-    np.testing.assert_allclose(bounds[1, grid.first, 2], highest + reach, rtol=1e-2)
-    # Other states and later nodes have none.
-    is_bounded = np.isfinite(bounds)
-    assert is_bounded.sum() == 2 * len(inputs)
-
-
 def test_the_fit_begins_within_these_bounds() -> None:
     # Of a lag shorter than a sample the first residual alone could tell the start.
     rng = np.random.default_rng(0)
@@ -155,16 +114,6 @@ def test_the_fit_begins_within_these_bounds() -> None:
     began = fit.states[0][0, 2]
     span = np.ptp(force)
     assert force.min() - span <= began <= force.max() + span
-
-
-def test_the_memory_of_a_lag_is_that_of_its_equation() -> None:
-    grid = grid_of_inputs(PUSHED, np.sin(FINE))
-    states = with_memory(PUSHED, grid, np.zeros((len(FINE), 2)), PUSHED.theta)
-    # lag z' = sin(t) - z from z(0) = 0.
-    gain = 1 / (1 + LAG**2)
-    decay = LAG * gain * np.exp(-FINE / LAG)
-    expected = gain * (np.sin(FINE) - LAG * np.cos(FINE)) + decay
-    np.testing.assert_allclose(states[:, 2], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("delay", [0.15, 0.4])

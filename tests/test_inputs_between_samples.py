@@ -47,14 +47,6 @@ def moved(hold: str) -> ph.Measurements:
     )
 
 
-def test_a_spline_between_and_beyond_the_samples() -> None:
-    t = np.sort(np.random.default_rng(1).uniform(0, 5, 40))
-    smooth = SmoothInputs(t, np.column_stack([t**3 - t, np.cos(t)]))
-    at = np.linspace(t[0], t[-1], 7)
-    np.testing.assert_allclose(smooth(at)[:, 0], at**3 - at, atol=1e-10)
-    np.testing.assert_array_equal(smooth(np.array([-9.0, 99.0])), smooth(t[[0, -1]]))
-
-
 @pytest.mark.parametrize("n_samples", [2, 3, 5])
 def test_a_line_has_the_mean_and_the_first_moment_of_the_spline(n_samples: int) -> None:
     t = np.array([0.0, 0.7, 1.0, 2.2, 3.0])[:n_samples]

@@ -155,11 +155,6 @@ def test_a_force_that_makes_no_sense_is_refused(
         joint_descent(driven(), record(), Descent(epochs=1), force=JointForce(**force))
 
 
-def test_a_significance_that_makes_no_sense_is_refused() -> None:
-    with pytest.raises(ph.ModelError, match=r"significance=1.0 .* between 0 and 1"):
-        joint_descent(driven(), record(), Descent(epochs=1), significance=1.0)
-
-
 def test_a_hybrid_can_be_printed_and_pickled(hybrid: HybridBaseline) -> None:
     copy = pickle.loads(pickle.dumps(hybrid))
     np.testing.assert_array_equal(copy.force([[0.1, 0.2]]), hybrid.force([[0.1, 0.2]]))

@@ -149,16 +149,6 @@ def test_the_profiled_deviance_is_that_of_normal_residuals_with_their_own_noise(
 # ---- what counts as noise
 
 
-def fit_of(deviance: float, n_names: int, n_values: int = 400) -> Any:
-    """As much of a fit as evidence looks at."""
-    bic = deviance + n_names * np.log(n_values)
-    return SimpleNamespace(names=("a",) * n_names, n_values=n_values, bic=bic)
-
-
-def test_the_deviance_is_bic_without_its_price() -> None:
-    assert evidence.deviance(fit_of(-100.0, 2)) == pytest.approx(-100.0)
-
-
 def judged(rmse: float, floor: float, whiteness: tuple[float, ...] = (0.5,)) -> Any:
     return SimpleNamespace(
         rmse=rmse,

@@ -156,30 +156,6 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(
     assert not np.array_equal(a.network.layers[0][0], c.network.layers[0][0])
 
 
-def test_a_force_of_an_input_is_learned_in_a_drive_with_held_input() -> None:
-    rng, t = np.random.default_rng(5), 0.1 * np.arange(400)
-    u = np.repeat(rng.uniform(-1, 1, 40), 10)[:, None]
-
-    def drive(**force: ph.Parameter | float) -> ph.PseudoHamiltonian:
-        return ph.PseudoHamiltonian(
-            states=["v"],
-            inputs=["u"],
-            S=[[0.0]],
-            H=ph.formula("v**2/2"),
-            R={"v": ph.formula("0.8")},
-            F={"v": ph.formula("b*u + c*abs(u)", **force)},
-        )
-
-    v = ph.simulate(drive(b=5.0, c=2.0), t, [0.0], u, hold="zero")
-    v = v + 0.02 * rng.normal(size=v.shape)
-    data = ph.Measurements.from_arrays(t, v, u, states=["v"], inputs=["u"], hold="zero")
-    train, test = data.split(0.7)
-    fit = ph.identify(drive(b=ph.Parameter(1.0), c=0.0), train)
-    learned = learned_force(fit, train, equation="v", on=["u"], epochs=20)
-    assert ph.compare(learned.fit, test).rmse < 0.3 * ph.compare(fit, test).rmse
-    assert learned.fit.simulate(t, [0.0], u).shape == (400, 1)
-
-
 def test_a_saved_force_is_the_same_when_loaded(coupled: Case, tmp_path: Path) -> None:
     learned = coupled.learned
     learned.save(tmp_path / "force.json")

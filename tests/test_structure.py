@@ -3,7 +3,6 @@
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -313,17 +312,6 @@ def test_the_content_of_a_model_holds_its_kinds_and_old_content_has_none(
     assert model_from(content).kind == {}
 
 
-def test_a_fit_in_a_file_keeps_the_kinds_of_its_model(tmp_path: Path) -> None:
-    t = np.linspace(0.0, 5.0, 101)
-    model = heater().with_values({"a": 0.4})
-    u = np.sin(t)[:, None]
-    x = ph.simulate(model, t, [1.0, 0.0], u)
-    x += 0.01 * np.random.default_rng(0).normal(size=x.shape)
-    data = ph.Measurements.from_arrays(t, x, u, states=list(model.states), inputs=["u"])
-    ph.identify(model, data).save(tmp_path / "fit.json")
-    assert ph.Fit.load(tmp_path / "fit.json").model.kind == model.kind
-
-
 @pytest.mark.parametrize(
     ("unit", "kind"),
     [
@@ -379,23 +367,3 @@ def test_a_spring_written_with_its_velocity_is_diagnosed_as_one() -> None:
     assert str(found.proposed[0]) == "quadratic stiffness on v"
     assert set(found.missing_force) == {"trajectory", "t", "v", "std_v"}
     assert not any("dx/dt" in sentence for sentence in found.sentences)
-
-
-def test_units_of_a_piston_tell_that_its_place_is_kinematics() -> None:
-    def rates(_: float, x: list[float]) -> list[float]:
-        q, p, z = x
-        return [p, -4.0 * q - 0.3 * p + 0.5 * z, -0.5 * p - 0.2 * z]
-
-    starts = ([1.0, 0.0, 0.5], [-0.7, 1.0, 0.0])
-    units = {"q": "m", "p": "kg m/s", "z": "kPa"}
-    data = records(rates, *starts, states=["q", "p", "z"], units=units)
-    model = ph.PseudoHamiltonian(
-        states=["q", "p", "z"],
-        S=[[0, 1, 0], [-1, 0, 0.5], [0, -0.5, 0]],
-        H=ph.formula("k*q**2/2 + p**2/2 + z**2/2", k=ph.Parameter(3.0, lower=0)),
-        R=ph.damping("p") | ph.damping("z"),
-    )
-    assert forced_rows(model) == (0, 1, 2)
-    fit = ph.identify(model, data)
-    assert forced_rows(fit.model) == (1, 2)
-    assert abs(fit.values["k"] - 4.0) < 0.05

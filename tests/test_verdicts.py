@@ -70,7 +70,9 @@ def with_lasting_noise() -> ph.Diagnosis:
 # ---- machines of one mass
 
 
-def moved(force: Force, start: Sequence[float], t: np.ndarray) -> np.ndarray:
+def moved(
+    force: Force, start: Sequence[float] | np.ndarray, t: np.ndarray
+) -> np.ndarray:
     """Position and momentum of a unit mass, (n_samples, 2)."""
 
     def rates(time: float, x: np.ndarray) -> list[float]:
