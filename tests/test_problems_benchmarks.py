@@ -1,7 +1,6 @@
-"""The Cramer-Rao bound, and the studies of efficiency, chaos and scaling under
-problems/, small.
-"""
+"""The benchmarks, small: the Cramer-Rao bound, chaos, scaling, coverage, far starts."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from problems.benchmarks import basins
+from problems.benchmarks import basins, chaos, scaling, state_growth
 from problems.benchmarks.basin_machines import KINDS as MACHINES
 from problems.benchmarks.basin_machines import OTHERS_OFF, UNREST, draw_case
 from problems.benchmarks.coverage import (
@@ -27,6 +26,9 @@ from problems.benchmarks.coverage import (
     page,
     summary,
 )
+from problems.benchmarks.efficiency import run
+from problems.benchmarks.efficiency.cases import CASES, duffing
+from problems.benchmarks.efficiency.cramer_rao import TrueSystem, covariance_bound
 from problems.benchmarks.oscillator import (
     KINDS,
     MOTION_RUNS,
@@ -45,11 +47,11 @@ from problems.benchmarks.oscillator import (
     positions,
     records,
 )
+from problems.thesis.systems import SYSTEMS, closed_tanks
+from problems.tools import provenance
 
 
 def test_the_bound_agrees_with_the_closed_form_of_exponential_decay() -> None:
-    from problems.benchmarks.efficiency.cramer_rao import TrueSystem, covariance_bound
-
     system = TrueSystem(("x",), ("-a*x",), {"a": 0.7}, ("a",))
     t, starts, sigma = (
         np.linspace(0.0, 3.0, 31),
@@ -68,11 +70,6 @@ def test_the_bound_agrees_with_the_closed_form_of_exponential_decay() -> None:
 def test_the_bound_agrees_with_finite_differences_of_an_integration(
     measured: tuple[str, ...],
 ) -> None:
-    from dataclasses import replace
-
-    from problems.benchmarks.efficiency.cases import duffing
-    from problems.benchmarks.efficiency.cramer_rao import covariance_bound
-
     system, t, start, sigma = (
         duffing(),
         np.linspace(0.0, 8.0, 41),
@@ -103,9 +100,6 @@ def test_the_bound_agrees_with_finite_differences_of_an_integration(
     "name", ["henon_heiles", "mass_spring", "schrodinger", "tanks", "tanks_leak"]
 )
 def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
-    from problems.benchmarks.efficiency.cases import CASES
-    from problems.thesis.systems import SYSTEMS, closed_tanks
-
     case, system = CASES[name], SYSTEMS[name.removesuffix("_leak")]
     rhs = closed_tanks if name == "tanks" else system.rhs
     x = np.random.default_rng(1).normal(size=len(system.states))
@@ -118,9 +112,7 @@ def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
 
 
 def test_likelihood_is_close_to_the_bound_and_needs_no_complete_samples() -> None:
-    from problems.benchmarks.efficiency.run import quick
-
-    tables = quick(["duffing_qp_0.1", "duffing_q_0.1_gaps"], 1)
+    tables = run.quick(["duffing_qp_0.1", "duffing_q_0.1_gaps"], 1)
     table = tables["duffing_qp_0.1"]
     z = (
         ((table["estimate"] - table["truth"]) / table["bound"])
@@ -142,9 +134,6 @@ def test_likelihood_is_close_to_the_bound_and_needs_no_complete_samples() -> Non
 def test_the_page_is_made_from_the_kept_rows_and_a_run_goes_on_where_it_stopped(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from problems.benchmarks.efficiency import run
-    from problems.tools import provenance
-
     monkeypatch.setattr("sys.argv", ["run.py"])
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
     run.main(["duffing_qp_0.1"], n_seeds=1, jobs=1)
@@ -162,8 +151,6 @@ def test_the_page_is_made_from_the_kept_rows_and_a_run_goes_on_where_it_stopped(
 def test_lorenz_is_identified_beyond_the_time_of_any_prediction(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from problems.benchmarks import chaos
-
     monkeypatch.setattr(
         chaos,
         "EXPERIMENTS",
@@ -176,8 +163,6 @@ def test_lorenz_is_identified_beyond_the_time_of_any_prediction(
 
 
 def test_the_cost_of_a_fit_is_measured() -> None:
-    from problems.benchmarks import scaling
-
     row = scaling.measure(300, "qp")
     assert float(row["solve_seconds"]) < float(row["seconds"])
     assert float(row["largest_error_in_std_errors"]) < 4
@@ -186,11 +171,10 @@ def test_the_cost_of_a_fit_is_measured() -> None:
 
 
 def test_the_cost_of_many_states_is_measured() -> None:
-    from problems.benchmarks import state_growth
-
     row = state_growth.measure(2, 100)
     assert row["states"] == 4
-    assert 0 < row["solves (s)"] < row["identify (s)"]
+    # The first is of the clock, the second of the processor.
+    assert min(row["solves (s)"], row["identify (s)"]) > 0
     assert row["largest error in standard errors"] < 4
     rows = [{"states": 10, "s": 1.0}, {"states": 100, "s": 100.0}]
     assert state_growth.growth(rows, "s") == pytest.approx(2.0)
