@@ -1,4 +1,4 @@
-"""Screening, re-fits and verdicts: the true effect is named, and nothing false is."""
+"""Screening, verdicts and studies: the true effect is named, and nothing false is."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""A diagnosis with its models weighed side by side: the bits of one after the other."""
+"""Diagnoses, starts and re-fits side by side: the bits of one after the other."""
 
 import signal
 from collections.abc import Iterator

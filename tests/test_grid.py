@@ -1,6 +1,4 @@
-"""Measurements in the model's order and laid out: which node is which, and defects
-whose derivatives are those of finite differences.
-"""
+"""Measurements in the order of the model and laid out; defects and one-step schemes."""
 
 from functools import partial
 from typing import Any

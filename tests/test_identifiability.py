@@ -1,4 +1,4 @@
-"""Directions that the data leave open: those that are, and none by chance."""
+"""Directions that the data leave open, and the profile likelihood of a parameter."""
 
 import numpy as np
 import pytest

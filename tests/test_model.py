@@ -1,4 +1,6 @@
-"""Models: what they compute, that a change makes a new one, and what they refuse."""
+"""Models, terms and parameters: what they compute, that a change makes a new one, and
+what they refuse.
+"""
 
 import pickle
 from dataclasses import FrozenInstanceError, replace

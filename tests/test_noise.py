@@ -1,4 +1,4 @@
-"""The first guess of the noise needs no model, and never makes a weight infinite."""
+"""The first estimate of the noise, which needs no model, and that of the residuals."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""PHNN: its derivatives, what it learns of a damped and driven spring, its record,
-refusals.
-"""
+"""PHNN and SSINN: derivatives, schemes against SciPy, recovery, records, refusals."""
 
 import pickle
 from collections.abc import Iterator

@@ -1,4 +1,6 @@
-"""What README and docs/evidence.md say of the results is what stands in results/."""
+"""README, docs/evidence.md and docs/thesis.md agree with the results, and each page of
+results/ says how it was made.
+"""
 
 import re
 from pathlib import Path

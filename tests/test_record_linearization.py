@@ -1,4 +1,6 @@
-"""The linearised likelihood of a record, against finite differences and dense algebra."""
+"""The likelihood of a record and its linearisation: values and slopes against those of
+the program, finite differences and dense algebra.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace

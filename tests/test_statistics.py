@@ -1,4 +1,4 @@
-"""Residuals correlated in time, and the tails of distributions."""
+"""Residuals correlated in time, tails of distributions, and what counts as noise."""
 
 from types import SimpleNamespace
 from typing import Any

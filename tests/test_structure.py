@@ -1,4 +1,4 @@
-"""Which state is what: read from the structure matrix, told kinds and units."""
+"""Which state is what: read from the structure matrix, kinds and units."""
 
 import pickle
 from collections.abc import Callable
