@@ -221,17 +221,6 @@ def test_a_pruned_coefficient_stays_at_zero() -> None:
     assert len(lines) == 12 and "terms" in lines[-1]
 
 
-def test_a_removed_term_does_not_move_even_with_momentum() -> None:
-    settings = Descent(weight_decay=0.1, l1={"H": 1.0}, prune_every=None, epochs=1)
-    run = DescentRun(HENON.model(), henon_data(n=40), settings, seed=0)
-    run.step([torch.ones_like(run.theta)], 0.01)
-    run.remove({"H[q1**2]"})
-    for _ in range(5):
-        run.step([torch.ones_like(run.theta)], 0.01)
-    assert run.values["H[q1**2]"] == 0.0
-    assert run.values["H[q2**2]"] < 0.16  # it began at 0.2
-
-
 def test_a_fixed_parameter_keeps_its_value_and_a_bound_is_kept() -> None:
     k = ph.Parameter(2.0, lower=1.9, upper=2.1)
     model = hamiltonian(ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=1.7))

@@ -127,6 +127,7 @@ def test_what_cannot_compute_is_refused(fit: ph.Fit) -> None:
         study.diagnose(executor=nothing)
 
 
+@pytest.mark.slow
 def test_a_study_gives_the_bits_of_one_process(workers: Executor) -> None:
     train, held_out = record(120, 0, STICKS), record(60, 1, STICKS)
     model = fitted(train).model

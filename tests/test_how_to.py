@@ -19,7 +19,10 @@ from tests.doc_pages import (
 )
 from tests.page_tools import spring_table
 
-LONG = ("without_python", "closed_loop", "many_fits", "dictionary")
+LONG = (
+    *("without_python", "closed_loop", "many_fits", "dictionary"),
+    *("house", "input", "own_effect"),
+)
 
 
 def how_tos() -> list[object]:

@@ -14,7 +14,6 @@ import phsi_opt as ph
 from phsi_opt.model.parameters import Scan, with_value
 from phsi_opt.model.terms import (
     Dictionary,
-    Term,
 )
 
 
@@ -93,14 +92,6 @@ def test_a_first_order_model_takes_its_states_as_efforts() -> None:
     np.testing.assert_allclose(rate(model, [3.0, 4.0]), [4.0, 6.0 - 2.0], rtol=1e-15)
 
 
-def test_an_energy_that_is_a_number_pushes_nothing() -> None:
-    force = {"p": ph.formula("c", c=ph.Parameter(1.0))}
-    model = ph.PseudoHamiltonian(
-        states=("q", "p"), S=ph.canonical(1), H=ph.formula("3"), F=force
-    )
-    np.testing.assert_array_equal(rate(model, [1.0, 1.0]), [0.0, 1.0])
-
-
 # ---- parameters ----------------------------------------------------------------------
 
 
@@ -159,22 +150,6 @@ def test_removing_a_term_leaves_the_others_as_they_are() -> None:
         "F_p.omega_t"
         not in model.without({"F_p[cos(omega_t*t)]", "F_p[sin(omega_t*t)]"}).entries
     )
-
-
-@pytest.mark.parametrize(
-    ("slot", "equation", "text"),
-    [("H", "", "a*q**4"), ("R", "q", "a"), ("F", "p", "a*u")],
-)
-def test_adding_an_effect_makes_a_new_model_with_its_parameter(
-    slot: str, equation: str, text: str
-) -> None:
-    model = spring()
-    bigger = model.add(
-        ph.Effect("extra", slot, equation, ph.formula(text, a=ph.Parameter(0.1)))
-    )
-    assert set(bigger.entries) - set(model.entries) == {"a"}
-    assert (bigger.entries["a"].slot, bigger.entries["a"].equation) == (slot, equation)
-    assert type(bigger) is ph.PseudoHamiltonian
 
 
 def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
@@ -342,16 +317,6 @@ def test_polynomials_are_all_monomials_up_to_the_degree_and_each_once(
     assert [t.body for t in ph.polynomials(names, degree)] == bodies[1:]
 
 
-def test_monomials_are_written_as_formulas() -> None:
-    assert [t.body for t in ph.polynomials(["q", "p"], 2)] == [
-        "q",
-        "p",
-        "q**2",
-        "q*p",
-        "p**2",
-    ]
-
-
 def test_a_trigonometric_pair_shares_one_frequency_that_is_scanned() -> None:
     sine, cosine = ph.trigonometric("t")
     assert (sine.body, cosine.body) == ("sin(omega_t*t)", "cos(omega_t*t)")
@@ -376,24 +341,6 @@ def test_one_name_and_a_list_of_names_are_the_same() -> None:
     assert ph.trigonometric("t") == ph.trigonometric(["t"])
     both = ph.trigonometric(["t", "q"], n=2)
     assert both == ph.trigonometric("t", n=2) + ph.trigonometric("q", n=2)
-
-
-def test_coefficients_are_named_by_place_and_body() -> None:
-    (constant,), (q,) = (
-        Dictionary((Term("1", ph.Parameter()),)),
-        ph.polynomials(["q"], 1),
-    )
-    assert constant.coefficient_name("R_p") == "R_p"
-    assert q.coefficient_name("H") == "H[q]"
-    assert Term("q", ph.Parameter(), name="k").coefficient_name("H") == "k"
-    assert ph.trigonometric("t").terms[0].inner_name("omega_t", "F_p") == "F_p.omega_t"
-    assert ph.formula("k*q", k=1.0).terms[0].inner_name("k", "H") == "k"
-
-
-def test_a_plain_number_in_a_formula_is_a_fixed_parameter() -> None:
-    (term,) = ph.formula("k*q", k=2.5)
-    assert term.inner["k"] == ph.Parameter(2.5, fixed=True)
-    assert term.is_formula
 
 
 def test_setting_a_value_keeps_the_bounds() -> None:
@@ -433,13 +380,6 @@ def test_setting_a_value_keeps_the_bounds() -> None:
 def test_a_dictionary_that_makes_no_sense_is_refused(make: Any, message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         make()
-
-
-def test_a_term_cannot_be_changed_and_can_be_pickled() -> None:
-    (term,) = ph.formula("k*q", k=1.0)
-    with pytest.raises(TypeError):
-        term.inner["k"] = ph.Parameter(2.0)  # type: ignore[index]
-    assert pickle.loads(pickle.dumps(term)) == term
 
 
 def test_what_was_not_chosen_is_not_printed() -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 import phsi_opt as ph
@@ -37,13 +36,10 @@ from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import words
 from phsi_opt.page.worker import Order, Shown, WorkerHandle
 from phsi_opt.presentation.content import (
-    Channel,
     ErrorStep,
-    ForceRun,
     Glance,
     StudyContent,
 )
-from phsi_opt.study.content import worst_moment
 from tests.page_tools import bad_table, contrast, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
@@ -398,19 +394,6 @@ def test_the_charts_open_where_the_verdict_says_and_stay_there(
     lacks = replace(known, diagnoses=known.diagnoses[:1])
     assert studied.look.is_of(lacks)
     assert known.runs[0].holds(1.0) and not known.runs[0].holds(99.0)
-
-
-def test_the_worst_moment_is_where_the_model_is_off_while_the_force_is_sure() -> None:
-    t = np.arange(11.0)
-    off = np.array([0.0, 0, 0, 0, 1, 0, 0, 5, 0, 9, 0])
-    strong = np.array([0.0, 0, 0, 0, 8, 0, 4, 4, 0, 0, 0])
-    force = ForceRun("run 1", "training", "p", "N", t, strong, 0 * t + 1.0)
-    channel = Channel("q", "m", 0.1, t, off, (0 * t,), (1.0,))
-    assert worst_moment(force, channel, 0, (0.0, 10.0)) == 7.0
-    assert worst_moment(force, channel, 0, None) == 7.0
-    assert worst_moment(force, channel, 0, (0.0, 5.0)) == 4.0
-    unsure = replace(force, force=strong / 10)
-    assert worst_moment(unsure, channel, 0, (0.0, 10.0)) == 4.0
 
 
 def test_the_exported_script_reproduces_every_step(

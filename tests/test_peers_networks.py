@@ -13,7 +13,6 @@ import phsi_opt as ph
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.integrators import integrator
 from problems.peers.joint_force import JointForce
 from problems.peers.phnn import PHNN, NetworkDescent, _Networks, phnn
 from problems.peers.ssinn import SymplecticDescent, _Flow, separable, ssinn
@@ -81,28 +80,6 @@ def test_the_efforts_are_the_gradient_of_the_energy(trained: PHNN) -> None:
         trained.efforts(x)[0], slope, atol=1e-5
     )  # forward differences
     assert trained.energy(np.zeros(2)) == pytest.approx(0.0)
-
-
-def test_the_reported_loss_is_that_of_the_record_itself(trained: PHNN) -> None:
-    grid = grid_of(data(12))
-    x0, x1, h, t0 = (
-        grid.y[grid.begin],
-        grid.y[grid.begin + 1],
-        grid.h[:, None],
-        grid.t[grid.begin],
-    )
-    exchange = trained.S - np.diag([0.0, trained.damping["p"]])
-
-    def g(x: np.ndarray, c: float) -> np.ndarray:
-        result: np.ndarray = trained.efforts(x) @ exchange.T + trained.force(
-            x, t0 + c * grid.h
-        )
-        return result
-
-    d = (x1 - x0) / h - integrator("srk4").psi(g, x0, x1, h)
-    assert trained.loss_value == pytest.approx(
-        float(np.mean(np.sum(d**2, axis=1))), rel=1e-9
-    )  # other order of sums
 
 
 def test_the_record_can_be_simulated_printed_and_pickled(trained: PHNN) -> None:
@@ -219,25 +196,6 @@ def test_clean_data_give_the_separable_energy(clean: Any) -> None:
     assert clean.history["loss"].iloc[-1] < 1e-3 * clean.history["loss"].iloc[0]
 
 
-def test_the_result_is_a_model_like_any_other(clean: Any) -> None:
-    t = np.linspace(0, 2, 21)
-    np.testing.assert_allclose(
-        clean.simulate(t, [0.3, 0, 0, 0.3]),
-        HENON.solve(np.array([0.3, 0, 0, 0.3]), t),
-        atol=0.01,
-    )
-    assert (
-        clean.equations()[0].startswith("dq1/dt = ")
-        and clean.method == "SSINN"
-        and "SSINN" in str(clean)
-    )
-
-
-def test_states_may_stand_in_any_order() -> None:
-    model = separable(["p", "q"], ["q"], ["p"], 2)
-    assert model.S == ((0.0, -1.0), (1.0, 0.0))
-
-
 def test_seeds_are_reproducible_to_the_bit_and_differ_peers_ssinn() -> None:
     data = HENON.data(0, n=60)
     one, again, other = (
@@ -266,15 +224,3 @@ def test_what_does_not_pair_up_or_makes_no_sense_is_refused() -> None:
     ):
         with pytest.raises(ph.ModelError, match=message):
             SymplecticDescent(**settings)
-
-
-def test_the_schedule_falls_at_its_shares() -> None:
-    settings = SymplecticDescent(epochs=6, learning_rate=1.0)
-    assert [settings.rate(epoch) for epoch in range(1, 7)] == [
-        1.0,
-        1.0,
-        0.1,
-        0.01,
-        0.001,
-        0.001,
-    ]

@@ -118,24 +118,6 @@ def test_the_lasso_satisfies_its_optimality_conditions(weight: float) -> None:
     assert zeros == len(found.removed) > 0
 
 
-def test_the_amplitude_of_a_wave_is_learnt_when_its_frequency_is_held() -> None:
-    system = replace(SYSTEMS["mass_spring"], n_trajectories=10, step=0.02)
-    data = system.data(seed=1, noise=0.0)
-    model = ph.FirstOrder(
-        ["q", "p"],
-        {
-            "q": ph.polynomials(["p"], 1),
-            "p": ph.polynomials(["q", "p"], 1) + ph.trigonometric("t"),
-        },
-    )
-    found = sindy(model, data, fixed={"F_p.omega_t": 0.5})
-    assert found.values["F_p[sin(omega_t*t)]"] == pytest.approx(2.0, rel=1e-3)
-    assert found.values["F_p.omega_t"] == 0.5
-    assert found.removed == ("F_p[cos(omega_t*t)]",)
-    wrong = sindy(model, data, fixed={"F_p.omega_t": 1.0})
-    assert wrong.loss_value > 100 * found.loss_value
-
-
 def test_the_result_simulates_and_says_what_was_removed() -> None:
     found = sindy(HENON_HEILES.first_order(), henon_heiles(), threshold=0.2)
     t, truth = HENON_HEILES.tests(1)

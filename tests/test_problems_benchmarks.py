@@ -280,6 +280,7 @@ def test_exact_intervals_are_counted_within_the_limits_as_often_as_drawn() -> No
     assert chance_within(40) == pytest.approx(counted, abs=0.015)  # four errors
 
 
+@pytest.mark.slow
 def test_the_page_tells_every_method(tmp_path: Path) -> None:
     jobs = [
         Job("none", SHORT, DEFAULT),
