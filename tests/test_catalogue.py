@@ -585,7 +585,11 @@ def test_an_effect_of_the_catalogue_changes_with_what_the_model_has() -> None:
     larger = model.add("coulomb friction", "p1")
     found = by_object.candidates(larger)
     (stribeck,) = (e for e in found if str(e) == "stribeck friction on p1")
-    larger.add(stribeck)
+    both = larger.add(stribeck)
+    assert set(both.entries) - set(larger.entries) == {
+        name for name in both.entries if name.startswith("stribeck_friction_p1")
+    }
+    assert "stribeck_friction_p1" in both.entries
 
 
 @pytest.mark.parametrize(

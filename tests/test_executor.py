@@ -1,5 +1,6 @@
 """Diagnoses, starts and re-fits side by side: the bits of one after the other."""
 
+import pickle
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -230,3 +231,14 @@ def test_what_cannot_compute_is_refused_ahead() -> None:
         identified(NOT_AN_EXECUTOR)
     with pytest.raises(ph.DataError, match="has no submit"):
         ph.sweep(sweep_tasks.square, {"a": 1}, executor=NOT_AN_EXECUTOR)
+
+
+def test_what_is_weighed_goes_to_the_executor(fit: ph.Fit) -> None:
+    counted = Counted()
+    found, said = diagnosed(fit, counted)
+    n_weighed = sum(line.startswith("weighing") for line in said)
+    assert len(counted.begun) >= n_weighed > 1
+    for one in found.ranking[1:]:  # the first is what a study adds
+        if one.trained is not None:
+            assert one.trained.record.estimate is found.record.estimate
+    pickle.dumps(found.proposed_fit)

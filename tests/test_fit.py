@@ -371,3 +371,14 @@ def test_copies_hold_the_value() -> None:
     later = Later(lambda: [1, 2])  # a lambda cannot be pickled
     assert pickle.loads(pickle.dumps(later)).value == [1, 2]
     assert deepcopy(later).value == [1, 2]
+
+
+def test_what_would_be_endless_multiplied_out_is_left_as_it_is() -> None:
+    nested = "q"
+    for _ in range(6):  # 2**6 - 1 powers of q, with as many of p each
+        nested = f"({nested} + p)**2"
+    fit = fit_of(hamiltonian(ph.formula(f"c*{nested}", c=ph.Parameter(0.1))), c=0.1)
+    _, dp = fit.equations()
+    assert len(dp) < 2_000
+    found = float(evaluate(dp.split(" = ")[1], {"q": 0.3, "p": 0.2}, NUMPY))
+    assert found == pytest.approx(rate(fit, [0.3, 0.2])[1], rel=1e-5)

@@ -285,3 +285,11 @@ def test_an_unknown_scheme_is_refused_with_the_nearest_name() -> None:
     ):
         integrator("rk44")
     assert integrator("srk4") is INTEGRATORS["srk4"]
+
+
+def test_states_that_would_run_away_between_samples_stay_where_they_were() -> None:
+    x = np.array([[1.0], [2.0], [1.5]])
+    runs = ph.Measurements.from_arrays([0.0, 1.0, 2.0], x, states=["x"])
+    growing = ph.FirstOrder(["x"], {"x": ph.formula("a*x", a=ph.Parameter(400.0))})
+    nodes = between_samples(growing, grid_of(runs, [np.full(2, 3)]), x, np.r_[400.0])
+    assert nodes[:, 0].tolist() == [1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 1.5]

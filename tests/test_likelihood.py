@@ -12,6 +12,8 @@ import pytest
 from scipy.optimize import least_squares
 
 import phsi_opt as ph
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import grid_of
@@ -434,3 +436,24 @@ def test_the_jacobian_made_per_interval_is_that_of_automatic_differentiation() -
     expected = np.array(whole(z, program.set_to))
     ours = np.array(program.jacobian()(z, program.set_to)[1])
     np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solve = LikelihoodProblem.solve
+
+    def failing_beyond_one(
+        self: LikelihoodProblem, start: StartingPoint, **options: Any
+    ) -> LikelihoodEstimate:
+        found = solve(self, start, **options)
+        if not start.steps or max(int(np.max(s)) for s in start.steps) == 1:
+            return found
+        outcome = replace(found.solution.outcome, success=False)
+        return replace(found, solution=replace(found.solution, outcome=outcome))
+
+    monkeypatch.setattr(LikelihoodProblem, "solve", failing_beyond_one)
+    fit = ph.identify(duffing(), coarse(0.4, sigma=0.001))
+    assert fit.outcome.success
+    assert most_steps(fit) == 1
+    assert any("steps of integration are too long" in one for one in fit.warnings)

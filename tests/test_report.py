@@ -25,6 +25,7 @@ from phsi_opt.force_analysis.analysis import (
     step_without_name,
 )
 from phsi_opt.force_analysis.dependence import Causes
+from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import Pace
 from phsi_opt.presentation.charts import glance_chart, rounded, svg
 from phsi_opt.presentation.content import (
@@ -65,8 +66,10 @@ from phsi_opt.study.answers import (
     where_answer,
 )
 from phsi_opt.study.content import (
+    _errors,
     ends_within,
     glance_of,
+    is_just_below,
     study_content,
 )
 from phsi_opt.study.record import StudyRecord
@@ -728,3 +731,31 @@ def test_texts_have_a_contrast_of_four_and_a_half_in_both_modes(page: str) -> No
         for ground in ("page", "card"):
             for name in TEXT_COLOURS:
                 assert contrast(colours[name], colours[ground]) >= 4.5, (name, ground)
+
+
+def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
+    study: ph.Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base: Any = SimpleNamespace(rmse=1.04, noise_floor=1.0)
+    unknown = unexplained(study.record.diagnoses[0], base=base)
+    monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
+    monkeypatch.setattr(EquationForce, "is_uncertain", True)
+    begin = "The residuals are as small as noise, but not as random"
+    said = certainty_words(unknown)
+    assert said.startswith(f"{begin}. The cause is not known.")
+    lead = answer("missing", unknown, is_held_out=True).lead
+    assert lead.startswith(f"{begin}; no missing force is sure; ")
+
+
+def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
+    study: ph.Study,
+) -> None:
+    assert is_just_below(0.0423, 0.0424)
+    assert not is_just_below(0.0440, 0.0424)
+    assert not is_just_below(0.0203, 0.0424)
+    comparison: Any = SimpleNamespace(rmse=0.0423, noise_floor=0.0424, error_unit="m")
+    training: Any = SimpleNamespace(rmse=0.0412, noise_floor=0.0424, error_unit="m")
+    step = replace(study.steps[0], held_out=comparison, train=training)
+    assert _errors(replace(study.record, steps=(step,))).endswith(
+        "0.0423 and 0.0412 (training) equal the noise floor within its own uncertainty."
+    )

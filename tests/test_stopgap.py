@@ -11,7 +11,9 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.estimation.record import Record
+from phsi_opt.learning.distillation import short_form
 from phsi_opt.learning.learned_force import LearnedForce, distil, learned_force
+from phsi_opt.learning.orthogonal_network import Response
 
 TIMES = np.arange(0.0, 12.01, 0.08)
 
@@ -221,3 +223,28 @@ def test_bad_settings_and_short_records_are_refused(
         data = replace(data, trajectories=(few,))
     with pytest.raises((ph.ModelError, ph.DataError), match=message):
         learned_force(pulse.fit, data, **settings)
+
+
+def test_terms_that_the_physics_has_are_never_distilled(pulse: Case) -> None:
+    samples = pulse.learned.samples
+    v = samples.v[:, 0]
+    response = Response.of(Record.of(pulse.fit, pulse.train), row=1)
+    of_cubic_spring = response.traces(-(v**3)[:, None])[:, 0]
+    beside = replace(response, residual=of_cubic_spring)
+    (cubic,) = short_form(["q"], samples, beside, -2.0 * v - v**3, most=3, share=0.9)
+    assert cubic.body == "q**3" and cubic.coefficient is not None
+    # 1 %: the curve is taken in the middle of the intervals, the physics at the stages
+    # of SRK4
+    assert cubic.coefficient.value == pytest.approx(-1.0, rel=0.01)
+
+
+def test_the_formula_in_the_model_is_the_network_and_is_held_at_the_edge_of_the_data(
+    coupled: Case,
+) -> None:
+    learned = coupled.learned
+    x = np.array([[0.3, -0.7], [9.0, 9.0], [-1.0, 1.0]])
+    with_force, without = learned.fit.casadi(), learned.physics.casadi()
+    added = [float(with_force(row, [], 0.0)[1] - without(row, [], 0.0)[1]) for row in x]
+    assert np.allclose(added, learned.at(x), atol=1e-12)  # of mass 1, so dH/dp is p
+    at_edge = learned.at(learned.network.seen[1:])
+    assert learned.at([[9.0, 9.0]]) == pytest.approx(at_edge)

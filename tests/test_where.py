@@ -452,3 +452,27 @@ def test_a_held_and_a_slow_input_together_do_not_tell_the_time() -> None:
         fold = fold_numbers(run, np.column_stack([held, slow]))
         bases = [piecewise_linear_basis(u) for u in (held, slow)]
         assert share(w, fold, *bases, product_basis(held, slow)) < 0.2
+
+
+def test_a_parameter_of_small_numbers_is_not_taken_for_one_at_its_bound() -> None:
+    H = "1e9*k*q**2/2 + p**2/(2*m)"
+    small = replace(spring(c=0.0), H=ph.formula(H, k=ph.Parameter(3e-8, lower=0), m=M))
+    found = ForceAnalysis.of(spring_with(HIDDEN["cubic"], model=small, n=41))
+    assert found.force_in("p").by_parameters.shape[1] == 1
+
+
+def test_a_record_too_short_for_a_spectrum_has_no_peak() -> None:
+    found = spectrum(np.array([0.0, 1.0]), np.zeros(2, dtype=int), np.ones(2))
+    assert found.peak == 0.0 and not found.amplitudes.any()
+
+
+def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(
+    cases: dict[str, ForceAnalysis],
+) -> None:
+    posterior = cases["cubic"].record.estimate.posterior
+    draws = posterior.error_draws(n_draws=400)
+    # 400 draws tell each standard deviation to 3.5 %; the mean over all intervals
+    # better than that.
+    ratio = draws.std(axis=2) / posterior.deviation
+    assert ratio.mean() == pytest.approx(1.0, abs=0.03)
+    assert np.ptp(ratio) < 0.4
