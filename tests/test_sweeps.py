@@ -89,7 +89,7 @@ def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
         "distributed.logging.distributed": "critical",
         "distributed.comm.timeouts.connect": "30s",
     }
-    cluster = partial(distributed.LocalCluster, 3, 1, True, dashboard_address=None)
+    cluster = partial(distributed.LocalCluster, 3, 1, True, dashboard_address=":0")
     with (
         dask.config.set(quiet),
         cluster() as three,
