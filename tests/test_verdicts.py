@@ -412,7 +412,6 @@ QUICK: dict[str, tuple[Callable[[], ph.Diagnosis], Answer]] = {
     "a sensor is not blamed for the little that is left": (partial(drawn, "falling", 204, "sensor clipping on h"), Answer(None)),
     "a random force is no spring": (partial(drawn, "nothing", 158, *SPRINGS, *OTHERS), Answer(None)),
     "damping in one direction is no constant force": (partial(drawn, "outside", 2016, "constant force on p"), Answer(None, UNEXPLAINED)),
-    "an impact is no cubic spring": (partial(drawn, "outside", 2004, "cubic stiffness on p"), Answer(None, UNEXPLAINED)),
     "what lasts for two samples is no cubic spring": (partial(drawn, "outside", 2010, "cubic stiffness on p"), Answer(None, UNEXPLAINED)),
     "laws that the evidence does not tell apart": (partial(drawn, "short_run", 511, *DRY), Answer({DAMPED, RUBBED})),
     "what predicts the next run is named": (
@@ -421,14 +420,12 @@ QUICK: dict[str, tuple[Callable[[], ph.Diagnosis], Answer]] = {
     "a law of one number for a small force": (
         partial(drawn, "starts_off", 301, "viscous damping", "stribeck friction", "drifting force"), Answer(DAMPED)
     ),
-    "a loss is named where it stands": (partial(drawn, "circuit", 310, *LOSSES), Answer("linear resistance on flux")),
     "strong damping beside a spring at its bound": (at_its_bound, Answer(DAMPED)),
     "other values of the parameters are not missing": (partial(far_off, lambda q, v: 0.0, 0.5), Answer(None, NOTHING)),
     "an effect from parameters that are far off": (partial(far_off, lambda q, v: -0.6 * q**3, 1.5), Answer("cubic stiffness on p")),
     "a delay is told in the unit of the time": (late_heating, Answer("input delay of P on T", size=1.5)),
     "a room with walls": (partial(of_room, WALLS), Answer("second heat storage on T", NAMED)),
     "a room without walls": (partial(of_room, 0.0), Answer(None, NOTHING)),
-    "a known model lacks a cubic spring": (partial(known, CUBIC), Answer({"cubic stiffness on p"}, NAMED, 0.5)),
     "a known model lacks dry friction": (partial(known, RUBBING), Answer({RUBBED}, NAMED, 0.08)),
     "a value that was given wrong": (partial(known, SOFT), Answer({"linear stiffness on p"}, NAMED, -0.2)),
     "a known model that is the truth": (partial(known, damped_spring(), 7), Answer(None, NOTHING)),
@@ -456,6 +453,9 @@ SLOW: dict[str, tuple[Callable[[], ph.Diagnosis], Answer]] = {
     "hysteresis where a damper is missing": (
         partial(drawn, "pendulum", 518, "hysteresis", *DRY, "quadratic drag"), Answer(DAMPED)
     ),
+    "a loss is named where it stands": (partial(drawn, "circuit", 310, *LOSSES), Answer("linear resistance on flux")),
+    "a known model lacks a cubic spring": (partial(known, CUBIC), Answer({"cubic stiffness on p"}, NAMED, 0.5)),
+    "an impact is no cubic spring": (partial(drawn, "outside", 2004, "cubic stiffness on p"), Answer(None, UNEXPLAINED)),
     "a capacitor leaks": (
         partial(of_field, circuit(), "leakage conductance", "q", 0.15), Answer("leakage conductance on q", NAMED, 0.15)
     ),
