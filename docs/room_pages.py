@@ -14,9 +14,9 @@ INDEX = """\
 The rooms
 =========
 
-The sub-packages, the highest first; a room imports only from rooms below it
-(:doc:`/design` says why). Names that users import from ``phsi_opt`` stand on the users'
-pages.
+The sub-packages (rooms), from high level to low level. A room imports only from rooms
+below it; see :doc:`/design`. The reference documents the names that users import from
+``phsi_opt``.
 
 .. toctree::
    :maxdepth: 1

@@ -46,7 +46,7 @@ def require_known(
     if name not in listed:
         are_words = all(str(one).isidentifier() for one in listed)
         shown = map(str if are_words else repr, listed)  # blanks, commas, numbers
-        expected = ", ".join(shown) or "none, for there are none"
+        expected = ", ".join(shown) or "none: there are no names"
         hint = did_you_mean(name, listed)
         raise error(f"{said}; expected one of {expected}.{hint}")
 

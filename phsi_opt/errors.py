@@ -12,29 +12,29 @@ from dataclasses import dataclass
 
 
 class PhsiOptError(Exception):
-    """Base of all errors which this package raises on purpose."""
+    """Base class of the errors of this package."""
 
 
 class DataError(PhsiOptError, ValueError):
-    """The measurements, or what was asked of them, cannot be used as they are."""
+    """Measurements, or arguments that refer to them, are not valid."""
 
 
 class ModelError(PhsiOptError, ValueError):
-    """A model, a term or an effect contradicts itself or the measurements."""
+    """A model, a term or an effect is not valid, or does not fit the measurements."""
 
 
 class SolveError(PhsiOptError, RuntimeError):
-    """An optimisation or a simulation did not reach a result."""
+    """An optimisation or a simulation failed."""
 
 
 @dataclass(frozen=True)
 class Complaint:
-    """One thing in a study file that cannot be used.
+    """One mistake in a study file.
 
     Attributes:
         key: where it stands, as in the file, such as ``"data.states.q.column"``; ""
             for the file as a whole.
-        value: what stands there, as in the file; "" where nothing does.
+        value: its value, as in the file; "" if there is none.
         said: what was expected and what to do.
         line: of the key, or of the table that lacks it; None where it is not known.
     """
@@ -53,7 +53,7 @@ class Complaint:
 
 
 class StudyFileError(DataError):
-    """A study file cannot be used; all that is wrong is told at once.
+    """A study file is not valid; the error lists all mistakes.
 
     Args:
         path: of the file, as messages name it.

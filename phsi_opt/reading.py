@@ -20,7 +20,7 @@ OTHER_KINDS = {
 WHY_NOT_READ: dict[type[OSError], str] = {
     FileNotFoundError: "there is no such file; check the path",
     IsADirectoryError: "it is a folder; give the path of a file",
-    NotADirectoryError: "a part of its path is no folder; check the path",
+    NotADirectoryError: "a part of its path is not a folder; check the path",
     PermissionError: "access is not permitted; check the permissions",
 }
 
@@ -41,14 +41,14 @@ def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     try:
         status = os.stat(Path(path))
     except ValueError:  # what Python says of a NUL
-        raise OSError("a path has no NUL") from None
+        raise OSError("a path cannot contain NUL") from None
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError
     if not stat.S_ISREG(status.st_mode):
         kind = OTHER_KINDS.get(stat.S_IFMT(status.st_mode), "of another kind")
         raise OSError(
-            f"it is {kind} and no regular file; write its content into a file and give "
-            "the path of that"
+            f"it is {kind}, not a regular file; write its content to a file and give "
+            "the path of that file"
         )
     _check_size(status.st_size, most)
     with open(path, "rb") as file:

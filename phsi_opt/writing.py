@@ -10,7 +10,7 @@ from pathlib import Path
 
 from phsi_opt.errors import DataError
 
-NO_FOLDER = "its folder does not exist; make it, or give another path"
+NO_FOLDER = "its folder does not exist; create it, or give another path"
 WHY_NOT_WRITTEN: dict[type[OSError], str] = {
     IsADirectoryError: "it is a folder; give the path of a file",
     FileNotFoundError: NO_FOLDER,

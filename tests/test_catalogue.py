@@ -612,7 +612,7 @@ def test_what_no_equation_can_have_is_refused(
 
 
 def test_an_effect_of_ones_own_that_the_model_has_is_refused() -> None:
-    with pytest.raises(ph.ModelError, match="'own on p1' in effects stands in the"):
+    with pytest.raises(ph.ModelError, match="'own on p1' in effects is in the"):
         EffectChoice([own_effect()]).checked(coupled_masses().add(own_effect()))
 
 

@@ -178,22 +178,22 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
         ("time,lambda,2nd,sin\n0,1,2,3\n1,2,3,5\n2,4,1,4\n", ["x_lambda = ", "x2nd = ", "x_sin = "]),
         ("time;q\n0,0;1,5\n0,5;2,5\n1,0;-1,5\n", ["0 to 1, every 0.5, regular", "-1.5 to 2.5"]),
         ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
-        ("time,a,a,b\n0,1,2,1\n1,2,3,2\n2,4,1,1\n", ["a: 2 columns are called so"]),
+        ("time,a,a,b\n0,1,2,1\n1,2,3,2\n2,4,1,1\n", ["a: 2 columns have this name"]),
         ("t,q\n0,1\n1,2\n2,3\n", ["# [data.inputs]", "# between = [0, 2]", "# thinned = 2", "# trajectory = "]),
         ("t,Ta,yref,StepTime(s)\n0,1,2,1\n1,2,3,2\n2,4,1,2\n", ['Ta = { column = "Ta" }  # 1 to 4; perhaps an input', '# Ta = { column', '# inputs = ["Ta"]', "yref: 1 to 3; a set point", "StepTime(s): 1 to 2; in a unit of time"]),
         ("t,name,q\n0,a very long name of a thing,1\n1,b,2\n2,c,1\n3,d,2\n", ['text: "a very long name of ...", "b", "c", ...']),
-        ("t,q\n0,1\n1,broken\n2,3\n3,inf\n4,2\n", ['q = { column = "q" }  # 1 to 3', 'to correct in the file: line 3 holds "broken", no finite number; 1 more']),
-        ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "to correct in the file: line 4 has 1, not after 1 of line 3; 1 more"]),
-        ("t,q\n0,1\n,2\n1,3\n2,4\n", ['time = { column = "t" }', "to correct in the file: line 3 has no time"]),
+        ("t,q\n0,1\n1,broken\n2,3\n3,inf\n4,2\n", ['q = { column = "q" }  # 1 to 3', 'correct in the data file: line 3 contains "broken", which is not a finite number; 1 more']),
+        ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "correct in the data file: line 4 has 1, not after 1 of line 3; 1 more"]),
+        ("t,q\n0,1\n,2\n1,3\n2,4\n", ['time = { column = "t" }', "correct in the data file: line 3 has no time"]),
         ("q\n1\n3\n2\n", ['# time = { step = 0.01, unit = "s" }']),
-        ("t,q\n0,1\n1,2\n", ['in seconds? add unit = "s"']),
+        ("t,q\n0,1\n1,2\n", ['in seconds? then add unit = "s"']),
         ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
         ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
         ("t,q\n1612051200,1\n1612051260,2\n", ['seconds since 1970? add unit = "s"']),
         ("t,q\n44227,1\n44228,2\n", ['days, as spreadsheets count them? add unit = "d"']),
         ("when,q\n20210131,1\n20210201,2\n20210202,1\n", ['column = "when", unit = "s", date_format = "%Y%m%d" }', "numbers such as 20210131 look like dates"]),
-        ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 names no run"]),
-        ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['line 2 holds "m", no finite number; if that line has units']),
+        ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 has no name of a run"]),
+        ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['line 2 contains "m", which is not a finite number; if that line has units']),
         ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
     ],
 )  # fmt: skip
@@ -293,7 +293,7 @@ def test_init_takes_the_first_sheet_and_names_the_others(tmp_path: Path) -> None
     files = (tmp_path / "a.csv", tmp_path / "book.xlsx")
     told = said("init", *files, "-o", study, "--force").out
     assert (
-        'data.files[1] = "book.xlsx": the first file is .csv; give files of one kind'
+        'data.files[1] = "book.xlsx": the first file is .csv; all files must be of the same kind'
         in told
     )
 
@@ -316,7 +316,7 @@ def test_init_takes_matlab_vectors_as_columns(tmp_path: Path) -> None:
         assert words in text
     study.write_text(text.replace('H = ""', 'H = "y**2"'))
     assert ph.StudyFile.read(study).measurements().n_samples == 4
-    assert "units: none is given for y, X_1, X_2, u" in said("check", study).out
+    assert "units: no unit is given for y, X_1, X_2, u" in said("check", study).out
     values = {"t": [0.0, 1, 1, 2], "q": [1.0, np.inf, 2, 3], "v": [1.0, 2, 3, 1]}
     savemat(tmp_path / "log.mat", values)
     assert (
@@ -341,7 +341,7 @@ def complained(study: Path) -> list[str]:
     ("period", "what", "words"),
     [
         (700, "between and thinned", "# thinned = 4"),
-        (7, "between", "means of neighbours would lose"),
+        (7, "between", "means of neighbouring"),
     ],
 )
 def test_many_lines_are_told_with_what_to_do(
@@ -350,9 +350,9 @@ def test_many_lines_are_told_with_what_to_do(
     lines = "\n".join(f"{i},{i % period}" for i in range(8000))
     (tmp_path / "data.csv").write_text(f"t,q\n{lines}\n")
     result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
-    assert f"So many lines take long: see {what} in" in result.out
+    assert f"A fit of so many lines takes long: see {what} in" in result.out
     text = (tmp_path / "s.toml").read_text()
-    assert "# 8000 lines take long" in text and words in text
+    assert "# 8000 lines take long to fit" in text and words in text
 
 
 @pytest.mark.parametrize("place", ["", "below"])
@@ -380,14 +380,14 @@ def test_init_writes_no_absolute_path_of_a_table_beside_or_below(
         ("short.csv", "line 3 has 1 cell; expected 2"),
         (
             "still.csv",
-            "no column of numbers that a state could be: t: 0 to 1; q: always 1",
+            "no column of numbers that could be a state: t: 0 to 1; q: always 1",
         ),
         ("gone.csv", "gone.csv' cannot be read: there is no such file"),
         ("gone.mat", "gone.mat' cannot be read: there is no such file"),
         ("folder", "folder' cannot be read: it is a folder"),
-        ("a.npz", "it holds binary data and no text. Tables are read from text"),
-        ("log.mat", "is no MATLAB file, or a damaged one"),
-        ("other.csv", "q, v stand in one of them alone"),
+        ("a.npz", "it contains binary data. Tables are read from text"),
+        ("log.mat", "is not a MATLAB file, or it is damaged"),
+        ("other.csv", "q, v are only in one of them"),
     ],
 )
 def test_files_that_are_no_tables_are_refused_in_words(
@@ -615,7 +615,7 @@ def test_ctrl_c_in_the_first_long_solve_ends_it_and_says_that_nothing_is_kept(
     arguments = ["fit", "--save", "fit.json"]
     ended = stopped(tmp_path, "fitting the base model", arguments, number)
     assert ended.code == ExitCode.INTERRUPTED
-    assert "No step was finished; nothing was written." in ended.err
+    assert "No step was completed; nothing was written." in ended.err
     assert not (tmp_path / "fit.json").exists()
     assert left_over(tmp_path) == []
 
@@ -642,7 +642,7 @@ def test_a_working_process_that_dies_is_told(short: Path) -> None:
     os.kill(working, signal.SIGKILL)
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == ExitCode.FAILED
-    assert "ended without an answer" in err
+    assert "ended without a result" in err
     assert ph.Fit.load(short.with_name("fit.json")).names == ("k", "c")
 
 
@@ -682,7 +682,7 @@ def test_the_demonstration_ships_and_overwrites_nothing(
     (tmp_path / "d" / "study.toml").write_text("mine")
     again = said("demo", tmp_path / "d")
     assert again.code == ExitCode.BAD_INPUT
-    assert "it stays as it is" in again.err
+    assert "was not overwritten" in again.err
     assert len(jobs) == 1
 
 
@@ -733,7 +733,7 @@ def test_a_study_that_breaks_off_says_so_in_its_report(
     kept = [one for one in told if isinstance(one, Finished)][-1]
     assert kept.files == (short.with_name("report.html"),)
     report = kept.files[0].read_text(encoding="utf-8")
-    assert "the study broke off: a mistake on the way. So far: held-out error" in report
+    assert "the study failed: a mistake on the way. So far: held-out error" in report
     assert "base model" in kept.text
 
 

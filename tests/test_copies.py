@@ -47,8 +47,8 @@ def test_copies_of_a_run_leave_the_fit_of_that_run(
     assert fit.values == one.values
     (warning,) = [said for said in fit.warnings if "copies" in said]
     assert warning.startswith(
-        "'run 2', 'run 3', 'run 4' and 196 more are exact copies of 'run 1': counted "
-        "once"
+        "'run 2', 'run 3', 'run 4' and 196 more are exact copies of 'run 1': used "
+        "only once"
     )
     assert data.n_trajectories == 200
 
@@ -78,7 +78,7 @@ def test_a_copy_is_told_by_what_was_measured_whatever_its_name_and_clock() -> No
     )
     assert copies_in(data) == {"later": "a", "again": "a"}
     assert sentence_about(copies_in(data)).startswith(
-        "'later', 'again' are exact copies of 'a': counted once"
+        "'later', 'again' are exact copies of 'a': used only once"
     )
 
 
@@ -151,7 +151,7 @@ def study_file(folder: Path, *x: np.ndarray, text: str = STUDY) -> Path:
 
 def test_a_study_file_tells_copies(tmp_path: Path) -> None:
     answer = checked(study_file(tmp_path, swing(1), swing(1), swing(2)))
-    assert "'b' is an exact copy of 'a': counted once" in answer.text
+    assert "'b' is an exact copy of 'a': used only once" in answer.text
     with pytest.raises(ph.StudyFileError, match=r"held out: 'c' is an exact copy of"):
         ph.StudyFile.read(study_file(tmp_path, swing(1), swing(2), swing(1)))
 
@@ -161,5 +161,5 @@ def test_a_file_that_is_listed_twice_is_refused(tmp_path: Path, second: str) -> 
     (tmp_path / "link.csv").symlink_to(tmp_path / "one.csv")
     text = STUDY.replace('["one.csv"]', f'["one.csv", "{second}"]')
     path = study_file(tmp_path, swing(1), swing(2), swing(3), text=text)
-    with pytest.raises(ph.StudyFileError, match=r"one.csv' is listed 2 times; .* once"):
+    with pytest.raises(ph.StudyFileError, match=r"one.csv' is listed 2 times, .* once"):
         ph.StudyFile.read(path)

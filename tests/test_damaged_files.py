@@ -75,7 +75,7 @@ def test_a_pipe_is_refused_and_not_waited_for(
 ) -> None:
     path, read = entry
     held_pipe(path)
-    with pytest.raises(ph.DataError, match="it is a pipe and no regular file"):
+    with pytest.raises(ph.DataError, match="it is a pipe, not a regular file"):
         read(path)
 
 
@@ -85,7 +85,7 @@ def test_a_device_and_a_file_that_is_too_large_are_refused_before_they_are_read(
 ) -> None:
     path, read = entry
     path.symlink_to("/dev/null")
-    with pytest.raises(ph.DataError, match="it is a device and no regular file"):
+    with pytest.raises(ph.DataError, match="it is a device, not a regular file"):
         read(path)
     path.unlink()
     with path.open("wb") as file:
@@ -245,7 +245,7 @@ def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(
 @pytest.mark.parametrize(
     ("worker", "time_limit", "why"),
     [
-        ("import os; os.abort()", 60.0, "is damaged: its reading ended with exit code"),
+        ("import os; os.abort()", 60.0, "is damaged: the reader ended with exit code"),
         ("import time; time.sleep(600)", 0.5, "it was not read in 0.5 s"),
         ("import no_such_library", 60.0, "No module named 'no_such_library'"),
     ],
@@ -301,13 +301,13 @@ def test_a_sheet_is_read_whole_whatever_dimension_and_places_it_states(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (b'<row r="41"', b'<row r="4"', "row or cell 4 in the wrong place"),
-        (b'<row r="41"', b'<row r="40"', "row or cell 40 in the wrong place"),
-        (b'r="A41"', b'r="C41"', "row or cell B41 in the wrong place"),
-        (b'r="B41"', b'r="ABCD41"', "row or cell ABCD41 in the wrong place"),
+        (b'<row r="41"', b'<row r="4"', "row or cell 4 out of order"),
+        (b'<row r="41"', b'<row r="40"', "row or cell 40 out of order"),
+        (b'r="A41"', b'r="C41"', "row or cell B41 out of order"),
+        (b'r="B41"', b'r="ABCD41"', "row or cell ABCD41 out of order"),
         (b'<row r="41"', b'<row r="999999999999"', "more than 1048576 rows"),
         (b"<worksheet", b"<!DOCTYPE a []><worksheet", "defines XML entities"),
-        (b"<worksheet", "<wörksheet".encode("utf-16"), "is no XML in UTF-8"),
+        (b"<worksheet", "<wörksheet".encode("utf-16"), "is not XML in UTF-8"),
     ],
 )
 def test_a_sheet_that_would_lose_rows_or_grow_is_refused(
@@ -357,7 +357,10 @@ DEEP = 50_000
         ("a = 0x" + "f" * DEEP, "a whole number has more than 300 digits"),
         ('"\\' * DEEP, "this is not TOML"),
         ("#" + "x" * 1_000_000, "at most 1 MB are read"),
-        ("".join(f"k{i} = 1\n" for i in range(DEEP)), "the rest was not looked at"),
+        (
+            "".join(f"k{i} = 1\n" for i in range(DEEP)),
+            "the rest of the file was not checked",
+        ),
     ],
     ids=[
         "key",
@@ -383,7 +386,7 @@ def test_a_study_file_made_to_do_harm_is_refused_at_once(
 def test_lists_in_lists_of_a_fit_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     path.write_text("[" * DEEP + "]" * DEEP)
-    with pytest.raises(ph.DataError, match="fit: its lists or mappings lie too deep"):
+    with pytest.raises(ph.DataError, match="fit: its lists or mappings are nested too"):
         ph.Fit.load(path)
 
 

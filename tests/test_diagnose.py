@@ -230,9 +230,9 @@ def test_the_next_step_follows_from_the_verdict() -> None:
     partly = told(ph.Verdict.PARTLY_NAMED, name)
     assert partly.startswith("Add friction on p, then diagnose again.")
     apart = told(ph.Verdict.NAMED, of_class)
-    assert apart.startswith("Tell friction on p from sensor delay on q by")
+    assert apart.startswith("Distinguish friction on p from sensor delay on q by")
     assert "found.separation" in apart
-    assert told(ph.Verdict.NOTHING_MISSING).startswith("Nothing: what is left looks")
+    assert told(ph.Verdict.NOTHING_MISSING).startswith("Nothing: the residuals look")
 
 
 # ---- in a study ----------------------------------------------------------------------

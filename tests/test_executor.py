@@ -108,7 +108,7 @@ def test_processes_and_threads_give_the_bits_of_one_process(
     fit: ph.Fit, serial: tuple[ph.Diagnosis, list[str]], workers: Executor
 ) -> None:
     expected, said = serial
-    assert sum(line.startswith("weighing") for line in said) > 1
+    assert sum(line.startswith("computing the evidence of") for line in said) > 1
     assert expected.findings
     with ThreadPoolExecutor(2) as threads:
         for executor in (workers, threads):
@@ -119,12 +119,12 @@ def test_processes_and_threads_give_the_bits_of_one_process(
 
 def test_what_cannot_compute_is_refused(fit: ph.Fit) -> None:
     nothing: Any = 2
-    with pytest.raises(ph.DataError, match="executor=2 has no submit"):
+    with pytest.raises(ph.DataError, match="executor=2 has no method submit"):
         diagnosed(fit, nothing)
     study = ph.Study(fit.model, record(120, 0))
-    with pytest.raises(ph.DataError, match="executor=2 has no submit"):
+    with pytest.raises(ph.DataError, match="executor=2 has no method submit"):
         study.auto(executor=nothing)
-    with pytest.raises(ph.DataError, match="executor=2 has no submit"):
+    with pytest.raises(ph.DataError, match="executor=2 has no method submit"):
         study.diagnose(executor=nothing)
 
 
@@ -227,16 +227,16 @@ def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:
 
 
 def test_what_cannot_compute_is_refused_ahead() -> None:
-    with pytest.raises(ph.DataError, match="has no submit"):
+    with pytest.raises(ph.DataError, match="has no method submit"):
         identified(NOT_AN_EXECUTOR)
-    with pytest.raises(ph.DataError, match="has no submit"):
+    with pytest.raises(ph.DataError, match="has no method submit"):
         ph.sweep(sweep_tasks.square, {"a": 1}, executor=NOT_AN_EXECUTOR)
 
 
 def test_what_is_weighed_goes_to_the_executor(fit: ph.Fit) -> None:
     counted = Counted()
     found, said = diagnosed(fit, counted)
-    n_weighed = sum(line.startswith("weighing") for line in said)
+    n_weighed = sum(line.startswith("computing the evidence of") for line in said)
     assert len(counted.begun) >= n_weighed > 1
     for one in found.ranking[1:]:  # the first is what a study adds
         if one.trained is not None:

@@ -194,7 +194,7 @@ def test_the_picture_draws_every_estimate_relative_to_its_size() -> None:
     labels = [text.get_text() for text in ax.get_yticklabels()]
     # Student's t with 318 degrees of freedom at 97.5 %: 1.967 standard errors.
     assert labels == ["m[run 1] = 1.5 ± 0.2 kg", "m[run 2] = 2.5 ± 0.39 kg"]
-    assert ax.get_title() == "m[run 2] is known worst, to 16 % of its size"
+    assert ax.get_title() == "m[run 2] is the least certain, to 16 % of its size"
     plt.close("all")
 
 
@@ -208,7 +208,7 @@ def test_the_picture_says_which_estimates_are_not_to_be_relied_on() -> None:
     assert "R_p = 0.7 N s/m, at its bound" in labels
     assert labels[-1].endswith(", no standard error")
     title = ax.get_title().replace("\n", " ")
-    assert "2 not told from zero (orange)" in title  # H[q] and eps
+    assert "2 not significantly different from zero (orange)" in title  # H[q] and eps
     assert "1 without standard error (circle)" in title
     assert "1 at a bound (square)" in title
     plt.close("all")
@@ -289,7 +289,7 @@ def test_a_formula_that_is_not_a_formula_is_refused_and_never_run(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = damaged(tmp_path, lambda c: first(c).update(body=attack, inner={}))
-    with pytest.raises(ph.DataError, match="holds a model that is not valid"):
+    with pytest.raises(ph.DataError, match="contains a model that is not valid"):
         ph.Fit.load(path)
     assert not (tmp_path / "ran").exists()
 
@@ -329,7 +329,7 @@ def k_of(content: Any) -> Any:
     ],
 )
 def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
-    said = r"fit\.json (is damaged|holds a model that is not valid)"
+    said = r"fit\.json (is damaged|contains a model that is not valid)"
     with pytest.raises(ph.DataError, match=said):
         ph.Fit.load(damaged(tmp_path, change))
 

@@ -249,7 +249,7 @@ def test_a_study_file_its_page_and_its_report_say_it(tmp_path: Path) -> None:
     inputs = {"push": {"column": "push"}, "valve": {"column": "valve", "hold": "zero"}}
     assert draft.content()["data"]["inputs"] == inputs
     report = file.study().report(path.with_name("report.html")).read_text()
-    assert "push: smooth, on the cubic spline" in report
+    assert "push: smooth, by a cubic spline" in report
     assert "valve: constant until the next sample" in report
     path.write_text(STUDY.replace('"zero"', '"zeros"'))
     with pytest.raises(ph.StudyFileError, match=r"data.inputs.valve.hold = .*'zero'\?"):

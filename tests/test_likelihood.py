@@ -198,7 +198,7 @@ def test_a_known_run_is_compared_with_its_own_parameters_and_a_renamed_one_as_an
 
 def test_a_common_factor_without_a_trace_is_named(loads: ph.Measurements) -> None:
     fit = ph.identify(loaded(OWN_MASS, ph.Parameter(2.0)), loads)
-    said = "k, m[run 1], m[run 2], m[run 3], c apart: a common factor"
+    said = "k, m[run 1], m[run 2], m[run 3], c: a common factor"
     assert any(said in warning for warning in fit.warnings)
     assert all(np.isnan(fit.std_errors[name]) for name in fit.names)
 
@@ -309,7 +309,7 @@ def test_intervals_are_wider_than_the_normal_ones_where_few_values_tell_the_nois
 
 def test_a_parameter_at_its_bound_is_named_in_the_warnings() -> None:
     fit = ph.identify(duffing(c=ph.Parameter(0.3, lower=0.3)), usual(100))
-    assert any(w.startswith("c ended at its lower bound 0.3") for w in fit.warnings)
+    assert any(w.startswith("c is at its lower bound 0.3") for w in fit.warnings)
     assert np.isnan(fit.std_errors["c"])
 
 
@@ -324,7 +324,7 @@ def test_a_parameter_that_starting_values_press_to_zero_is_at_its_bound() -> Non
     fit = ph.identify(model, data)
     for one in (fit, ph.identify(model, data, start=fit)):
         assert one.outcome.at_bounds == ("a",)
-        assert any(w.startswith("a ended at its lower bound 0") for w in one.warnings)
+        assert any(w.startswith("a is at its lower bound 0") for w in one.warnings)
         assert not any("say nothing" in w for w in one.warnings)
 
 
@@ -386,7 +386,7 @@ def test_sensors_and_parameters_per_trajectory_have_no_place_in_the_phsi_loss(
 ) -> None:
     t, x, u = record(50)
     y = noisy(x)
-    said = "PHSILoss has no place for the {}"
+    said = "PHSILoss cannot include the {}"
     with pytest.raises(ph.ModelError, match=said.format("sensor of 'q'")):
         ph.identify(duffing(OFFSET_AND_GAIN), measured(t, y, u), ph.PHSILoss())
     own = said.format("parameter per trajectory 'm'")
@@ -457,7 +457,7 @@ def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
     fit = ph.identify(duffing(), coarse(0.4, sigma=0.001))
     assert fit.outcome.success
     assert most_steps(fit) == 1
-    assert any("steps of integration are too long" in one for one in fit.warnings)
+    assert any("integration steps are too long" in one for one in fit.warnings)
 
 
 # ---- awkward data and models
@@ -507,11 +507,11 @@ def test_a_name_that_would_stand_for_two_parameters_is_refused() -> None:
         runs = [y, 1.01 * y]
         return ph.Measurements.from_arrays([t, t], runs, states=["x"], names=names)
 
-    said = r"the name 'F_x\[x\]' stands for two parameters"
+    said = r"the name 'F_x\[x\]' belongs to two parameters"
     with pytest.raises(ph.ModelError, match=said):
         ph.identify(model, named("x", "b"))
     assert ph.identify(model, named("x 1", "b 1")).parameters["name"].is_unique
-    with pytest.raises(ph.ModelError, match="a scanned frequency is one for all"):
+    with pytest.raises(ph.ModelError, match="a scanned frequency is common to all"):
         ph.Parameter(guess=Scan("t"), per_trajectory=True)
 
 

@@ -313,7 +313,7 @@ def test_friction_that_begins_at_its_bound_leaves_it_and_ends_at_another() -> No
 
 
 def test_the_limit_of_time_is_told() -> None:
-    said = r"the time limit of 1e-06 s ended the solve.*Maximum_WallTime"
+    said = r"the time limit of 1e-06 s was reached.*Maximum_WallTime"
     brief = ph.SolverSettings(max_seconds=1e-6, thorough=False)
     with pytest.raises(ph.SolveError, match=f"{said}.*allow more time"):
         ph.identify(friction_and_damping_free(0.3), rubbed(0.3), settings=brief)

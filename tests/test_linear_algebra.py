@@ -71,7 +71,7 @@ def test_a_symmetric_matrix_is_solved_by_its_transposed_factors(n_columns: int) 
 
 
 def test_a_singular_system_is_refused() -> None:
-    match = "singular: a state may neither be measured nor act on one that is"
+    match = "singular: probably a state is not measured"
     with pytest.raises(ph.SolveError, match=match):
         factors_of(np.ones((2, 2)), np.arange(2))
 
@@ -267,9 +267,9 @@ def test_a_parameter_that_is_held_does_not_move_the_others() -> None:
 
 def test_information_that_is_no_number_is_refused_with_what_to_do() -> None:
     match = (
-        r"^the model's slopes along its states are beyond all numbers, so that no "
-        r"parameter has a standard error; give parameters bounds, or start them nearer "
-        r"to the truth\.$"
+        r"^the derivatives of the model with respect to its states overflow, so no "
+        r"standard errors can be computed; give the parameters bounds, or starting "
+        r"values closer to the solution\.$"
     )
     with pytest.raises(ph.SolveError, match=match):
         regularized_inverse(np.array([[1.0, 0.0], [0.0, np.inf]]))

@@ -204,7 +204,7 @@ def test_pairs_that_cannot_be_used_are_refused(
         ({"x": np.zeros((3, 2))}, "trajectory 'run 1' has 2 state columns; expected 1"),
         ({"x": [[1], [2, 3], [4]]}, "x is not a regular array"),
         ({"x": np.array([1, 2, 1j])}, "x has the type complex128; expected real numbers"),
-        ({"x": np.array([1, None, 2])}, "x has the type object; expected real numbers, NaN where nothing"),
+        ({"x": np.array([1, None, 2])}, "x has the type object; expected real numbers, and NaN for"),
         ({"x": [1, np.inf, 2]}, r"trajectory 'run 1': state 'q' at sample 1 \(t=1.0\) is inf; expected a finite value"),
         ({"x": [1, 2, -2e100]}, r"state 'q' at sample 2 \(t=2.0\) is -2e\+100; expected at most 1e\+100 in size"),
         ({"x": [np.nan] * 3}, r"trajectory 'run 1' has no measured value in any of the states \['q'\]"),
@@ -278,9 +278,9 @@ def test_a_trajectory_is_chosen_by_name_number_or_slice() -> None:
     [
         ("run 9", r"there is no trajectory 'run 9'; expected one of 'run 1', 'run 2'\. Did you mean 'run"),
         (2, r"no trajectory 2; there are 2, counted from 0: \['run 1', 'run 2'\]"),
-        (slice(5, 9), r"data\[5:9\] picks trajectories, of which there are 2"),
-        (slice(None, None, 10), r"data\[::10\] picks.*data.thinned\(n\)"),
-        (slice(0.0, 2.5), r"data\[0.0:2.5\] picks.*between"),
+        (slice(5, 9), r"data\[5:9\] selects trajectories; there are 2"),
+        (slice(None, None, 10), r"data\[::10\] selects.*data.thinned\(n\)"),
+        (slice(0.0, 2.5), r"data\[0.0:2.5\] selects.*between"),
         (1.5, r"trajectory 1.5 is unknown; expected a name of \['run 1', 'run 2'\]"),
     ],
 )  # fmt: skip
@@ -404,9 +404,9 @@ def test_a_part_in_time_keeps_the_clock_and_both_ends() -> None:
         (0.0, 1.0, "trajectory 'run 2' has 1 samples between 0 and 1; expected at least"),
         (0.1, 0.2, "trajectory 'run 1' has 0 samples"),
         (2.0, 1.0, "first time must be less than the last"),
-        ("0", 1.0, "'0' is no time"),
-        (np.nan, 1.0, "nan is no time"),
-        (True, 2.0, "True is no time"),
+        ("0", 1.0, "'0' is not a time"),
+        (np.nan, 1.0, "nan is not a time"),
+        (True, 2.0, "True is not a time"),
     ],
 )  # fmt: skip
 def test_a_part_that_cannot_be_had_is_refused(
@@ -455,12 +455,12 @@ def test_samples_that_fill_no_group_are_left_out_of_means_alone() -> None:
 @pytest.mark.parametrize(
     ("n", "by", "message"),
     [
-        (0, "mean", r"thinned\(0\): expected how many"),
+        (0, "mean", r"thinned\(0\): expected the number"),
         (2.5, "mean", r"thinned\(2.5\)"),
         (True, "mean", r"thinned\(True\)"),
         (2, "means", "by='means' is unknown; .*Did you mean 'mean'"),
-        (7, "mean", r"'run 1' has 12 samples, too few for thinned\(7\): 1 would be left"),
-        (12, "picking", r"too few for thinned\(12\): 1 would be left"),
+        (7, "mean", r"'run 1' has 12 samples, too few for thinned\(7\): 1 would remain"),
+        (12, "picking", r"too few for thinned\(12\): 1 would remain"),
     ],
 )  # fmt: skip
 def test_thinning_that_cannot_be_done_is_refused(n: Any, by: Any, message: str) -> None:

@@ -415,7 +415,7 @@ def test_the_standard_errors_of_estimates_with_a_force_hold() -> None:
 def test_what_does_not_go_with_a_model_error_is_refused() -> None:
     with pytest.raises(ph.ModelError, match=r"huber=1\.345 and model_error=True"):
         ph.MaximumLikelihood(huber=1.345, model_error=True)
-    with pytest.raises(ph.ModelError, match="model_error=True, which has no profile"):
+    with pytest.raises(ph.ModelError, match="a profile is not available for a fit"):
         ph.profile(forced_fit(0), record(0), "k")
     with pytest.raises(ph.ModelError, match=r"and model_error=True .* leave l1 out"):
         ph.identify(oscillator(), record(0), WITH_FORCE, l1=0.01)

@@ -103,7 +103,7 @@ def test_equations_name_the_network_and_a_saved_hybrid_is_the_same_when_loaded(
 ) -> None:
     assert found.equations()[1].endswith("+ network_p(q)")
     assert "network" not in found.without_force().equations()[1]
-    assert "turns with the network" in str(found) and len(str(found)) < 2000
+    assert "alternations with the network" in str(found) and len(str(found)) < 2000
     found.save(tmp_path / "hybrid.json")
     again = Hybrid.load(tmp_path / "hybrid.json")
     t, x0 = np.linspace(0, 2, 11), np.array([1.0, 0.5])
@@ -230,7 +230,7 @@ def test_a_force_of_time_and_input_is_found_simulated_and_saved(tmp_path: Path) 
     assert np.sqrt(np.mean((force - true) ** 2)) < 0.1 * np.std(true)
     simulated = both.simulate(unseen.t, unseen.x[0], unseen.u)
     assert np.abs(simulated - unseen.x).max() < 0.1 * np.abs(unseen.x).max()
-    with pytest.raises(ph.DataError, match="depends on 't'; give t beside x"):
+    with pytest.raises(ph.DataError, match="depends on 't'; give t together with x"):
         both.force(unseen.x, u=unseen.u)
     with pytest.raises(ph.DataError, match=r"t has shape \(2,\); expected \(41, 1\)"):
         both.force(unseen.x, [0.0, 1.0], unseen.u)

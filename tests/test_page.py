@@ -84,8 +84,8 @@ def prepare(page: Page, content: bytes) -> None:
     page.get_by_role("tab", name="2 Model").click()
     page.get_by_role("button", name="Spring A mass").click()
     page.get_by_label("known value of m").fill("2.5")
-    expect(page.get_by_text("is an assumption: give yours")).to_have_count(0)
-    expect(page.get_by_text("Model and data can be used.")).to_be_visible()
+    expect(page.get_by_text("is an assumption: enter your")).to_have_count(0)
+    expect(page.get_by_text("Model and data are valid.")).to_be_visible()
 
 
 def press_fit(page: Page) -> None:
@@ -113,8 +113,8 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     said = facts(page)
     assert NAMED in said
     assert "In dp/dt" in said
-    assert re.search("(Strongest|Seen most clearly) at t = ", said)
-    assert "is off by" in said
+    assert re.search("(Strongest|Most clearly visible) at t = ", said)
+    assert "has an error of" in said
     assert f"{CALLED}, " in said
     assert "missing: named" in said
     assert "the error is 1.5 times the noise." in said
@@ -127,7 +127,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     plot = page.locator(".nsewdrag").first
     box = plot.bounding_box()
     assert box is not None
-    time = page.get_by_label("look at the time (s)")
+    time = page.get_by_label("show the time (s)")
     offered = time.input_value()
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.3 * box["height"])
     expect(time).not_to_have_value(offered)
@@ -141,7 +141,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     nothing_is_solved(page)
     assert held_out_error(page, step=1) < 0.8 * error_before
     # The same place before and after, and nothing more is offered.
-    assert page.get_by_label("look at the time (s)").input_value() == looked_at
+    assert page.get_by_label("show the time (s)").input_value() == looked_at
     assert page.get_by_label("run", exact=True).input_value() == run_shown
     automatic = page.get_by_role("button", name="Add effects automatically until")
     expect(automatic).to_have_count(0)
@@ -151,7 +151,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     # The report is worked out like a solve, and is there when the page says so.
     with page.expect_download(timeout=SOLVED_WITHIN) as download:
         page.get_by_role("button", name="Report").click()
-        handed = page.get_by_text("report.html was handed to the browser")
+        handed = page.get_by_text("report.html was downloaded by")
         expect(handed).to_be_visible(timeout=SOLVED_WITHIN)
     report = tmp_path / download.value.suggested_filename
     download.value.save_as(report)
@@ -199,7 +199,7 @@ def test_a_bad_file_is_refused_with_row_and_column(page: Page) -> None:
     page.get_by_role("button", name="Make kk a parameter").click()
     expect(page.get_by_label("start of kk")).to_be_visible()
     page.get_by_role("button", name="Remove k", exact=True).click()
-    expect(page.get_by_text("Model and data can be used.")).to_be_visible()
+    expect(page.get_by_text("Model and data are valid.")).to_be_visible()
 
 
 def test_a_solve_is_cancelled_and_what_was_found_is_kept(page: Page) -> None:
@@ -213,9 +213,9 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(page: Page) -> None:
     cancel.click()
     expect(page.get_by_text("Fitted; the search for what is missing")).to_be_visible()
     assert time.monotonic() - began < CANCELLED_WITHIN
-    expect(page.get_by_text("Fitted; what is missing is not known yet")).to_be_visible()
+    expect(page.get_by_text("Fitted, but not diagnosed yet")).to_be_visible()
     # It goes on from the fit; what comes of that is tested without a browser.
-    page.get_by_role("button", name="Look for what is missing").click()
+    page.get_by_role("button", name="Diagnose").click()
     expect(searching.first).to_be_visible(timeout=SOLVED_WITHIN)
     cancel.click()
     nothing_is_solved(page)
@@ -284,10 +284,10 @@ def test_a_study_that_is_forgotten_is_gone_in_every_window(
     table = other.get_by_text("spring.csv: 302 samples, 3 runs")
     expect(table).to_be_visible()
     page.get_by_role("button", name="Menu").click()
-    page.get_by_text("Begin again: forget this study").click()
+    page.get_by_text("Begin again: delete this study").click()
     page.get_by_role("button", name="Forget it").click()
     for window in (page, other):
         expect(
-            window.get_by_text("Begin with the measurements: part 1.")
+            window.get_by_text("Start with the measurements: part 1.")
         ).to_be_visible()
     expect(table).to_have_count(0)

@@ -354,7 +354,7 @@ def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence() -> 
         else:
             assert made.upload("a.csv", TABLE)
             made.rest()
-    with pytest.raises(ph.DataError, match=f"holds {MOST_SESSIONS} studies"):
+    with pytest.raises(ph.DataError, match=f"allows {MOST_SESSIONS} studies"):
         sessions.of("one too many")
     begun = sessions.begin_again("3")
     assert begun.is_empty

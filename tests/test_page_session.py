@@ -122,7 +122,7 @@ def test_a_bad_table_is_refused_with_its_line_and_column(session: Session) -> No
     [
         (b"", "is empty"),
         (b"t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
-        (b"t,q,q\n0,1,1\n1,2,2\n", "q: 2 columns are called so"),
+        (b"t,q,q\n0,1,1\n1,2,2\n", "q: 2 columns have this name"),
         (b"0" * (MOST_UPLOADED + 1), "at most 20 MB"),
     ],
     ids=["empty", "short", "twice", "large"],
@@ -159,7 +159,7 @@ def test_tables_with_the_same_columns_are_runs_and_others_take_their_place(
     assert data.columns[1].unit == "mm", "what was said of it stays"
     assert session.upload("c.csv", b"Zeit,Weg\n0,2\n1,1\n2,4\n"), session.upload_error
     assert session.draft.places.keys() == {"c.csv"}
-    assert "c.csv has other columns: it takes the place of b.csv" in session.message
+    assert "c.csv has other columns: it replaces b.csv" in session.message
     session.remove_file("c.csv")
     session.close()
     assert session.draft.data is None
@@ -458,13 +458,13 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     mass = next(one for one in session.draft.model.parameters if one.name == "m")
     del mass.table["value"]
     said = [complaint_words(one) for one in session.check()]
-    assert "Parameter m: a value that is known needs its number, such as 2.5." in said
+    assert "Parameter m: enter the known value, such as 2.5." in said
     del session.draft.model.table["states"]
     said = [complaint_words(one) for one in session.check()]
     assert "Field states: expected the names of the states, such as q, p." in said
-    advice = 'the model has it: give { column = "..." }, or { measured = false }. Other'
+    advice = 'the model has this name: give { column = "..." }, or { measured = false }. Other'
     words = complaint_words(ph.Complaint("data.states.x", "", advice))
-    assert words.startswith("Column of x: the model has it: choose a column")
+    assert words.startswith("Column of x: it is in the model: choose its column")
 
 
 def test_what_was_added_before_a_cancel_is_said_to_be_added(
@@ -475,7 +475,7 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
     assert studied.content is not None
     for is_shown, said in (
         (False, "Cancelled: Adding coulomb friction on p."),
-        (True, "Added coulomb friction on p; the search for what is missing was"),
+        (True, "Added coulomb friction on p; the diagnosis was"),
     ):
         session.add("coulomb friction on p")  # twice: a second order is taken
         worker = session._worker
@@ -512,7 +512,7 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(
     assert time.monotonic() - began < ENDS_WITHIN
     assert not is_running(pid)
     assert session.job is None
-    assert session.message.startswith("Fitted; the search for what is missing was")
+    assert session.message.startswith("Fitted; the diagnosis was")
     assert session.content.present is None
     session.diagnose()
     wait_for(lambda: session.job is None)

@@ -114,10 +114,13 @@ def test_the_efficiency_beside_the_bound(readme: str) -> None:
         f"at most {max(beside.values()):.2f} times the bound ({of_thesis:.2f} on the "
         "systems of the thesis"
     ) in readme
-    assert f"by itself {max(worst):.2f} +- {worst[max(worst)]:.2f} over" in readme
+    assert (
+        f"largest ratio is {max(worst):.2f} +- {worst[max(worst)]:.2f} over" in readme
+    )
     low, high = percent(min(coverage), 1), percent(max(coverage), 1)
-    assert f"hold the truth in {low} to {high} %" in readme
-    assert f"is {min(one_step):.0f} to {max(one_step):.0f} times above it" in readme
+    assert f"contain the true value in {low} to {high} %" in readme
+    ratios = f"{min(one_step):.0f} to {max(one_step):.0f}"
+    assert f"the largest ratio of an experiment is {ratios}." in readme
 
 
 def test_the_chaotic_systems(readme: str) -> None:
@@ -168,7 +171,7 @@ def test_the_hidden_effects(readme: str) -> None:
     assert f"both of two in {percent(good['two_effects'])} %" in readme
     pooled = pd.concat(covered.values()).mean()
     assert (
-        f"95 % intervals hold the truth in {percent(pooled)} % "
+        f"95 % intervals contain the true value in {percent(pooled)} % "
         f"({percent(min(by_row))} to {percent(max(by_row))} % by effect and noise"
         in readme
     )
@@ -209,7 +212,7 @@ def test_starts_far_off(readme: str) -> None:
     lines = (RESULTS / "basins.md").read_text("utf-8").splitlines()
     (row,) = [line for line in lines if line.startswith("| 50 % | nothing | all |")]
     n, right = [cell.strip() for cell in row.split("|")][4:6]
-    assert f"of {n} starts half off" in readme
+    assert f"of {n} starts that are 50 % off" in readme
     assert f"periods, {right} lead to the right optimum" in readme
 
 
@@ -241,10 +244,10 @@ def test_the_open_questions(readme: str) -> None:
     assert (rows.groupby(["ask", "answer"])["draw"].nunique() == 50).all()
     tanks = percent(right["tanks_place", "place"], 0)
     spring = percent(right["mass_spring_place", "place"], 0)
-    assert f"is found in {tanks} % (tanks) and {spring} % (mass-spring)" in readme
+    assert f"is identified in {tanks} % (tanks) and {spring} % (mass-spring)" in readme
     small = percent(right["guess", "small"], 0)
     wrong = percent(right["guess", "wrong"], 0)
-    assert f"is told in {small} %, a wrong one in {wrong} %" in readme
+    assert f"is recognised in {small} %, a wrong one in {wrong} %" in readme
 
 
 # ---- pages that are out of date

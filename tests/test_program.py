@@ -193,9 +193,9 @@ def test_without_l1_it_ends_where_directions_leave_no_trace_and_names_them() -> 
     fit = ph.identify(SYSTEMS["tanks"].model(), data, ph.PHSILoss())
     assert fit.outcome.iterations < 50
     assert np.max(np.abs(list(fit.values.values()))) < 100
-    notes = [note for note in fit.warnings if "cannot tell" in note]
+    notes = [note for note in fit.warnings if "cannot distinguish" in note]
     volume = "H[mu1], H[mu2], H[mu3], H[mu4]"
-    starts = f"the data cannot tell {volume} apart"
+    starts = f"the data cannot distinguish {volume}: "
     assert any(note.startswith(starts) for note in notes)
     squared = [note for note in notes if "H[mu1*mu2]" in note and "H[mu4**2]" in note]
     assert len(squared) == 1 and len(notes) == 2

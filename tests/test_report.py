@@ -168,10 +168,10 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     content: StudyContent,
 ) -> None:
     expected = {
-        "What was wrong": r"Coulomb friction on p was missing: .* dp/dt was off by [\d.]+ N.*",
+        "What was wrong": r"Coulomb friction on p was missing: .* dp/dt had an error of [\d.]+ N.*",
         "Where it was": "In dp/dt.*",
-        "Since when": r"(From the start|(From the start, a|A)gain and again), in both "
-        r"training runs\. (Strongest|Seen most clearly) at t = .* of run \d\..*",
+        "Since when": r"(From the start|(From the start, r|R)epeatedly), in both "
+        r"training runs\. (Strongest|Most clearly visible) at t = .* of run \d\..*",
         "What was added": r"Coulomb friction on p, .* N\. Evidence: decisive, log "
         r"evidence [\d.]+\.",
     }
@@ -196,14 +196,16 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     )
     assert "no effect of the catalogue explains" in headline.sentence
     answers = {fact.question: fact.detail for fact in headline.answers}
-    assert "dp/dt is off by" in answers["What is wrong"]
+    assert "dp/dt has an error of" in answers["What is wrong"]
     assert "What to do next" in answers
 
     assert silent.verdict == ph.Verdict.NOTHING_MISSING
     record = with_diagnoses(study, open_, silent)
     assert [one.name for one in record.unestablished] == ["coulomb friction on p"]
     headline = study_content(record).headline
-    assert headline.sentence.endswith("No force is evident beside the present model.")
+    assert headline.sentence.endswith(
+        "There is no evidence of a force missing in the present model."
+    )
     assert headline.severity == LOOK
     assert headline.remark == "with an effect that is not established"
     answers = {fact.question: fact.lead for fact in headline.answers}
@@ -221,25 +223,25 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     unknown = unexplained(study.record.diagnoses[0])
     content = study_content(with_diagnoses(study, unknown))
     headline = content.headline
-    tried = r"(none of the \d+ effects tried explains|the one effect tried does not)"
-    assert re.match(f"Something is missing; {tried}", headline.sentence)
+    tried = r"(none of the \d+ effects tried explains|the only effect tried does not)"
+    assert re.match(f"A force is missing; {tried}", headline.sentence)
     answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
     wrong = answers["What is wrong"]
     # One scale for error and noise, in numbers that can be compared.
     assert re.search(
-        r"q by 0\.\d+ m \(\d+ % of its movement; noise alone \d+ %\)", wrong
+        r"0\.\d+ m in q \(\d+ % of its standard deviation; noise alone \d+ %\)", wrong
     )
     assert re.search(
-        r"dp/dt is off by [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
+        r"dp/dt has an error of [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
     )
-    assert wrong.startswith("The model misses q by 0.")
+    assert wrong.startswith("The model has an error of 0.")
     assert "Simulated on data not used for fitting." in wrong
     assert "times the noise" not in wrong
     assert "dH_d" not in " ".join(answers.values())
     do = answers["What to do next"]
     assert "No effect of the catalogue fits." in do
     # The pair predicts a tenth better than p alone, give or take.
-    assert re.search(r"a term of your own in dp/dt that depends on (q and )?p\.", do)
+    assert re.search(r"your own term to dp/dt, as a function of (q and )?p\.", do)
     (diagnosed,) = content.diagnoses
     for told in answers.values():
         assert told.strip() in diagnosed.paragraph
@@ -251,19 +253,19 @@ def test_one_line_says_how_sure_it_is(
     named = study.record.diagnoses[0]
     said = certainty_words(named)
     assert re.fullmatch(
-        r"Certain that something is missing: the error is "
+        r"The model is certainly incomplete: the error is "
         r"1\.\d times the noise\. The evidence for coulomb friction on p is decisive "
         r"\(log evidence [\d.]+\)\. ± is one standard error\.",
         said,
     )
     unknown = unexplained(named)
     # The error alone, a little above the noise, makes nothing certain.
-    begin = "The residuals are no noise: the error is 1."
+    begin = "The residuals are not noise: the error is 1."
     assert certainty_words(unknown).startswith(begin)
     # That it follows the velocity is no suspicion of a thing outside.
     assert "The cause is not known." in certainty_words(unknown)
     monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
-    assert "The cause is suspected, not proven." in certainty_words(unknown)
+    assert "The cause is likely, but not proven." in certainty_words(unknown)
     monkeypatch.setattr(
         "phsi_opt.study.answers.disturbance_word", lambda *_: "fast disturbance"
     )
@@ -276,7 +278,9 @@ def test_one_line_says_how_sure_it_is(
     assert "Which of the class it is" not in said
     open_class = replace(named, findings=(either,))
     assert "Which of the class it is" in certainty_words(open_class)
-    assert study_content(study.record).headline.certainty.startswith("Nothing is seen")
+    assert study_content(study.record).headline.certainty.startswith(
+        "These data show no missing effect"
+    )
     assert disturbance_word(unknown) == ""
 
 
@@ -287,13 +291,15 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     assert headline.sentence.startswith(told)
     facts = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
     assert "The held-out error falls from" in facts["What to add"]
-    assert facts["What to add"].endswith("what is left is more than noise.")
+    assert facts["What to add"].endswith("the remaining error is more than noise.")
     above = with_errors(partly, after=0.4)
     add = answer("to_do", above, is_held_out=True).detail
-    assert add.endswith("Then diagnose again: what is left is 10 times the noise.")
+    assert add.endswith(
+        "Then diagnose again: the remaining error is 10 times the noise."
+    )
     assert answer("missing", above, is_held_out=True).detail == (
-        "With it, the held-out error falls by 60 %; what else is missing is not known "
-        "yet."
+        "With it, the held-out error falls by 60 %; a further missing force is not "
+        "explained yet."
     )
 
 
@@ -315,8 +321,8 @@ def test_the_nearest_effect_is_told_where_there_is_evidence_of_it(
     assert nearest_candidate(unknown) is first
     told = answer("to_do", unknown, is_held_out=True).detail
     assert re.search(
-        r"Nearest of the catalogue is coulomb friction on p \(decisive, log evidence "
-        r"[\d.]+\): 60 % less error, but not proven\.",
+        r"The best effect of the catalogue is coulomb friction on p \(decisive, log evidence "
+        r"[\d.]+\): 60 % less error, but it is not proven\.",
         told,
     )
     without = replace(first, log_bayes=-1.0, log_predictive=0.5)
@@ -337,8 +343,10 @@ def test_a_class_whose_members_act_at_several_places_has_no_one_place(
     delay = replace(friction, slot="sensor", equation="q")
     either = replace(named, findings=(replace(finding, effects=(friction, delay)),))
     told = where_answer(either)
-    assert told.lead == "Either in dp/dt or at the sensor of q: the data do not tell."
-    assert told.detail.startswith("As a force it shows in dp/dt, the force on q.")
+    assert told.lead == (
+        "In dp/dt or at the sensor of q; the data do not determine which."
+    )
+    assert told.detail.startswith("As a force it appears in dp/dt, the force on q.")
     assert where_answer(named).lead.startswith("In dp/dt, the force on q.")
 
 
@@ -370,23 +378,23 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
     judged = glance_of(first, worse.runs, content.time, 0)
     assert judged is not None and judged.force is None
     assert runs[judged.run].part == "held out"
-    assert "(data held out), measured and simulated from" in judged.sentence
+    assert "(data held out), measured and simulated, with" in judged.sentence
     assert "<svg" in svg(glance_chart(replace(worse, glance=judged)))
 
 
 @pytest.mark.parametrize(
     ("shares", "kind", "variable", "expected"),
     [
-        ({}, "thermal", "p", "a further store of heat"),
-        ({}, "", "p", "a part that moves by itself (play"),
-        ({"parameters": 0.8}, "electrical", "p", "Fit each half of the record by itself"),
+        ({}, "thermal", "p", "a further heat storage"),
+        ({}, "", "p", "a further moving part (backlash"),
+        ({"parameters": 0.8}, "electrical", "p", "Fit each half of the record separately"),
         ({"parameters": 0.8}, "electrical", "p", "second resistor and capacitor"),
-        ({"inputs": 0.8}, "", "p", "Measure the force on p directly, or give"),
+        ({"inputs": 0.8}, "", "p", "Measure the force on p directly, or add"),
         ({"time": 0.8}, "", "p", "Repeat the run"),
-        ({"dissipated": 0.4}, "", "p", "follows nothing that was measured"),
-        ({"conserved": 0.8}, "", "q", "depends on q."),
-        ({"conserved": 0.8}, "", "q, p", "depends on q and p."),
-        ({"conserved": 0.8}, "", "dH_dp", "on p."),
+        ({"dissipated": 0.4}, "", "p", "is not a function of the quantities measured"),
+        ({"conserved": 0.8}, "", "q", "as a function of q."),
+        ({"conserved": 0.8}, "", "q, p", "as a function of q and p."),
+        ({"conserved": 0.8}, "", "dH_dp", "as a function of p."),
     ],
 )  # fmt: skip
 def test_what_to_do_follows_from_what_the_force_looks_like(
@@ -410,9 +418,9 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
 @pytest.mark.parametrize(
     ("shares", "expected"),
     [
-        ({}, "A store or an input of heat seems to be missing"),
+        ({}, "A heat storage or a heat input seems to be missing"),
         ({"inputs": 0.8}, "The way the input enters dTi/dt seems to be wrong"),
-        ({"time": 0.8}, "Something that changes with the time seems to be missing"),
+        ({"time": 0.8}, "An effect that changes with time seems to be missing"),
         ({"dissipated": 0.8}, ""),
     ],
 )
@@ -435,8 +443,7 @@ def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
     analysis: Any = SimpleNamespace(force_in=lambda: force)
     told = step_without_name(analysis, {})
     assert told.lead == (
-        "Average every 6 samples and diagnose again: anything else that is missing "
-        "then shows."
+        "Average every 6 samples and diagnose again, to find other missing effects."
     )
     # What to look at stands before what to type.
     assert told.detail.startswith("At the machine, look for")
@@ -482,8 +489,8 @@ def test_bounds_cut_an_interval_and_open_parameters_are_named(study: ph.Study) -
     assert undetermined_words(table) == ""
     table = table.assign(std_error=2 * table["value"].abs())
     assert undetermined_words(table.head(2)) == (
-        "Parameters that these data do not determine: k, m (standard error above the "
-        "value); do not rely on them."
+        "Parameters that these data do not determine: k, m (the standard error "
+        "exceeds the value); do not rely on them."
     )
 
 
@@ -525,7 +532,7 @@ def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
     diagnosis = study.diagnose()
     assert (
         "2021-11-22 06:30" in diagnosis.sentences[0]
-        or "about as strong" in (diagnosis.sentences[0])
+        or "about equally strong" in (diagnosis.sentences[0])
     )
     content = study_content(study.record)
     assert {run.origin for run in content.runs} == {begin}
@@ -542,7 +549,10 @@ def test_verdict_table_and_picture_use_the_same_words(
     assert f"<title>Study of q: {verdict}</title>" in page
     for step in study.history["effect"]:
         assert proper_names(step) in text
-    assert "coulomb friction" not in text.split("To reproduce it")[1].split("Seeds")[0]
+    assert (
+        "coulomb friction"
+        not in text.split("Reproduce this result")[1].split("Seeds")[0]
+    )
     last = study.history.iloc[-1]
     assert f"{last['held_out_rmse']:.4g}" in text and number(last["bic"], 6) in text
     held_out = [step.held_out for step in content.steps]
@@ -632,7 +642,7 @@ def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None
         assert (picture["src"] or "").startswith("data:image/svg+xml;base64,")
         drawn = base64.b64decode((picture["src"] or "").split(",")[1]).decode()
         assert "<script" not in drawn and "<img" not in drawn
-    *_, last = markdown_report(hostile).rpartition("## To reproduce it")
+    *_, last = markdown_report(hostile).rpartition("## Reproduce this result")
     lines = markdown_report(replace(hostile, code="")).splitlines()
     assert not any("<" in line for line in lines if not line.startswith("    "))
     assert f"    {HOSTILE}" in last.splitlines()
@@ -650,7 +660,7 @@ def test_a_study_that_was_not_diagnosed_says_so_and_what_to_do(tmp_path: Path) -
     reader = Reader(text)
     assert "not diagnosed yet" in reader.text
     assert "study.diagnose()" in reader.text
-    assert "nothing was held out" in reader.text
+    assert "no data were held out" in reader.text
     verdict_and_errors = reader.text.split("Equations, before")[0]
     assert "None" not in verdict_and_errors and "nan" not in verdict_and_errors.split()
 
@@ -740,11 +750,11 @@ def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
     unknown = unexplained(study.record.diagnoses[0], base=base)
     monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
     monkeypatch.setattr(EquationForce, "is_uncertain", True)
-    begin = "The residuals are as small as noise, but not as random"
+    begin = "The residuals are as small as noise, but not random"
     said = certainty_words(unknown)
     assert said.startswith(f"{begin}. The cause is not known.")
     lead = answer("missing", unknown, is_held_out=True).lead
-    assert lead.startswith(f"{begin}; no missing force is sure; ")
+    assert lead.startswith(f"{begin}; no missing force is significant; ")
 
 
 def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
@@ -757,5 +767,5 @@ def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
     training: Any = SimpleNamespace(rmse=0.0412, noise_floor=0.0424, error_unit="m")
     step = replace(study.steps[0], held_out=comparison, train=training)
     assert _errors(replace(study.record, steps=(step,))).endswith(
-        "0.0423 and 0.0412 (training) equal the noise floor within its own uncertainty."
+        "0.0423 and 0.0412 (training) equal the noise floor within its uncertainty."
     )

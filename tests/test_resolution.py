@@ -194,12 +194,18 @@ def test_steps_coarser_than_the_motion_are_not_taken_for_an_effect() -> None:
     train, test = measured(truth(), 1.0).split(0.6)
     effects = ["coulomb friction", "quadratic drag", "cubic stiffness"]
     fit = ph.identify(base(), train)
-    assert any("q moves by less than one of its steps" in w for w in fit.warnings)
+    assert any(
+        "the standard deviation of q is less than its quantisation step" in w
+        for w in fit.warnings
+    )
     found = ph.diagnose(fit, train, test, effects=effects)
     # The best candidate, dry friction, explains what three values leave.
     assert found.ranking[0].grade == Grade.DECISIVE
     assert found.verdict is ph.Verdict.UNEXPLAINED
-    assert "the steps of q, which moves by less than one of them" in found.reason
+    assert (
+        "the quantisation of q, whose standard deviation is less than one step"
+        in found.reason
+    )
     assert found.proposed == ()
 
 

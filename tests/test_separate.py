@@ -88,7 +88,7 @@ def test_a_sensor_offset_and_a_constant_force_are_the_same_on_a_linear_spring(
     shifted: Pair,
 ) -> None:
     found = separating(*shifted, SIGMA)
-    assert found.sentence.endswith("the same model in other words")
+    assert found.sentence.endswith("the two models are equivalent")
     # Starts, a shifted start, a longer record, the momentum.
     assert len(found.table) >= 7
     assert not found.table["separates"].any()
@@ -106,7 +106,7 @@ def test_on_a_hardening_spring_a_longer_record_tells_an_offset_from_a_force() ->
     longer = table.loc["a record 3 times as long"]
     assert longer["separates"] and longer["separation"] > 2 * found.in_record
     # A start further out is imitated by another force: each by nearly as much as here.
-    further = table.loc["start 3 times as far out"]
+    further = table.loc["initial states 3 times as far from the mean"]
     assert further["separation"] == pytest.approx(found.in_record, rel=0.1)
     assert "noise standard deviations; in this record by" in found.sentence
 

@@ -284,7 +284,8 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ("share = 0.4", "", "held_out", "found none"),
         ('H = "k', 'H = ""  #', "model.H", "expected the energy as a formula"),
         ('"k*q**2/2', '"k*q^2/2', "model.H", "Write a power as **"),
-        ('p**2/(2*m)"', 'p**2/(2*m) + t"', "model.H", "an energy depends on the states"),
+        ('p**2/(2*m)"', 'p**2/(2*m) + t"', "model.H", "an energy depends only on the "
+                                                      "states"),
         ('[["q", "p"]]', '[["q", "v"]]', "model.pairs", "not a state"),
         ('[["q", "p"]]', '["q", "p"]', "model.pairs", "expected pairs of states"),
         ("pairs =", "S = [[0, 1], [1, 0]]  #", "model", "not skew-symmetric"),
@@ -292,18 +293,18 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ('["q", "p"]\npairs', '["q", "q", "p"]\npairs', "model.states", "twice"),
         ('["q", "p"]\npairs', '["q", "p-1"]\npairs', "model.states", "cannot be used"),
         ("c = {", "d = {", "model.R.p", "c = { start = 1.0 }"),
-        ("c = {", "x = 1\nc = {", "parameters.x", "no formula has this name"),
-        ("start = 10.0", "start = 1.0, value = 2", "parameters.k.value", "start too"),
+        ("c = {", "x = 1\nc = {", "parameters.x", "no formula contains this name"),
+        ("start = 10.0", "start = 1.0, value = 2", "parameters.k.value", "start is given, too"),
         ("start = 10.0", 'start = "10"', "parameters.k.start", "expected a number"),
         ("start = 10.0", "start = nan", "parameters.k", "not finite"),
         ("{ lower = 0 }", "{ guess = { kind = 'Sha' } }", "parameters.c.guess.kind", "'Share'"),
-        ("{ lower = 0 }", "{ guess = { kind = 'Share' } }", "parameters.c.guess.of", "needs it"),
+        ("{ lower = 0 }", "{ guess = { kind = 'Share' } }", "parameters.c.guess.of", "needs this key"),
         ("[data.states]", "between = [5]\n[data.states]", "data.between", "two times"),
         ("[data.states]", "between = [6, 9]\n[data.states]", "data", "0 samples"),
         ("added = []", "max_steps = 0", "study.max_steps", "at least 1"),
         ("[study]", "[loss]\nstart = 2\n[study]", "loss.start", "Did you mean 'starts'?"),
         ("[study]", "[loss]\nhuber = 1\nmodel_error = true\n[study]", "loss", "outliers"),
-        ("[study]", "[[effects]]\nname = 'a'\n[study]", "effects[0].slot", "needs it"),
+        ("[study]", "[[effects]]\nname = 'a'\n[study]", "effects[0].slot", "needs this key"),
     ],
 )  # fmt: skip
 def test_a_wrong_value_is_refused_by_its_key(
@@ -446,7 +447,7 @@ def test_what_a_study_file_cannot_hold_is_refused_by_name(tmp_path: Path) -> Non
     with pytest.raises(ph.ModelError, match="noise="):
         ph.StudyFile.of(everything(), data, loss=ph.MaximumLikelihood(noise={"T": 1.0}))
     clash = ph.Effect("wind", "F", "v", ph.formula("g*v", g=ph.Parameter(2.0)))
-    with pytest.raises(ph.ModelError, match="'g' of one of the effects"):
+    with pytest.raises(ph.ModelError, match="'g' of an effect differs"):
         ph.StudyFile.of(everything(), data, own_effects=(clash,))
     with pytest.raises(ph.DataError, match="names in common"):
         ph.StudyFile.of(everything(), data[:2], data[1:])

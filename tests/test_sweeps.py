@@ -119,7 +119,7 @@ def test_a_sweep_asks_no_more_of_an_executor_than_it_may_hold() -> None:
 
 
 def test_a_worker_that_dies_is_told_with_its_case() -> None:
-    match = "a worker ended while 'a'"
+    match = "a worker process ended while 'a'"
     with local_workers(2) as workers, pytest.raises(ph.SolveError, match=match):
         list(ph.sweep(sweep_tasks.dies, {"a": 1}, executor=workers))
 
@@ -169,7 +169,7 @@ def test_keys_of_any_kind_have_files_of_their_own(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == len(keys)
     for number, (key, result) in enumerate(kept.found(keys)):
         assert (key, result) == (keys[number], number / 3)
-    with pytest.raises(ph.DataError, match="cannot be kept"):
+    with pytest.raises(ph.DataError, match="cannot be saved"):
         kept.keep("object", object())
 
 
@@ -298,7 +298,7 @@ def test_a_bootstrap_scatters_as_the_standard_errors_say(
     few = drawn(4)
     said: list[str] = []
     found = drawn(20, progress=said.append)
-    assert sum("kept before" in line for line in said) == 4
+    assert sum("read from the folder" in line for line in said) == 4
     assert list(found.estimates.index) == list(range(20))
     assert found.estimates.iloc[:4].equals(few.estimates)
     assert not found.failed
@@ -322,7 +322,7 @@ def test_a_bootstrap_refuses_what_it_cannot_draw(
 ) -> None:
     data = sweep_tasks.data(3)
     fitted.save(tmp_path / "fit.json")
-    with pytest.raises(ph.DataError, match="has no states"):
+    with pytest.raises(ph.DataError, match="has no estimated states"):
         ph.bootstrap(ph.Fit.load(tmp_path / "fit.json"), data)
     with pytest.raises(ph.DataError, match="samples"):
         ph.bootstrap(fitted, data.split(0.5)[0])

@@ -149,15 +149,15 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
             't,q\n0,"1,500"\n1,"2,500"\n',
             {},
             "column 'q', line 2: '1,500' is not a real number. "
-            'A comma could stand before decimals or thousands.*decimal = ","',
+            'The comma may be a decimal or a thousands separator.*decimal = ","',
         ),
         ("t;q\n0,5;1.234,5\n1,5;2\n", {}, "column 'q', line 2: '1.234,5' is not a real number. Correct the cell"),
-        ("t;q\n0,1;1.5\n0,2;1,5\n", {}, "column 't', line 2: '0,1' is not a real number. A comma could stand"),
+        ("t;q\n0,1;1.5\n0,2;1,5\n", {}, "column 't', line 2: '0,1' is not a real number. The comma may be"),
         (
             "t;q\n0,1;1.5\n0,2;1,5\n",
             {"decimal": ","},
             "column 'q', line 2: '1.5' is not a real number. "
-            "The table has decimal commas: write all decimals in one way",
+            "The table has decimal commas: write all numbers with",
         ),
         ("t,q\n0,1,1,5\n", {}, "line 2 has 4 cells; expected 2.*decimal commas"),
         ("t,q\n0,1\n1\n", {}, "line 3 has 1 cell; expected 2, as in the header"),
@@ -165,7 +165,7 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
         ("t,q\n0,1\n0,2\n", {}, "column 't', line 3: 0.0 is not after 0.0 of line 2; times must increase strictly"),
         ("t,q\n0,\n1,NA\n", {}, "trajectory 'run 1' has no measured value"),
         ("t,q\n0,1\n1,2\n", {"states": {"q": None}}, "trajectory 'run 1' has no measured value"),
-        ("t,q\n0,1\n1,2\n", {"states": {"q": "q", "p": "q"}}, "the column 'q' is asked for twice"),
+        ("t,q\n0,1\n1,2\n", {"states": {"q": "q", "p": "q"}}, "the column 'q' is used twice"),
         ("t,q\n0,1\n1,2\n", {"states": "q"}, "states='q' is not a list of names"),
         ("t,q\n0,1\n1,2\n", {"inputs": {"u": None}}, "input without a column; inputs must be measured"),
         ("t,q,u\n0,1,1\n1,2,1\n", {"inputs": {"q": "u"}}, "the name 'q' is used 2 times"),
@@ -191,7 +191,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         ph.Measurements.from_csv(opened, time="t", states=["q"])
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"t,q\n0,1\x00\xff\n")
-    with pytest.raises(ph.DataError, match="it holds binary data and no text"):
+    with pytest.raises(ph.DataError, match="it contains binary data"):
         ph.Measurements.from_csv(binary, time="t", states=["q"])
     with pytest.raises(ph.DataError, match=r"missing\.csv' cannot be read"):
         ph.Measurements.from_csv(tmp_path / "missing.csv", time="t", states=["q"])
@@ -221,7 +221,7 @@ def test_a_text_is_read_in_the_encodings_of_spreadsheets(
         (b"bench.csv", "source is a bytes"),
         ({"a": "b.csv"}, "source is a dict"),
         ([], "source is an empty list"),
-        ([3], "source holds a int"),
+        ([3], "source contains a int"),
     ],
 )
 def test_a_source_of_the_wrong_type_is_refused(source: Any, message: str) -> None:
@@ -402,18 +402,20 @@ def test_rows_may_be_counted_where_no_column_has_the_times() -> None:
         ("0,1\n1,2\n", {"states": {"q": 2}}, "no column 2; it has 2 columns, counted"),
         ("0,1\n1,2\n", {"states": ["q"]}, r"no column 'q'; expected one of 0, '1'\."),
         ("0,1\n1,x\n", {}, "column 1, line 2: 'x' is not a real number"),
-        ("t,q\n1,2\n", {"columns": ["t", "q"]}, "line 1 holds names.*Leave columns"),
+        ("t,q\n1,2\n", {"columns": ["t", "q"]}, "line 1 contains names.*Omit columns"),
         ("0,1\n1,2\n", {"columns": ["t"]}, "has 2 columns; columns=.* names 1"),
         ("0,1\n", {"columns": "tq"}, "columns='tq' is not a list of names"),
-        ("0,1\n", {"columns": ["t", 1]}, "columns holds 1; expected names as text"),
-        ("0,1\n", {"separator": ",,"}, "the separator ',,' is not a single sign"),
-        ("0,1\n", {"decimal": ";"}, "the sign of decimals ';' is unknown"),
-        ("0,1\n", {"decimal": ",", "separator": ","}, "no way to tell them apart"),
-        ("0,1\n1,2\n", {"time": None}, "time=None and step=None; expected one of"),
-        ("0,1\n1,2\n", {"step": 0.1}, "time=0 and step=0.1; expected one of them"),
-        ("0,1\n1,2\n", {"time": None, "step": -1}, "step=-1 is no time between rows"),
-        ("0,1\n1,2\n", {"start": "2021-01-01"}, "is for dates, and the column 0"),
-        ("0,1\n1,2\n", {"time": None, "step": 1, "start": "2021-01-01"}, "start and date_format are for dates"),
+        ("0,1\n", {"columns": ["t", 1]}, "columns contains 1; expected names as text"),
+        ("0,1\n", {"separator": ",,"}, "the separator ',,' is not a single character"),
+        ("0,1\n", {"decimal": ";"}, "the decimal separator ';' is unknown"),
+        ("0,1\n", {"decimal": ",", "separator": ","}, "two different characters"),
+        ("0,1\n1,2\n", {"time": None}, "time=None and step=None; expected exactly "
+                                       "one of"),
+        ("0,1\n1,2\n", {"step": 0.1}, "time=0 and step=0.1; expected exactly one of "
+                                      "them"),
+        ("0,1\n1,2\n", {"time": None, "step": -1}, "step=-1 is not a time between rows"),
+        ("0,1\n1,2\n", {"start": "2021-01-01"}, "needs dates, but the column 0"),
+        ("0,1\n1,2\n", {"time": None, "step": 1, "start": "2021-01-01"}, "start and date_format apply to"),
         ("a,b\nt,q\n0,1,2\n", {}, "line 3 has 3 cells.*lines of text above the table"),
     ],
 )  # fmt: skip
@@ -520,14 +522,14 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
             "2021-11-22 09:00Z",
             "2021-11-22 09:15",
             {},
-            "line 3: '2021-11-22 09:15' is a date without time zone, and the first of "
-            "the column is a date with time zone",
+            "line 3: '2021-11-22 09:15' is a date without time zone, and the first "
+            "cell of the column is a date with time zone",
         ),
         (
             "2021-11-22 09:00 CET",
             "2021-11-22 09:15 CET",
             {},
-            "line 2: '2021-11-22 09:00 CET' is neither .*name of a time zone is not read",
+            "line 2: '2021-11-22 09:00 CET' is neither .*names of time zones are not",
         ),
         ("2021-11-22 09:00", "", {}, "line 3: the time is missing"),
         ("22.11.2021", "23.11.2021", {}, "line 2: '22.11.2021' is neither .*date_form"),
@@ -535,7 +537,7 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
             "22.11.2021",
             "2021-11-22",
             {"date_format": "%d.%m.%Y"},
-            "line 3: '2021-11-22' is no moment as date_format='%d.%m.%Y' says",
+            "line 3: '2021-11-22' does not match date_format='%d.%m.%Y'",
         ),
         ("2021-11-22", "x", {}, "line 3: 'x' is neither a number nor a date"),
         ("0", "2021-11-22", {}, "line 3: '2021-11-22' is not a real number"),
@@ -606,12 +608,12 @@ def test_excel_dates_texts_and_sheets_without_a_header(tmp_path: Path) -> None:
         ({"a": [["t", "q"], [0, 1], [1, "x"]]}, {}, "sheet 'a', column 'q', row 3: 'x' is not a real number"),
         ({"a": [["t", "q"], [0, 1], [1, "#DIV/0!"]]}, {}, "column 'q', row 3: '#DIV/0!' is not a real number"),
         ({"a": [["t", "q"], [0, 1], [0, 2]]}, {}, "column 't', row 3: 0.0 is not after"),
-        ({"a": [["t", "q"], [0, "1,5"], [1, 2]]}, {}, "row 2: '1,5' .* say decimal = \",\""),
+        ({"a": [["t", "q"], [0, "1,5"], [1, 2]]}, {}, "row 2: '1,5' .* set decimal = \",\""),
         ({"a": [["t", "q"], [0, 1], [None, 2]]}, {}, "column 't', row 3: the value is n"),
         ({"a": [[1, 2]], "b": [[1, 2]]}, {}, r"several sheets with content: \['a', 'b'\]"),
         ({"a": [[1, 2]]}, {"sheet": "A"}, "no sheet 'A'; .* Did you mean 'a'"),
         ({"a": []}, {}, "is empty; expected a header row"),
-        ({"a": []}, {"sheet": "a"}, "has nothing on its sheet 'a'"),
+        ({"a": []}, {"sheet": "a"}, "has an empty sheet 'a'"),
     ],
 )  # fmt: skip
 def test_a_workbook_that_cannot_be_used_is_refused_by_place(
@@ -629,17 +631,17 @@ def test_a_file_of_another_kind_is_refused_with_the_reader_it_needs(
     tmp_path: Path,
 ) -> None:
     for name, message in (
-        ("a.xlsx", "no text table; read it with Measurements.from_excel"),
-        ("a.mat", "no text table; read it with Measurements.from_mat"),
-        ("a.xls", "no text table; save it as .xlsx or CSV"),
+        ("a.xlsx", "not a text table; read it with Measurements.from_excel"),
+        ("a.mat", "not a text table; read it with Measurements.from_mat"),
+        ("a.xls", "not a text table; save it as .xlsx or CSV"),
     ):
         path = tmp_path / name
         path.write_bytes(b"t,q\n0,1\n1,2\n")
         with pytest.raises(ph.DataError, match=message):
             ph.Measurements.from_csv(path, time="t", states=["q"])
-    with pytest.raises(ph.DataError, match="is no Excel workbook of the kind"):
+    with pytest.raises(ph.DataError, match=r"is not an \.xlsx workbook"):
         ph.Measurements.from_excel(path, time="t", states=["q"])
-    with pytest.raises(ph.DataError, match="it is no MATLAB file, or a damaged one"):
+    with pytest.raises(ph.DataError, match="it is not a MATLAB file, or it is damaged"):
         ph.Measurements.from_mat(path, time="t", states=["q"])
     with pytest.raises(ph.DataError, match="gives str; expected bytes"):
         ph.Measurements.from_excel(io.StringIO("t"), time="t", states=["q"])
@@ -689,11 +691,11 @@ def test_vectors_matrices_and_structs_of_matlab_are_columns(
                 "name": "x",
                 "c": np.array([X, "a"], object),
             },
-            r"no column 't'. The file holds: 'time' \(4 numbers\), 'X' \(4 x 2 numbers: "
+            r"no column 't'. The file contains: 'time' \(4 numbers\), 'X' \(4 x 2 numbers: "
             r"X\(:,1\), \.\.\.\), 'gain' \(the number 3\), 'name' \(text\), 'c' \(cells",
         ),
         ({"t": T, "q": X}, r"no column 'q'.*'q' \(4 x 2 numbers: q\(:,1\)"),
-        ({"t": T, "q": T[:3]}, r"differ in length: {'t': 4, 'q': 3}.*The file holds"),
+        ({"t": T, "q": T[:3]}, r"differ in length: {'t': 4, 'q': 3}.*The file contains"),
         ({"t": T, "q": "text"}, r"no column 'q'.*'q' \(text\)"),
         ({"t": T, "a": {"q": T}, "b": {"q": T}}, r"several structs; .*\['a.q', 'b.q'\]"),
         ({"t": T, "a": {"b": {"q": T}}}, r"'a.b' \(a list of structs or a struct in"),

@@ -165,7 +165,7 @@ def best(found: ForceAnalysis, equation: str = "p") -> tuple[str, float]:
 @pytest.mark.parametrize(
     ("name", "variable", "cause", "words"),
     [
-        ("friction", "p", "dissipated", "changes how energy is lost"),
+        ("friction", "p", "dissipated", "changes the losses"),
         ("cubic", "q", "conserved", "stores and returns energy"),
         ("wave", "t", "time", "period 2.5"),
         ("dead zone", "u", "inputs", "follows the input u"),
@@ -190,7 +190,7 @@ def test_what_the_hidden_force_follows_and_does_with_energy_is_named(
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     record = spring_with(friction, model=spring(c=D))
     found = ForceAnalysis.of(record)
-    assert "takes energy out (it opposes the velocity of q)" in found.sentences[0]
+    assert "dissipates energy (it opposes the velocity of q)" in found.sentences[0]
     speed = np.abs(record.estimate.x[:, 1] / M).mean()
     # Minus friction times speed, but for what smoothing takes off where the velocity
     # turns.
@@ -207,7 +207,7 @@ def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
     # The outlets of the second tank are right but for a1 and a2, which the leak has
     # moved.
     assert lower["parameters"] > 0.8
-    assert "other values of the model's own parameters" in tanks.sentences[1]
+    assert "a change of the model's own parameters" in tanks.sentences[1]
 
 
 def test_noise_earns_no_share_and_units_change_none(
@@ -270,7 +270,7 @@ def test_a_force_is_sure_where_one_is_missing_and_not_where_none_is(
         # shift the ratio.
         assert row["times_noise"] == pytest.approx(row["strength"] / typical, rel=0.1)
     assert cases["nothing"].where["times_noise"].iloc[0] < 0.5
-    assert "no missing force is sure" in cases["nothing"].sentences[0]
+    assert "no missing force is significant" in cases["nothing"].sentences[0]
 
 
 @pytest.mark.parametrize("even", [True, False])
@@ -300,7 +300,7 @@ def test_sentences_say_size_place_and_cause_with_units(
 ) -> None:
     (said,) = cases["wave"].sentences
     size, *others = "dp/dt lacks a force of rms 2.", " N, ", " Hz", "period 2.5"
-    for part in (size, *others, "Best predicted from t"):
+    for part in (size, *others, "Best predictor: t"):
         assert part in said
 
 
@@ -321,8 +321,8 @@ def test_a_place_is_told_as_people_say_it(cases: dict[str, ForceAnalysis]) -> No
 @pytest.mark.parametrize(
     ("name", "causes", "expected"),
     [
-        ("friction", None, r"\. It depends on the velocity of q\. It changes how energy is lost.*"),
-        ("wave", None, r"\. It depends on the time, not on a place\..*"),
+        ("friction", None, r"\. It depends on the velocity of q\. It changes the losses.*"),
+        ("wave", None, r"\. It depends on the time, not on a position\..*"),
         ("cubic", None, r"\. It depends on the position q; largest where q is high.*"),
         (
             "cubic",
@@ -349,14 +349,14 @@ def test_what_moves_together_is_said_not_to_be_separable(
     driven = Causes({"inputs": 0.82}, {"inputs": 0.82}, goes_together=True)
     closed_loop = with_found(cases["friction"].force_in(), causes=driven)
     assert cause_of(closed_loop) == (
-        "follows the input u, which explains 82 % of it; not told apart from the "
-        "velocity of q, which moves together with the input here"
+        "follows the input u, which explains 82 % of it; the data cannot distinguish "
+        "the input from the velocity of q, which is correlated with it here"
     )
     said = str(place_answer(closed_loop, is_named=True, is_known=False))
     assert "It depends on the velocity of q or on the input u" in said
     assert (
         "82 % of it is explained by the velocity of q or by the input u; these data "
-        "cannot separate the two."
+        "cannot distinguish the two."
     ) in said
 
 
@@ -372,7 +372,7 @@ def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
     assert fast.is_vibration and fast.samples_per_cycle >= 2
     assert "20 times as fast as the motion" in fast.speed_words({"t": "s"})
     said = sentence(with_found(force, pace=fast))
-    assert "a vibration or an error of a sensor" in said
+    assert "a vibration or a sensor error" in said
     # A lag in steps that are held for minutes: it moves within four seconds.
     stepped = Pace(0.08, 0.002, 4.0, 0.1, 0.6, 1.4)
     assert not stepped.is_vibration and replace(stepped, time=20.0).is_vibration
@@ -406,7 +406,12 @@ def test_the_four_panels_name_what_they_show(cases: dict[str, ForceAnalysis]) ->
     figure = plot_where(cases["cubic"])
     assert isinstance(figure, Figure)
     titles = [" ".join(ax.get_title().split()) for ax in figure.axes if ax.get_title()]
-    expected = "surely lacks a force", "strong where q", "follows q", "strongest at"
+    expected = (
+        "a force is significantly missing",
+        "strong where q",
+        "follows q",
+        "strongest at",
+    )
     for title, part in zip(titles, expected, strict=True):
         assert part in title
     assert "(N)" in figure.axes[0].get_ylabel()
@@ -570,7 +575,7 @@ def test_cogging_follows_the_angle_and_repeats_six_times_a_turn() -> None:
 def test_it_is_told_what_to_write_and_that_finds_the_cogging() -> None:
     analysis = analysed(cogging)
     answer = step_without_name(analysis, {"q": "rad", "t": "s"})
-    assert answer.lead == "Write a term of your own in dp/dt that repeats along q."
+    assert answer.lead == "Add your own term to dp/dt that is periodic in q."
     said = 'study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))'
     assert said in answer.detail
     data = turned(cogging, "rad")
@@ -613,7 +618,7 @@ def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
     assert wave is not None
     assert wave.period == pytest.approx(60, rel=0.02)
     told = step_without_name(analysis, data.units)
-    assert told.lead == "Write a term of your own in dp/dt that repeats along q."
+    assert told.lead == "Add your own term to dp/dt that is periodic in q."
     # The waves that are tried are those along the angle, in rad per degree.
     study = ph.Study(drive, data)
     study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))

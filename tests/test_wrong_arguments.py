@@ -76,7 +76,7 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(
         (lambda: ph.simulate(spring(), T, [1 + 1j, 0]), "x0=.*real numbers"),
         (lambda: ph.simulate(spring(), T, "a"), "x0='a'"),
         (lambda: ph.simulate(spring(), None, [1.0, 0.0]), "t=None"),
-        (lambda: ph.simulate(forced("sqrt(q)"), T, [1.0, 0.0]), "no finite number"),
+        (lambda: ph.simulate(forced("sqrt(q)"), T, [1.0, 0.0]), "is not finite there"),
         (lambda: ph.identify(None, measured()), "model=None"),  # type: ignore[arg-type]
         (lambda: ph.identify(spring(), None), "data=None"),  # type: ignore[arg-type]
         (lambda: ph.identify(spring(), measured(), "likelihood"), "is not a loss"),  # type: ignore[arg-type]
@@ -90,7 +90,7 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(
         (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
         (lambda: ph.MaximumLikelihood("a"), "noise='a'"),  # type: ignore[arg-type]
         (lambda: ph.MaximumLikelihood({"q": -1.0}), r"noise\['q'\]=-1"),
-        (lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]), "no NUL"),
+        (lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]), "cannot contain NUL"),
         (lambda: ph.Fit.load(None), "None cannot be read"),  # type: ignore[arg-type]
     ],
 )  # fmt: skip

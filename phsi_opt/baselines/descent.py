@@ -230,9 +230,9 @@ def descend(
         mean = float(torch.stack(values).to(torch.float64).mean())
         if not np.isfinite(mean):
             raise SolveError(
-                f"the loss is {mean} in epoch {epoch}: the descent has diverged. "
-                f"Take a learning_rate below {rate:g}, "
-                "or data and start in units of order one."
+                f"the loss is {mean} in epoch {epoch}: gradient descent has diverged. "
+                f"Use a learning_rate below {rate:g}, or units in which data and "
+                "starting values are of order one."
             )
         if after_epoch is not None:
             n_terms = after_epoch(epoch)

@@ -230,9 +230,9 @@ class DescentRun:
         names = {term.coefficient_name("H") for term in self.model.H}
         if names and names <= set(self.removed):
             raise SolveError(
-                "pruning removed every term of H: "
-                f"all fell below threshold={self.settings.threshold:g}. "
-                "Take a smaller threshold, prune later (prune_every) or train longer."
+                "pruning removed every term of H: all fell below "
+                f"threshold={self.settings.threshold:g}. Use a smaller threshold, "
+                "prune later (prune_every) or train longer."
             )
         kept = self.kept()
         return Baseline(

@@ -33,9 +33,9 @@ LOOPBACK = "127.0.0.1"  # the page is for this machine alone, unless told otherw
 CODES = "\n\n".join(f"{code.value}: {said}" for code, said in MEANINGS.items())
 app = typer.Typer(
     name="phsi-opt",
-    help="Compare a model with measurements, find what it lacks, add it, and watch the "
-    "error fall.\n\nBegin with `phsi-opt demo`, or with your own table: `phsi-opt init "
-    f"data.csv`.\n\nExit codes:\n\n{CODES}",
+    help="Compare a model with measurements, find missing effects, add them, and see "
+    "the error fall.\n\nStart with `phsi-opt demo`, or with your own table: "
+    f"`phsi-opt init data.csv`.\n\nExit codes:\n\n{CODES}",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
@@ -45,17 +45,22 @@ StudyPath = Annotated[
     Path, typer.Argument(help="The study file.", show_default=True, metavar="STUDY")
 ]
 AsJson = Annotated[
-    bool, typer.Option("--json", help="Standard output is JSON and nothing else.")
+    bool, typer.Option("--json", help="Print one JSON object to standard output.")
 ]
 Save = Annotated[
     Path | None, typer.Option(help="Save the fit in this file (JSON).", metavar="FILE")
 ]
 Saved = Annotated[
     Path | None,
-    typer.Option("--fit", help="Take this saved fit; no new one.", metavar="FILE"),
+    typer.Option(
+        "--fit", help="Use this saved fit instead of a new one.", metavar="FILE"
+    ),
 ]
 Missing = Annotated[
-    bool, typer.Option("--exit-code", help="End with 1 where something is missing.")
+    bool,
+    typer.Option(
+        "--exit-code", help="Exit with code 1 if an effect or a force is missing."
+    ),
 ]
 
 
@@ -73,27 +78,27 @@ def options(
             "--version",
             callback=_show_version,
             is_eager=True,
-            help="Show the version and end.",
+            help="Show the version and exit.",
         ),
     ] = False,
 ) -> None:
-    """Take what stands before a command."""
+    """Options before a command."""
 
 
 @app.command()
 def init(
     data: Annotated[
-        list[Path], typer.Argument(help="The table(s): text, .xlsx or .mat.")
+        list[Path], typer.Argument(help="Data file(s): text, .xlsx or .mat.")
     ],
     study: Annotated[
-        Path, typer.Option("--study", "-o", help="Where the study file is written.")
+        Path, typer.Option("--study", "-o", help="Path of the new study file.")
     ] = Path(STUDY_NAME),
     force: Annotated[
-        bool, typer.Option("--force", help="Overwrite a file that is there.")
+        bool, typer.Option("--force", help="Overwrite an existing file.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Look at a table and write a study file for it, to be filled in."""
+    """Read a data file and write a first study file for it."""
     with told_errors(as_json):
         from phsi_opt.command_line.jobs import first_study
 
@@ -102,7 +107,7 @@ def init(
 
 @app.command()
 def check(study: StudyPath = Path(STUDY_NAME), as_json: AsJson = False) -> None:
-    """Check a study file, its data and its model; say everything that is wrong."""
+    """Check a study file, its data and its model; list all mistakes."""
     with told_errors(as_json):
         from phsi_opt.command_line.jobs import checked
 
@@ -121,7 +126,7 @@ def fit(
 def compare(
     study: StudyPath = Path(STUDY_NAME), saved: Saved = None, as_json: AsJson = False
 ) -> None:
-    """Run the fitted model beside the measurements held out."""
+    """Compare a simulation of the fitted model with the held-out data."""
     do(Job(COMPARE, study, fit=saved), as_json)
 
 
@@ -132,13 +137,15 @@ def diagnose(
     exit_code: Missing = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say where the model fails, and which effect would explain it."""
+    """Show where the model fails and which effect explains it."""
     do(Job(DIAGNOSE, study, fit=saved, exit_code=exit_code), as_json)
 
 
 @app.command()
 def add(
-    effect: Annotated[str, typer.Argument(help='Such as "coulomb friction".')],
+    effect: Annotated[
+        str, typer.Argument(help='The effect, such as "coulomb friction".')
+    ],
     study: StudyPath = Path(STUDY_NAME),
     equation: Annotated[
         str | None,
@@ -146,7 +153,7 @@ def add(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write an effect into the study file; its text and comments stay."""
+    """Add an effect to the study file; your text and comments are kept."""
     with told_errors(as_json):
         from phsi_opt.command_line.jobs import add_effect
 
@@ -157,30 +164,33 @@ def add(
 def study_(
     study: StudyPath = Path(STUDY_NAME),
     auto: Annotated[
-        bool, typer.Option("--auto", help="Find what is missing, add it, look again.")
+        bool,
+        typer.Option("--auto", help="Find missing effects and add them, repeatedly."),
     ] = False,
     report: Annotated[
         Path | None,
         typer.Option(
-            help=f"Write a report; {REPORT_NAME} where no name is given.",
+            help=f"Write a report; the default name is {REPORT_NAME}.",
             metavar="[FILE]",
         ),
     ] = None,
     save: Save = None,
     max_steps: Annotated[
-        int | None, typer.Option(min=1, help="Effects that --auto adds at most.")
+        int | None,
+        typer.Option(min=1, help="Largest number of effects that --auto adds."),
     ] = None,
     reach: Annotated[
         Reach,
-        typer.Option(help="How clear the evidence is of what --auto adds, at least."),
+        typer.Option(help="Least evidence of effects that --auto adds."),
     ] = Reach.DECISIVE,
     write: Annotated[
-        bool, typer.Option("--write", help="Write what was found into the study file.")
+        bool,
+        typer.Option("--write", help="Write the added effects into the study file."),
     ] = False,
     exit_code: Missing = False,
     as_json: AsJson = False,
 ) -> None:
-    """Go through the steps of a study: the base model, then each effect."""
+    """Run the steps of a study: the base model, then each added effect."""
     job = Job(GO_THROUGH, study, None, auto, max_steps, save, report)
     job = replace(job, exit_code=exit_code, write=write, reach=reach)
     do(job, as_json)
@@ -191,11 +201,11 @@ def page(
     study: Annotated[
         Path | None, typer.Argument(help="The study file to open.", metavar="STUDY")
     ] = None,
-    host: Annotated[str, typer.Option(help="Address to listen at.")] = LOOPBACK,
-    port: Annotated[int, typer.Option(help="Port to listen at.")] = 8080,
+    host: Annotated[str, typer.Option(help="Address of the server.")] = LOOPBACK,
+    port: Annotated[int, typer.Option(help="Port of the server.")] = 8080,
     show: Annotated[bool, typer.Option(help="Open a browser.")] = True,
 ) -> None:
-    """The same in a browser."""
+    """Open a study in the browser."""
     with told_errors():
         from phsi_opt.page.serve import serve
 
@@ -204,12 +214,12 @@ def page(
 
 @app.command()
 def demo(
-    folder: Annotated[Path, typer.Argument(help="Where its files are written.")] = Path(
+    folder: Annotated[Path, typer.Argument(help="Folder for its files.")] = Path(
         "phsi_opt_demo"
     ),
     as_json: AsJson = False,
 ) -> None:
-    """A damped spring with a hidden friction: the whole loop, in a minute."""
+    """Run an example: a damped spring with hidden friction (one minute)."""
     with told_errors(as_json):
         from phsi_opt.command_line.jobs import written_demonstration
 

@@ -29,11 +29,13 @@ class ExitCode(IntEnum):
 
 
 MEANINGS = {
-    ExitCode.DONE: "what was asked for was done",
-    ExitCode.MISSING: "with --exit-code alone: the model lacks something",
-    ExitCode.BAD_INPUT: "the arguments, the study file or the data cannot be used",
-    ExitCode.FAILED: "no solution was found, or the work broke off",
-    ExitCode.INTERRUPTED: "stopped by Ctrl-C; what was finished is kept",
+    ExitCode.DONE: "the command succeeded",
+    ExitCode.MISSING: (
+        "only with --exit-code: an effect or a force is missing in the model"
+    ),
+    ExitCode.BAD_INPUT: "the arguments, the study file or the data are not valid",
+    ExitCode.FAILED: "the solver found no solution, or the command failed",
+    ExitCode.INTERRUPTED: "stopped by Ctrl-C; completed steps are kept",
 }
 
 

@@ -64,7 +64,7 @@ def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
     """
     if study.exists() and not force:
         raise DataError(
-            f"{study} is there already; nothing was written. Give another name with "
+            f"{study} exists already; nothing was written. Give another name with "
             "--study, or overwrite it with --force."
         )
     table = survey(tables[0])
@@ -189,7 +189,7 @@ def written_demonstration(folder: Path) -> Path:
             place = folder / name
             if place.exists() and file_bytes(place) != text:
                 raise DataError(
-                    f"{place} is there already and was changed; it stays as it is. "
+                    f"{place} exists already with changes, and was not overwritten. "
                     "Give another folder: phsi-opt demo FOLDER."
                 )
             place.write_bytes(text)
@@ -211,7 +211,7 @@ def run(job: Job, tell: Tell) -> Answer:
     Raises:
         PhsiOptError: something cannot be used, or no solution was found.
     """
-    tell("reading the study file and its data")
+    tell("reading the study file and the data")
     file = StudyFile.read(job.study)
     if job.fit is not None:
         return _of_saved_fit(job, file, tell)
@@ -227,7 +227,7 @@ def run(job: Job, tell: Tell) -> Answer:
         try:
             answer = _study_answer(study, job, file)
         except Exception as error:
-            why = f"the study broke off: {error}"
+            why = f"the study failed: {error}"
             study.record = replace(study.record, stopped=why)
             keeper.step_finished(study)
             raise

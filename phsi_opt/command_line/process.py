@@ -88,8 +88,8 @@ def do(job: Job, as_json: bool) -> NoReturn:
     for path in job.places:  # before the work, not after it
         if path.is_dir() or not path.parent.is_dir():
             error = DataError(
-                f"{path} cannot be written: {path.parent} is no folder, or {path} is "
-                "one. Give the name of a file in a folder that is there."
+                f"{path} cannot be written: {path.parent} is not a folder, or {path} "
+                "is one. Give the name of a file in an existing folder."
             )
             finish(answer_to(error), as_json)
     answer, kept, seconds = supervise(job)
@@ -97,11 +97,11 @@ def do(job: Job, as_json: bool) -> NoReturn:
     files = list(map(str, done.files))
     notes = [f"written: {file}" for file in files] + _found_effects(job, done.found)
     end = {"written": files, "seconds": round(seconds, 2), "found": done.found}
-    is_kept = f"The steps that were finished are kept:\n{done.text}"
+    is_kept = f"The completed steps are kept:\n{done.text}"
     if answer is None:
         said = [f"stopped after {seconds:.0f} s."]
         if kept is None:
-            said.append("No step was finished; nothing was written.")
+            said.append("No step was completed; nothing was written.")
         else:
             said += [is_kept, *notes]
         content = {"interrupted": True, **done.content}
@@ -122,12 +122,12 @@ def _found_effects(job: Job, found: tuple[str, ...]) -> list[str]:
         return []
     if not job.write:
         commands = [f'phsi-opt add "{name}" {job.study}' for name in found]
-        return ["to keep what was found in the study file:", *commands]
+        return ["to write the added effects into the study file:", *commands]
     try:
         backup = add_effects(job.study, found)
     except PhsiOptError as error:
         return [str(error)]
-    return [f"written into {job.study}: {', '.join(found)}; before: {backup}"]
+    return [f"written into {job.study}: {', '.join(found)}; previous version: {backup}"]
 
 
 # ---- the waiting process -------------------------------------------------------------
@@ -206,9 +206,9 @@ def _listen(
         except EOFError:
             process.join(timeout=0.5)
             text = (
-                "The working process ended without an answer (exit code "
-                f"{process.exitcode}); the memory may have been too small. What was "
-                "finished before is kept."
+                "The worker process ended without a result (exit code "
+                f"{process.exitcode}); perhaps the memory was too small. Completed "
+                "steps are kept."
             )
             return Answer(text, {"error": text}, ExitCode.FAILED)
         if isinstance(message, Answer):
@@ -250,6 +250,6 @@ def work(pipe: Connection, job: Job) -> None:
         pass  # nobody is waiting any more
     except Exception as error:  # a mistake of the package: its trace helps
         trace = "".join(traceback.format_exception(error))
-        told = f"{trace}\nThis is a mistake of phsi_opt; please report it with this."
+        told = f"{trace}\nThis is a bug in phsi_opt; please report it with this text."
         content = {"error": repr(error), "trace": trace}
         pipe.send(Answer(told, content, ExitCode.FAILED))

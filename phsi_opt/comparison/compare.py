@@ -68,16 +68,16 @@ FLAT_NOISE = 0.5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Summarised):
-    """A free run beside the measurements.
+    """A free run compared with the measurements.
 
     Attributes:
-        record: the fit, the measurements, and the noise that was estimated beside a
-            free missing force, so that a wrong model does not inflate it.
+        record: the fit, the measurements, and the noise, which was estimated together
+            with a missing force so that a wrong model does not inflate it.
         values: the free parameters that were used, by trajectory and name.
         simulated: states of the free run, one (n_samples, n_states) per trajectory.
-        shown: what the sensors would show of it, in the same shape.
-        residuals: measured less shown, in the same shape; NaN where nothing was
-            measured.
+        shown: the predicted sensor values, in the same shape.
+        residuals: measured minus predicted values, in the same shape; NaN for missing
+            values.
     """
 
     _between = "\n"
@@ -125,7 +125,7 @@ class Comparison(Summarised):
     @cached_property
     @interruptible
     def bands(self) -> tuple[np.ndarray, ...] | None:
-        """Standard deviation of what the free run shows, per trajectory.
+        """Standard deviation of the prediction by the free run, per trajectory.
 
         See `prediction_bands`; None where it is not known.
         """
@@ -168,7 +168,7 @@ class Comparison(Summarised):
 
     @cached_property
     def flat(self) -> tuple[str, ...]:
-        """Names of the states whose free run hardly moves, and explains nothing."""
+        """Names of the states whose free run is almost constant."""
         shown = np.concatenate(self.shown)
         names = []
         for number in np.flatnonzero(self._n_values).tolist():
@@ -180,7 +180,7 @@ class Comparison(Summarised):
 
     @property
     def warning(self) -> str:
-        """What to do where the free run is flat; empty where it is not."""
+        """What to do if the free run is almost constant; otherwise empty."""
         return flat_sentence(self.flat)
 
     @property
@@ -235,13 +235,13 @@ class Comparison(Summarised):
 
     @property
     def noise_floor(self) -> float:
-        """What the estimated measurement noise alone leaves, on the scale of `rmse`."""
+        """The error that the estimated noise alone causes, on the scale of `rmse`."""
         squares = self._n_values * (self.sigma * self.weights) ** 2
         return float(np.sqrt(np.sum(squares) / self._n_values.sum()))
 
     @cached_property
     def energy(self) -> "pd.DataFrame":
-        """The free run's balance of energy, change of H = supplied - dissipated.
+        """The energy balance of the free run: change of H = supplied - dissipated.
 
         A row per trajectory: trajectory, change, supplied, dissipated, by the
         trapezoidal rule.
@@ -261,9 +261,8 @@ class Comparison(Summarised):
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw measurements and free run of one trajectory, residuals below them.
 
-        A band covers two standard deviations of what is uncertain in the run; around
-        the residuals' zero, two of the noise. The residuals take a third of the
-        place of the axes.
+        The band of the free run covers two standard deviations of its prediction, the
+        band of the residuals two of the noise. The residuals take a third of the axes.
 
         Args:
             ax: Axes to draw on; None: a new figure.
@@ -317,25 +316,24 @@ class Comparison(Summarised):
 
 @interruptible
 def compare(fit: Fit | Model, data: Measurements) -> Comparison:
-    """Simulate a fitted model from estimated starting states, beside the measurements.
+    """Simulate a fitted model from estimated starting states, and compare.
 
     A model without free parameters needs no fit: noise and starting states are
     estimated from the measurements.
 
-    Starting states, and parameters that every trajectory has of its own
-    (``per_trajectory``), are estimated from the whole record of each trajectory by
-    maximum likelihood, whatever its name; on the measurements of the fit they are its
-    own. Parameters that trajectories share are always those of the fit.
+    Starting states and parameters with ``per_trajectory`` are estimated from each whole
+    trajectory by maximum likelihood; on the measurements of the fit they are those of
+    the fit. All other parameters are those of the fit.
 
     Args:
         fit: a fit by maximum likelihood or by the PHSI loss, or a model whose
             parameters are all known.
-        data: measurements that hold the states and inputs of the model.
+        data: measurements with the states and inputs of the model.
 
     Raises:
         DataError: a state or input of the model is not in the measurements.
         ModelError: a model with free parameters was given instead of a fit.
-        SolveError: no states were found from which a run could begin.
+        SolveError: the starting states could not be estimated.
 
     Examples:
         >>> found = ph.compare(fit, test)
@@ -489,10 +487,10 @@ def flat_sentence(states: Sequence[str]) -> str:
     if not states:
         return ""
     return (
-        f"The free run of {' and '.join(states)} is flat: it hardly moves and explains "
-        "next to nothing of what was measured. The parameters are probably those of a "
-        "wrong optimum, and what the model lacks cannot be told from it. Give the "
-        "parameters other values to start from."
+        f"The free run of {' and '.join(states)} is almost constant and does not "
+        "follow the measurements. The fit probably ended at a wrong optimum, and a "
+        "diagnosis of it would be meaningless. Choose other starting values for the "
+        "parameters."
     )
 
 

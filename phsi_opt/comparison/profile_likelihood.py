@@ -73,7 +73,7 @@ class Profile:
 
     @property
     def is_curved(self) -> bool:
-        """Whether an end lies elsewhere than that of the curvature.
+        """Whether an end of the interval differs from that of the standard error.
 
         By more than a tenth of the half width.
         """
@@ -83,22 +83,22 @@ class Profile:
         return not shift <= 0.1 * half_width
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """The profile beside the parabola of the standard error, with the threshold."""
+        """The profile and the parabola of the standard error, with the threshold."""
         from phsi_opt.presentation.pictures import plot_profile
 
         ax = plot_profile(
             self.points, self.value, self.curvature, self.threshold, self.level, ax
         )
         interval = f"{self.ci_lower:.4g} to {self.ci_upper:.4g}"
-        title = f"{self.name}: {interval}, where the profile is below the line"
+        title = f"{self.name}: the profile is below the threshold from {interval}"
         ax.set(xlabel=self.name, title=title)
         return ax
 
     def __str__(self) -> str:
         lower, upper = self.curvature
-        curvature = ", as the curvature says"
+        curvature = ", the same as from the standard error"
         if self.is_curved:
-            curvature = f"; curvature alone: {lower:.6g} to {upper:.6g}"
+            curvature = f"; from the standard error: {lower:.6g} to {upper:.6g}"
         interval = f"{self.ci_lower:.6g} to {self.ci_upper:.6g}"
         percent = f"{100 * self.level:.3g} %"
         estimate = f"{self.name} = {self.value:.6g}"
@@ -118,18 +118,18 @@ def profile(
 ) -> Profile:
     """Profile likelihood of one parameter of a fit by `MaximumLikelihood`.
 
-    The noise stays at the fit's estimate; the threshold is that of the F distribution
-    with the fit's degrees of freedom, over the share of the residuals that is
-    independent (`Fit.independent_share`), so that profile and standard error mean the
-    same (for a fit with ``huber``, times the ratio by which its loss rises faster than
-    the squares).
+    The noise is fixed at the estimate of the fit. The threshold is that of the F
+    distribution with the degrees of freedom of the fit, divided by the share of the
+    residuals that is independent (`Fit.independent_share`), so that profile and
+    standard error are consistent (for a fit with ``huber``, multiplied by the ratio by
+    which its loss rises faster than the squares).
 
     Args:
         fit: by maximum likelihood.
         data: the measurements of the fit.
         name: of a free parameter that all trajectories share.
         level: of the interval, between 0 and 1.
-        progress: called with a line of text as the work goes on, such as ``print``.
+        progress: called with a line of text about the progress, such as ``print``.
 
     Raises:
         ModelError: the fit has no likelihood, or no such parameter with a standard
@@ -143,12 +143,12 @@ def profile(
     """
     check_likelihood(fit, "profile")
     shared = [one for one in fit.names if one in fit.model.free]
-    said = f"parameter {name!r} is not a free, shared one of the fit"
+    said = f"parameter {name!r} is not a free parameter that all trajectories share"
     require_known(name, shared, said)
     if not np.isfinite(fit.std_errors[name]):
         raise ModelError(
-            f"parameter {name!r} has no standard error (see the fit's warnings), "
-            "so no profile either."
+            f"parameter {name!r} has no standard error (see the warnings of the fit), "
+            "so its profile cannot be computed."
         )
     if not 0 < level < 1:
         raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
@@ -183,18 +183,16 @@ def check_likelihood(fit: Fit, what: str) -> None:
     """
     if fit.loss != "MaximumLikelihood":
         raise ModelError(
-            f"the fit is one by {fit.loss}, which has no likelihood, so no {what}; fit "
-            "with MaximumLikelihood()."
+            f"the fit was made with {fit.loss}, which has no likelihood and therefore "
+            f"no {what}; fit with MaximumLikelihood()."
         )
     if fit.has_model_error:
         raise ModelError(
-            f"the fit was made with model_error=True, which has no {what} here; use "
+            f"a {what} is not available for a fit with model_error=True; use "
             f"fit.intervals(), or the {what} of a fit with MaximumLikelihood()."
         )
     if not fit.names:
-        raise ModelError(
-            f"the fit has no free parameter, all values were given: there is no {what}."
-        )
+        raise ModelError(f"the fit has no free parameter, so there is no {what}.")
 
 
 class _Line:
@@ -224,7 +222,7 @@ class _Line:
             now = "not solved" if best is None else f"{best.values[name]:.6g}"
             raise SolveError(
                 f"the fit could not be repeated on these measurements: {name} is "
-                f"{value:.6g} in the fit, now {now}. Are they those of the fit?"
+                f"{value:.6g} in the fit, now {now}. Give the measurements of the fit."
             )
         self.value = best.values[name]
         self.lowest = best.chi_square
@@ -244,7 +242,9 @@ class _Line:
         model = nearest.model.with_values(values).with_fixed({self.name: held})
         solution = self.solved(model, nearest.states)
         if solution is None:
-            raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
+            raise SolveError(
+                f"the solver found no solution with {self.name} fixed at {held:g}."
+            )
         known[held] = solution
         rise = self.rise(held)
         if self.say:
@@ -286,7 +286,7 @@ class _Line:
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """The estimates of a fit, repeated on records drawn from it.
+    """Estimates from repeated fits to records that a fitted model simulates.
 
     Attributes:
         fit: The fit.
@@ -314,7 +314,7 @@ class Bootstrap:
         return table
 
     def intervals(self, level: float = 0.95) -> "pd.DataFrame":
-        """Percentile intervals: what lies in the middle of the draws.
+        """Percentile intervals: the central part of the draws.
 
         Args:
             level: Share of the draws within, between 0 and 1. For 0.95 take some
@@ -355,13 +355,13 @@ def bootstrap(
     folder: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Bootstrap:
-    """Repeat a fit by `MaximumLikelihood` on records that the fitted model draws.
+    """Repeat a fit by `MaximumLikelihood` on records that the fitted model simulates.
 
-    A draw is the free run of the fit at the samples plus white noise of the fit's size,
-    measured where the data are; the model is identified from it as from the data. The
-    noise of a draw follows from ``seed`` and its number alone, so that neither the
-    executor nor the order matters. (White noise: what else acts beside the model is in
-    the fit's own standard errors, not in these.)
+    A draw is the free run of the fit at the samples plus white noise of the estimated
+    size, with the same missing values as the data; the model is identified from it as
+    from the data. The noise of a draw depends only on ``seed`` and its number, and not
+    on the executor or the order. (Only white noise is simulated: other disturbances are
+    included in the standard errors of the fit, not in these.)
 
     Args:
         fit: By maximum likelihood, with its states: not loaded from a file.
@@ -369,12 +369,12 @@ def bootstrap(
         n_draws: Number of records that are drawn, at least 2.
         seed: Of the noise.
         executor: Where to compute (see `sweep`); None: processes on this machine.
-        folder: Where the draws' estimates are kept; a call that was interrupted goes
-            on from there, and so does one with more draws.
-        progress: Called with a line of text whenever a draw is done.
+        folder: Folder for the estimates of the draws; an interrupted call, or a call
+            with more draws, continues from it.
+        progress: Called with a line of text after each draw.
 
     Raises:
-        ModelError: The fit has no likelihood, or forces in it.
+        ModelError: The fit has no likelihood, or includes a model error.
         DataError: The fit has no states, the measurements are not those of the fit, or
             a number cannot be used.
         SolveError: Fewer than two draws could be fitted.
@@ -387,8 +387,8 @@ def bootstrap(
     check_likelihood(fit, "bootstrap")
     if not fit.states:
         raise DataError(
-            "the fit has no states, as one that was loaded from a file; identify it "
-            "again from its measurements."
+            "the fit has no estimated states, for example because it was loaded from "
+            "a file; call identify again with its measurements."
         )
     if n_draws < 2:  # of one no scatter can be taken
         raise DataError(f"n_draws={n_draws!r} must be 2 or more.")
@@ -433,7 +433,9 @@ def bootstrap(
             rows[number] = result["estimates"]
     if len(rows) < 2:
         reason = next(iter(failed.values()), "")
-        raise SolveError(f"{len(failed)} of {n_draws} draws have no fit: {reason}")
+        raise SolveError(
+            f"{len(failed)} of {n_draws} draws could not be fitted: {reason}"
+        )
     table = printed_table(rows.values(), index=list(rows), columns=list(fit.estimates))
     return Bootstrap(fit, table, failed)
 

@@ -64,8 +64,8 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
         ) from error
     if array.dtype.kind not in "biuf":
         raise DataError(
-            f"{title} has the type {array.dtype}; "
-            "expected real numbers, NaN where nothing was measured."
+            f"{title} has the type {array.dtype}; expected real numbers, and NaN for "
+            "missing values."
         )
     if n_axes == 2 and array.ndim == 1:  # a single channel
         array = array[:, np.newaxis]

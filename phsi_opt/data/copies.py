@@ -37,8 +37,8 @@ def sentence_about(copies: Mapping[str, str]) -> str:
     if not copies:
         return ""
     return (
-        f"{_told(copies)}: counted once, because equal runs are no independent "
-        "measurements; leave the copies out, or give the runs that were meant"
+        f"{_told(copies)}: used only once, because equal runs are not independent "
+        "measurements; remove the copies, or give the intended runs"
     )
 
 
@@ -51,9 +51,9 @@ def check_can_judge(train: Measurements, held_out: Measurements) -> None:
     copies = _copies(held_out.trajectories, train.trajectories)
     if copies:
         raise DataError(
-            f"held out: {_told(copies)} of the training data, and cannot judge what is "
-            "fitted to it; expected runs that are not fitted. Leave them out of one of "
-            "the two."
+            f"held out: {_told(copies)} of the training data, so they are not an "
+            "independent test; expected runs that are not used for fitting. Remove "
+            "them from one of the two."
         )
 
 

@@ -58,13 +58,13 @@ def table_of_excel(
         require_known(sheet, sheets, said, DataError)
     elif len(filled) > 1 and not may_be_several:
         raise DataError(
-            f"{file.title} has several sheets with content: {filled}. "
-            f'Say which one: sheet = "{filled[0]}".'
+            f"{file.title} has several sheets with content: {filled}. Choose one: "
+            f'sheet = "{filled[0]}".'
         )
     elif filled:
         sheet = filled[0]
     if sheet not in filled:
-        what = "is empty" if sheet is None else f"has nothing on its sheet {sheet!r}"
+        what = "is empty" if sheet is None else f"has an empty sheet {sheet!r}"
         raise DataError(
             f"{file.title} {what}; "
             "expected a header row and at least 2 rows of numbers."
@@ -93,7 +93,7 @@ def _sheets(file: OpenedFile) -> dict[str, Rows]:
         raise
     except Exception as error:  # openpyxl promises no classes of its errors
         raise DataError(
-            f"{file.title} is no Excel workbook that can be read "
+            f"{file.title} is not an Excel workbook that can be read "
             f"({type(error).__name__}: {error}). {REPAIR}, without a password."
         ) from error
     return sheets
@@ -112,8 +112,8 @@ def _filled_rows(rows: Iterable[Sequence[Any]], title: str) -> Rows:
             width = max(width, len(cells))
         if number > 1_048_576 or width * len(filled) > MOST_CELLS:
             raise DataError(
-                f"{title} has more than 1048576 rows, which Excel does not have, or "
-                f"more than {MOST_CELLS} cells. Save its table as CSV."
+                f"{title} has more than 1048576 rows (the limit of Excel) or more "
+                f"than {MOST_CELLS} cells. Save its table as CSV."
             )
     for cells in filled.values():
         cells += [""] * (width - len(cells))
@@ -135,16 +135,16 @@ def _check_workbook(file: OpenedFile) -> None:
             for part in archive.infolist():
                 if part.compress_type not in USUAL_COMPRESSION:  # read without a bound
                     raise DataError(
-                        f"{title} is no Excel workbook of the kind .xlsx: its part "
-                        f"{part.filename!r} is compressed in another way. {REPAIR}."
+                        f"{title} is not an .xlsx workbook: its part "
+                        f"{part.filename!r} has an unsupported compression. {REPAIR}."
                     )
                 _check_part(part.filename, archive.read(part), title)
     except DataError:
         raise
     except DAMAGED as error:
         raise DataError(
-            f"{title} is no Excel workbook of the kind .xlsx, or is damaged "
-            f"({error}). {REPAIR}, without a password."
+            f"{title} is not an .xlsx workbook, or it is damaged ({error}). {REPAIR}, "
+            "without a password."
         ) from error
 
 
@@ -152,11 +152,11 @@ def _check_part(name: str, content: bytes, title: str) -> None:
     is_xml = name.endswith((".xml", ".rels"))
     begin = content[:100].removeprefix(b"\xef\xbb\xbf").lstrip()
     if is_xml and content and not begin.startswith(b"<"):
-        raise DataError(f"{title} is damaged: its part {name!r} is no XML in UTF-8.")
+        raise DataError(f"{title} is damaged: its part {name!r} is not XML in UTF-8.")
     if DEFINITIONS.search(content):
         raise DataError(
-            f"{title} is no usual Excel workbook: its part {name!r} defines XML "
-            f"entities, which can grow without end. {REPAIR}."
+            f"{title} is not a usual Excel workbook: its part {name!r} defines XML "
+            f"entities, which are unsafe to expand. {REPAIR}."
         )
     if not SHEET_PART.fullmatch(name):
         return
@@ -172,5 +172,5 @@ def _check_part(name: str, content: bytes, title: str) -> None:
         if not is_next:
             raise DataError(
                 f"{title}, {name!r} has the row or cell {(letters + number).decode()} "
-                f"in the wrong place, and rows could be lost. {REPAIR}."
+                f"out of order, so rows could be lost. {REPAIR}."
             )

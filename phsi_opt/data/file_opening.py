@@ -88,14 +88,15 @@ def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
     for file in sources:
         if not isinstance(file, PATHS) and not hasattr(file, "read"):
             raise DataError(
-                f"source holds a {type(file).__name__}; expected paths or open files."
+                f"source contains a {type(file).__name__}; expected paths or open "
+                "files."
             )
     for file, run in zip(sources, run_names(sources), strict=True):
         path = _path(file)
         title = f"file {path!r}" if path else "open file"
         instead = NO_TEXT_TABLES.get(Path(path or "").suffix.lower())
         if as_text and instead:
-            raise DataError(f"{title} is no text table; {instead}.")
+            raise DataError(f"{title} is not a text table; {instead}.")
         content, remark = _content(file, title, as_text), ""
         if as_text:
             content, remark = _text(content, title)
@@ -115,8 +116,8 @@ def run_names(sources: Iterable[Any]) -> list[str]:
     for place, n_times in Counter(places).items():
         if n_times > 1:
             raise DataError(
-                f"the file {place!r} is listed {n_times} times; its runs "
-                "are one measurement. List it once."
+                f"the file {place!r} is listed {n_times} times, so its runs would be "
+                "counted more than once. List it once."
             )
     named = list(map(_path, sources))
     stems = [Path(path).stem if path else f"run {i}" for i, path in enumerate(named, 1)]
@@ -156,8 +157,8 @@ def _decoded(content: bytes, title: str) -> tuple[str, str]:
             if NO_TEXT.search(text) is None:
                 return text, remark
     raise DataError(
-        f"{title} is no table: it holds binary data and no text. Tables are read from "
-        "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat). Save it as one of "
+        f"{title} is not a table: it contains binary data. Tables are read from text "
+        "(.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat). Save it as one of "
         "these."
     )
 

@@ -61,8 +61,8 @@ def table_of_vectors(file: OpenedFile) -> Table:
     n_rows = max(lengths, key=lambda n: (n > 1, lengths.count(n), n), default=0)
     if n_rows < 2:
         raise DataError(
-            f"{file.title} holds no column of numbers: no vector, and no matrix of few "
-            f"columns, has 2 numbers or more. {_listing(variables)}"
+            f"{file.title} contains no column of numbers: expected a vector, or a "
+            f"matrix of few columns, with 2 rows or more. {_listing(variables)}"
         )
     columns: dict[str, np.ndarray] = {}
     further = []
@@ -104,8 +104,7 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
         return vectors[names[0]].ravel()
     if names:
         raise DataError(
-            f"{title}: {name!r} is a field of several structs; say which one of "
-            f"{names}."
+            f"{title}: {name!r} is a field of several structs; choose one of {names}."
         )
     hint = did_you_mean(wanted, vectors)
     raise DataError(f"{title} has no column {name!r}. {_listing(variables)}{hint}")
@@ -114,7 +113,7 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
 def _listing(variables: Vectors) -> str:
     """What a file holds, as a sentence."""
     listed = [f"{one.name!r} ({one.said})" for one in variables]
-    return f"The file holds: {', '.join(listed) or 'nothing'}."
+    return f"The file contains: {', '.join(listed) or 'nothing'}."
 
 
 def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
@@ -127,7 +126,7 @@ def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.nd
     if not values.size:
         return Variable(name, "empty"), {}
     if values.ndim > 2:
-        axes = f"an array with {values.ndim} axes, which is not read"
+        axes = f"an array with {values.ndim} dimensions, which is not supported"
         return Variable(name, axes), {}
     if values.size == 1:
         number = None if np.iscomplexobj(values) else float(values.item())
@@ -165,7 +164,7 @@ def _variables(file: OpenedFile) -> Vectors:
 def _read_apart(content: int, arrays: int) -> str:
     """Let the worker read from one open file into another; why it could not, or ""."""
     if getattr(sys, "frozen", False) or not sys.executable:
-        return "that needs a Python interpreter, and this program is without one"
+        return "this needs a Python interpreter, which this program does not have"
     command = [sys.executable, "-P", "-X", "utf8", str(WORKER)]
     try:
         run = subprocess.run(
@@ -184,4 +183,4 @@ def _read_apart(content: int, arrays: int) -> str:
     said = run.stderr.decode(errors="replace").splitlines()
     if run.returncode == 1 and said:
         return said[-1]
-    return f"it is damaged: its reading ended with exit code {run.returncode}"
+    return f"it is damaged: the reader ended with exit code {run.returncode}"

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.io.matlab import MatlabOpaque, loadmat
 
 UNREAD = (
-    "a sparse matrix, a table or an object, which is not read; see full and writetable"
+    "a sparse matrix, a table or an object, which is not supported; convert it with "
+    "full or writetable"
 )
 
 
@@ -34,10 +35,10 @@ def main(most: int) -> None:
         loaded = loadmat(sys.stdin.buffer)
         variables = dict(_named(loaded))
     except NotImplementedError:
-        sys.exit("it is a MATLAB file of version 7.3 (HDF5), which is not read")
+        sys.exit("it is a MATLAB file of version 7.3 (HDF5), which is not supported")
     except Exception as error:
         said = " ".join(f"{type(error).__name__}: {error}".split())
-        sys.exit(f"it is no MATLAB file, or a damaged one ({said})")
+        sys.exit(f"it is not a MATLAB file, or it is damaged ({said})")
     if sum(value.nbytes for value in variables.values()) > most:
         sys.exit(f"it has more than {most / 1e6:g} MB when decompressed")
     np.savez(sys.stdout.buffer, np.array(list(variables), str), *variables.values())
@@ -60,11 +61,17 @@ def _numbers_or_words(value: Any) -> np.ndarray:
     if isinstance(value, MatlabOpaque) or type(value).__module__.startswith("scipy."):
         return np.array(UNREAD)
     if array.dtype.names:
-        return np.array("a list of structs or a struct in a struct, which is not read")
+        return np.array(
+            "a list of structs or a struct in a struct, which is not supported"
+        )
     if array.dtype.kind in "biufc":
         return array.astype(array.dtype.newbyteorder("="), copy=False)
     is_text = array.dtype.kind in "US"
-    return np.array("text" if is_text else "cells, which are not read; see writetable")
+    return np.array(
+        "text"
+        if is_text
+        else "cells, which are not supported; convert them with writetable"
+    )
 
 
 if __name__ == "__main__":

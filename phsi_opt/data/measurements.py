@@ -68,18 +68,18 @@ def worked_out_once(make: Derived[Arguments]) -> Derived[Arguments]:
 class Measurements(TableReaders, Summarised):
     """Several trajectories of the same channels, with names, units and noise levels.
 
-    Made by `from_csv`, `from_excel`, `from_mat`, `from_dataframe`, `from_arrays` or
+    Created by `from_csv`, `from_excel`, `from_mat`, `from_dataframe`, `from_arrays` or
     `from_pairs`.
 
     Attributes:
-        trajectories: At least one `Trajectory`, each under a name of its own.
+        trajectories: At least one `Trajectory`; their names differ.
         states: The names of the states, one for each column of x.
         inputs: The names of the inputs, one for each column of u.
         units: The unit of every state and input and of the time "t", "" when unknown.
         hold: What inputs do between samples: "linear" interpolation, "zero" (the
             sample's value is kept until the next sample), or "cubic" (a smooth input:
-            the spline through the samples); where they differ a mapping such as
-            {"u": "zero"}, whose others are "linear".
+            the spline through the samples). A mapping such as {"u": "zero"} sets single
+            inputs; the others are "linear".
         noise: Standard deviations of the measurement noise by state, in the state's
             unit; None, or a state left out: unknown.
 
@@ -175,8 +175,8 @@ class Measurements(TableReaders, Summarised):
 
         A pair which starts exactly where the pair before it ended (same time, same
         state, same input) continues its trajectory; any other pair starts a new one.
-        With hold="zero" the input at the end of a pair acts on nothing: it is not
-        compared, and ``u_end`` may be left out.
+        With hold="zero" the input at the end of a pair has no influence: it is not
+        compared, and ``u_end`` may be omitted.
 
         Args:
             x_start: States at the starts, (n_pairs, n_states); a single state may be
@@ -313,9 +313,9 @@ class Measurements(TableReaders, Summarised):
     def split(self, fraction: float = 0.7) -> tuple[Self, Self]:
         """Training and test data: the first trajectories, and the others.
 
-        A single trajectory is cut in time instead: its first round(fraction *
-        n_samples) samples, and the samples after them. Nothing is drawn at random: the
-        order of the file decides. Each part has at least one trajectory, or two
+        A single trajectory is split in time instead: its first round(fraction *
+        n_samples) samples, and the samples after them. The split follows the order of
+        the file and is not random. Each part has at least one trajectory, or two
         samples, and no sample is in both.
 
         Args:
@@ -327,8 +327,8 @@ class Measurements(TableReaders, Summarised):
         """
         if not isinstance(fraction, Real) or not 0 < float(fraction) < 1:
             raise DataError(
-                f"fraction={fraction!r} is not between 0 and 1; "
-                "give the training data's share, e.g. 0.7."
+                f"fraction={fraction!r} is not between 0 and 1; give the share of the "
+                "training data, e.g. 0.7."
             )
         if self.n_trajectories > 1:
             n_train = _size_of_first(self.n_trajectories, fraction, at_least=1)
@@ -347,7 +347,7 @@ class Measurements(TableReaders, Summarised):
     def between(self, begin: float | None, end: float | None) -> Self:
         """The samples with begin <= t <= end of every trajectory.
 
-        Clocks are kept: a force that follows the time, and an input, act when they did.
+        Times are not shifted, so inputs and forces that depend on time are kept.
 
         Args:
             begin: The first time, in the unit of the times; None: from the start.
@@ -362,8 +362,8 @@ class Measurements(TableReaders, Summarised):
             is_number = isinstance(value, Real) and not isinstance(value, bool)
             if value is not None and (not is_number or np.isnan(value)):
                 raise DataError(
-                    f"{said}: {value!r} is no time; expected numbers in the unit of "
-                    "the times, or None."
+                    f"{said}: {value!r} is not a time; expected numbers in the unit "
+                    "of the times, or None."
                 )
         if begin is not None and end is not None and not begin < end:
             raise DataError(f"{said}: the first time must be less than the last.")
@@ -375,30 +375,31 @@ class Measurements(TableReaders, Summarised):
         """Fewer samples: one for every n of each trajectory.
 
         With ``by="mean"`` a sample is the mean of n neighbouring ones, at the mean of
-        their times: what is faster than the new sampling rate is averaged out instead
-        of appearing as something slower (aliasing). A state is missing where one of its
-        n samples is. Noise that is given becomes smaller by sqrt(n), as if the errors
-        of samples were independent. An input that is held (``hold="zero"``) is averaged
-        over the time from each new sample to the next.
+        their times, which prevents aliasing of motions that are faster than the new
+        sampling rate. A state is missing if one of its n samples is missing. Noise that
+        is given becomes smaller by sqrt(n), as if the errors of samples were
+        independent. An input that is held (``hold="zero"``) is averaged over the time
+        from each new sample to the next.
 
         With ``by="picking"`` every n-th sample is kept as it is, from the first. Use it
-        where the signals are smooth at the new rate, or states have gaps; what inputs
-        did between the samples that are kept is lost.
+        if the signals are smooth at the new rate, or if states have gaps; changes of
+        inputs between the selected samples are lost.
 
-        Samples at the end that do not fill a group of n are left out by the mean.
+        With ``by="mean"`` samples at the end that do not fill a group of n are dropped.
 
         Args:
-            n: How many samples make one.
+            n: Number of samples that become one.
             by: "mean" or "picking".
 
         Raises:
-            DataError: n is no positive number, or a trajectory would have fewer than 2
-                samples.
+            DataError: n is not a positive number, or a trajectory would have fewer than
+                2 samples.
         """
         require_known(by, ("mean", "picking"), f"by={by!r} is unknown", DataError)
         if not is_count(n):
             raise DataError(
-                f"thinned({n!r}): expected how many samples make one, such as 10."
+                f"thinned({n!r}): expected the number of samples that become one, "
+                "such as 10."
             )
         size = int(n)
         hold = hold_of_each(self.hold, self.inputs)
@@ -482,9 +483,9 @@ def _check_slice(names: Sequence[str], key: slice) -> None:
         del bounds[-1]
     written = ":".join("" if bound is None else repr(bound) for bound in bounds)
     raise DataError(
-        f"data[{written}] picks trajectories, of which there are {len(names)}: "
-        f"{list(names)}. For a part of each in time use data.between(begin, end), "
-        "for fewer samples data.thinned(n)."
+        f"data[{written}] selects trajectories; there are {len(names)}: "
+        f"{list(names)}. To select a time span, use data.between(begin, end); to "
+        "reduce the number of samples, data.thinned(n)."
     )
 
 
@@ -502,7 +503,8 @@ def _between(run: Trajectory, first: float, last: float) -> Trajectory:
         raise DataError(
             f"trajectory {run.name!r} has {n_samples} samples between {first:g} and "
             f"{last:g}; expected at least 2. Its times go from {run.t[0]:g} to "
-            f"{run.t[-1]:g}; choose others, or other trajectories first: data[name]."
+            f"{run.t[-1]:g}; choose other times, or select trajectories first: "
+            "data[name]."
         )
     return part_of(run, slice(begin, end))
 
@@ -514,7 +516,7 @@ def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajecto
     if n_left < 2:
         raise DataError(
             f"trajectory {run.name!r} has {run.n_samples} samples, too few for "
-            f"thinned({n}): {n_left} would be left; expected at least 2."
+            f"thinned({n}): {n_left} would remain; expected at least 2."
         )
     if is_picked or n == 1:
         return part_of(run, slice(None, None, n))

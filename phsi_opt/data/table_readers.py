@@ -248,17 +248,17 @@ class Layout:
         step = self.step
         if (self.time is None) == (step is None):
             raise DataError(
-                f"time={self.time!r} and step={step!r}; expected one of them: "
+                f"time={self.time!r} and step={step!r}; expected exactly one of them: "
                 "the column of the times, or the time between neighbouring rows."
             )
         if step is not None and (not is_size(step) or step == 0):
             raise DataError(
-                f"step={step!r} is no time between rows; expected a positive number."
+                f"step={step!r} is not a time between rows; expected a positive number."
             )
         if step is not None and (self.start, self.date_format) != (None, None):
             raise DataError(
-                "start and date_format are for dates in a column; "
-                "with step=... leave them out."
+                "start and date_format apply to a column of dates; omit them if you "
+                "give step=..."
             )
         for what in ("inputs", "states"):
             columns = getattr(self, what)
@@ -374,8 +374,8 @@ def _check_column(table: Table, column: Any, layout: Layout) -> None:
         )
     if layout.columns.count(column) > 1:
         raise DataError(
-            f"{table.title}: the column {column!r} is asked for twice; "
-            "expected one column per name."
+            f"{table.title}: the column {column!r} is used twice; expected one column "
+            "per name."
         )
 
 

@@ -145,9 +145,9 @@ def _repair(cell: Any, table: Table) -> str:
         return "Convert the column to numbers first (times: seconds since the start)."
     if DECIMAL_COMMA.fullmatch(cell):
         return (
-            "A comma could stand before decimals or thousands here: say "
-            'decimal = "," or write decimal points.'
+            'The comma may be a decimal or a thousands separator: set decimal = "," '
+            "or write decimal points."
         )
     if table.decimal == "," and DECIMAL_POINT.fullmatch(cell):
-        return "The table has decimal commas: write all decimals in one way."
-    return "Correct the cell, or leave it empty where a state was not measured."
+        return "The table has decimal commas: write all numbers with decimal commas."
+    return "Correct the cell, or leave it empty if the state was not measured."

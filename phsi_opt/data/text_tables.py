@@ -55,22 +55,22 @@ class TextFormat:
             )
         for name in columns or ():
             if not isinstance(name, str) or not name:
-                raise DataError(f"columns holds {name!r}; expected names as text.")
+                raise DataError(f"columns contains {name!r}; expected names as text.")
         separator = self.separator
         if separator is not None and not SEPARATOR.fullmatch(str(separator)):
             raise DataError(
-                f"the separator {separator!r} is not a single sign; expected ',', ';', "
-                "'\\t', or ' ' for blanks."
+                f"the separator {separator!r} is not a single character; expected "
+                "',', ';', '\\t', or ' ' for blanks."
             )
         if self.decimal not in (None, ".", ","):
             raise DataError(
-                f"the sign of decimals {self.decimal!r} is unknown; "
-                "expected '.' or ','."
+                f"the decimal separator {self.decimal!r} is unknown; expected '.' or "
+                "','."
             )
         if self.decimal == separator == ",":
             raise DataError(
-                "a comma as separator and as sign of decimals leaves no way to tell "
-                "them apart; expected two signs."
+                "the comma cannot be both the column separator and the decimal "
+                "separator; expected two different characters."
             )
 
 
@@ -137,21 +137,21 @@ def table_of_rows(
         names = list(map(str, range(width)))
     elif not any(map(_looks_like_a_value, first)):
         raise DataError(
-            f"{title}, {row_word} {number} holds names, {first}, and columns "
-            "names them too. Leave columns=... out, or remove the line."
+            f"{title}, {row_word} {number} contains names, {first}, and columns=... "
+            "gives names, too. Omit columns=..., or remove the line."
         )
     if len(names) != width:
         raise DataError(
-            f"{title} has {width} columns; columns={list(names)} names "
-            f"{len(names)}. Name every column, in their order."
+            f"{title} has {width} columns; columns={list(names)} names {len(names)}. "
+            "Give the names of all columns, in their order."
         )
     for i, cells in rows.items():
         if len(cells) < width or widths[i] > width:
             raise DataError(
                 f"{title}, {row_word} {i} has {number_of(len(cells), 'cell')}; "
-                f"expected {width}, as {reference}. Complete or remove the line, or "
-                "lines of text above the table. If its numbers have decimal commas, "
-                "write decimal points, or another separator."
+                f"expected {width}, as {reference}. Complete or remove the line; "
+                "remove lines of text above the table. If numbers have decimal "
+                "commas, use decimal points or another separator."
             )
     labels: list[Any] = list(names)
     for column in wanted:  # those asked for by number are called so

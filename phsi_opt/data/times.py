@@ -85,8 +85,8 @@ def times_in(
         return t, origins
     if start is not None:
         raise DataError(
-            f"start={start!r} is for dates, and the column {column!r} of "
-            f"{table.title} holds numbers; leave start out."
+            f"start={start!r} needs dates, but the column {column!r} of {table.title} "
+            "contains numbers; omit start."
         )
     t = numbers_in(table, column, may_be_missing=False)
     form = format_of_dates(t)
@@ -94,10 +94,10 @@ def times_in(
         first = cells.iloc[0]
         moment = _date_in(first, form) or "a date"  # of a 31st of February
         raise DataError(
-            f"{table.place(column, 0)} {first} looks like {moment} written as "
-            "one number, and so do all others; expected times as numbers of one unit, "
-            f'or dates. Say date_format = "{form}" where they are dates, and '
-            'date_format = "" where they are numbers.'
+            f"{table.place(column, 0)} {first} looks like {moment} written as one "
+            "number, and so do all others; expected times as numbers of one unit, or "
+            f'dates. Set date_format = "{form}" if they are dates, and date_format = '
+            '"" if they are numbers.'
         )
     if np.max(np.abs(t), initial=0.0) > LARGEST_EXACT:
         with suppress(ValueError, OverflowError):  # not whole, or beyond all bounds
@@ -152,8 +152,8 @@ def _moments(table: Table, column: Any, date_format: str | None) -> list[Moment]
         moments.append(moment)
         if _kind(moment) != _kind(moments[0]):
             raise DataError(
-                f"{place} {cell!r} is {_kind(moment)}, and the first of the column is "
-                f"{_kind(moments[0])}; expected one kind. Write all in one way."
+                f"{place} {cell!r} is {_kind(moment)}, and the first cell of the "
+                f"column is {_kind(moments[0])}; expected the same kind in all cells."
             )
     return moments
 
@@ -201,13 +201,14 @@ def _refused(cell: Any, date_format: str | None) -> str:
         )
     if date_format is not None:
         return (
-            f"{cell!r} is no moment as date_format={date_format!r} says. "
-            "Correct the cell or the format."
+            f"{cell!r} does not match date_format={date_format!r}. Correct the cell "
+            "or the format."
         )
     return (
         f"{cell!r} is neither a number nor a date; expected such as '2021-11-22 "
-        "09:15:00' or '2021-11-22 09:15:00+01:00' (the name of a time zone is not "
-        'read). Dates in another order: say date_format = "%d.%m.%Y %H:%M:%S".'
+        "09:15:00' or '2021-11-22 09:15:00+01:00' (names of time zones are not "
+        'supported). For dates in another order set date_format = "%d.%m.%Y '
+        '%H:%M:%S".'
     )
 
 
@@ -221,8 +222,8 @@ def _start(start: Any, date_format: str | None, first: Moment) -> Moment:
     moment = _moment(start, date_format) or _moment(start, None)
     if moment is None or _kind(moment) != _kind(first):
         raise DataError(
-            f"start={start!r} is not {_kind(first)}, as the times are; "
-            f"expected such as {str(first)!r}."
+            f"start={start!r} is not {_kind(first)} like the times; expected a form "
+            f"such as {str(first)!r}."
         )
     return moment
 
@@ -241,8 +242,8 @@ def _check_increasing(
             clock = " (a clock set back in autumn repeats an hour)"
             raise DataError(
                 f"{table.place(column, after)} {shown[after]} is not after "
-                f"{shown[before]} of {table.row(before)}; times must increase strictly"
-                f"{'' if isinstance(shown[0], float) else clock}. "
-                "Sort the samples or drop the duplicate; where runs follow each other, "
-                "name the column that tells them apart (trajectory)."
+                f"{shown[before]} of {table.row(before)}; times must increase "
+                f"strictly{'' if isinstance(shown[0], float) else clock}. Sort the "
+                "samples or drop the duplicate. If the table contains several runs, "
+                "name the column of the run (trajectory)."
             )

@@ -34,14 +34,14 @@ class Trajectory:
     names.
 
     Attributes:
-        name: A text of one line that is not empty, unique within the measurements.
+        name: A non-empty text of one line, unique within the measurements.
         t: Times, (n_samples,), at least 2.
         x: States, (n_samples, n_states), NaN where not measured.
-        u: Inputs, (n_samples, n_inputs); of a single channel (n_samples,) will do.
-        origin: The moment at which t is 0, where the times were dates; else None.
+        u: Inputs, (n_samples, n_inputs), or (n_samples,) for a single input.
+        origin: The date at which t is 0, if the times were dates; otherwise None.
 
     Raises:
-        DataError: The name is no text, an array is not real or has another shape, or
+        DataError: The name is not a text, an array is not real or has another shape, or
             the times do not increase.
     """
 

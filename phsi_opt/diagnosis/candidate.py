@@ -16,12 +16,12 @@ from phsi_opt.screening.effect_size import Size
 
 MOST_FAMILIES = 2  # of effects, that the name of a class joins
 
-LOSS = "a loss of energy whose law the data do not tell"
-LOSS_SOMEWHERE = "a loss of energy whose place and law the data do not tell"
+LOSS = "a loss of energy whose law the data do not determine"
+LOSS_SOMEWHERE = "a loss of energy whose equation and law the data do not determine"
 
 
 class Verdict(StrEnum):
-    """Whether something is missing in a model, and whether it is known what."""
+    """The verdict of a diagnosis."""
 
     NOTHING_MISSING = "nothing missing"
     NAMED = "missing: named"
@@ -49,33 +49,35 @@ class Grade(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect: what screening expects of it, its evidence, and its re-fit.
+    """A candidate effect: its expected gain, its evidence, and its re-fit.
 
     Attributes:
         effect: what may be missing.
-        coefficient: its size in ``unit``: of the fit where it is named, else beside a
-            force, else expected.
+        coefficient: its size in ``unit``: from the re-fit if the effect is named,
+            otherwise from the evidence step with a random force, otherwise as expected
+            by screening.
         std_error: of the coefficient.
         values: of the model's parameters, from which a re-fit starts.
         states: (n_nodes, n_states) along the training record, likewise.
-        log_bayes: logarithm of the Bayes factor of the model with it over the model
-            without, both beside a force, by the training data; expected where it was
-            not weighed.
-        log_predictive: what it adds to the log predictive density of the data held out;
-            NaN where there are none, or it was not weighed.
-        was_weighed: whether it was weighed, and not only expected to gain nothing.
-        probability: of it among all effects that were weighed and no effect, equally
-            likely before.
-        force_left: root mean square of the force beside it over that without it.
-        confusable_with: names of the effects that the data cannot tell from it.
+        log_bayes: logarithm of the Bayes factor of the model with the effect over the
+            model without, both with a random force, for the training data; expected by
+            screening if the evidence was not computed.
+        log_predictive: gain of the log predictive density of the held-out data; NaN if
+            there are none, or if the evidence was not computed.
+        was_weighed: whether the evidence was computed, and not only expected.
+        probability: posterior probability, if all effects with computed evidence and
+            "no effect" were equally likely before.
+        force_left: root mean square of the random force with the effect over that
+            without it.
+        confusable_with: names of the effects that the data cannot distinguish from it.
         train_rmse: free-run error on the training data; NaN without a re-fit.
         held_out_rmse: the same on the data held out; NaN where there are none.
-        share: of the squared error above the noise floor that it explains, on the data
-            that judge.
-        lost: why it is not named; empty for what is.
+        share: share of the squared error above the noise floor that it explains, on
+            held-out data if there are any.
+        lost: why it is rejected; empty if it is named.
         unit: of the coefficient; "" where it is not known.
         fit: the re-fit; ``trained`` and ``comparison``: its free runs on the training
-            record and on the one that judges. None where it was not re-fitted.
+            record and on the held-out one (if any). None if it was not re-fitted.
     """
 
     effect: Effect
@@ -119,22 +121,22 @@ class Candidate:
 
     @property
     def grade(self) -> Grade:
-        """How clearly it is there."""
+        """The grade of its evidence."""
         return Grade.of(self.log_evidence) if self.was_weighed else Grade.NONE
 
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """An effect that is established, or a class whose members do as well.
+    """An established effect, or a class of effects that the data cannot distinguish.
 
     Attributes:
-        effects: one is a name; several are those that the data cannot tell apart, the
-            one that was re-fitted first.
+        effects: a single effect is a name; several are a class that the data cannot
+            distinguish, with the re-fitted effect first.
         family: the class in words, such as "a loss that grows with speed".
         coefficient: of the first one, in ``unit``.
         std_error: of the coefficient; it accounts for model error.
-        share: of the squared error above the noise floor that is gone with all that is
-            found.
+        share: share of the squared error above the noise floor that all findings
+            together remove.
         unit: of the coefficient; "" where it is not known.
     """
 
@@ -147,7 +149,7 @@ class Finding:
 
     @property
     def is_name(self) -> bool:
-        """Whether it is one effect, and no class."""
+        """Whether it is a single effect and not a class."""
         return len(self.effects) == 1
 
     def __repr__(self) -> str:
@@ -166,8 +168,8 @@ class Finding:
         if all(effect.equation == first.equation for effect in self.effects):
             name, where = first.name, f" in the equation of {first.equation}"
         return (
-            f"{self.family}{where}: {name} ({size}), which the data do not tell from "
-            f"{others}"
+            f"{self.family}{where}: {name} ({size}), which the data cannot "
+            f"distinguish from {others}"
         )
 
 

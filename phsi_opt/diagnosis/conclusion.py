@@ -33,6 +33,8 @@ from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
+WEAK = "its evidence is"  # begins why an effect is rejected that is not decisive
+
 
 def concluded(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
@@ -46,7 +48,7 @@ def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
     """The diagnosis by the free runs alone, where the evidence was not found."""
     verdict, said = Verdict.UNEXPLAINED, str(error)
     if base.is_noise:
-        verdict, said = Verdict.NOTHING_MISSING, "residuals are noise"
+        verdict, said = Verdict.NOTHING_MISSING, "the residuals are noise"
     reason = f"{_errors(base)}; {said}"
     return Diagnosis(base.record, base.judged, (), verdict, reason)
 
@@ -120,7 +122,10 @@ class _Judge:
         """The base with a candidate; None where that rejects it."""
         one = self.ranking[place]
         if not one.size.z >= SURE_DEVIATIONS:
-            self.note(place, lost=f"its size, {one.size}, may as well be zero")
+            self.note(
+                place,
+                lost=f"its size, {one.size}, does not differ significantly from zero",
+            )
             return None
         larger = refit(self.base, one)
         if larger is None:
@@ -171,13 +176,13 @@ class _Judge:
             effects.append(second.ranking[0].effect)
         steps = self.steps_in_words()
         if steps and is_small_as_noise(larger.trained):
-            return f"so may {steps}"
+            return f"the cause may also be {steps}"
         if self.explains_all(larger):
             return ""
         if larger.trained.rmse > self.base.trained.rmse:
-            return "its free run is further off than without it"
+            return "its free-run error is larger than without it"
         if any(is_wave(effect) and effect.needs_clock for effect in effects):
-            return "a force remains, and any force in time has waves like it in it"
+            return "a force remains, and every force in time contains such waves"
         of_force = self.of_force(second)
         share = self.base.share_explained(larger)
         if of_force < MOST_OF_IT and not share > LEAST_ERROR_EXPLAINED:
@@ -209,8 +214,8 @@ class _Judge:
         if not unresolved:
             return ""
         return (
-            f"the steps of {', '.join(unresolved)}, which moves by less than one of "
-            "them (standard deviation)"
+            f"the quantisation of {', '.join(unresolved)}, whose standard deviation "
+            "is less than one step"
         )
 
     def of_force(self, second: "_Judge | None" = None) -> float:
@@ -242,8 +247,8 @@ class _Judge:
             return ""
         (kind,) = function.disturbances.functions
         return (
-            f"an unknown function of {model.states[kind.state]} in d{name}/dt is "
-            f"likelier (log evidence {gain:.1f} against {first.log_evidence:.1f})"
+            f"an unknown function of {model.states[kind.state]} in d{name}/dt is more "
+            f"likely (log evidence {gain:.1f} against {first.log_evidence:.1f})"
         )
 
     # ---- verdicts --------------------------------------------------------------------
@@ -269,7 +274,9 @@ class _Judge:
         tied = {name for found in findings for name in map(str, found.effects[1:])}
         for place, one in enumerate(self.ranking):
             if one.name in tied and not one.lost:
-                self.note(place, lost="the data do not tell it from what is named")
+                self.note(
+                    place, lost="the data cannot distinguish it from the named effect"
+                )
         self.reject_others(effects)
         verdict = Verdict.NAMED
         said = " and ".join(map(str, findings))
@@ -325,16 +332,19 @@ class _Judge:
         errors = _errors(base)
         log_evidence = self.record.base.log_evidence
         if base.is_noise or not self.is_force_evident(log_evidence, base):
-            none = "no force is evident beside the model, and no effect is decisive"
+            none = "there is no evidence of a missing force, and no effect is decisive"
             return self.diagnosis(Verdict.NOTHING_MISSING, f"{errors}; {none}")
-        reason = f"{errors}: a force is evident, and no effect explains it"
+        reason = (
+            f"{errors}: there is evidence of a missing force, but no effect of "
+            "the catalogue explains it"
+        )
         steps = self.steps_in_words()
         if steps:
             reason += f"; it may be {steps}"
         nearest = next((one for one in self.ranking if one.was_weighed), None)
         if nearest is not None and nearest.grade != Grade.NONE:
             reason += f"; the nearest, {nearest.name}, has {_grade_words(nearest)}"
-            if nearest.lost:
+            if nearest.lost and not nearest.lost.startswith(WEAK):
                 reason += f", but {nearest.lost}"
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
@@ -344,9 +354,11 @@ class _Judge:
         for place, one in enumerate(self.ranking):
             if one.lost or one.effect in named:
                 continue
-            lost = f"its evidence is {one.grade} ({one.log_evidence:.1f})"
+            lost = f"{WEAK} {one.grade} ({one.log_evidence:.1f})"
+            if one.grade == Grade.NONE:
+                lost = f"there is no evidence for it ({one.log_evidence:.1f})"
             if first is not None and one.log_evidence < first.log_evidence:
-                lost = f"{first.name} is likelier"
+                lost = f"{first.name} is more likely"
             self.note(place, lost=lost)
 
     def diagnosis(

@@ -44,35 +44,35 @@ def diagnose(
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> Diagnosis:
-    """Estimate what a fitted model lacks and name it, if the data allow.
+    """Estimate the force that a fitted model lacks, and name it if the data allow it.
 
     Args:
         fit: of the model, by maximum likelihood; or a model whose parameters are all
             known, which then stay as they are.
         data: the measurements of the fit.
-        held_out: measurements not used for fitting; without them the verdict rests on
-            the training record alone.
+        held_out: measurements not used for fitting; without them the verdict depends on
+            the training data only.
         effects: candidates, each an `Effect`, a name such as ``"coulomb friction"``
             (in every equation that can have it) or ``"coulomb friction on p"``;
             default: `catalogue` of the model.
-        without: those of them that are never considered, in the same words.
+        without: effects to exclude, in the same form.
         loss: how candidates are re-fitted; default `MaximumLikelihood`. A random force
-            in the equations (``model_error=True``) would hide what is missing; it is
-            left out, and a fit with one is made again without.
-        progress: called with a line of text as the work goes on, such as ``print``.
-        executor: where candidates are re-fitted side by side (see `sweep`); None: here,
-            one after the other. The verdict and its numbers are the same. It is not
-            shut down.
+            in the equations (``model_error=True``) would hide a missing force; it is
+            omitted, and a fit with such a force is repeated without it.
+        progress: called with a line of text about the progress, such as ``print``.
+        executor: computes the evidence of candidates in parallel (see `sweep`); None:
+            in this process, one after the other. The verdict and its numbers are the
+            same. It is not shut down.
 
     Returns:
         Where the model fails, the candidates in order, and the verdict.
 
     Raises:
         DataError: a state or input of the model is not in the measurements, a run that
-            is held out is fitted too, or the executor cannot compute.
+            is held out is fitted too, or the executor is not valid.
         ModelError: one of the ``effects`` or of those to leave out is unknown, does not
-            fit the model, or has no free number; or a model with free parameters was
-            given instead of a fit.
+            apply to the model, or has no free parameter; or a model with free
+            parameters was given instead of a fit.
         SolveError: the missing force could not be estimated.
 
     Examples:
@@ -125,7 +125,7 @@ def diagnose_comparison(
     model = base.fit.model
     listed = catalogue(model, base.record.data.units) if effects is None else effects
     _check_effects(listed, model)
-    base.say("the missing force beside the model")
+    base.say("estimating the missing force together with the model")
     try:
         record = base.evidence_record()
     except SolveError as error:
@@ -165,7 +165,7 @@ def _check_effects(effects: list[Effect], model: Model) -> None:
         new = [name for name in larger.free if name not in model.entries]
         if not new:
             raise ModelError(
-                f"effect {str(effect)!r} has no free number, so nothing could be found "
-                "of it; write one as ph.Parameter(), such as "
+                f"effect {str(effect)!r} has no free parameter, so its size cannot be "
+                "estimated; write a number in it as ph.Parameter(), such as "
                 'ph.formula("c*q", c=ph.Parameter()).'
             )

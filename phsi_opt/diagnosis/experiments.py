@@ -81,9 +81,9 @@ class Separation:
         """The best experiment in words."""
         if self.table.empty:
             return "no experiment could be simulated with both models"
-        none = "no experiment of those tried separates them"
+        none = "none of the simulated experiments distinguishes them"
         if self.alike:
-            return f"{none}: they are the same model in other words"
+            return f"{none}: the two models are equivalent"
         best = self.table.iloc[0]
         size = f"{best['separation']:.2g} noise standard deviations"
         if not best["separates"]:
@@ -181,9 +181,9 @@ def _separation(
 
 def _not_simulated(trajectory: str, model: Model) -> str:
     return (
-        f"trajectory {trajectory!r} cannot be simulated with the model of "
-        f"{', '.join(model.free)}, or not be imitated by it: it is stiff, or its "
-        "solution ends; look for the experiment by `simulate` instead."
+        f"trajectory {trajectory!r} cannot be simulated with the model that has the "
+        f"parameters {', '.join(model.free)}: it may be stiff, or its solution may "
+        "diverge. Compare experiments with `simulate` instead."
     )
 
 
@@ -245,7 +245,7 @@ def experiments(record: SimulatedRecord) -> Iterator[Experiment]:
     for state, spread in record.spread.items():
         if state not in record.data.measured and spread > 0:
             measured = (*itself.measured, state)
-            yield replace(itself, name=f"measuring {state} too", measured=measured)
+            yield replace(itself, name=f"{state} measured, too", measured=measured)
 
 
 def _other_starts(record: SimulatedRecord) -> Iterator[Experiment]:
@@ -261,13 +261,17 @@ def _other_starts(record: SimulatedRecord) -> Iterator[Experiment]:
         for stretch in START_STRETCHES:
             moved = x0.copy()
             moved[places] = mean + stretch * (x0[places] - mean)
-            yield replace(itself, name=f"start {stretch:g} times as far out", x0=moved)
+            yield replace(
+                itself,
+                name=f"initial states {stretch:g} times as far from the mean",
+                x0=moved,
+            )
     for row in position_rows(model) or range(len(places)):
         state = model.states[row]
         shift = START_SHIFT * spread[state]
         moved = x0.copy()
         moved[row] += shift
-        name = f"start with {state} higher by {record.words(shift, state)}"
+        name = f"initial {state} higher by {record.words(shift, state)}"
         yield replace(itself, name=name, x0=moved)
 
 
@@ -288,7 +292,7 @@ def _other_inputs(
         return replace(itself, name=f"{name} {words}", u=u)
 
     for gain in INPUT_GAINS:
-        yield driven(f"times {gain:g}", gain * values)
+        yield driven(f"multiplied by {gain:g}", gain * values)
     mean = float(np.mean(values))
     amplitude = np.sqrt(2) * size
     t = itself.t - itself.t[0]
@@ -298,14 +302,14 @@ def _other_inputs(
         if f < highest:
             period = record.words(1 / f, "t")
             sine = np.sin(2 * np.pi * f * t)
-            words = f"a sine of period {period} and the same rms"
+            words = f"as a sine of period {period} with the same rms"
             yield driven(words, mean + amplitude * sine)
     low = SINE_FREQUENCIES[0] * frequency
     high = SINE_FREQUENCIES[-1] * frequency
     rise = (high - low) * t**2 / (2 * t[-1])
     sweep = np.sin(2 * np.pi * (low * t + rise))
     periods = f"{1 / low:.3g} to {record.words(1 / high, 't')}"
-    words = f"a sweep of periods {periods} and the same rms"
+    words = f"as a sweep of periods {periods} with the same rms"
     yield driven(words, mean + amplitude * sweep)
 
 

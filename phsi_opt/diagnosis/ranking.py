@@ -34,7 +34,10 @@ def ranked(
         better = None if likeliest is None else record.better_from(likeliest)
         if better is None:
             return record, candidates
-        base.say("the model is likelier from where the likeliest effect was weighed")
+        base.say(
+            "a better optimum of the model was found with the most likely "
+            "effect; screening again"
+        )
         record = better
 
 
@@ -61,7 +64,7 @@ def _ranked_beside(
                 weighed = w.result(place)
             except SolveError as error:
                 base.say(str(error))
-                failed = _expected(base, one, "it could not be weighed")
+                failed = _expected(base, one, "its evidence could not be computed")
                 candidates.append(replace(failed, log_bayes=np.nan))
                 continue
             candidate = _candidate(base, record, one, weighed, len(screened))
@@ -71,15 +74,15 @@ def _ranked_beside(
                 likeliest = weighed
                 worth = FAR_BEHIND * min(one.gain, candidate.log_evidence)
     for one in screened[len(candidates) :]:
-        lost = "it is expected to gain far less"
+        lost = "its expected evidence is much smaller"
         if one.gain <= 0:
-            lost = "it would explain no more than a force without a law"
+            lost = "it would explain no more than a random force"
         candidates.append(_expected(base, one, lost))
     return _in_order(candidates), likeliest
 
 
 def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
-    say(f"weighing {one.effect}")
+    say(f"computing the evidence of {one.effect}")
     return record.weighed(one.model, one.values)
 
 

@@ -46,17 +46,18 @@ N_PRINTED = 6  # candidates that are printed
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(Summarised):
-    """What `diagnose` found.
+    """The result of `diagnose`.
 
     Attributes:
         record: the fit along the training record, with its missing force.
-        base: the fit's free run on the record that judges.
-        ranking: the candidates with all that is known of them, best first.
-        verdict: in one phrase; ``reason``: in a sentence.
-        findings: what is established to be missing, an effect or a class each; empty
-            where nothing is.
-        proposed: what a study adds next, the first effect of the finding; empty where
-            nothing is found. ``proposed_fit``: the re-fit with it.
+        base: the free run of the fit on held-out data, or on the training data if there
+            are none.
+        ranking: the candidates with all their results, best first.
+        verdict: one of four phrases; ``reason`` explains it in a sentence.
+        findings: the established effects, each a single effect or a class; empty if
+            none is established.
+        proposed: the effects that a study adds next, the first of each finding; empty
+            without findings. ``proposed_fit`` is the re-fit with them.
     """
 
     record: Record = field(repr=False)
@@ -90,7 +91,7 @@ class Diagnosis(Summarised):
 
     @property
     def strong(self) -> tuple[Effect, ...]:
-        """The likeliest effect where none is decisive and its evidence is strong."""
+        """The most likely effect, if its evidence is strong and none is decisive."""
         if self.findings or not self.ranking:
             return ()
         first = self.ranking[0]
@@ -102,14 +103,14 @@ class Diagnosis(Summarised):
 
         Columns: effect; slot; equation; coefficient, std_error and unit of its size
         (unit is empty where it is not known); log_bayes (logarithm of the Bayes factor
-        of the model with it over the one without, a force beside both, by the training
-        data) and log_predictive (what the data held out add); probability (of this
-        effect among all, and none); grade (of both together: decisive, strong, weak or
-        none); force_left (the force beside it over the force without it, root mean
-        squares); share (of the squared error above the noise floor that it explains, on
-        the data that judge), train_rmse and held_out_rmse of its free run, where it was
-        re-fitted; confusable_with; lost (why it is not named). What screening leaves
-        out has the expected gain as its log_bayes.
+        of the model with the effect over the one without, both with a random force, for
+        the training data) and log_predictive (the gain for held-out data); probability
+        (posterior, among all effects and no effect); grade (of both together: decisive,
+        strong, weak or none); force_left (the random force with the effect over the
+        force without it, root mean squares); share (of the squared error above the
+        noise floor that it explains), train_rmse and held_out_rmse of its free run, if
+        it was re-fitted; confusable_with; lost (why it is rejected). For effects that
+        screening rejects, log_bayes is the expected gain.
         """
         rows = []
         for one in self.ranking:
@@ -149,7 +150,7 @@ class Diagnosis(Summarised):
 
     @cached_property
     def analysis(self) -> ForceAnalysis:
-        """What the missing force looks like."""
+        """Analysis of the missing force: where, when, and on what it depends."""
         return ForceAnalysis.of(self.record)
 
     @property
@@ -164,7 +165,7 @@ class Diagnosis(Summarised):
 
     @property
     def power(self) -> "pd.DataFrame":
-        """Whether the missing force takes energy out, stores or supplies it.
+        """Whether the missing force dissipates, stores or supplies energy.
 
         A row per equation (see `ForceAnalysis.energy`).
         """
@@ -172,9 +173,9 @@ class Diagnosis(Summarised):
 
     @property
     def sentences(self) -> list[str]:
-        """Where the model fails, in plain words, an equation each; strongest first.
+        """Where the model fails, one sentence per equation, strongest first.
 
-        Before them, where the free run is flat, what to do about that.
+        If the free run is almost constant, the first sentence says what to do.
         """
         if not self.base.warning:
             return self.analysis.sentences
@@ -182,18 +183,18 @@ class Diagnosis(Summarised):
 
     @property
     def next_step(self) -> Answer:
-        """What to do by the verdict.
+        """The recommended next step.
 
-        To add what is named, to tell a class apart, to do nothing; where no effect is
-        named, what to measure, to try or to look at again.
+        Add the named effect, distinguish the effects of a class, or do nothing; if no
+        effect is named, what to measure, to try or to check.
         """
         return next_step(self.verdict, self.findings, self.analysis, self.data.units)
 
     @cached_property
     def separation(self) -> Separation | None:
-        """The experiment that would tell two effects of a tie apart.
+        """An experiment that distinguishes two effects of a class.
 
-        They are members of the class that is found; None where there is none.
+        The effects are members of the class that was found; None without a class.
 
         Raises:
             SolveError: the record itself cannot be simulated with both models.
@@ -212,18 +213,18 @@ class Diagnosis(Summarised):
         on: Sequence[str] | None = None,
         seed: int = 0,
     ) -> "LearnedForce":
-        """A stop-gap where nothing fits: a network for what one equation lacks.
+        """A temporary replacement if no effect fits: a network for the missing force.
 
         Args:
             equation: default: the one whose missing force is strongest.
-            on: variables of the force; default: the one that it depends on most.
+            on: variables of the force; default: the variable on which it depends most.
             seed: of the network's first weights.
 
         Raises:
             ModelError: a name is unknown, the equation is one of kinematics, or torch
                 is not installed.
             DataError: the record is too short to learn from.
-            SolveError: the physics could not be estimated beside the force.
+            SolveError: the parameters could not be estimated together with the force.
         """
         from phsi_opt.learning.learned_force import learned_force_of
 
@@ -253,7 +254,7 @@ class Diagnosis(Summarised):
         return plot_missing_force(along, self._forced, self.data.units, ax)
 
     def figure(self, equation: str | None = None) -> "Figure":
-        """Missing force over time and states, against what it follows, its spectrum.
+        """Missing force over time and states, its dependence, and its spectrum.
 
         Args:
             equation: state in whose equation the force acts; default: the one whose
@@ -312,9 +313,9 @@ def next_step(
     """
     if verdict == Verdict.NOTHING_MISSING:
         return Answer(
-            "Nothing: what is left looks like noise.",
-            "Check the model in other conditions of operation: these data confirm it "
-            "where they were taken.",
+            "Nothing: the residuals look like noise.",
+            "Check the model under other operating conditions; these data do not "
+            "cover them.",
         )
     if not findings:
         return step_without_name(analysis, units)
@@ -328,6 +329,6 @@ def next_step(
     if not apart:
         return Answer(f"Add {firsts}{again}.", HOW_TO_ADD)
     return Answer(
-        f"Tell {'; '.join(apart)} by an experiment; {PROPOSED_EXPERIMENT}.",
-        f"Until then, {firsts} may stand in the model{again}. {HOW_TO_ADD}",
+        f"Distinguish {'; '.join(apart)} by an experiment; {PROPOSED_EXPERIMENT}.",
+        f"Until then, you may use {firsts} in the model{again}. {HOW_TO_ADD}",
     )

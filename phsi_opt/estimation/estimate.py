@@ -219,8 +219,9 @@ class Estimate(ABC):
         warnings = [*self.task.aligned.notes, *self.notes]
         if self.removed:
             warnings.append(
-                "standard errors take the kept terms as given; the choice among them "
-                f"and the {len(self.removed)} removed ones is not in them"
+                "standard errors treat the selected terms as known; they do not "
+                f"include the uncertainty of the selection ({len(self.removed)} terms "
+                "were removed)"
             )
         warnings += map(self._bound_warning, self.solution.outcome.at_bounds)
         warnings += self.uncertainty.warnings
@@ -249,9 +250,9 @@ class Estimate(ABC):
         bound = parameter.nearest_bound(self.theta[place])
         side = "lower" if bound == parameter.lower else "upper"
         return (
-            f"{name} ended at its {side} bound {bound:g}, to which the data press it: "
-            "the model may lack something, or the bound is not right; it has no "
-            "standard error, and the others take it as known"
+            f"{name} is at its {side} bound {bound:g}; the data favour values beyond "
+            f"it. The model may be incomplete, or the bound wrong. {name} has no "
+            "standard error, and the other standard errors treat it as known"
         )
 
     def _model_error_rows(

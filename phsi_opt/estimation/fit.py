@@ -55,18 +55,18 @@ LONG_NUMBER = re.compile(r"(?<![\w.])\d+\.\d{7,}(?:e[+-]?\d+)?")
 class Fit(FitRecord, Summarised):
     """A fitted model: values, standard errors, solver's outcome and provenance.
 
-    ``print(fit)`` shows the equations with standard errors and what to know about them.
+    ``print(fit)`` shows the equations with standard errors, the outcome and warnings.
 
     - Numbers: ``parameters`` (a table), ``estimates``, ``std_errors``,
       ``intervals(level)``, ``correlations``, ``noise``, ``bic``.
     - Equations: ``equations()``, ``latex()``, ``sympy()``, ``casadi()``, all with the
       fitted numbers.
-    - Motion: ``simulate(t, x0, u)``; the fitted model itself is ``model``, that of one
-      trajectory ``model_of(trajectory)``.
+    - Simulation: ``simulate(t, x0, u)``; ``model`` is the fitted model,
+      ``model_of(trajectory)`` that of one trajectory.
     - Forms: ``print(fit)``, ``plot()``, ``plot_states(data)``, ``save(path)`` and
       ``Fit.load(path)``.
-    - Trust: ``outcome`` says how the solver ended, ``warnings`` what to know before the
-      numbers are used.
+    - Reliability: ``outcome`` says how the solver ended; read ``warnings`` before you
+      use the numbers.
 
     The attributes are those of `FitRecord`. A fit is never changed in place.
     """
@@ -74,11 +74,11 @@ class Fit(FitRecord, Summarised):
     def save(self, path: str | Path) -> None:
         """Write the fit as a JSON file that `load` reads.
 
-        The file holds numbers and formulas as text: model, values, covariance, outcome
-        and provenance, with every digit; not the estimated states.
+        The file contains numbers and formulas as text: model, values, covariance,
+        outcome and provenance, with all digits, but not the estimated states.
 
         Args:
-            path: Of the file, such as "fit.json". A file that is there is overwritten.
+            path: Of the file, such as "fit.json". An existing file is overwritten.
 
         Raises:
             DataError: The file cannot be written.
@@ -90,7 +90,8 @@ class Fit(FitRecord, Summarised):
     def load(cls, path: str | Path) -> "Fit":
         """Read a fit that `save` wrote.
 
-        No code from the file is ever run: formulas are read through a whitelist.
+        No code from the file is executed: formulas are parsed with a list of allowed
+            functions.
 
         Args:
             path: Of the file.
@@ -99,8 +100,8 @@ class Fit(FitRecord, Summarised):
             The fit, equal to the one that was saved but for ``states``, which is empty.
 
         Raises:
-            DataError: The file cannot be read, is of another format, is damaged, or
-                holds a formula that is not one.
+            DataError: The file cannot be read, has another format, is damaged, or
+                contains an invalid formula.
         """
         return read_json(path, FORMAT, "a fit", cls.from_content)
 
@@ -166,7 +167,7 @@ class Fit(FitRecord, Summarised):
         return replace(fit, uncertainty=Later.known(uncertainty))
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw how well every parameter is known: each estimate with its 95 % interval.
+        """Draw every estimate with its 95 % interval.
 
         Intervals are drawn in percent of the estimate's absolute value; the labels give
         the numbers with their units. Orange intervals reach beyond zero. A square marks
@@ -192,8 +193,8 @@ class Fit(FitRecord, Summarised):
     ) -> "Axes":
         """Draw measured and estimated states of one trajectory, a panel each.
 
-        The estimated states obey the model and the measurements alike; those of a free
-        run alone are in ``compare(fit, data).plot()``.
+        The estimated states depend on the model and on the measurements. ``compare(fit,
+        data).plot()`` shows the states of a free run.
 
         Args:
             data: The measurements of the fit.
@@ -237,8 +238,9 @@ class Fit(FitRecord, Summarised):
         """The states of the fit belong to these data."""
         if not self.states:
             raise DataError(
-                "the fit has no estimated states: a file does not keep them, and "
-                "PHSILoss estimates none. Call identify, or compare(fit, data).plot()."
+                "the fit has no estimated states: files do not contain them, and "
+                "PHSILoss does not estimate them. Call identify, or compare(fit, "
+                "data).plot()."
             )
         lengths = list(map(len, self.states))
         given = [run.n_samples for run in data.trajectories]

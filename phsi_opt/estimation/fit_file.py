@@ -153,7 +153,7 @@ def read_json(
     try:
         return from_content(content)
     except PhsiOptError as error:
-        raise DataError(f"{path} holds a model that is not valid: {error}") from None
+        raise DataError(f"{path} contains a model that is not valid: {error}") from None
     except DAMAGE as error:
         raise DataError(
             f"{path} is damaged: {type(error).__name__} {error}. "
@@ -167,7 +167,7 @@ def _content(path: str | Path, what: str) -> Any:
     except OSError as error:
         reason = why_not_read(error)
     except RecursionError:
-        reason = "its lists or mappings lie too deep in each other"
+        reason = "its lists or mappings are nested too deeply"
     except (TypeError, ValueError) as error:
         reason = str(error)
     raise DataError(f"{path} cannot be read as {what}: {reason}.")

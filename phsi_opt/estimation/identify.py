@@ -42,16 +42,15 @@ def identify(
     progress: Progress | None = None,
     executor: Executor | None = None,
 ) -> Fit:
-    """Find the parameters of ``model`` that explain ``data``.
+    """Estimate the parameters of ``model`` from ``data``.
 
-    A model without free parameters gets a fit without estimates (``names`` is empty,
-    ``covariance`` (0, 0)): states and noise are those by maximum likelihood, and the
-    fit can be compared and diagnosed as every other.
+    For a model without free parameters only states and noise are estimated, by maximum
+    likelihood (``names`` is empty, ``covariance`` is (0, 0)); the fit can be compared
+    and diagnosed as usual.
 
     Args:
-        model: what is known, with its free parameters.
-        data: measurements whose states and inputs are those of the model; or what
-            `AlignedData.of` made of them.
+        model: the model, with its free parameters.
+        data: measurements with the states and inputs of the model, or an `AlignedData`.
         loss: `PHSILoss` or `MaximumLikelihood` (default).
         l1: weight lambda of ``|coefficient|`` per slot, such as {"H": 0.1, "F": 0.01};
             a number stands for both.
@@ -61,16 +60,16 @@ def identify(
         settings: tolerance and limits of the solver.
         raise_on_failure: False returns the fit with an outcome that says what went
             wrong.
-        progress: called with a line of text as the work goes on, such as ``print``.
-        executor: where the points of ``MaximumLikelihood(starts=...)`` are solved side
-            by side (see `sweep`); None: here, one after the other. The numbers are the
-            same. It is not shut down.
+        progress: called with a line of text about the progress, such as ``print``.
+        executor: solves from the points of ``MaximumLikelihood(starts=...)`` in
+            parallel (see `sweep`); None: in this process, one after the other. The
+            numbers are the same. It is not shut down.
 
     Returns:
-        The estimates, with standard errors where they are known, and the outcome.
+        The estimates with standard errors (if available) and the outcome of the solver.
 
     Raises:
-        DataError: if model and data do not match, or the executor cannot compute.
+        DataError: if model and data do not match, or the executor is not valid.
         ModelError: for a model that cannot be solved.
         SolveError: if the solver fails.
 
@@ -137,15 +136,15 @@ def estimate_by(loss: Loss, task: Task, start: Fit | None) -> Estimate:
         return by_defects(task, loss, start)
     if not isinstance(loss, MaximumLikelihood):
         raise ModelError(
-            f"loss={loss!r} is not a loss that finds parameters; "
-            "expected PHSILoss() or MaximumLikelihood()."
+            f"loss={loss!r} is not a loss of identify; expected PHSILoss() or "
+            "MaximumLikelihood()."
         )
     is_debiased = task.pruning is not None and task.pruning.debias
     if loss.model_error and any(task.l1.values()) and not is_debiased:
         raise ModelError(
-            f"l1={dict(task.l1)!r} and model_error=True of MaximumLikelihood do not go "
-            "together: the estimate with a model error has no L1 term; leave l1 out, "
-            "or take it to choose terms, with pruning=Pruning()."
+            f"l1={dict(task.l1)!r} and model_error=True of MaximumLikelihood cannot "
+            "be combined: the estimate with a model error has no L1 term; leave l1 "
+            "out, or use it only to select terms, with pruning=Pruning()."
         )
     estimate = by_likelihood(LikelihoodProblem.of(task, loss), start)
     if not loss.model_error or not estimate.is_success:
@@ -179,7 +178,7 @@ def fit_of(fit: Fit | Model, data: Measurements, verb: str) -> Fit:
     if fit.free:
         raise ModelError(
             f"the model has free parameters ({', '.join(fit.free)}), so it must be "
-            f"fitted first: {verb}(identify(model, data), data). Where their values "
-            f"are known, fix them: {verb}(model.frozen(), data)."
+            f"fitted first: {verb}(identify(model, data), data). If their values are "
+            f"known, fix them: {verb}(model.frozen(), data)."
         )
     return identify(fit, data)

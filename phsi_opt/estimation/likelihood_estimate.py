@@ -381,7 +381,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     """
     began = time.perf_counter()
     task = plain.task
-    task.say("what acts beside the model")
+    task.say("estimating the model error")
     disturbances = plain.plain.search.found().disturbances
     search = plain.search(replace(plain.linearized(), linear_share=0.0))
     values = plain.likelihood
@@ -399,7 +399,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         # oscillator was off by 4 to 7 standard errors, after two by a thousandth.
         if is_settled and move < 0.1:
             break
-        task.say("parameters, states and forces together")
+        task.say("estimating parameters, states and forces together")
         problem = JointProblem(linearizer, disturbances, search.moving)
         before = problem.optimum(z, 0) if joint is None else joint
         joint = problem.tilted(before).optimum(z, most_steps=100)

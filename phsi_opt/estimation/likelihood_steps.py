@@ -261,8 +261,6 @@ def _noise_free_is_success(solution: Solution) -> Solution:
     holds = outcome.infeasibility <= 1e-8  # the solver's own tolerance
     if outcome.success or not is_noise_free or not holds:
         return solution
-    sentence = (
-        "the data are explained beyond the accuracy of numbers: they have no noise"
-    )
+    sentence = "the residuals are as small as rounding errors: the data have no noise"
     explained = replace(outcome, success=True, sentence=sentence, advice="")
     return replace(solution, outcome=explained)

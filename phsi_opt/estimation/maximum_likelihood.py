@@ -94,18 +94,18 @@ def _with_fine_steps(
             break
         most = int(np.max(np.concatenate(steps)))
         problem.task.say(
-            "integration error is visible in the estimates: "
-            f"{most} steps per sample at most"
+            f"the integration error affects the estimates: now up to {most} steps per "
+            "sample"
         )
         there = replace(StartingPoint.at(estimate, steps), is_optimum=True)
         estimate.release()
         finer = problem.solve(there)
         if not finer.is_success:
             note = (
-                "the steps of integration are too long for these estimates, which "
-                f"shift with them; with up to {most} between two samples it could not "
-                "be solved. A rate of the model is far above those that the record "
-                "shows: bound its parameters, or find what the model lacks (diagnose)"
+                "the integration steps are too long: the estimates depend on them, "
+                f"and with up to {most} steps per sample the solver failed. Probably "
+                "a rate of the model is much faster than the data: give its "
+                "parameters bounds, or diagnose the model"
             )
             return replace(estimate, notes=(*estimate.notes, note))
         estimate = replace(finer, notes=estimate.notes)

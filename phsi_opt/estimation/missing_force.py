@@ -330,10 +330,10 @@ def estimate_force(
             found = solved(found.point, 200)
         if _is_lost(found):
             raise SolveError(
-                "the missing force could not be estimated: no states obey the model "
-                f"beside a force (largest violation {found.violation:.2g} after "
-                f"{found.n_steps} steps); start from other values, or round what is "
-                "sharp in the model."
+                "the missing force could not be estimated: no states satisfy the "
+                f"model with a force (largest violation {found.violation:.2g} after "
+                f"{found.n_steps} steps); choose other starting values, or smooth "
+                "sharp corners in the model."
             )
         last = found.point
         # Sizes of the largest marginal likelihood at the solution.

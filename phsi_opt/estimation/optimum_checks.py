@@ -90,11 +90,11 @@ def residual_warnings(
         ratio, channel = _worst_ratio(estimate)
         if ratio >= 2:
             warnings.append(
-                f"the residuals of {channel} are {ratio:.1f} times what "
-                "neighbouring samples scatter: the model lacks something (diagnose), "
-                "outliers pull (let them count less: huber = 1.345 in [loss] of a "
-                "study file; in Python, ph.MaximumLikelihood(huber=1.345)), or there "
-                "are several optima (start the parameters elsewhere)"
+                f"the residuals of {channel} are {ratio:.1f} times the scatter of "
+                "neighbouring samples: the model is incomplete (diagnose it), there "
+                "are outliers (huber = 1.345 in [loss] of a study file; in Python, "
+                "ph.MaximumLikelihood(huber=1.345)), or this is not the best optimum "
+                "(choose other starting values)"
             )
     unresolved = unresolved_channels(data)
     for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():
@@ -105,14 +105,14 @@ def residual_warnings(
         if estimate.sigma[k] <= (1 + 1e-9) * least:
             at_least = f"{least:.2g} {unit}".rstrip()
             warnings.append(
-                f"the values of {name} are quantised in steps of {step}: at least "
-                f"{at_least} counts as noise"
+                f"the values of {name} are quantised in steps of {step}: the noise is "
+                f"taken as at least {at_least}"
             )
         if name in unresolved:
             warnings.append(
-                f"{name} moves by less than one of its steps of {step} (standard "
-                "deviation): the errors of its values follow the motion, so standard "
-                "errors are too small and a diagnosis names nothing"
+                f"the standard deviation of {name} is less than its quantisation step "
+                f"of {step}: rounding errors depend on the motion, so standard errors "
+                "are too small and a diagnosis names no effect"
             )
     return tuple(warnings)
 

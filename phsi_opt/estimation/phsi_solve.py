@@ -132,7 +132,7 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     used = complete_intervals(task.model, task.grid)
     if not np.any(used.y):
         raise DataError(
-            "every state is zero at every sample: no parameter follows from that; "
+            "every state is zero at every sample, so no parameter can be estimated; "
             "check that the columns are those of the measurements."
         )
     model = resolve_guesses(task.model, used, np.nan_to_num(used.y))

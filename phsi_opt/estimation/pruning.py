@@ -18,26 +18,24 @@ TERM_SLOTS = ("H", "R", "F")
 
 @dataclass(frozen=True)
 class Pruning:
-    """Remove terms that are too small, or that the data do not need, and solve again.
-
-    Until none is left to remove.
+    """Remove terms that are too small or not significant, and solve again, repeatedly.
 
     Args:
         threshold: terms with ``|coefficient| < threshold`` go (thesis Algorithm 6; 0:
             none).
-        slots: where terms may go (damping stays by default: a small damping is still
-            one).
-        debias: solve the last time without L1, which shrinks every coefficient that it
-            keeps. Significance needs it.
-        max_rounds: solves after which pruning ends, whatever is left.
-        significance: chance, over the whole dictionary, to keep any term whose true
-            coefficient is zero. Terms go while the data do not contradict that they are
-            zero: each by its own z-test at significance / number of terms (Bonferroni),
-            and those that go in one round also together, by Wald's chi-square test
-            (1943). None: size alone.
+        slots: slots from which terms may be removed (by default not R, since a small
+            damping is still a damping).
+        debias: solve the last time without L1, because L1 shrinks all coefficients.
+            Required for significance.
+        max_rounds: largest number of solves.
+        significance: probability, over the whole dictionary, of keeping any term whose
+            true coefficient is zero. Terms are removed as long as the data are
+            consistent with a zero coefficient: each by its own z-test at significance /
+            number of terms (Bonferroni), and the terms of one round also together, by
+            Wald's chi-square test (1943). None: threshold only.
 
     Raises:
-        ModelError: for a setting that means nothing.
+        ModelError: a setting is not valid.
     """
 
     threshold: float = 0.05

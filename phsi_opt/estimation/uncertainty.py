@@ -183,9 +183,9 @@ def silent_directions(
         return NOTHING_SILENT
     if not np.all(np.isfinite(covariance)):
         raise SolveError(
-            "the covariance of the estimates is beyond all numbers: the model's slopes "
-            "along its states are too steep; give parameters bounds, or start them "
-            "nearer to the truth."
+            "the covariance of the estimates overflows, because derivatives of the "
+            "model are too large; give the parameters bounds, or starting values "
+            "closer to the solution."
         )
     size = np.abs(theta[moving])
     sentences = []
@@ -276,10 +276,10 @@ def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
     """What may change together without a trace, and what to do about it."""
     if len(names) == 1:
         return (
-            f"the data say nothing about {names[0]}: "
-            "fix it to a known value or remove it"
+            f"the data contain no information about {names[0]}: fix it to a known "
+            "value or remove it"
         )
-    apart = f"the data cannot tell {', '.join(names)} apart: "
+    apart = f"the data cannot distinguish {', '.join(names)}: "
     if np.all(theta != 0):
         relative = change / theta
         size = np.abs(relative)
@@ -297,11 +297,12 @@ def _common_factor(names: list[str], relative: np.ndarray) -> str:
         return f"only {known} is identifiable; fix one of them to a known value"
     if np.all(with_first):
         return (
-            "a common factor of all leaves no trace; fix one of them to a known value"
+            "a common factor of all does not change the predictions; fix one of them "
+            "to a known value"
         )
     up = [name for name, is_up in zip(names, with_first, strict=True) if is_up]
     down = [name for name in names if name not in up]
     return (
-        f"{', '.join(up)} may be multiplied by a common factor, "
-        f"and {', '.join(down)} divided by it, without a trace; fix one of them"
+        f"multiplying {', '.join(up)} by a common factor and dividing "
+        f"{', '.join(down)} by it does not change the predictions; fix one of them"
     )

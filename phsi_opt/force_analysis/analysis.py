@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 # takes energy out; nearer to zero its direction is not clear.
 OPPOSING_POWER = -CLEAR_PATTERN
 
-VIBRATION_WORDS = "a vibration or an error of a sensor, rather than a law of the motion"
+VIBRATION_WORDS = "a vibration or a sensor error rather than a physical law"
 # What the rate of a momentum or a velocity is called, by its unit.
 RATES = {
     "N": "force on",

@@ -183,8 +183,8 @@ def _sure_title(force: EquationForce) -> str:
     is_inside = force.record.run == force.strongest_run
     is_sure = np.abs(force.w) > SURE_DEVIATIONS * force.deviation
     percent = f"{100 * np.mean(is_sure[is_inside]):.0f} %"
-    begin = f"{force.window.trajectory}: d{force.equation}/dt"
-    return f"{begin} surely lacks a force during {percent} of the time"
+    begin = f"{force.window.trajectory}, d{force.equation}/dt"
+    return f"{begin}: a force is significantly missing during {percent} of the time"
 
 
 def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
@@ -215,7 +215,7 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     level = uniform_filter1d(rough, size=9, mode="nearest") / force.scale.size
     curves = (
         Curve("missing force", frequencies, amplitudes, MODEL),
-        Curve("what its uncertainty explains", frequencies, level, MEASURED, "dash"),
+        Curve("explained by its uncertainty", frequencies, level, MEASURED, "dash"),
     )
     unit = frequency_unit(record.units)
     panel = Panel(force.force_label("amplitude"), curves, scale=FROM_ZERO)
@@ -225,8 +225,8 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     if len(visible) and len(amplitudes) > 1:
         ax.set_xlim(0, frequencies[min(visible[-1] + 1, len(amplitudes) - 1)])
     constant = is_mostly_constant(force.w)
-    what = "mostly constant; what varies" if constant else "the missing force"
-    seen = "nowhere above its uncertainty"
+    what = "mostly constant; its varying part" if constant else "the missing force"
+    seen = "nowhere larger than its uncertainty"
     is_above = amplitudes > level
     if is_above.any():
         above = Spectrum(frequencies[is_above], amplitudes[is_above])

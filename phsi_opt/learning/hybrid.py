@@ -236,13 +236,14 @@ class Hybrid(Identified):
 
     def __str__(self) -> str:
         last = self.convergence.iloc[-1]
-        ended = "stopped at the limit of turns, still moving"
+        ended = "stopped at the limit of alternations, not converged"
         if self.converged:
-            ended = "neither moves any more"
+            ended = "converged"
         turns = (
-            f"  {len(self.convergence)} turns with the network, {self.seconds:.1f} s: "
-            f"{ended} (last change of a coefficient {last['coefficient_change']:.1e}, "
-            f"of the force {last['force_change']:.1e})"
+            f"  {len(self.convergence)} alternations with the network, "
+            f"{self.seconds:.1f} s: {ended} (last change of a coefficient "
+            f"{last['coefficient_change']:.1e}, of the force "
+            f"{last['force_change']:.1e})"
         )
         return "\n".join([str(self.fit), *self.equations(), turns])
 

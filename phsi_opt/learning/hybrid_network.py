@@ -146,7 +146,8 @@ class TrainedForce:
             for name in self.variables:
                 if name in names:
                     raise DataError(
-                        f"the force depends on {name!r}; give {argument} beside x."
+                        f"the force depends on {name!r}; give {argument} together "
+                        "with x."
                     )
             return np.zeros(shape)
         if np.size(values) != shape[0] * shape[1]:

@@ -151,7 +151,7 @@ class LearnedForce:
             ax.plot(*samples.v[:, :2].T, ".", ms=2, color=BASELINE)
         share = "found nothing"
         if self.explains > 0:
-            share = f"explains {100 * self.explains:.0f} % of left-out stretches"
+            share = f"explains {100 * self.explains:.0f} % of held-out segments"
         ax.set_title(
             f"Learned {name}: {share};\nit does not extrapolate beyond the data"
         )
@@ -190,7 +190,7 @@ class LearnedForce:
             ranges.append(f"{name} {lower:.4g} to {upper:.4g}")
         return (
             f"learned force in d{self.equation}/dt, known for {', '.join(ranges)}: "
-            f"explains {self.explains:.2f} of what is missing"
+            f"explains {self.explains:.2f} of the missing force"
         )
 
 
@@ -209,7 +209,7 @@ def _from_content(content: dict[str, Any]) -> LearnedForce:
     network = Network(shift, spread, range_of(samples.v), "tanh", layers)
     network.check_sizes(len(on), 1)
     if len(samples.v) != len(samples.w):
-        raise DataError("its variables and forces are not of one length.")
+        raise DataError("its variables and forces differ in length.")
     explains = float(content["explains"])
     return LearnedForce(physics, equation, on, network, explains, samples)
 

@@ -71,8 +71,8 @@ class ForceSamples:
         row = model.index(equation, "equation of a learned force")
         if row not in estimate.rows:
             raise ModelError(
-                f"d{equation}/dt is kinematics and lacks no force; "
-                "learn it in the equation of a momentum."
+                f"d{equation}/dt is a kinematic equation, in which no force acts; "
+                "learn the force in the equation of a momentum."
             )
         if grid.n_intervals < 50:  # every stretch of time left out holds a few
             raise DataError(

@@ -51,18 +51,18 @@ from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
 
 
 def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
-    """The effects that apply to the model, each with the slot and equation it acts in.
+    """The effects that apply to the model, each with its slot and equation.
 
     The list prints as a table.
 
-    Those that the model has, or can do already, are left out. What is offered for a
-    state, and its name, follows from the state's kind; where that is unknown, losses
-    are offered under the names of bodies and of tanks, each law once.
+    Effects that the model contains or can represent are omitted. The kind of a state
+    decides which effects are offered, and their names; if it is unknown, losses have
+    the names that are usual for bodies and tanks, each law once.
 
     Args:
         model: the model.
-        units: of its states, as `Measurements.units`; they tell the kinds that the
-            model does not tell.
+        units: of its states, as `Measurements.units`; they determine kinds that the
+            model does not give.
 
     Examples:
         >>> effects = ph.catalogue(model, data.units)
@@ -155,8 +155,8 @@ def _not_in_catalogue(
     bare = replace(model, F={}, R={} if model.has_energy else model.R)
     if _called(name, equation, every_name(bare)):
         return (
-            f"the model has {name!r}{place} already, or can do the same by its own "
-            "terms; give another effect."
+            f"the model has {name!r}{place} already, or terms that can represent it; "
+            "choose another effect."
         )
     names = sorted({one.name for one in own if equation in (None, one.equation)})
     hint = did_you_mean(name, names)
@@ -365,8 +365,8 @@ class EffectChoice:
             for effect in considered:
                 if stands_in(model, effect):
                     raise ModelError(
-                        f"effect {str(effect)!r} in effects stands in the model "
-                        "already; leave it out."
+                        f"effect {str(effect)!r} in effects is in the model already; "
+                        "remove it from the list."
                     )
         without: list[Effect | str] = []
         for one in self.without:

@@ -31,8 +31,8 @@ class Effect:
         term: what it adds there.
         memory: further states that it needs, such as the lagged input, each with its
             rate of change.
-        family: the class in words that a diagnosis uses where its members cannot be
-            told apart, such as ``"a loss that grows with speed"``.
+        family: the name of its class, which a diagnosis uses if members of the class
+            cannot be distinguished, such as ``"a loss that grows with speed"``.
 
     Raises:
         ModelError: an unknown slot, or no term.
@@ -69,7 +69,7 @@ class Effect:
 
     @property
     def needs_clock(self) -> bool:
-        """Whether the time t stands in its terms, or in the rates of its memory."""
+        """Whether its terms, or the rates of its memory, contain the time t."""
         return any("t" in names_of(term.body) for term in self.terms)
 
     @property

@@ -103,9 +103,8 @@ def parse(text: str) -> ast.expr:
         _check(tree, text)
         if _n_bits(tree) > MAX_BITS:
             raise ModelError(
-                f"the whole numbers of formula {_shortened(text)!r} have too many "
-                "digits when its powers are multiplied out; write decimals, or lower "
-                "powers."
+                f"the integers in formula {_shortened(text)!r} have too many digits "
+                "when powers are expanded; write decimal numbers, or lower powers."
             )
     except SyntaxError as error:
         hint = " Write a power as **." if "^" in text else ""
@@ -115,7 +114,7 @@ def parse(text: str) -> ast.expr:
         ) from None
     except UnicodeError:
         raise ModelError(
-            f"formula {_shortened(text)!r} holds a sign that is no character of a text."
+            f"formula {_shortened(text)!r} contains a character that is not valid text."
         ) from None
     except (RecursionError, MemoryError):
         raise ModelError(
@@ -143,8 +142,9 @@ def _check(node: ast.AST, text: str, depth: int = 0) -> None:
             below = []
         case _:
             raise ModelError(
-                f"{_place(node, text)} is not allowed; a formula holds numbers, names, "
-                f"+ - * / **, brackets and the functions {', '.join(FUNCTIONS)}."
+                f"{_place(node, text)} is not allowed; a formula may contain numbers, "
+                "names, + - * / **, brackets and the functions "
+                f"{', '.join(FUNCTIONS)}."
             )
     for part in below:
         _check(part, text, depth + 1)
@@ -172,7 +172,7 @@ def _check_operator(node: ast.BinOp, text: str) -> None:
         exponent = _number(node.right, text) or 0.0
         if abs(exponent) > MAX_EXPONENT:
             raise ModelError(
-                f"the exponent in {_source(node, text)!r} is beyond {MAX_EXPONENT}; "
+                f"the exponent in {_source(node, text)!r} exceeds {MAX_EXPONENT}; "
                 "rescale the term."
             )
     # In floats a tower of powers overflows at once; in the whole numbers of SymPy it

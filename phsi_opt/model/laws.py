@@ -33,7 +33,7 @@ from phsi_opt.model.structure import Role
 from phsi_opt.model.terms import Dictionary, Term
 
 HYSTERESIS = "hysteresis"
-SECOND_STORAGE = "a storage that nobody measures"
+SECOND_STORAGE = "a storage that is not measured"
 
 # ---- parameters inside the bodies ----------------------------------------------------
 

@@ -45,13 +45,13 @@ def built_of(formulas: Hashable) -> dict[Hashable, object]:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Model(BaseModel, Summarised):
-    """What every model can do. See `PseudoHamiltonian` and `FirstOrder`.
+    """Base class of `PseudoHamiltonian` and `FirstOrder`.
 
-    ``sensor`` holds, per state, what its sensor adds to it: measured = state + sensor
-    terms, such as an offset ``formula("b", b=Parameter(0.0))`` or a gain
+    ``sensor`` contains the error terms of the sensors by state: measured = state +
+    sensor terms, such as an offset ``formula("b", b=Parameter(0.0))`` or a gain
     ``formula("(g - 1)*q", g=Parameter(1.0))``. ``memory`` names the states that are the
-    memory of an effect (a lag, a hysteresis): their equations stand in F and the
-    measurements need not know them.
+    memory of an effect (a lag, a hysteresis): their equations are in F, and the
+    measurements need not contain them.
     """
 
     def _summary(self) -> Summary:
@@ -76,8 +76,8 @@ class Model(BaseModel, Summarised):
             return super().add(effect_named(self, effect, equation))
         if not isinstance(effect, Effect):
             raise ModelError(
-                f"{effect!r} is not an effect; give an Effect, or the name of one and "
-                "its equation, such as model.add('coulomb friction', 'p')."
+                f"{effect!r} is not an effect; give an Effect, or the name and the "
+                "equation of an effect, such as model.add('coulomb friction', 'p')."
             )
         if equation not in (None, effect.equation):
             raise ModelError(
@@ -177,23 +177,23 @@ class PseudoHamiltonian(Model):
     Args:
         states: names of the states.
         S: (n_states, n_states) matrix, see `canonical`.
-        H: dictionary of the states alone.
+        H: dictionary of terms in the states.
         R: per equation, the terms of the diagonal entry R_ii(x) >= 0; the loss is
             R_ii dH/dx_i.
         F: per equation, terms in the states, inputs, efforts (``dH_dp``) and the time
             ``t``.
         inputs: names of the measured inputs.
-        sensor: per measured state, what its sensor adds to it, such as an offset; terms
-            as in F.
+        sensor: per measured state, the error that its sensor adds, such as an offset;
+            terms as in F.
         memory: the states that are the memory of an effect.
         kind: what the states are: ``"mechanical"``, ``"hydraulic"``, ``"electrical"``
             or ``"thermal"``; or by state, such as ``{"T1": "thermal"}``. It decides
-            which effects `catalogue` offers and what they are called. Positions and
-            momenta are mechanical unless told.
+            which effects `catalogue` offers, and their names. Positions and momenta are
+            mechanical by default.
 
     Raises:
         ModelError: unknown names, a matrix that is not skew-symmetric, a term that
-            occurs twice, or a kind that there is not.
+            occurs twice, or an unknown kind.
 
     Examples:
         >>> spring = ph.PseudoHamiltonian(
@@ -215,8 +215,8 @@ class PseudoHamiltonian(Model):
         super().__post_init__()
         if not self.H.terms:
             raise ModelError(
-                "H has no term, so no energy flows; "
-                "give it a formula or dictionary, or use FirstOrder."
+                "H has no term, so the model has no energy; give it a formula or "
+                "dictionary, or use FirstOrder."
             )
 
 
@@ -235,15 +235,16 @@ class FirstOrder(Model):
         F: per equation, terms in the states, inputs and the time ``t``.
         inputs: names of the measured inputs.
         R: per equation, the terms of R_ii(x) >= 0.
-        sensor: per measured state, what its sensor adds to it.
+        sensor: per measured state, the error that its sensor adds.
         memory: the states that are the memory of an effect.
         kind: what the states are, as in `PseudoHamiltonian`.
-        S: none; here for `dataclasses.replace`, which passes all fields on.
-        H: none; as S.
+        S: must be empty; it is an argument because `dataclasses.replace` passes all
+            fields.
+        H: must be empty, as S.
 
     Raises:
-        ModelError: unknown names, a term that occurs twice, an S or an H, or a kind
-            that there is not.
+        ModelError: unknown names, a term that occurs twice, an S or an H, or an unknown
+            kind.
 
     Examples:
         >>> outflow = ph.formula("u - a*sqrt(h)", a=ph.Parameter(0.2, lower=0))
@@ -281,5 +282,5 @@ class FirstOrder(Model):
 
     @property
     def has_energy(self) -> bool:
-        """False, for the efforts are the states."""
+        """False, because the efforts are the states."""
         return False

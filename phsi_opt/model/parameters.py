@@ -72,16 +72,16 @@ class Parameter:
     """A named number of the model.
 
     Args:
-        value: the start, or the value itself if ``fixed``; None lets the data choose
-            the start (by ``guess``, otherwise zero).
-        lower: least value; bounds are kept by the solver.
-        upper: largest value.
-        unit: text that is printed, such as ``"N/m"``.
+        value: the starting value, or the value itself if ``fixed``; None: the starting
+            value comes from the data (by ``guess``) or is zero.
+        lower: lower bound, which the solver respects.
+        upper: upper bound.
+        unit: for tables and reports, such as ``"N/m"``.
         fixed: whether the value is known and not estimated.
-        guess: how the start is found in the data.
-        per_trajectory: whether every trajectory has a value of its own, such as a load
-            that changes between runs; other parameters are shared by all. On runs that
-            were not fitted it is estimated as starting states are (see ``compare``).
+        guess: rule that takes the starting value from the data.
+        per_trajectory: whether every trajectory has its own value, such as a load that
+            changes between runs. On runs that were not fitted, the value is estimated
+            like the starting states (see ``compare``).
 
     Raises:
         ModelError: a value that is not finite or outside the bounds, crossed bounds, or
@@ -127,8 +127,8 @@ class Parameter:
             )
         if self.per_trajectory and isinstance(self.guess, Scan):
             raise ModelError(
-                "a scanned frequency is one for all trajectories; "
-                "give one per trajectory a value."
+                "a scanned frequency is common to all trajectories; with "
+                "per_trajectory=True give a starting value instead of Scan."
             )
         if self.fixed and self.value is None and self.guess is None:
             raise ModelError(
@@ -139,7 +139,7 @@ class Parameter:
         return short_repr(self)
 
     def nearest_bound(self, value: float) -> float:
-        """The bound at which an estimate ended: a solver stops a hair beside it."""
+        """The bound at which an estimate ended; a solver stops slightly next to it."""
         bounds = [one for one in (self.lower, self.upper) if np.isfinite(one)]
         return min(bounds, key=lambda bound: abs(value - bound), default=value)
 

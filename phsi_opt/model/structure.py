@@ -252,7 +252,7 @@ class Role(StrEnum):
     TANK = "a level, a volume or a pressure"
     COIL = "a flux: the momentum of an electrical pair"
     CAPACITOR = "a charge: the position of an electrical pair"
-    CIRCUIT = "a charge, flux, current or voltage, it is not known which"
+    CIRCUIT = "a charge, flux, current or voltage (not known which)"
     HEAT = "a temperature or heat"
     UNKNOWN = "a speed or a storage of an unknown kind"
 

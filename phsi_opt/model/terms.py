@@ -119,9 +119,9 @@ class Dictionary:
             key = (term.body, term.name)
             if not term.is_formula and key in known:
                 raise ModelError(
-                    f"term {term.body!r} stands in the dictionary twice, "
-                    "so its coefficients cannot be told apart; "
-                    "keep one (several frequencies: trigonometric('t', n=2))."
+                    f"term {term.body!r} is in the dictionary twice, so its two "
+                    "coefficients cannot be distinguished; keep one (several "
+                    "frequencies: trigonometric('t', n=2))."
                 )
             known.add(key)
 
@@ -147,13 +147,14 @@ def formula(expression: str, **parameters: Parameter | float) -> Dictionary:
     """A term written as text: ``formula("k*q**2/2", k=Parameter(1.0, lower=0))``.
 
     Args:
-        expression: the text, read through a whitelist (see ``expressions``). Inside F
-            and R the efforts dH/dx are known as ``dH_dq`` and so on.
-        **parameters: the names that are parameters; a plain number is a known, fixed
-            value.
+        expression: the text, parsed with a list of allowed functions (see
+            ``expressions``). In F and R the efforts dH/dx are called ``dH_dq`` and so
+            on.
+        ***parameters: the parameters by name; a number is a fixed value.
 
     Raises:
-        ModelError: the text cannot be read, or lacks one of the parameters.
+        ModelError: the text cannot be parsed, or does not contain one of the
+            parameters.
 
     Examples:
         >>> spring = ph.formula("k*q**2/2", k=ph.Parameter(1.0, lower=0, unit="N/m"))
@@ -171,7 +172,7 @@ def _parameter(value: Parameter | float) -> Parameter:
 def polynomials(
     variables: str | Iterable[str], degree: int, constant: bool = False
 ) -> Dictionary:
-    """All monomials of total degree 1 to ``degree``, with a coefficient each.
+    """All monomials of total degree 1 to ``degree``, each with a coefficient.
 
     Args:
         variables: one name, or several.
@@ -190,8 +191,8 @@ def polynomials(
     require_count("polynomials: degree", degree)
     if degree > MAX_EXPONENT:
         raise ModelError(
-            f"degree={short_number(degree)} of polynomials is beyond {MAX_EXPONENT}; "
-            "rescale the variables and take a lower degree."
+            f"degree={short_number(degree)} of polynomials exceeds {MAX_EXPONENT}; "
+            "rescale the variables and choose a lower degree."
         )
     n_terms = comb(len(names) + degree, degree)
     _check_number_of_terms(
@@ -215,16 +216,16 @@ def _monomial(factors: Sequence[str]) -> str:
 def trigonometric(
     variables: str | Iterable[str] = "t", n: int = 1, frequency: float | None = None
 ) -> Dictionary:
-    """``n`` pairs a sin(omega x) + b cos(omega x) with a free frequency each.
+    """``n`` pairs a sin(omega x) + b cos(omega x), each with a free frequency.
 
-    The amplitude sqrt(a^2 + b^2) and the phase atan2(b, a) are free; the pair is the
-    form in which the phase has no needle to miss.
+    The amplitude sqrt(a^2 + b^2) and the phase atan2(b, a) are free; in this form the
+    model is linear in a and b.
 
     Args:
         variables: one name x, or several, each of which gets its pairs.
         n: number of pairs per variable.
-        frequency: start of omega, in rad per unit of the variable; without it the start
-            comes from a scan over the data.
+        frequency: starting value of omega, in rad per unit of the variable; default:
+            from a scan over the data.
 
     Raises:
         ModelError: names that cannot be used, n below 1, or more than 5000 terms.
@@ -252,8 +253,8 @@ def trigonometric(
 def _check_number_of_terms(n_terms: int, what: str = "a dictionary") -> None:
     if n_terms > LARGEST_DICTIONARY:
         raise ModelError(
-            f"{what} would have {short_number(n_terms)} terms; "
-            f"at most {LARGEST_DICTIONARY} are possible. Take fewer."
+            f"{what} would have {short_number(n_terms)} terms; at most "
+            f"{LARGEST_DICTIONARY} are allowed. Choose a smaller dictionary."
         )
 
 
@@ -288,6 +289,6 @@ def _variables(*variables: str | Iterable[str]) -> list[str]:
             )
     if not names or len(set(names)) != len(names):
         raise ModelError(
-            f"variables {names!r} must be at least one name, and each only once."
+            f"variables {names!r} must contain at least one name, and no name twice."
         )
     return names

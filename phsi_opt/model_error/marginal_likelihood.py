@@ -39,8 +39,8 @@ from phsi_opt.statistics import TINY
 EVERY = slice(None)
 NOTHING_HELD = np.zeros(0, dtype=int)
 LOST_TO_ROUNDING = (
-    "the information about the parameters is lost to rounding: noise and model error "
-    "are too far apart in size."
+    "the information about the parameters is lost in rounding errors: noise and "
+    "model error differ too much in size."
 )
 # Numbers that are held at once while the linearised problem is solved: 240 MB.
 MOST_SOLVED = 3e7

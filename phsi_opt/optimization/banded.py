@@ -96,8 +96,9 @@ class Banded:
         )
         if info > 0:
             raise SolveError(
-                "the optimality system is singular: a state may neither be measured "
-                "nor act on one that is; measure it, or take it out of the model."
+                "the optimality system is singular: probably a state is not measured "
+                "and does not act on a measured one. Measure it, or remove it from "
+                "the model."
             )
 
     def solve(self, right: np.ndarray, is_transposed: bool = False) -> np.ndarray:

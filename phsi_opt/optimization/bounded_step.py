@@ -146,9 +146,9 @@ def regularized_inverse(
     """
     if not np.all(np.isfinite(information)):
         raise SolveError(
-            "the model's slopes along its states are beyond all numbers, so that no "
-            "parameter has a standard error; give parameters bounds, or start them "
-            "nearer to the truth."
+            "the derivatives of the model with respect to its states overflow, so no "
+            "standard errors can be computed; give the parameters bounds, or "
+            "starting values closer to the solution."
         )
     values, vectors = np.linalg.eigh(information)
     least = max(RIDGE, ROUNDED_RIDGE * float(np.max(values, initial=0.0)))

@@ -29,7 +29,7 @@ SOLVERS = ("auto", "ipopt")
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """How hard to try: tolerance on the scaled optimality conditions, and limits.
+    """Settings of the solver: tolerance and limits.
 
     Args:
         tolerance: of the scaled optimality conditions, as IPOPT's ``tol``.
@@ -37,14 +37,14 @@ class SolverSettings:
         max_seconds: wall time of one solve, in s. Infinite by default: with a finite
             limit the result may depend on the load of the machine.
         show: whether IPOPT prints its iterations.
-        thorough: False: no windows where the whole record fails, and no finer steps
-            than those of the start.
-        solver: "auto" takes the faster Gauss-Newton steps for a likelihood where they
-            lead to an optimum; "ipopt" solves the same nonlinear program by IPOPT
-            alone, as a reference. The PHSI loss is IPOPT's in any case.
+        thorough: False: do not try windows of the record if the whole record fails, and
+            do not refine the integration steps.
+        solver: "auto" uses fast Gauss-Newton steps for a likelihood if they reach an
+            optimum; "ipopt" solves the same nonlinear program by IPOPT only, as a
+            reference. The PHSI loss is always solved by IPOPT.
 
     Raises:
-        ModelError: a limit that is no number above zero, or an unknown solver.
+        ModelError: a limit that is not a positive number, or an unknown solver.
     """
 
     tolerance: float = 1e-8
@@ -72,7 +72,7 @@ DIRECT_STEPS = "Direct_Steps"  # status of full Gauss-Newton steps
 TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded")
 OTHERWISE = "Start from other values, or use more steps per sample."
 FOUND = "a local optimum was found"
-STALLED = "the steps stalled before an optimum"
+STALLED = "the steps became too small before an optimum was reached"
 
 # What IPOPT's return statuses mean but for its limits of time, and what to do.
 USABLE = {
@@ -88,7 +88,7 @@ FAILURES = {
         "Check signs and bounds of the model, or start from other values.",
     ),
     "Search_Direction_Becomes_Too_Small": (
-        "the iteration stalled before an optimum",
+        "the iteration stalled before an optimum was reached",
         "A term may not be smooth enough; widen its transition or use more steps per "
         "sample.",
     ),
@@ -97,9 +97,9 @@ FAILURES = {
         "Bound the parameters; the model may be unstable.",
     ),
     "Maximum_Iterations_Exceeded": (
-        "the iteration limit was reached before an optimum",
-        "Give starting values nearer to the solution (start in [parameters] of a study "
-        "file), or allow more iterations (in Python, "
+        "the iteration limit was reached before an optimum was found",
+        "Choose starting values closer to the solution (start in [parameters] of a "
+        "study file), or allow more iterations (in Python, "
         "ph.SolverSettings(max_iterations=...)).",
     ),
     "Restoration_Failed": ("no feasible states could be found", OTHERWISE),
@@ -119,7 +119,7 @@ FAILURES = {
 def words_of_ipopt(status: str, max_seconds: float) -> tuple[str, str]:
     """What IPOPT's return status means, and what to do, for a limit of time in s."""
     if status in TIME_LIMITS:
-        sentence = f"the time limit of {max_seconds:g} s ended the solve"
+        sentence = f"the time limit of {max_seconds:g} s was reached"
         more_time = "allow more time (ph.SolverSettings(max_seconds=...))."
         return sentence, f"Use fewer samples, or {more_time}"
     unknown = (f"the solver stopped: {status}", "Try other starting values.")
@@ -177,7 +177,10 @@ class Outcome:
         return text
 
 
-SETTLED_AT_KINK = "the iterates settled at a kink of the model, where no slope vanishes"
+SETTLED_AT_KINK = (
+    "the iterates converged to a point where the model is not "
+    "differentiable and the gradient is not zero"
+)
 AT_BOUND = 1e-6  # scaled distance up to which a parameter is at its bound
 
 

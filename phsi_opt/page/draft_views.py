@@ -78,7 +78,7 @@ STEP_FIELD = Field(
     "step", "time between lines", "14em", "no column has the times", REAL
 )
 THINNED_FIELD = Field(
-    "thinned", "samples that become their mean", "17em", "each by itself", WHOLE
+    "thinned", "number of samples to average", "17em", "each by itself", WHOLE
 )
 HELD_OUT_FIELDS = {
     SHARE: (Field("share", "share", "8em", "0.3", REAL),),
@@ -123,9 +123,9 @@ class DataView:
     def _rejected(self, e: events.GenericEventArguments) -> None:
         named = [f"{one['name']} ({in_megabytes(one['size'])})" for one in e.args]
         self.session.upload_error = (
-            f"{', '.join(named)} was not taken: only tables ({', '.join(TABLE_KINDS)}) "
-            f"of at most {in_megabytes(MOST_UPLOADED)}, and at most {MOST_FILES} of "
-            "them, are."
+            f"{', '.join(named)} was rejected: the page accepts tables "
+            f"({', '.join(TABLE_KINDS)}) of at most {in_megabytes(MOST_UPLOADED)}, up "
+            f"to {MOST_FILES} of them."
         )
         self.session.shape += 1
 
@@ -143,7 +143,7 @@ class DataView:
         with card():
             found = self.session.complaints
             of_data = [one for one in found if one.key.split(".")[0] in DATA_SECTIONS]
-            complaints(of_data, "The data can be used.")
+            complaints(of_data, "The data are valid.")
             button("Next: the model", self.go_on)
 
     @ui.refreshable_method
@@ -169,7 +169,7 @@ class DataView:
             text_fields(data.settings, [THINNED_FIELD], self.checked)
         with card():
             heading("Held out")
-            ui.label("Kept from fitting, to judge by.").classes("faint")
+            ui.label("Held-out data: used for tests, not for fitting.").classes("faint")
             self.held_out()
 
     def _column(self, data: DataDraft, column: ColumnDraft) -> None:
@@ -207,7 +207,7 @@ class DataView:
             await self.checked()
 
         with ui.element("div").classes("fields"):
-            choice("what is held out", HELD_OUT_WAYS, data.way, set_way)
+            choice("held-out data", HELD_OUT_WAYS, data.way, set_way)
             if data.way == RUNS:
                 held_out = set(listed(data.held_out.get("runs", ())))
                 field = ui.select(
@@ -276,7 +276,7 @@ class ModelView:
         """The base models to begin with."""
         with card():
             heading("Base model")
-            ui.label("What is known of the machine. Pick one, then change it below.")
+            ui.label("Choose a base model of the machine, then edit it below.")
             with ui.element("div").classes("tiles"):
                 for number, base in enumerate(GALLERY.values()):
                     self._tile(f"base-{number}", base)
@@ -307,7 +307,7 @@ class ModelView:
         if self.session.failure:
             alert(self.session.failure)
         if self.session.complaints or not self.session.failure:
-            complaints(self.session.complaints, "Model and data can be used.")
+            complaints(self.session.complaints, "Model and data are valid.")
         for name in unknown_names(self._draft):
             add = partial(self._add_parameter, name)
             button(f"Make {name} a parameter", add, quiet=True)
@@ -410,7 +410,7 @@ class ModelView:
             removing = ui.button("Remove", on_click=remove).props("flat")
             removing.props["aria-label"] = f"Remove {name}"
             if one.is_assumed:
-                said = f"{one.words} is an assumption: give yours."
+                said = f"{one.words} is an assumption: enter your value."
                 note = ui.label(said).classes("bad w-full").style(STAYING_PLACE)
                 note.bind_text_from(one, "is_assumed", lambda it: said if it else "")
 

@@ -315,12 +315,12 @@ def refusal_of(name: str, n_bytes: int) -> str:
         return f"the name {shown} has control characters; expected letters."
     if suffix_of(name) not in TABLE_KINDS:
         kinds = ", ".join(TABLE_KINDS)
-        return f"{shown} does not end as a table does; expected {kinds}."
+        return f"{shown} is not a table by its ending; expected {kinds}."
     if n_bytes > MOST_UPLOADED:
         return (
             f"{name} has {in_megabytes(n_bytes)}; at most "
-            f"{in_megabytes(MOST_UPLOADED)} are taken. Keep every tenth sample, or "
-            "work on the file from Python."
+            f"{in_megabytes(MOST_UPLOADED)} are accepted. Keep every tenth sample, or "
+            "read the file in Python."
         )
     return ""
 

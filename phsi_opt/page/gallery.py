@@ -81,8 +81,8 @@ def left_over(data: DataDraft, title: str, units: Mapping[str, str]) -> str:
     verb = "fits" if len(left) == 1 else "fit"
     columns, states = map(_with_units, (left, units.items()))
     return (
-        f"{columns} {verb} no state of {title} ({states}) by its unit and is not used; "
-        "part 1 can say otherwise."
+        f"{columns} {verb} no state of {title} ({states}) by its unit and is not "
+        "used; you can change this in part 1."
     )
 
 

@@ -29,10 +29,12 @@ READING = ("GET", "HEAD")
 SOCKET = "/_nicegui_ws"
 # Where NiceGUI puts what belongs to one page that was loaded, such as its uploads.
 OF_CLIENT = re.compile(r"/_nicegui/client/([^/]+)/")
-OTHER_SITE = "This request comes from another site; only the page's own are taken."
+OTHER_SITE = (
+    "This request comes from another site; only requests of this page are accepted."
+)
 OTHER_BROWSER = (
-    "This request has not the cookie of the browser that loaded the page; load the "
-    "page again, with cookies allowed."
+    "This request lacks the cookie of the browser that loaded the page; allow "
+    "cookies and load the page again."
 )
 # A link of another site comes without the cookie. Loaded again from here, it has it.
 LOAD_AGAIN = (

@@ -140,20 +140,21 @@ FIELD_NAMES = (
 # Advice of the study file's reader that names its sections, and the page's own.
 ADVICE = (
     (
-        r"A parameter stands in the section \[parameters\]: .*",
+        r"Define parameters in the section \[parameters\]: .*",
         "Correct the name, or make it a parameter below.",
     ),
     (
-        r"the model has it: give \{ column = \"\.\.\.\" \}.*?measured = false \}\.",
-        "the model has it: choose a column for it, or that it is not measured.",
+        r"the model has this name: give \{ column = \"\.\.\.\" \}"
+        r".*?measured = false \}\.",
+        "it is in the model: choose its column, or mark it as not measured.",
     ),
     (
-        r"the model has it: give \{ column = \"\.\.\.\" \}\.",
-        "the model has it: choose a column for it.",
+        r"the model has this name: give \{ column = \"\.\.\.\" \}\.",
+        "it is in the model: choose its column.",
     ),
     (
         r"a fixed parameter needs a value: .*",
-        "a value that is known needs its number, such as 2.5.",
+        "enter the known value, such as 2.5.",
     ),
     (
         r"the names of the (states|inputs), such as \[\"(.+?)\", \"(.+?)\"\]\.",

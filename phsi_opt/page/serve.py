@@ -168,8 +168,8 @@ class Sessions:
         empty = [key for key, one in self._by_key.items() if one.is_empty]
         if not empty:
             raise DataError(
-                f"this page holds {MOST_SESSIONS} studies, and no more at once. Try "
-                "again when somebody has ended one: Menu, Begin again."
+                f"this page allows {MOST_SESSIONS} studies at a time. Try again when "
+                "another user has ended a study (Menu, Begin again)."
             )
 
         def age(key: str) -> tuple[bool, float]:

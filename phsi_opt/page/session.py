@@ -38,8 +38,8 @@ WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 REPORT_FILE = "report.html"
-LOOKING = "looking for what is missing"
-NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
+LOOKING = "diagnosing"
+NO_TABLE = Complaint("data.files", "", "there is no table yet; upload a file.")
 
 
 @dataclass
@@ -218,7 +218,7 @@ class Session:
             if headers[0] != headers[1]:
                 why = "has other columns"
             elif {at.parent for at in known.places.values()} != {self._uploads}:
-                why = "is a table of its own"  # those known are a study file's
+                why = "is a separate table"  # those known are a study file's
         if known is not None and not why:
             others = {one: at for one, at in known.places.items() if one != name}
             known.look_again({**others, name: place})
@@ -226,7 +226,7 @@ class Session:
             self.draft.data = data
         if known is not None and why:
             replaced = ", ".join(known.files)
-            self.message = f"{name} {why}: it takes the place of {replaced}."
+            self.message = f"{name} {why}: it replaces {replaced}."
         self.check()
 
     def remove_file(self, name: str) -> None:
@@ -312,7 +312,9 @@ class Session:
     def fit(self) -> None:
         """Fit the draft, and ask what it lacks."""
         if self.check():
-            self.message = "The draft cannot be fitted yet; see what is to correct."
+            self.message = (
+                "The draft cannot be fitted yet; correct the listed mistakes."
+            )
             return
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
@@ -331,7 +333,7 @@ class Session:
 
     def diagnose(self) -> None:
         """Ask what the present model lacks."""
-        self._order("Looking for what is missing", Order(Verb.DIAGNOSE))
+        self._order("Diagnosing", Order(Verb.DIAGNOSE))
 
     def add(self, effect: str) -> None:
         """Add an effect of the ranking, re-fit, and ask again."""
@@ -339,11 +341,13 @@ class Session:
 
     def undo(self) -> None:
         """Take back the last step."""
-        self._order("Taking back the last step", Order(Verb.UNDO))
+        self._order("Undoing the last step", Order(Verb.UNDO))
 
     def auto(self) -> None:
         """Add while an effect is decisive."""
-        self._order("Adding until nothing is left", Order(Verb.AUTO), n_diagnoses=2)
+        self._order(
+            "Adding effects until none is missing", Order(Verb.AUTO), n_diagnoses=2
+        )
 
     def report(self) -> None:
         """Write the report; ``report_path`` is set when it is there."""
@@ -355,9 +359,9 @@ class Session:
         """End the work that goes on, within two seconds; what was found stays."""
         if self.job is None:
             return
-        message = f"Cancelled: {self.job.label}. What was found until then is kept."
+        message = f"Cancelled: {self.job.label}. Results obtained before are kept."
         if self.job.done and self.job.is_shown:
-            message = f"{self.job.done}; the search for what is missing was cancelled."
+            message = f"{self.job.done}; the diagnosis was cancelled."
         self._end_worker()
         self.message = message
         self._ready_worker()
@@ -431,9 +435,9 @@ class Session:
         elif message is None:  # it ended by itself, for want of memory perhaps
             if self.job is not None:
                 self.message = (
-                    "The process that was at work ended unexpectedly "
-                    f"({self.job.label}). What was found before is kept; try again, "
-                    "with fewer samples if memory is short."
+                    f"The worker process ended unexpectedly ({self.job.label}). "
+                    "Earlier results are kept; try again, with fewer samples if "
+                    "memory is short."
                 )
             self._end_worker()
         self.version += 1

@@ -105,12 +105,12 @@ class Shell:
                     on_click=lambda value=value: self._dark.set_value(value),
                 )
             ui.separator()
-            ui.menu_item("Begin again: forget this study", self._ask_to_begin_again)
+            ui.menu_item("Begin again: delete this study", self._ask_to_begin_again)
 
     def _ask_to_begin_again(self) -> None:
         """Ask first: there is no way back."""
         with ui.dialog() as dialog, ui.column().classes("card gap-3"):
-            heading("Forget this study?")
+            heading("Delete this study?")
             ui.label("Its table, model and results are deleted from this page.")
             with ui.row():
                 button("Keep it", dialog.close)
@@ -217,12 +217,12 @@ def _what_next(session: Session) -> str:
     if session.content is not None:
         return READY
     if session.draft.data is None:
-        return "Begin with the measurements: part 1."
+        return "Start with the measurements: part 1."
     if not session.draft.model.names("states"):
         return "Next, the model: part 2."
     if session.complaints:
-        return f"Open: {len(session.complaints)}; part 2 says what."
-    said = "Data and model can be used: press Fit."
+        return f"Still to correct: {len(session.complaints)}, see part 2."
+    said = "Data and model are valid: press Fit."
     parameters = session.draft.model.parameters
     assumed = [one.words for one in parameters if one.is_assumed]
     if assumed:

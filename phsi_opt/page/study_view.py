@@ -36,16 +36,16 @@ FOCUS_ON = """setTimeout(() => {
 }, 400)"""
 ADD_ALL = "Add effects automatically until the error reaches noise"
 BAR = (
-    "A bar is the error that would be left with the effect; a full bar is the error "
-    "of the present model, and the mark in it is the noise floor."
+    "A bar is the error that would remain with the effect; a full bar is the error "
+    "of the present model, and its mark is the noise floor."
 )
 HOW_TO_LOOK = (
-    "Click into a chart to see the missing force there; drag to zoom, double-click to "
-    "see all."
+    "Click in a chart to see the missing force at that time; drag to zoom, "
+    "double-click to reset."
 )
 STALE = (
-    "Data or model have changed since this was fitted. What follows is of the model as "
-    "it was."
+    "Data or model have changed since the last fit. The results below belong to the "
+    "previous model."
 )
 # Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
 # chosen: nested lists in the configuration make plotly's ``react`` draw without end.
@@ -117,11 +117,11 @@ class StudyView:
                     self._ranking(content, content.present)
 
     def _nothing_yet(self) -> None:
-        said = "Data and model can be used: press Fit, below."
+        said = "Data and model are valid: press Fit, below."
         if self._session.job is not None:
-            said = "The first results come in a moment."
+            said = "The first results will appear soon."
         elif self._session.complaints:
-            said = "Give the measurements and the model first: parts 1 and 2."
+            said = "Enter the measurements and the model first: parts 1 and 2."
         with card():
             heading("Nothing is fitted yet")
             if self._session.message:
@@ -132,7 +132,7 @@ class StudyView:
         diagnosed = content.present
         if diagnosed is None:
             said_by("not_asked", content.steps[-1], content.unit)
-            self._begins("Look for what is missing", self._session.diagnose, False)
+            self._begins("Diagnose", self._session.diagnose, False)
             return
         said_by("verdict", content)
         if content.warning:
@@ -172,7 +172,7 @@ class StudyView:
                 unit = content.time.unit
                 t = self._look.t
                 self._field = ui.number(
-                    f"look at the time ({unit})" if unit else "look at the time",
+                    f"show the time ({unit})" if unit else "show the time",
                     value=None if t is None else float(f"{t:.6g}"),
                     on_change=lambda e: self._look_at(e.value),
                 )
@@ -213,7 +213,7 @@ class StudyView:
         if t is None or not run.holds(t):
             return None
         is_worst = self._look.is_of(self._session.content)
-        return t, "worst moment" if is_worst else "the time looked at"
+        return t, "worst moment" if is_worst else "the time shown"
 
     @ui.refreshable_method
     def overlay(self) -> None:
@@ -301,7 +301,7 @@ class StudyView:
                 ):
                     button(label, partial(self._send, text, name), quiet=True)
             ui.label(
-                "Study file and script look for the CSV files beside themselves."
+                "Study file and script expect the CSV files in their own folder."
             ).classes("faint")
 
     def _report(self) -> None:
@@ -322,7 +322,7 @@ class StudyView:
         except PhsiOptError as error:
             self._session.message = str(error)
         else:
-            told = f"{name} was handed to the browser, among its downloads."
+            told = f"{name} was downloaded by the browser."
             self._session.message = told
         self._session.version += 1
 

@@ -178,7 +178,7 @@ def work(connection: Connection) -> None:
         except PhsiOptError as error:
             answer = Refused(str(error))
         except Exception as error:  # the page says it; the process goes on
-            answer = Refused(f"This is an error of the package: {error!r}")
+            answer = Refused(f"This is a bug in phsi_opt: {error!r}")
         connection.send(answer)
         connection.send(Done())
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 # How a line of progress begins that says that such a work begins.
 FITTING = "fitting the base model"
 SCREENING = "screening"
-WEIGHING = "weighing"
+WEIGHING = "computing the evidence of"
 ADDING = "adding"
 NOTHING_MISSING = "nothing missing"
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for

@@ -125,7 +125,7 @@ def plot_missing_force(
         unit = rate_unit(units.get(state, ""), t_unit)
         t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
         forces.append(ForceRun("", TRAINING, state, unit, t, w, std))
-    title = "Where the band leaves zero, a force is surely missing"
+    title = "A force is significantly missing where the band does not include zero"
     return drawn(force_chart(forces, t_unit), title, ax, (8.0, 3.6))
 
 
@@ -213,7 +213,9 @@ class Look(NamedTuple):
 
 
 LOOKS = {
-    "open": Look("not told from zero (orange)", "o", ATTENTION, ATTENTION),
+    "open": Look(
+        "not significantly different from zero (orange)", "o", ATTENTION, ATTENTION
+    ),
     "unknown": Look("without standard error (circle)", "o", BASELINE, "white"),
     "held": Look("at a bound (square)", "s", BASELINE, BASELINE),
     "sure": Look("", "o", MODEL, MODEL),
@@ -265,7 +267,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     elif not doubts:
         worst = int(np.argmax(percent))
         name = table["name"].iloc[worst]
-        title = f"{name} is known worst, to {percent[worst]:.2g} % of its size"
+        title = f"{name} is the least certain, to {percent[worst]:.2g} % of its size"
     ax.set_title(fill(title, 60))
     return ax
 

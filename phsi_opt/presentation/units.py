@@ -43,7 +43,7 @@ def scale_of_errors(unit: str) -> tuple[float, str]:
     Those of several channels are told in percent of what was measured.
     """
     if unit == STANDARD_DEVIATIONS:
-        return 100.0, "% of the movement"
+        return 100.0, "% of the standard deviation"
     return 1.0, unit
 
 

@@ -236,9 +236,9 @@ class Weighing:
         assert best is not None
         if not best.is_valid:
             raise SolveError(
-                "the model could not be weighed: no states obey it beside a force "
-                f"(largest violation {best.joint.violation:.2g}, last step of "
-                f"{best.joint.length:.2g} standard deviations)."
+                "the evidence of the model could not be computed: no states satisfy "
+                f"it with a force (largest violation {best.joint.violation:.2g}, last "
+                f"step of {best.joint.length:.2g} standard deviations)."
             )
         return self._result(problem, best)
 

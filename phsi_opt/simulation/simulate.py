@@ -38,8 +38,8 @@ LONGEST_WAIT = 10_000
 MOST_PER_SAMPLE = 1_000
 ALWAYS_ALLOWED = 1_000_000
 TOO_FAST = (
-    "The model moves far faster than the samples lie apart; give rates, frequencies "
-    "and times in units that fit together, or a shorter time."
+    "The model is much faster than the time between samples. Use consistent units "
+    "for rates, frequencies and times, or simulate a shorter time."
 )
 
 
@@ -60,8 +60,8 @@ def simulate(
         model: with the present values of its parameters.
         t: (n_samples,) strictly increasing times.
         x0: (n_states,) starting state.
-        u: (n_samples, n_inputs) inputs at t, or a function of the time; None if the
-            model has no inputs.
+        u: (n_samples, n_inputs) inputs at t, or a function of time; None if the model
+            has no inputs.
         hold: between the samples of u, "linear", "zero" (zero-order hold) or "cubic"
             (a smooth input: the spline through the samples), or a mapping from the
             names of inputs to these; those it leaves out are "linear".
@@ -126,7 +126,7 @@ def simulate_forced(
         is_finite = np.all(np.isfinite(y), axis=0)
         n_good = int(np.sum(np.cumprod(is_finite)))
         if not solution.success or n_good < last - first:
-            unstable = "A state is no finite number there."
+            unstable = "A state is not finite there."
             why = solution.message if is_finite.all() else unstable
             raise _stopped(times[n_good], why)
         states[first + 1 : last + 1] = y.T
@@ -311,8 +311,8 @@ def checked_arguments(
         size = np.size(u(times[0]))
         if size != model.n_inputs:
             raise DataError(
-                f"the function u gave {size} numbers; expected {model.n_inputs}, one "
-                "per input."
+                f"the function u returned {size} numbers; expected {model.n_inputs}, "
+                "one per input."
             )
         return times, start, u
     expected = (len(times), model.n_inputs)

@@ -53,7 +53,7 @@ NOT_YET = (
     ("What to do", ASK),
 )
 NOTHING_FOUND = (
-    ("What is wrong", "Nothing that these data show."),
+    ("What is wrong", "These data show no missing effect."),
     ("How far off", ""),
     ("What to add", "Nothing."),
 )
@@ -139,13 +139,13 @@ def finding_words(finding: Finding) -> str:
 def alternatives(finding: Finding, name: str) -> str:
     """The other members of a class, in brackets; "" where there are none."""
     others = ", ".join(one for one in map(str, finding.effects) if one != name)
-    return f" (or {others}: the data do not tell)" if others else ""
+    return f" (or {others}; the data cannot distinguish them)" if others else ""
 
 
 def evidence_words(candidate: Candidate) -> str:
     """How clearly an effect is there, such as "decisive, log evidence 95"."""
     if not candidate.was_weighed:
-        return "not weighed"
+        return "not computed"
     return f"{candidate.grade}, log evidence {number(candidate.log_evidence, 2)}"
 
 
@@ -195,8 +195,8 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     if not names:
         return ""
     return (
-        f"Parameters that these data do not determine: {listed(names)} "
-        "(standard error above the value); do not rely on them."
+        f"Parameters that these data do not determine: {listed(names)} (the standard "
+        "error exceeds the value); do not rely on them."
     )
 
 
@@ -237,7 +237,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     """
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
-        return Answer("At no time surely.")
+        return Answer("At no time significantly.")
     record = force.record
     runs = [np.flatnonzero(record.run == k) for k in range(len(record.trajectories))]
     sizes = np.array([rms(force.w[inside]) for inside in runs])
@@ -250,7 +250,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
         __package__,
         "since",
         begin=_beginning(force, strongest) if is_in_one else "",
-        again="again and again" if _comes_and_goes(force, strongest) else "",
+        again="repeatedly" if _comes_and_goes(force, strongest) else "",
         n_runs=len(runs),
         n_clear=len(clear),
         is_from_start=all(_is_clear(force, one) for one in starts if len(one)),
@@ -361,7 +361,7 @@ def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
     size, unit = scale_of_errors(study.unit)
     short = ""
     if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
-        unit, short = "% of the measured movement", " %"
+        unit, short = "% of the standard deviation", " %"
     return say(
         __package__,
         name,

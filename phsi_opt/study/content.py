@@ -69,12 +69,12 @@ from phsi_opt.study.answers import (
 from phsi_opt.study.record import Step, StudyRecord
 
 Ends = tuple[float | None, float | None]
-NOT_HELD_OUT = "nothing was held out; errors are those of the training data"
+NOT_HELD_OUT = "no data were held out; errors are those of the training data"
 LEVEL = 0.95  # of the intervals: the convention of most tables
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
-    "linear": "on a straight line to the next sample",
-    "cubic": "smooth, on the cubic spline through the samples",
+    "linear": "linear between samples",
+    "cubic": "smooth, by a cubic spline through the samples",
 }
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 
@@ -255,7 +255,7 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
     label = study.steps[place].label
     heading = f"After step {place} ({label})"
     if place == 0:
-        heading = f"Base model: what it lacks ({label})".replace(" (base model)", "")
+        heading = f"Base model ({label})".replace(" (base model)", "")
     nearest = nearest_candidate(diagnosis)
     found = map(diagnosis.analysis.force_in, diagnosis.where["equation"])
     sure = [force for force in found if not force.is_uncertain]
@@ -435,8 +435,14 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
     holds = horizon > 0.999 * shortest  # but for rounding
     asked = (
         ("size", "size of residuals", ratio, is_small, is_far),
-        ("whiteness", "neighbouring residuals", whiteness, is_white, not is_small),
-        ("horizon", "how long the free run holds", horizon, holds, is_far),
+        (
+            "whiteness",
+            "correlation of the residuals",
+            whiteness,
+            is_white,
+            not is_small,
+        ),
+        ("horizon", "length of a good free run", horizon, holds, is_far),
     )
     checks = []
     for name, subject, value, is_good, is_bad in asked:
@@ -469,8 +475,8 @@ def _settings(study: StudyRecord) -> tuple[Answer, ...]:
         told_holds = (f"{name}: {HOLD_WORDS[word]}" for name, word in hold.items())
         hold = "; ".join(told_holds)
     hold = HOLD_WORDS.get(hold, hold)
-    starts = "estimated from the whole record of each run, held out or not"
-    seeds = "fixed in the package, none taken from a clock: the same data and settings "
+    starts = "estimated from each whole run, also of held-out data"
+    seeds = "fixed in the package: the same data and settings "
     told = {
         "Training data": _data(study.train),
         "Data held out": held_out,

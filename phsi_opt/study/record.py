@@ -232,8 +232,8 @@ class StudyRecord:
         analysis = ForceAnalysis.of(Record.of_aligned(fit, self.training))
         effort = frozen.efforts[frozen.states.index(effect.equation)]
         said = (
-            f"The law that was added: what d{effect.equation}/dt lacks where {effect} "
-            "is left out of the present model and all other values stay"
+            f"The added law: the force missing in d{effect.equation}/dt if {effect} "
+            "is removed from the present model and all other values are kept"
         )
         return follows_of(
             analysis.force_in(effect.equation),

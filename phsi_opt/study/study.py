@@ -39,26 +39,26 @@ STRONG = "strong"
 
 
 class Study(Summarised):
-    """A model, the measurements it is fitted to, and the effects added so far.
+    """A model, the measurements to which it is fitted, and the effects added so far.
 
     The model given is never changed; ``study.model`` is the present one. Every error is
     the root mean square of the free-run residual over the measured channels, in the
-    channel's unit where there is one, else in standard deviations.
+    unit of the channel if there is a single one, otherwise in standard deviations.
 
     Args:
         model: the base model.
         train: measurements to fit.
-        held_out: measurements to judge by (recommended).
+        held_out: measurements for tests, not used for fitting (recommended).
         effects: the effects that diagnoses consider, each an `Effect`, a name such as
             ``"coulomb friction"`` (in every equation that can have it) or
             ``"coulomb friction on p"``; default: `catalogue` of the model.
-        without: those that they never consider, in the same words.
+        without: effects to exclude, in the same form.
         loss: how to fit; default `MaximumLikelihood`.
-        progress: called with a line of text as the work goes on, such as ``print``.
+        progress: called with a line of text about the progress, such as ``print``.
 
     Attributes:
         base: the base model.
-        record: the study as it stands, for those who tell of it.
+        record: the present state of the study, from which reports are made.
 
     Raises:
         DataError: a state or input of the model is not in the measurements, or a run
@@ -99,22 +99,22 @@ class Study(Summarised):
 
     @property
     def steps(self) -> list[Step]:
-        """What was done so far, the base model first."""
+        """The steps so far, the base model first."""
         return list(self.record.steps)
 
     @property
     def stopped(self) -> str:
-        """Why `auto` stopped last; "" where it was not asked to go on."""
+        """Why `auto` stopped; "" if it was not called."""
         return self.record.stopped
 
     @property
     def train(self) -> Measurements:
-        """The measurements that are fitted, in the model's order."""
+        """The measurements for fitting, in the order of the model."""
         return self.record.train
 
     @property
     def held_out(self) -> Measurements | None:
-        """The measurements that judge, in the model's order."""
+        """The held-out measurements, in the order of the model."""
         return self.record.held_out
 
     @property
@@ -129,7 +129,7 @@ class Study(Summarised):
 
     @property
     def added(self) -> tuple[Effect, ...]:
-        """Effects that the present model has beyond the base model, oldest first."""
+        """The effects added to the base model, oldest first."""
         return self.record.last.added
 
     @interruptible
@@ -137,11 +137,11 @@ class Study(Summarised):
         """The free run of the present model.
 
         Args:
-            on: ``"held out"`` or ``"training"``; default: the data held out, and the
-                training data where there are none.
+            on: ``"held out"`` or ``"training"``; default: the held-out data, or the
+                training data if there are none.
 
         Raises:
-            DataError: data held out are asked for, and there are none.
+            DataError: ``on="held out"``, but no data were held out.
         """
         step = self.record.last
         if on not in (None, TRAINING, HELD_OUT):
@@ -155,13 +155,13 @@ class Study(Summarised):
 
     @interruptible
     def diagnose(self, *, executor: Executor | None = None) -> Diagnosis:
-        """What the present model lacks; worked out once per step.
+        """Diagnose the present model; computed once per step.
 
         Args:
-            executor: where candidates are weighed side by side; as in `auto`.
+            executor: computes the evidence of candidates in parallel; as in `auto`.
 
         Raises:
-            DataError: the executor cannot compute.
+            DataError: the executor is not valid.
         """
         check_executor(executor)
         return self._diagnosed(self._choice, executor)
@@ -195,8 +195,8 @@ class Study(Summarised):
 
         Args:
             effect: an `Effect`, or its name in the ranking or the catalogue.
-            equation: the equation that a named effect acts in; not needed where only
-                one can have it.
+            equation: the equation of an effect that is given by name; not needed if
+                only one equation can have it.
 
         Raises:
             ModelError: there is no such effect, or it is in the model already.
@@ -234,14 +234,15 @@ class Study(Summarised):
 
     @interruptible
     def remove(self, effect: str | Effect, equation: str | None = None) -> Fit:
-        """Take out an effect of an earlier step, re-fit what is left, return the fit.
+        """Remove an effect of an earlier step, re-fit the model, and return the fit.
 
         Args:
             effect: an `Effect` that was added, or its name.
-            equation: where several of one name were added, that of the one to remove.
+            equation: its equation, if effects of this name were added to several
+                equations.
 
         Raises:
-            ModelError: not exactly one such effect was added.
+            ModelError: no such effect was added, or several.
             SolveError: the smaller model could not be fitted.
         """
         known = self._added_effect(effect, equation)
@@ -250,7 +251,7 @@ class Study(Summarised):
         return self._take(f"without {known}", kept, self._fit_with(kept))
 
     def undo(self) -> Fit:
-        """Take back the last step, with all that it added; return the fit before it.
+        """Undo the last step, with all effects that it added; return the previous fit.
 
         Raises:
             ModelError: the study is at its base model.
@@ -275,28 +276,28 @@ class Study(Summarised):
         reach: str = DECISIVE,
         executor: Executor | None = None,
     ) -> str:
-        """Diagnose and add while an effect is decisive, then say why it stopped.
+        """Diagnose and add effects as long as one is decisive; return why it stopped.
 
-        After each step, effects that were added before and without which the evidence
-        is as high are taken out again.
+        After each step, earlier effects are removed if the evidence without them is at
+        least as high.
 
         Args:
-            max_steps: how often it adds at most.
+            max_steps: largest number of steps.
             effects: the effects to consider, as in `Study`; default: those that the
                 study considers.
-            without: those never considered, beside those that the study leaves out.
+            without: effects to exclude, in addition to those that the study excludes.
             reach: ``"decisive"``, or ``"strong"`` to add an effect whose evidence is
-                strong where none is decisive: it is not established, and whatever tells
-                of the study later says so.
-            executor: where candidates are weighed side by side (see `sweep`); None:
-                here, one after the other. What is found is the same. It is not shut
-                down.
+                strong if none is decisive; study and reports then mark it as not
+                established.
+            executor: computes the evidence of candidates in parallel (see `sweep`);
+                None: in this process, one after the other. The results are the same. It
+                is not shut down.
 
         Returns:
             Why it stopped; kept in ``stopped``.
 
         Raises:
-            DataError: the executor cannot compute.
+            DataError: the executor is not valid.
             ModelError: one of the ``effects``, or of those to leave out, is unknown, or
                 an argument is none of its values.
         """
@@ -321,7 +322,7 @@ class Study(Summarised):
                 return self._stop(f"{said}; {which} could not be added: {error}")
             self._check_earlier()
         return self._stop(
-            f"the limit of {max_steps} steps was reached; call auto again to go on"
+            f"the limit of {max_steps} steps was reached; call auto again to continue"
         )
 
     def _stop(self, why: str) -> str:
@@ -350,19 +351,21 @@ class Study(Summarised):
         equation: str | None = None,
         ax: "Axes | None" = None,
     ) -> "Axes":
-        """Draw the force that is missing where an added effect is left out.
+        """Draw the force that is missing if an added effect is removed.
 
-        All other values are those of the present model, so that the whole law of the
-        effect is seen, against what it follows.
+        All other values are those of the present model, so the figure shows the whole
+        effect, against the variable on which it depends.
 
         Args:
             effect: one that was added, or its name.
-            equation: where several of one name were added, that of the one.
+            equation: its equation, if effects of this name were added to several
+                equations.
             ax: Axes to draw on; None: a new figure.
 
         Raises:
-            ModelError: not exactly one such effect was added, or it is a sensor's.
-            SolveError: the model without the effect does not reach the measurements.
+            ModelError: no such effect was added, or several, or it is a sensor effect.
+            SolveError: the states could not be estimated with the model without the
+                effect.
         """
         from phsi_opt.presentation.charts import drawn, follows_chart
 
@@ -378,15 +381,15 @@ class Study(Summarised):
     def report(self, path: str | Path) -> Path:
         """Write the study as a report, and return the path.
 
-        An HTML file holds everything it needs: verdict, errors, equations, measured
-        against model, where it fails, ranked effects, checks, settings. It needs no
-        network; on paper, static pictures stand in place of the charts.
+        An HTML file contains the verdict, errors, equations, measurements and model,
+        where the model fails, ranked effects, checks and settings. It needs no network;
+        in print, static pictures replace the charts.
 
         Args:
-            path: ``.html`` for a report to look at; ``.md`` or ``.txt`` for text.
+            path: ``.html`` for a report with charts; ``.md`` or ``.txt`` for text.
 
         Raises:
-            DataError: the file is of another kind, or cannot be written.
+            DataError: the file has another ending, or cannot be written.
         """
         from phsi_opt.presentation.html_report import html_report, markdown_report
         from phsi_opt.study.content import study_content
@@ -403,11 +406,11 @@ class Study(Summarised):
         return write_whole(place, html_report(content))
 
     def content(self, *, forces: bool = False) -> StudyContent:
-        """All that is told of the study, as numbers, arrays and words.
+        """The contents of a report: numbers, arrays and words.
 
         Args:
-            forces: whether the missing force of the present model is told along all
-                runs, those held out included, which takes an estimate of it.
+            forces: whether to include the missing force of the present model along all
+                runs, also held-out ones, which requires an additional estimate.
         """
         from phsi_opt.study.content import study_content
 

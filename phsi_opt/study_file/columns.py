@@ -275,7 +275,7 @@ def _look_at(column: Column, n_of_this_name: int) -> str:
     if not filled.any():
         return "empty"
     if n_of_this_name > 1:
-        return f"{n_of_this_name} columns are called so"
+        return f"{n_of_this_name} columns have this name"
     if not column.column:
         return "no name in the header"
     column.is_numeric = bool(is_number.sum() > MOSTLY * filled.sum())
@@ -300,7 +300,7 @@ def _wrong_cells(column: Column, places: np.ndarray) -> str:
         return ""
     first = int(places[0])
     cell = _shown(column.cells.iloc[first])
-    said = f"{column.lines[first]} holds {cell}, no finite number"
+    said = f"{column.lines[first]} contains {cell}, which is not a finite number"
     if places.size == 1 and first == 0:
         return f"{said}; {OF_UNITS}"
     return _and_more(said, places.size, "more such cell")

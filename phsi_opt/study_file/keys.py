@@ -23,97 +23,97 @@ from phsi_opt.study_file.toml_text import key_text, toml_value
 # The key, what it holds, what it is for; "*" stands for a name of the user's own.
 TABLE = """
 data | table | the measurements: files, columns, units, noise
-held_out | table | what is kept from fitting, to judge by; default: none
+held_out | table | the data not used for fitting, for a fair test; default: none
 model | table | the base model: states, energy, losses, forces
-parameters | table | the numbers in its formulas
+parameters | table | the parameters in the formulas
 effects | list of tables | effects of your own, as [[effects]]
-study | table | effects added so far, to consider, to leave out
-loss | table | how to fit; default: maximum likelihood as it is
+study | table | effects added so far; effects to consider or to exclude
+loss | table | the loss of the fit; default: maximum likelihood
 data.files | list of files | text, .xlsx or .mat, relative to the study file
-data.trajectory | text | column that names each line's run; default: no such
+data.trajectory | text | column with the name of the run; default: a single run
 data.hold | "linear", "zero" or "cubic" | inputs between samples; default linear
-data.time | table | the column of the times
-data.between | list of two numbers | times that are used; default: all
-data.thinned | whole number | so many samples become their mean; default: none
-data.sheet | text | of a workbook (.xlsx); default: the only one
-data.columns | list of texts | names, where there is no header
-data.separator | text | between the cells of a text; default: found
-data.decimal | text | sign before decimals; default: found
+data.time | table | the times
+data.between | list of two numbers | first and last time to use; default: all
+data.thinned | whole number | so many samples are averaged into one; default: none
+data.sheet | text | sheet of the workbook (.xlsx); default: the only one
+data.columns | list of texts | names of the columns, if the file has no header
+data.separator | text | separator of the cells in a text file; default: detected
+data.decimal | text | decimal separator; default: detected
 data.states | table | a table for each state
 data.inputs | table | a table for each measured input; default: none
-data.time.column | text or position | numbers, dates, or times of day
-data.time.unit | text | such as "s"; dates are read in seconds
-data.time.step | positive number | in place of a column: the time between lines
-data.time.start | text | of dates: when t is 0; default: each run's first sample
-data.time.date_format | text | of other dates: "%d.%m.%Y %H:%M"; "": no dates
-data.states.* | table | a state, by the name that it has in the formulas
-data.states.*.column | text or position | its header, or its position from 0
+data.time.column | text or position | column of numbers, dates or times of day
+data.time.unit | text | unit, such as "s"; dates become seconds
+data.time.step | positive number | instead of a column: time step between lines
+data.time.start | text | date at which t is 0; default: first sample of each run
+data.time.date_format | text | format of dates: "%d.%m.%Y %H:%M"; "": not dates
+data.states.* | table | a state; its name is the one in the formulas
+data.states.*.column | text or position | its header, or its position, counted from 0
 data.states.*.unit | text | its unit, such as "m"; default: unknown
-data.states.*.measured | true or false | in place of a column: nobody measured it
-data.states.*.noise | positive number | standard deviation, in its unit; default: found
-data.inputs.* | table | an input, by its name in the formulas
-data.inputs.*.column | text or position | its header, or its position from 0
+data.states.*.measured | true or false | false, instead of a column: it was not measured
+data.states.*.noise | positive number | standard deviation; default: estimated
+data.inputs.* | table | an input; its name is the one in the formulas
+data.inputs.*.column | text or position | its header, or its position, counted from 0
 data.inputs.*.unit | text | its unit, such as "m"; default: unknown
-data.inputs.*.hold | "linear", "zero" or "cubic" | of this one; default: data.hold
-held_out.runs | list of texts | names of the runs held out
-held_out.share | number from 0 to 1 | or: the last share of the runs, or of a single run
-held_out.after | number | or: of every run, what is measured from this time on
+data.inputs.*.hold | "linear", "zero" or "cubic" | for this input; default: data.hold
+held_out.runs | list of texts | names of the runs to hold out
+held_out.share | number from 0 to 1 | or: last share of the runs, or of a single run
+held_out.after | number | or: all samples of every run after this time
 model.type | "PseudoHamiltonian" or "FirstOrder" | default: PseudoHamiltonian
 model.states | list of texts | names of the states
 model.inputs | list of texts | names of the inputs; default: none
-model.pairs | list of pairs | such as [["q", "p"]]: dq/dt = dH/dp
+model.pairs | list of pairs | canonical pairs, such as [["q", "p"]]: dq/dt = dH/dp
 model.S | list of rows | or: the skew-symmetric structure matrix
-model.H | formula, term, or list of these | the energy, of the states alone
+model.H | formula, term, or list of these | the energy, a function of the states only
 model.R | table | losses R_ii >= 0 by state: dx_i/dt = ... - R_ii dH/dx_i
-model.F | table | forces by state: of states, inputs, t, efforts dH_dp
-model.sensor | table | by state, what its sensor adds to it
-model.memory | list of texts | states that are an effect's memory
-model.kind | text or table | such as "thermal", or { T1 = "thermal" }
-model.R.* | formula, term, or list of these | by the name of the state
-model.F.* | formula, term, or list of these | by the name of the state
-model.sensor.* | formula, term, or list of these | by the name of the state
-model.kind.* | text | by the name of the state
-term.body | formula | one term with a coefficient of its own
-term.coefficient | parameter | its coefficient; default: free
-term.inner | table of parameters | the parameters inside the body
-term.name | text | of the coefficient; default: from the place
-term.polynomials | list of texts | or: all monomials of these names
-term.degree | whole number | the largest total degree of the monomials
-term.constant | true or false | whether 1 is one of them; default false
-term.trigonometric | list of texts | or: sines and cosines of these
-term.n | whole number | pairs of them for each name; default 1
-term.frequency | number | start in rad per unit; default: scanned
-parameters.* | parameter | a number, which is known, or a table as below
-parameters.*.start | number | where the search begins; default: found in the data
-parameters.*.value | number | in place of start: known, and not estimated
-parameters.*.lower | number | least value; default: none
-parameters.*.upper | number | largest value; default: none
-parameters.*.unit | text | that is printed, such as "N/m"
-parameters.*.per_trajectory | true or false | a value for each run; default false
-parameters.*.fixed | true or false | with a guess: it is not estimated once it is found
-parameters.*.guess | table | how a start is found in the data
-parameters.*.guess.kind | "Scan", "Share" or "Tried" | the recipe
-parameters.*.guess.variable | text | Scan: what the wave runs along
-parameters.*.guess.of | formula | Share, Tried: what the start is a share of
-parameters.*.guess.share | number | Share: of its root mean square
-parameters.*.guess.sharper | list of numbers | Share: factors that sharpen a corner
-parameters.*.guess.shares | list of numbers | Tried: of its largest absolute value
-parameters.*.guess.most | number | Tried: upper bound, as a share
-effects.name | text | what it is called
-effects.slot | "H", "R", "F" or "sensor" | where it acts
-effects.equation | text | the state in whose equation it acts
-effects.term | formula, term, or list of these | what it adds there
-effects.memory | table of terms | further states, each with its rate of change
-effects.family | text | its class in words; default: none
+model.F | table | forces by state; may use states, inputs, t, efforts dH_dp
+model.sensor | table | sensor error by state: measured value minus state
+model.memory | list of texts | states that belong to the memory of an effect
+model.kind | text or table | kind of the states: "thermal", or { T1 = "thermal" }
+model.R.* | formula, term, or list of these | for the state of this name
+model.F.* | formula, term, or list of these | for the state of this name
+model.sensor.* | formula, term, or list of these | for the state of this name
+model.kind.* | text | for the state of this name
+term.body | formula | one term: coefficient times this formula
+term.coefficient | parameter | its coefficient; default: estimated
+term.inner | table of parameters | parameters inside the formula of the body
+term.name | text | name of the coefficient; default: from slot and state
+term.polynomials | list of texts | or: all monomials of these variables
+term.degree | whole number | largest total degree of the monomials
+term.constant | true or false | whether the monomials include 1; default false
+term.trigonometric | list of texts | or: sines and cosines of these variables
+term.n | whole number | number of sine-cosine pairs per variable; default 1
+term.frequency | number | starting value in rad per unit; default: from a scan
+parameters.* | parameter | a number, which is fixed, or a table as below
+parameters.*.start | number | starting value; default: from the data
+parameters.*.value | number | instead of start: a fixed value, not estimated
+parameters.*.lower | number | lower bound; default: none
+parameters.*.upper | number | upper bound; default: none
+parameters.*.unit | text | unit for tables and reports, such as "N/m"
+parameters.*.per_trajectory | true or false | one value for each run; default false
+parameters.*.fixed | true or false | with a guess: keep that value, do not estimate it
+parameters.*.guess | table | rule that takes the starting value from the data
+parameters.*.guess.kind | "Scan", "Share" or "Tried" | the rule
+parameters.*.guess.variable | text | Scan: variable of the sine or cosine
+parameters.*.guess.of | formula | Share, Tried: formula that sets the scale
+parameters.*.guess.share | number | Share: start / root mean square of it
+parameters.*.guess.sharper | list of numbers | Share: factors for a sharper corner
+parameters.*.guess.shares | list of numbers | Tried: starts / largest absolute value
+parameters.*.guess.most | number | Tried: upper bound / largest absolute value
+effects.name | text | name of the effect
+effects.slot | "H", "R", "F" or "sensor" | part of the model to which it is added
+effects.equation | text | state in whose equation it acts
+effects.term | formula, term, or list of these | the term that it adds
+effects.memory | table of terms | additional states, each with its rate of change
+effects.family | text | name of its class; default: none
 study.added | list of effects | effects added, such as "coulomb friction on p"
-study.effects | list of effects | those to consider; default: the catalogue
-study.without | list of effects | those never to consider; default: none
-study.max_steps | whole number | effects that --auto adds at most; default 4
-loss.integrator | "euler", "midpoint", "rk4" or "srk4" | of the defects; default srk4
-loss.steps | whole number | intervals between samples; default: as needed
-loss.huber | number | residuals beyond so many deviations count linearly
+study.effects | list of effects | effects to consider; default: the catalogue
+study.without | list of effects | effects to exclude; default: none
+study.max_steps | whole number | largest number of effects that --auto adds; default 4
+loss.integrator | "euler", "midpoint", "rk4" or "srk4" | scheme; default srk4
+loss.steps | whole number | steps between samples; default: chosen by accuracy
+loss.huber | number | residuals beyond this many standard deviations count linearly
 loss.starts | whole number | number of starting points; default 1
-loss.model_error | true or false | a random force in the equations
+loss.model_error | true or false | random forces in the equations; default false
 """
 
 
@@ -193,7 +193,7 @@ FORMS = {
     "number": Form(is_number, "a number, such as 0.5, without quotes"),
     "positive number": Form(
         _between(0, float("inf")),
-        "a positive number, such as 0.1, or nothing where it is not known",
+        "a positive number, such as 0.1; omit it if it is unknown",
     ),
     "number from 0 to 1": Form(_between(0, 1), "a number between 0 and 1, such as 0.3"),
     "whole number": Form(IS_COUNT, "a whole number of at least 1"),

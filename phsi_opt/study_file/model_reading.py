@@ -59,7 +59,7 @@ class ModelReader:
         names: list[str] = []
         for name in self.section.get(what, ()):
             if name in names:
-                self.faults.add(f"{name!r} stands there twice.", "model", what)
+                self.faults.add(f"{name!r} is in the list twice.", "model", what)
                 continue
             with self.faults.noting("model", what):
                 checked_names([name], what, RESERVED_IN_FORMULAS, ModelError)
@@ -75,8 +75,8 @@ class ModelReader:
             settings["fixed"] = True
             if start is not None:
                 said = (
-                    "there is a start too; keep value where it is known, start where "
-                    "not."
+                    "start is given, too; keep value if the parameter is known, "
+                    "otherwise keep start."
                 )
                 self.faults.add(said, *place, "value")
         settings.setdefault("value", start)
@@ -95,7 +95,7 @@ class ModelReader:
         kind = GUESSES[given["kind"]]
         for one in fields(kind):
             if one.default is MISSING and one.name not in given:
-                said = f"a guess of kind {given['kind']!r} needs it."
+                said = f"a guess of kind {given['kind']!r} needs this key."
                 self.faults.need(said, None, *place, one.name)
                 return None
         names = [one.name for one in fields(kind) if one.name in given]
@@ -128,7 +128,7 @@ class ModelReader:
         if not self.faults.about("model") and not self.faults.about("effects"):
             for name in self.parameters:  # else a wrong name is noted at its formula
                 if name not in self.used:
-                    said = "no formula has this name; correct it, or leave it out."
+                    said = "no formula contains this name; correct it, or remove it."
                     self.faults.add(said, "parameters", name)
         if self.faults.about("model") or self.faults.about("parameters"):
             return None
@@ -176,14 +176,14 @@ class ModelReader:
         for one in sorted(own - set(self.parameters)):
             known = sorted({*allowed, *self.parameters})
             said = (
-                f"{one!r} is not known here; known are {', '.join(known)}."
-                f"{did_you_mean(one, known)} A parameter stands in the section "
-                f"[parameters]: {one} = {{ start = 1.0 }}."
+                f"{one!r} is not known here; known are "
+                f"{', '.join(known)}.{did_you_mean(one, known)} Define parameters in "
+                f"the section [parameters]: {one} = {{ start = 1.0 }}."
             )
             if slot == "H" and one in variables.of_slot("R"):
                 said = (
-                    f"{one!r} may not stand in H: an energy depends on the states "
-                    "alone; put the term into F."
+                    f"{one!r} is not allowed in H: an energy depends only on the "
+                    "states; put the term into F."
                 )
             self.faults.add(said, *place, value=text)
         # In the order of the file; None where it is noted what is wrong.
@@ -219,7 +219,9 @@ class ModelReader:
     def _effect(self, content: Content, number: int) -> Effect | None:
         place = ("effects", number)
         for name in ("name", "slot", "equation", "term"):
-            self.faults.need("an effect needs it.", content.get(name), *place, name)
+            self.faults.need(
+                "an effect needs this key.", content.get(name), *place, name
+            )
         if content.get("equation"):
             self._is_state(content["equation"], *place, "equation")
         if self.faults.about(*place):
@@ -246,11 +248,11 @@ def check_channels(model: Model, data: DataSection, faults: Complaints) -> None:
         missing = [name for name in wanted if name not in told]
         further = [name for name in told if name not in wanted]
         for name in missing:
-            said = f'the model has it: give {{ column = "..." }}{otherwise}.'
+            said = f'the model has this name: give {{ column = "..." }}{otherwise}.'
             faults.add(said + did_you_mean(name, further), "data", what, name)
         for name in further:
             said = (
-                f"it is not among model.{what}, {shown(list(wanted))}; name it there "
-                f"too, or leave it out here.{did_you_mean(name, missing)}"
+                f"it is not in model.{what}, {shown(list(wanted))}; add it there, or "
+                f"remove it here.{did_you_mean(name, missing)}"
             )
             faults.add(said, "data", what, name)

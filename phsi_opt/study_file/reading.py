@@ -35,16 +35,16 @@ from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 NEEDED = {
-    ("data",): "there is no section [data]; it names files and columns.",
+    ("data",): "the section [data] is missing; it names files and columns.",
     ("data", "files"): 'expected the data file(s), such as ["bench.csv"].',
     ("data", "states"): (
         'expected a table for each state, such as q = { column = "q", unit = "m" }.'
     ),
-    ("model",): "there is no section [model]; it tells the energy.",
+    ("model",): "the section [model] is missing; it contains the equations.",
     ("model", "states"): 'expected the names of the states, such as ["q", "p"].',
 }
-KEEP_ONE = "there is a column too; keep one of the two."
-MORE = "So much is wrong that the rest was not looked at."
+KEEP_ONE = "a column is given, too; keep one of the two."
+MORE = "There are too many mistakes; the rest of the file was not checked."
 
 
 def read_sections(
@@ -123,7 +123,10 @@ def _measurements(
             faults.add(said, *place)
         elif reader_of(path) != section.reader:
             suffix = paths[0].suffix.lower()
-            faults.add(f"the first file is {suffix}; give files of one kind.", *place)
+            faults.add(
+                f"the first file is {suffix}; all files must be of the same kind.",
+                *place,
+            )
         else:
             with faults.noting(*place):
                 tables.append(replace(table_at(path, section), run=name))
@@ -171,7 +174,10 @@ def _read(path: Path) -> tuple[str, dict[str, Any]]:
         line = error.object[: error.start].count(b"\n") + 1
         said = f"line {line} is not UTF-8 text (byte {byte:#04x}); save it as UTF-8."
     except ValueError as error:
-        said = f"this is not TOML: {error}. Texts stand in quotes, tables as [name]."
+        said = (
+            f"this is not TOML: {error}. Write texts in quotes and section names "
+            "as [name]."
+        )
     except OSError as error:
         said = f"it cannot be read: {why_not_read(error)}."
     raise StudyFileError(path, [Complaint("", "", said)])
@@ -187,8 +193,8 @@ def _check_data(data: Mapping[str, Any], faults: Complaints) -> None:
     time = data.get("time", {})
     if "step" not in time and not faults.about(*place, "step"):
         said = (
-            'expected the column of the times, such as "t_s"; where no column has '
-            "them, the time between lines: time = { step = 0.01 }."
+            'expected the column of the times, such as "t_s", or the time between '
+            "lines: time = { step = 0.01 }."
         )
         faults.need(said, time.get("column"), *place, "column")
     elif time.get("column", "") != "":

@@ -40,8 +40,8 @@ class Channel:
     """A column of the table: a state, or an input.
 
     Attributes:
-        column: its header, or its position counted from 0; None for a state that nobody
-            measured.
+        column: its header, or its position counted from 0; None for a state that was
+            not measured.
         unit: such as "m"; "" where it is unknown.
         noise: standard deviation of a state's noise, in its unit; None: estimated.
         hold: what an input does between samples; None: as the others.
@@ -65,11 +65,11 @@ class Times:
 
     Attributes:
         column: its header, or its position counted from 0; None: there is a step.
-        unit: such as "s".
-        step: the time between neighbouring lines, where no column has the times.
-        start: of dates, the moment at which t is 0.
-        date_format: of dates written otherwise than 2021-11-22 09:15:00, see strptime;
-            "": the times are numbers, even where these look like dates.
+        unit: such as "s". step: the time between neighbouring lines, if no column has
+        the times.
+        start: the date at which t is 0.
+        date_format: format of dates other than 2021-11-22 09:15:00, see strptime; "":
+            the times are numbers, even if they look like dates.
     """
 
     column: str | int | None = None
@@ -81,25 +81,25 @@ class Times:
 
 @dataclass(frozen=True)
 class DataSection:
-    """Where the measurements are and which column is what.
+    """The data files and the meaning of their columns.
 
-    What a table is (text, .xlsx, .mat) follows from the name of the first file; what is
-    None is found in the table, as the readers of `Measurements` do.
+    The type of the tables (text, .xlsx, .mat) follows from the name of the first file;
+    values that are None are detected, as by the readers of `Measurements`.
 
     Attributes:
         files: relative to the folder of the study file, or absolute.
         time: the column of the times, or the step between them.
         states: by name.
         inputs: by name.
-        trajectory: the column that names each line's run; None: a run per file.
+        trajectory: the column with the name of the run; None: one run per file.
         hold: what inputs do between samples, "linear", "zero" or "cubic".
         sheet: of an Excel workbook.
         columns: the names of the columns of a table without a header.
-        separator: the sign between the cells of a text.
-        decimal: the sign before decimals.
+        separator: the separator of the cells of a text file.
+        decimal: the decimal separator.
         between: first and last time that are used, of every run; None: all.
-        thinned: how many neighbouring samples become their mean; None: none do.
-        places: where files lie that are not where their names say.
+        thinned: number of neighbouring samples that are averaged; None: no averaging.
+        places: paths of files that are in another place than their names say.
     """
 
     files: tuple[str, ...] = ()
@@ -187,7 +187,7 @@ class DataSection:
         """The measurements of tables that have been read.
 
         Raises:
-            DataError: something in them cannot be used; with file, column and line.
+            DataError: the data are not valid; with file, column and line.
         """
         arguments = self.reader_arguments()
         for name in OF_FILES:
@@ -204,7 +204,7 @@ class DataSection:
             folder: that of the study file.
 
         Raises:
-            DataError: something in them cannot be used; with file, column and line.
+            DataError: the data are not valid; with file, column and line.
         """
         paths = self.paths(folder)
         names = zip(paths, run_names(paths), strict=True)
@@ -234,12 +234,12 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What is kept from fitting; one of three ways, the others are None.
+    """The held-out data, selected in one of three ways; the other two are None.
 
     Attributes:
         runs: names of the runs held out.
-        share: the last share of the runs; of a single run, of its samples.
-        after: a time; of every run, the samples from then on.
+        share: the last share of the runs, or of the samples if there is a single run.
+        after: a time; the samples of every run from this time on.
     """
 
     runs: tuple[str, ...] | None = None

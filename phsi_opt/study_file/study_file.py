@@ -40,17 +40,17 @@ UNWRITTEN = "measurements.csv"  # called so until it is known beside which file 
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFile(Sections):
-    """A study as a file: `read` makes it from TOML, `write` writes it with comments.
+    """A study file: `read` reads it from TOML, `write` writes it with comments.
 
     Attributes:
-        base: the model before any effect was added.
+        base: the base model, without added effects.
         data: the files, their columns, units and noise.
-        held_out: what is kept from fitting; None: nothing.
-        steps: effects added, to consider and to leave out.
+        held_out: the held-out data; None: no data are held out.
+        steps: effects added, effects to consider and to exclude.
         own_effects: effects that are not in the catalogue.
         loss: how to fit.
         folder: of the file; the data's paths are relative to it.
-        unwritten: measurements that are in no file yet; `write` writes them.
+        unwritten: measurements that are not in a file yet; `write` writes them.
     """
 
     folder: Path = Path()
@@ -62,8 +62,8 @@ class StudyFile(Sections):
 
         Args:
             path: of the study file.
-            places: where data files lie that are not where the study file says, by
-                their names in it; messages and runs keep these names.
+            places: paths of data files that are not where the study file says, by their
+                names in it; messages and runs keep these names.
 
         Raises:
             StudyFileError: something cannot be used; with all that is wrong.
@@ -89,23 +89,25 @@ class StudyFile(Sections):
     ) -> Self:
         """The study file of a model and of data.
 
-        Measurements, which do not know their files, are written as a table beside the
-        study file by `write`.
+        `write` writes measurements that were not read from files as a table next to the
+        study file.
 
         Args:
             model: the base model.
             data: the files and which column is what; or the measurements to fit.
-            held_out: what is kept from fitting; beside measurements, those to judge by.
+            held_out: the part of the files that is held out; or, with measurements as
+                ``data``, the held-out measurements.
             added: names of the effects added, such as ``"coulomb friction on p"``.
-            effects: names of those to consider; None: the catalogue.
-            without: names of those never to consider.
+            effects: names of effects to consider; None: the catalogue. without: names
+            of effects to exclude.
             own_effects: effects that are not in the catalogue.
             loss: how to fit; its noise belongs to the channels of ``data``.
             folder: to which the data's paths are relative.
 
         Raises:
-            DataError: training data and data held out cannot be told apart in a table.
-            ModelError: the model has something that a study file cannot hold.
+            DataError: training data and held-out data cannot be distinguished in a
+                table.
+            ModelError: a study file cannot represent a part of the model.
         """
         unwritten = None
         if isinstance(data, Measurements):
@@ -146,13 +148,12 @@ class StudyFile(Sections):
     def write(self, path: str | Path) -> Path:
         """Write the file, with comments; return its path.
 
-        The paths of the data are rewritten where the folder is another one. A study
-        file that is there is overwritten. Measurements that are in no file yet are
-        written beside it.
+        The paths of the data are adapted to the folder. An existing study file is
+        overwritten. Measurements that are not in a file yet are written next to it.
 
         Raises:
             DataError: the table of the measurements would overwrite another file.
-            ModelError: the model has something that a study file cannot hold.
+            ModelError: a study file cannot represent a part of the model.
         """
         path = Path(path)
         file = self.moved(path.parent)
@@ -174,12 +175,12 @@ class StudyFile(Sections):
         """The text of the file, TOML with comments.
 
         Raises:
-            ModelError: the model has something that a study file cannot hold.
+            ModelError: a study file cannot represent a part of the model.
         """
         return study_text(self)
 
     def script(self) -> str:
-        """The Python script that does the same; it looks for the data beside itself."""
+        """The equivalent Python script; it expects the data in its own folder."""
         return study_script(self)
 
     @cached_property
@@ -192,7 +193,7 @@ class StudyFile(Sections):
         """All measurements, for training and held out.
 
         Raises:
-            DataError: something in the files cannot be used.
+            DataError: the data files are not valid.
         """
         return self._measured
 
@@ -201,17 +202,17 @@ class StudyFile(Sections):
 
         Raises:
             ModelError: there is one.
-            DataError: something in the files cannot be used.
+            DataError: the data files are not valid.
         """
         train, _ = self.split()
         model = self.model()
         check_rates(model, AlignedData.of(model, train).grid)
 
     def split(self) -> tuple[Measurements, Measurements | None]:
-        """The measurements to fit, and those to judge by; None where none are held out.
+        """The training measurements, and the held-out ones (or None).
 
         Raises:
-            DataError: something in the files cannot be used, or nothing is left.
+            DataError: the data files are not valid, or a part is empty.
         """
         data = self.measurements()
         if self.held_out is None:
@@ -230,7 +231,7 @@ class StudyFile(Sections):
         return model
 
     def meant(self, model: Model, name: str) -> Effect:
-        """The effect that a name such as ``"coulomb friction on p"`` stands for.
+        """The effect with a name such as ``"coulomb friction on p"``.
 
         Raises:
             ModelError: there is no such effect.
@@ -256,11 +257,11 @@ class StudyFile(Sections):
         """The study: the base model fitted, then each effect added.
 
         Args:
-            progress: called with a line of text as the work goes on, such as ``print``.
+            progress: called with a line of text about the progress, such as ``print``.
             after_each: called with the study after each of these steps.
 
         Raises:
-            DataError: something in the files cannot be used.
+            DataError: the data files are not valid.
             ModelError: one of the effects is unknown.
             SolveError: a model could not be fitted.
         """
@@ -323,8 +324,8 @@ def write_table(data: Measurements, path: Path) -> None:
             is_same = False
         if not is_same:
             raise DataError(
-                f"{path} is there already and holds something else; move it, or write "
-                "the study file under another name."
+                f"{path} exists already with different content; move it, or write the "
+                "study file under another name."
             )
     write_whole(path, text)
 
@@ -355,8 +356,8 @@ def joined(
     cut = float(held_out.stacked("t").min())
     if names != judging or float(train.stacked("t").max()) >= cut:
         raise DataError(
-            f"the runs {names} and those held out, {judging}, have names in common and "
-            "are not cut at one time; give the runs names of their own."
+            f"the runs {names} and those held out, {judging}, have names in common "
+            "and were not split at one time; give the runs different names."
         )
     whole = []
     for first, then in zip(train.trajectories, held_out.trajectories, strict=True):

@@ -28,23 +28,23 @@ from phsi_opt.study_file.toml_text import key_text, text_template, toml_value
 
 Content = dict[str, Any]
 HEAD = """\
-# A study of phsi_opt: what was measured, what is known, which effects were added.
+# Study file of phsi_opt: the data, the model and the added effects.
 # `phsi-opt check` reads it; docs/command_line.md lists every key.
 """
 # The tables with a header of their own, in their order, and what is said of them.
 COMMENTS = {
     "data": "Files and columns; paths are relative to this file.",
-    "data.states": "What was measured: column, unit, and the noise where it is known.",
+    "data.states": "Measured states: column, unit, and the noise if it is known.",
     "data.inputs": "Inputs, known at every sample.",
-    "held_out": "Kept from fitting, to judge by.",
+    "held_out": "Held-out data: used for tests, not for fitting.",
     "model": "dx/dt = (S - R) grad H + F; names in formulas are states, inputs, t,\n"
     "# efforts such as dH_dp, and the parameters below.",
     "model.R": "",
     "model.F": "",
     "model.sensor": "",
-    "parameters": "A number is a known value; start is where the search begins.",
+    "parameters": "A number is a fixed value; start is a starting value.",
     "effects": "An effect that is not in the catalogue.",
-    "study": "Effects added so far, the oldest first; those to consider, or leave out.",
+    "study": "Effects added so far, in their order; effects to consider or to exclude.",
     "loss": "How to fit.",
 }
 ABOUT_FIRST_ORDER = "dx/dt = F - R x; names in formulas are states, inputs, t and the"
@@ -97,8 +97,9 @@ def _content(study: Sections) -> Content:
     """All tables of a study."""
     if study.loss.noise is not None:
         raise ModelError(
-            f"loss: noise={dict(study.loss.noise)!r} has its place beside the columns "
-            "of a study file; give it to the channels, and leave it out of the loss."
+            f"loss: noise={dict(study.loss.noise)!r} belongs to the columns of a "
+            "study file; give it to the channels (Channel(noise=...)), and not to "
+            "the loss."
         )
     parameters = shared_parameters(study.base, study.own_effects)
     data = replace(study.data, places={})
@@ -177,9 +178,9 @@ def shared_parameters(
         for name, parameter in term.inner.items():
             if found.setdefault(name, parameter) != parameter:
                 raise ModelError(
-                    f"parameter {name!r} of one of the effects is another one than "
-                    "that of the model; a study file has one parameter of a name. "
-                    "Rename one."
+                    f"parameter {name!r} of an effect differs from the parameter of "
+                    "this name in the model; a study file has one parameter per "
+                    "name. Rename one."
                 )
     return found
 

@@ -113,7 +113,9 @@ class TableSurvey:
         """Where the times begin and end, and how regular they are."""
         time = self.time
         if time is None:
-            return "no column increases from line to line: which one is the time?"
+            return (
+                "no column increases from line to line; name the column of the times."
+            )
         if time.values is None:
             first = time.cells.iloc[0]
             is_number = NUMBER.fullmatch(first) is not None
@@ -169,7 +171,7 @@ def survey(path: DataFile) -> TableSurvey:
     if not seen.of_part(STATE):
         listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
         raise DataError(
-            f"{path} has no column of numbers that a state could be: {listed}."
+            f"{path} has no column of numbers that could be a state: {listed}."
         )
     return seen
 
@@ -184,9 +186,9 @@ def check_alike(first: Sequence[Column], other: Sequence[Column], file: str) -> 
     if known != found:
         differ = sorted(set(known) ^ set(found))
         raise DataError(
-            f"{file} has other columns than the first file: {', '.join(differ)} "
-            "stand in one of them alone. Files of one study are runs of the same "
-            "machine with the same columns; give one kind of file, or rename them."
+            f"{file} has other columns than the first file: {', '.join(differ)} are "
+            "only in one of them. The files of a study are runs of the same machine "
+            "with the same columns; rename the columns, or choose other files."
         )
 
 
@@ -198,7 +200,7 @@ def _is_run(one: Column) -> bool:
         return False
     one.said = f"{n_different} runs"
     if one.n_missing:
-        one.wrong = f"{one.first_missing} names no run"
+        one.wrong = f"{one.first_missing} has no name of a run"
     return True
 
 

@@ -52,7 +52,7 @@ def toml_tables(text: str) -> dict[str, Any]:
         tables = tomllib.loads(text)
         _check_bounds(tables)
     except RecursionError:
-        said = f"more than {MOST_NESTED} tables or lists lie in each other"
+        said = f"more than {MOST_NESTED} tables or lists are nested"
         raise ValueError(said) from None
     return tables
 
@@ -159,9 +159,8 @@ def _with_added(text: str, names: list[str], path: Path) -> str:
         is_safe = False
     if not is_safe:
         raise DataError(
-            f"{path} has its section [study] in a form that is not changed "
-            "automatically; nothing was written. Write into it: "
-            f"added = {toml_value(names)}"
+            f"the section [study] of {path} cannot be changed automatically; nothing "
+            f"was written. Write in this section: added = {toml_value(names)}"
         )
     return changed
 

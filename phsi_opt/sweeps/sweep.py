@@ -49,7 +49,7 @@ class KeptResults:
             text = json.dumps(content, default=_plain)
         except (TypeError, ValueError) as error:
             raise DataError(
-                f"the result of {key!r} cannot be kept as JSON: {error}. Return "
+                f"the result of {key!r} cannot be saved as JSON: {error}. Return "
                 "numbers, texts, lists and mappings, or sweep without a folder."
             ) from None
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -74,9 +74,9 @@ class KeptResults:
             expected = (FORMAT, self.of, key)
             if tuple(map(content.get, ("format", "of", "key"))) != expected:
                 raise DataError(
-                    f"{path} holds a result of another sweep: {content.get('of')!r} in "
-                    f"the file, {self.of!r} asked for. Take another folder, or empty "
-                    "this one."
+                    f"{path} contains a result of another sweep: "
+                    f"{content.get('of')!r} in the file, {self.of!r} requested. "
+                    "Choose another folder, or empty this one."
                 )
             yield key, content["result"]
 
@@ -93,7 +93,7 @@ def _plain(value: Any) -> Any:
     """NumPy's numbers and arrays as Python's."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} is no number, text, list or mapping")
+    raise TypeError(f"{type(value).__name__} is not a number, text, list or mapping")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,45 +121,43 @@ def sweep(
     in_flight: int = 64,
     progress: Callable[[str], None] | None = None,
 ) -> Iterator[Done]:
-    """Call a function for many cases side by side, and give results as they come.
+    """Call a function for many cases in parallel, and yield results as they finish.
 
     ::
 
         for done in ph.sweep(fit_of_seed, {f"seed {n}": n for n in range(100)}):
             print(done.key, done.result)
 
-    The numbers do not depend on where and in which order the cases are computed, if the
-    function depends on nothing but its argument; so a seed belongs into the case. In a
-    script, processes need the call to stand under ``if __name__ == "__main__":``.
+    The results do not depend on the executor or on the order of computation if the
+    function depends only on its argument; a random seed is therefore a part of the
+    case. In a script, the call must be under ``if __name__ == "__main__":``.
 
-    Ctrl-C, an error of the function, and leaving the loop cancel what is not begun.
-    Memory holds the results of `in_flight` cases at most.
+    Ctrl-C, an error of the function, and leaving the loop cancel the remaining cases.
+    At most the results of `in_flight` cases are in memory.
 
     Args:
-        function: Of one argument; at the top level of a module, so that another process
-            can import it, or a `functools.partial` of such a function.
-        cases: The argument by key. Keys are texts; cases are pickled, so let them be
-            small.
-        executor: Where to compute; None: a process per processor of this machine, with
-            one BLAS thread each. Others are those of `concurrent.futures`, and a Dask
-            cluster's ``client.get_executor()``. It is not shut down.
-        folder: Where results are kept, one file each, as soon as they are there; what
-            is found there is not computed again. Results must be numbers, texts, lists
-            and mappings then.
-        of: What results depend on beside the key, such as a digest of the data; a
-            folder that holds results of something else is refused.
-        in_flight: Cases that are given to the executor and not yet finished, at most:
-            enough for some dozen workers, few enough to fit into memory.
+        function: Function of one argument, defined at the top level of a module so that
+            another process can import it; or a `functools.partial` of such a function.
+        cases: The argument of each case, by its key, a text. Cases are pickled, so they
+            should be small.
+        executor: Executor of `concurrent.futures`, or ``client.get_executor()`` of a
+            Dask cluster; None: one process per processor of this machine, each with one
+            BLAS thread. It is not shut down.
+        folder: Folder for the results, one file each; cases with a result in it are not
+            computed again. Results must then be numbers, texts, lists and mappings.
+        of: Text that identifies what results depend on in addition to the key, such as
+            a digest of the data; a folder with results of another text is refused.
+        in_flight: Largest number of cases that are submitted and not yet finished; the
+            default is enough for some dozen workers.
         progress: Called with a line of text whenever a case is done, such as ``print``.
 
     Returns:
-        The finished cases: those of the folder, then others in the order in which they
-        are done.
+        The finished cases: first those in the folder, then the others as they finish.
 
     Raises:
         DataError: The function, a key, the executor, the number in flight or the folder
             cannot be used.
-        SolveError: A worker ended before its case was done.
+        SolveError: A worker process ended before its case was finished.
 
     Examples:
         >>> from concurrent.futures import ThreadPoolExecutor
@@ -183,7 +181,7 @@ def check_executor(executor: object) -> None:
     """
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise DataError(
-            f"executor={executor!r} has no submit, so it cannot compute; give one of "
+            f"executor={executor!r} has no method submit; expected an executor of "
             "concurrent.futures, such as ProcessPoolExecutor(4), or a Dask client's "
             "get_executor()."
         )
@@ -203,7 +201,7 @@ def _swept(
     missing = dict(cases)
     for key, result in kept.found(cases) if kept else ():
         del missing[key]
-        say(f"{next(n_done)} of {len(cases)}: {key}, kept before")
+        say(f"{next(n_done)} of {len(cases)}: {key}, read from the folder")
         yield Done(key, result, was_kept=True)
     if not missing:
         return
@@ -248,13 +246,13 @@ def _result_of(future: Future[Any], key: str) -> Any:
         return future.result()
     except BrokenExecutor as error:
         raise SolveError(
-            f"a worker ended while {key!r} was computed: the memory may have been too "
-            "small, or a script started the sweep outside of `if __name__ == "
-            '"__main__":`. With a folder, the same call goes on from what is kept '
-            f"there. ({error})"
+            f"a worker process ended while {key!r} was computed. Perhaps the memory "
+            "was too small, or a script started the sweep outside of `if __name__ == "
+            '"__main__":`. With a folder, the same call continues from the saved '
+            f"results. ({error})"
         ) from error
     except Exception as error:
-        error.add_note(f"This is about the case {key!r} of a sweep.")
+        error.add_note(f"This error occurred in the case {key!r} of a sweep.")
         raise
 
 
@@ -264,14 +262,15 @@ def _check(
     name = getattr(function, "__qualname__", "")
     if "<lambda>" in name or "<locals>" in name:
         raise DataError(
-            f"the function {name} cannot be found by another process; define it at the "
-            "top level of a module, and bind what it needs by functools.partial."
+            f"the function {name} cannot be imported by another process; define it at "
+            "the top level of a module, and pass further arguments with "
+            "functools.partial."
         )
     for key in cases:
         if not isinstance(key, str) or not key:
             raise DataError(
-                f"the key {key!r} is not a text; name every case by a text that is not "
-                "empty."
+                f"the key {key!r} is not a text with at least one character; give "
+                "every case such a name."
             )
     if not is_count(in_flight):
         raise DataError(

@@ -234,12 +234,12 @@ class AlignedData:
         """
         if not isinstance(model, Model):
             raise ModelError(
-                f"model={model!r} is no model; expected a PseudoHamiltonian or a "
+                f"model={model!r} is not a model; expected a PseudoHamiltonian or a "
                 "FirstOrder."
             )
         if not isinstance(data, Measurements):
             raise DataError(
-                f"data={data!r} are no Measurements; make them with "
+                f"data={data!r} is not a Measurements object; create one with "
                 "Measurements.from_arrays or from_csv."
             )
         ordered = aligned(model, data)

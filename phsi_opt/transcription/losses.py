@@ -45,10 +45,11 @@ class PHSILoss:
         (1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2
         + sum_j lambda_j |xi_j|
 
-    The states are the data, so every state must be measured; an interval with a missing
-    end is left out. Fast, and convex where Psi is one evaluation of g and R is fixed.
-    The noise in the states biases it: final estimates with measured data are
-    `MaximumLikelihood`'s. (The thesis has the sum in place of the mean.)
+    The states are the data, so every state must be measured; intervals with a missing
+    value at an end are omitted. Fast, and convex where Psi is one evaluation of g and R
+    is fixed.
+    The noise in the states biases the estimates: use `MaximumLikelihood` for final
+    estimates from measured data. (The thesis uses the sum instead of the mean.)
 
     Args:
         integrator: the scheme of the defects.
@@ -79,27 +80,29 @@ class PHSILoss:
 
 @dataclass(frozen=True)
 class MaximumLikelihood:
-    """Squared residuals of the measurements, over states that obey the model.
+    """Squared residuals of the measurements, over states that satisfy the model.
 
     ::
 
         minimise   (1/N) sum ((y - x)/sigma)^2 + sum_j lambda_j |xi_j|
         over states x and parameters, subject to zero defects
 
-    States that nobody measured and missing samples are no obstacle.
+    States may be unmeasured, and samples may be missing.
 
     Args:
         noise: standard deviations by state name; None estimates them.
         integrator: the scheme of the defects.
-        steps: intervals between neighbouring samples; None puts as many, where they are
-            needed, as the estimates and residuals notice.
-        huber: residuals beyond so many standard deviations count linearly (1.345 costs
-            5 % of the efficiency on normal noise), so that outliers pull little; None:
-            all count squared.
-        starts: number of starting points, the first from the data, others moved from it
-            by a fixed random sequence; the fit's warnings say how many of them agree.
-        model_error: whether the equations hold up to a random force, estimated with its
-            size and correlation time beside the parameters (`Fit.model_error`).
+        steps: integration steps between neighbouring samples; None chooses them so that
+            the integration error does not affect the estimates.
+        huber: residuals beyond this many standard deviations count linearly instead of
+            squared, which reduces the influence of outliers (1.345 costs 5 % of the
+            efficiency for normal noise); None: all count squared.
+        starts: number of starting points: the first comes from the data, the others are
+            moved from it by a fixed random sequence. The warnings of the fit say how
+            many of them agree.
+        model_error: whether the equations include a random force; its size and
+            correlation time are estimated together with the parameters
+            (`Fit.model_error`).
 
     Raises:
         ModelError: a setting is out of its range.
@@ -116,8 +119,8 @@ class MaximumLikelihood:
         huber = self.huber
         if huber is not None and self.model_error:
             raise ModelError(
-                f"huber={huber!r} and model_error=True of MaximumLikelihood do "
-                "not go together: outliers are no model error; take one of them."
+                f"huber={huber!r} and model_error=True of MaximumLikelihood cannot be "
+                "combined: outliers are not a model error. Choose one of them."
             )
         if huber is not None:
             require_positive("MaximumLikelihood: huber", huber)
@@ -248,7 +251,7 @@ def complete_intervals(model: Model, grid: Grid) -> Grid:
             for `PHSILoss`.
         DataError: a state was never measured, or there is no such interval.
     """
-    refusal = "PHSILoss has no place for {}; use MaximumLikelihood()."
+    refusal = "PHSILoss cannot include {}; use MaximumLikelihood()."
     for name, entry in model.entries.items():
         if entry.parameter.per_trajectory:
             raise ModelError(refusal.format(f"the parameter per trajectory {name!r}"))
@@ -265,8 +268,8 @@ def complete_intervals(model: Model, grid: Grid) -> Grid:
     keep = np.flatnonzero(is_complete[grid.begin] & is_complete[grid.begin + 1])
     if not len(keep):
         raise DataError(
-            "no two neighbouring samples are complete, so there is no defect; use "
-            "MaximumLikelihood()."
+            "PHSILoss needs two neighbouring samples without missing values, and "
+            "there are none; use MaximumLikelihood()."
         )
     return grid.intervals(keep)
 

@@ -58,8 +58,8 @@ class Theta:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ModelError(
-                f"the name {twice[0]!r} stands for two parameters, one of them of a "
-                "trajectory; rename the trajectory, or name the term."
+                f"the name {twice[0]!r} belongs to two parameters, one of them for a "
+                "single trajectory; rename the trajectory, or give the term a name."
             )
         return cls(model, tuple(runs), tuple(names), np.array(owner, dtype=int), table)
 
