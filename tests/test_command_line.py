@@ -151,7 +151,7 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     assert 'position = { column = "position_m", unit = "m" }' in text
     assert complained(study) == ["model.H"]
     again = said("init", CSV, "-o", study)
-    assert again.code == ExitCode.BAD_INPUT and "is there already" in again.err
+    assert again.code == ExitCode.BAD_INPUT and "exists already" in again.err
     assert study.read_text() == text
     forced = json.loads(said("init", CSV, "-o", study, "--force", "--json").out)
     assert forced["exit_code"] == ExitCode.DONE

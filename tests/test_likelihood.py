@@ -220,7 +220,9 @@ def test_huber_keeps_its_accuracy_where_one_sample_in_ten_is_wrong() -> None:
     assert robust.noise["q"] < 2 * NOISE
     squares = ph.identify(duffing(), data)
     assert squares.noise["q"] > 0.2
-    (warning,) = (w for w in squares.warnings if "neighbouring samples scatter" in w)
+    (warning,) = (
+        w for w in squares.warnings if "the scatter of neighbouring samples" in w
+    )
     assert "outliers" in warning
 
 

@@ -269,7 +269,7 @@ def test_one_line_says_how_sure_it_is(
     monkeypatch.setattr(
         "phsi_opt.study.answers.disturbance_word", lambda *_: "fast disturbance"
     )
-    assert "It is a fast disturbance; its source is not found" in certainty_words(
+    assert "It is a fast disturbance; its source is not known" in certainty_words(
         unknown
     )
     monkeypatch.undo()

@@ -182,8 +182,8 @@ def test_a_fit_names_the_channel_whose_steps_set_its_noise() -> None:
     fit = ph.identify(base(), measured(truth(), 2 / 30).split(0.6)[0])
     assert fit.noise["q"] == pytest.approx(2 / 30 * PER_STEP, rel=1e-6)
     assert (
-        "the values of q are quantised in steps of 0.0667 mm: at least 0.019 mm counts "
-        "as noise" in fit.warnings
+        "the values of q are quantised in steps of 0.0667 mm: the noise is taken as at "
+        "least 0.019 mm" in fit.warnings
     )
     noisy = ph.identify(base(), measured(truth(), 2 / 30, noise=0.05))
     assert noisy.noise["q"] > 0.05

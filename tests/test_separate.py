@@ -121,7 +121,10 @@ def test_another_amplitude_tells_dry_friction_from_drag_whichever_comes_first() 
     fits = [ph.identify(model, data, start=base) for model in (dry, drag)]
     for first, second in (fits, fits[::-1]):
         found = separating(first, second, data, SIGMA)
-        assert "times as far out: the two predictions then differ by" in found.sentence
+        assert (
+            "times as far from the mean: the two predictions then differ by"
+            in found.sentence
+        )
         assert found.table["separation"].iloc[0] > 10 * found.in_record
 
 
@@ -169,7 +172,7 @@ def test_the_separation_is_what_a_search_over_the_parameters_leaves(
     begin = np.r_[heavy.model.theta, x0, x0]
     best = least_squares(misfit, begin, x_scale="jac")
     added = 2 * best.cost - found.in_record**2 * len(run.t)
-    row = found.table.set_index("experiment").loc["measuring p too"]
+    row = found.table.set_index("experiment").loc["p measured, too"]
     # 5 %: the record's part is taken as linear in the parameters.
     expected = np.sqrt(added / truth.size)
     assert row["separation"] == pytest.approx(expected, rel=0.05)

@@ -454,7 +454,7 @@ def test_what_a_study_file_cannot_hold_is_refused_by_name(tmp_path: Path) -> Non
     with pytest.raises(ph.DataError, match="units of the data held out"):
         ph.StudyFile.of(everything(), data[:2], replace(data[2:], units={}))
     (tmp_path / "s_measurements.csv").write_text("mine")
-    with pytest.raises(ph.DataError, match="is there already"):
+    with pytest.raises(ph.DataError, match="exists already"):
         ph.StudyFile.of(everything(), data).write(tmp_path / "s.toml")
     assert (tmp_path / "s_measurements.csv").read_text() == "mine"
 
