@@ -180,7 +180,7 @@ def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
             (ph.Effect("extra", "F", "p", ph.formula("1")), "q"),
             "acts on 'p', not on 'q'",
         ),
-        ((ph.formula("1"),), "is not an effect; give an Effect, or the name of one"),
+        ((ph.formula("1"),), "is not an effect; give an Effect, or the name and"),
     ],
 )
 def test_an_effect_that_cannot_be_added_is_refused(
