@@ -65,10 +65,10 @@ def test_a_start_sixty_percent_off_leads_to_the_optimum_that_the_truth_leads_to(
     assert near.values["k"] == pytest.approx(1.0, abs=0.02)
     assert off.values["k"] == pytest.approx(near.values["k"], rel=1e-4)
     assert off.bic == pytest.approx(near.bic, abs=0.1)
-    (said,) = [w for w in near.warnings if "neighbouring samples scatter" in w]
+    (said,) = [w for w in near.warnings if "scatter of neighbouring samples" in w]
     assert "choose other starting values" in said
     compared = ph.compare(near, swinging)
-    assert compared.flat == () and "flat" not in str(compared)
+    assert compared.flat == () and "almost constant" not in str(compared)
 
 
 # ---- flat free runs ------------------------------------------------------------------
@@ -86,7 +86,7 @@ def test_a_comparison_names_the_state_whose_free_run_is_flat(
     compared = ph.compare(flat_fit, swinging)
     assert compared.table["fit_percent"].max() < 5
     assert compared.flat == ("q",)
-    assert "The free run of q is flat" in str(compared)
+    assert "The free run of q is almost constant" in str(compared)
 
 
 def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
@@ -95,7 +95,7 @@ def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
     effect = ph.Effect("push", "F", "p", ph.formula("f", f=ph.Parameter()))
     diagnosed = ph.diagnose(flat_fit, swinging, effects=[effect])
     assert diagnosed.sentences[0] == flat_sentence(["q"])
-    assert "The free run of q is flat" in str(diagnosed)
+    assert "The free run of q is almost constant" in str(diagnosed)
 
 
 # ---- a fit that ended in the wrong optimum -------------------------------------------

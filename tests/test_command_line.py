@@ -189,8 +189,8 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
         ("t,q\n0,1\n1,2\n", ['in seconds? then add unit = "s"']),
         ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
         ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
-        ("t,q\n1612051200,1\n1612051260,2\n", ['seconds since 1970? add unit = "s"']),
-        ("t,q\n44227,1\n44228,2\n", ['days, as spreadsheets count them? add unit = "d"']),
+        ("t,q\n1612051200,1\n1612051260,2\n", ['seconds since 1970? then add unit = "s"']),
+        ("t,q\n44227,1\n44228,2\n", ['days, as spreadsheets count them? then add unit = "d"']),
         ("when,q\n20210131,1\n20210201,2\n20210202,1\n", ['column = "when", unit = "s", date_format = "%Y%m%d" }', "numbers such as 20210131 look like dates"]),
         ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 has no name of a run"]),
         ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['line 2 contains "m", which is not a finite number; if that line has units']),
@@ -286,7 +286,7 @@ def test_init_takes_the_first_sheet_and_names_the_others(tmp_path: Path) -> None
             frame.to_excel(book, sheet_name=name, index=False)
     study = tmp_path / "s.toml"
     told = said("init", tmp_path / "book.xlsx", "-o", study).out
-    assert "there are day 2 too" in told
+    assert "other sheets: day 2" in told
     assert 'sheet = "day 1"  # others: "day 2"' in study.read_text()
     assert complained(study) == ["model.H"]
     frame.to_csv(tmp_path / "a.csv", index=False)
@@ -320,7 +320,7 @@ def test_init_takes_matlab_vectors_as_columns(tmp_path: Path) -> None:
     values = {"t": [0.0, 1, 1, 2], "q": [1.0, np.inf, 2, 3], "v": [1.0, 2, 3, 1]}
     savemat(tmp_path / "log.mat", values)
     assert (
-        'row 2 holds "inf"'
+        'row 2 contains "inf"'
         in said("init", tmp_path / "log.mat", "-o", study, "--force").out
     )
     assert complained(study) == ["data.time.column", "data.states.q.column", "model.H"]

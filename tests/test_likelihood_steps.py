@@ -254,7 +254,7 @@ def test_steps_that_lead_nowhere_say_so() -> None:
                 assert "not finite" in str(error)
     brief = solver.solve(start, most_steps=1)
     assert not brief.is_success
-    assert "stalled" in str(brief.solution.outcome)
+    assert "became too small" in str(brief.solution.outcome)
 
 
 # ---- dry friction: a body that sticks ------------------------------------------------

@@ -275,9 +275,9 @@ def test_one_line_says_how_sure_it_is(
     monkeypatch.undo()
     (finding,) = named.findings
     either = replace(finding, effects=(*finding.effects, *finding.effects))
-    assert "Which of the class it is" not in said
+    assert "which effect of the class it is" not in said
     open_class = replace(named, findings=(either,))
-    assert "Which of the class it is" in certainty_words(open_class)
+    assert "which effect of the class it is" in certainty_words(open_class)
     assert study_content(study.record).headline.certainty.startswith(
         "These data show no missing effect"
     )
