@@ -297,7 +297,7 @@ def test_effects_of_ones_own_that_cannot_be_found_are_refused(
 ) -> None:
     fit, data = complete.fit, complete.train
     without = ph.Effect("mine", "F", "p", ph.formula("c*q**2", c=0.1))
-    with pytest.raises(ph.ModelError, match="'mine on p' has no free number"):
+    with pytest.raises(ph.ModelError, match="'mine on p' has no free parameter"):
         ph.diagnose(fit, data, effects=[without])
     elsewhere = ph.Effect("mine", "F", "z", ph.formula("c*q", c=ph.Parameter()))
     with pytest.raises(ph.ModelError, match="'z'"):
