@@ -206,7 +206,7 @@ def test_pictures_use_the_axes_given_and_warn_of_extrapolation(
     [
         ({"on": "q"}, "list of different variables"),
         ({"on": ["dH_dq", "z"]}, "'z' of a learned force is unknown"),
-        ({"equation": "q"}, "dq/dt is kinematics"),
+        ({"equation": "q"}, "dq/dt is a kinematic equation"),
         ({"equation": "x"}, "'x' is not a state"),
         ({"epochs": 0}, "at least 1"),
         ({"data": slice(30)}, "29 intervals are too few"),
