@@ -69,7 +69,7 @@ nitpick_ignore_regex = [
     ),
     (
         "py:.*",
-        r"(jinja2|multiprocessing|nicegui|ui|events)(\..*)?|Environment|Template",
+        r"(jinja2|multiprocessing|nicegui|ui|events)(\..*)?|Environment|Template|Tensor",
     ),
     (
         "py:class",

@@ -241,7 +241,7 @@ class Comparison(Summarised):
 
     @cached_property
     def energy(self) -> "pd.DataFrame":
-        """The energy balance of the free run: change of H = supplied - dissipated.
+        """The energy balance of the free run, change of H = supplied - dissipated.
 
         A row per trajectory: trajectory, change, supplied, dissipated, by the
         trapezoidal rule.

@@ -150,7 +150,7 @@ class Diagnosis(Summarised):
 
     @cached_property
     def analysis(self) -> ForceAnalysis:
-        """Analysis of the missing force: where, when, and on what it depends."""
+        """Where and when the missing force acts, and on what it depends."""
         return ForceAnalysis.of(self.record)
 
     @property

@@ -107,7 +107,7 @@ def ridge_solutions(
 def cross_validated_ridge(
     columns: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray
 ) -> np.ndarray:
-    """The z (n_columns,) that minimises |d + columns z|^2 + weight |z_ridged|^2.
+    """The z (n_columns,) that minimises ``|d + columns z|^2 + weight |z_ridged|^2``.
 
     The weight is the largest within a standard error of the one that predicts the folds
     (numbers below `N_FOLDS`) best when they are left out. Columns are (n_intervals,

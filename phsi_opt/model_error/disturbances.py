@@ -95,7 +95,7 @@ class Whitener:
 
     @property
     def precision(self) -> tuple[np.ndarray, np.ndarray]:
-        """Diagonals of the inverse covariance: the main one (n,), and the next one."""
+        """Diagonals of the inverse covariance, the main one (n,) and the next one."""
         diagonal = self.diagonal**2
         diagonal[:-1] += self.below**2
         return diagonal, self.below * self.diagonal[1:]
@@ -245,7 +245,7 @@ class Disturbances:
 
     @property
     def structure(self) -> tuple[tuple[object, ...], ...]:
-        """Which there are, without their sizes: forces, sensors and functions."""
+        """Which forces, sensors and functions there are, without their sizes."""
         return (
             tuple(force.place for force in self.forces),
             tuple(sensor.place for sensor in self.sensors),

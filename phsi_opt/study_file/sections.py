@@ -65,8 +65,8 @@ class Times:
 
     Attributes:
         column: its header, or its position counted from 0; None: there is a step.
-        unit: such as "s". step: the time between neighbouring lines, if no column has
-        the times.
+        unit: such as "s".
+        step: the time between neighbouring lines, if no column has the times.
         start: the date at which t is 0.
         date_format: format of dates other than 2021-11-22 09:15:00, see strptime; "":
             the times are numbers, even if they look like dates.

@@ -98,8 +98,8 @@ class StudyFile(Sections):
             held_out: the part of the files that is held out; or, with measurements as
                 ``data``, the held-out measurements.
             added: names of the effects added, such as ``"coulomb friction on p"``.
-            effects: names of effects to consider; None: the catalogue. without: names
-            of effects to exclude.
+            effects: names of effects to consider; None: the catalogue.
+            without: names of effects to exclude.
             own_effects: effects that are not in the catalogue.
             loss: how to fit; its noise belongs to the channels of ``data``.
             folder: to which the data's paths are relative.
