@@ -154,7 +154,7 @@ class Estimate(ABC):
 
     @property
     def standard_errors(self) -> StandardErrors | None:
-        """Those that count model error, or None if `uncertainty` has all that is known."""
+        """Those that count model error; None if `uncertainty` has all that is known."""
         return None
 
     def covariance_by(self, spread: Spread | None) -> np.ndarray:
