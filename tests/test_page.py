@@ -211,7 +211,7 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(page: Page) -> None:
     cancel.click(trial=True)  # it can be pressed; the charts of the fit are drawn
     began = time.monotonic()
     cancel.click()
-    expect(page.get_by_text("Fitted; the search for what is missing")).to_be_visible()
+    expect(page.get_by_text("Fitted; the diagnosis was cancelled")).to_be_visible()
     assert time.monotonic() - began < CANCELLED_WITHIN
     expect(page.get_by_text("Fitted, but not diagnosed yet")).to_be_visible()
     # It goes on from the fit; what comes of that is tested without a browser.

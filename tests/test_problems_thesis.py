@@ -154,7 +154,9 @@ def test_what_is_regularised_gives_its_dynamics_away_and_without_weights_the_fit
     assert np.all(table["relative error"] < 0.01)
     assert np.ptp(share.loc[0.0, 0.0]) > 0.05  # the start decides
     warnings = tables["warnings"].set_index("lambda_H")["warning"]
-    assert any("cannot tell" in note and "H[q**2]" in note for note in warnings[0.0])
+    assert any(
+        "cannot distinguish" in note and "H[q**2]" in note for note in warnings[0.0]
+    )
 
 
 @pytest.mark.slow
