@@ -433,7 +433,7 @@ QUICK: dict[str, tuple[Callable[[], ph.Diagnosis], Answer]] = {
 SLOW: dict[str, tuple[Callable[[], ph.Diagnosis], Answer]] = {
     "the simplest law that explains nearly all": (partial(drawn, "roll_decay", 107), Answer({DAMPED}, PARTLY_NAMED)),
     "laws that one run held out hardly tells apart": (
-        partial(drawn, "falling", 106), Answer({"quadratic drag on p", "cubic drag on p"})
+        partial(drawn, "falling", 106, *DRAGS), Answer({"quadratic drag on p", "cubic drag on p"})
     ),
     "a larger law bends to the error of the model": (
         partial(drawn, "chamber", 357), Answer("linear leak on n", never="overflow on n")
