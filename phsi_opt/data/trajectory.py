@@ -288,10 +288,12 @@ def joined_pairs(
     check_same_length(starts, "one row per pair")
     _check_forward(starts["t_start"], ends["t_end"])
     first, last = (np.column_stack(list(side.values())) for side in (starts, ends))
-    same = (first[1:] == last[:-1]) | (np.isnan(first[1:]) & np.isnan(last[:-1]))
+    is_missing = np.isnan(first[1:]) & np.isnan(last[:-1])
+    same = (first[1:] == last[:-1]) | is_missing
     if n_inputs == len(names):  # else refused with the names
         same[:, same.shape[1] - n_inputs :] |= is_held
-    runs = np.split(np.arange(len(first)), np.flatnonzero(~same.all(axis=1)) + 1)
+    begins = np.flatnonzero(~same.all(axis=1)) + 1
+    runs = np.split(np.arange(len(first)), begins)
     samples = [np.vstack([first[rows], last[rows[-1:]]]) for rows in runs]
     k = starts["x_start"].shape[1]
     parts = (k, slice(k), slice(k + 1, None))  # times, states, inputs

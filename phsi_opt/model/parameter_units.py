@@ -52,7 +52,7 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         model: the model.
         units: by state, input and time, as `Measurements.units`.
     """
-    known = dict(filter(all, units.items()))
+    known = _known(units)
     found = _solved(model, known)
     time = known.get("t", "")
     told = {}
@@ -82,7 +82,7 @@ def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
         model: the model.
         units: by state, input and time, as `Measurements.units`.
     """
-    known = dict(filter(all, units.items()))
+    known = _known(units)
     found = _solved(model, known)
     told = {}
     for state in model.states:
@@ -90,6 +90,11 @@ def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
         if not told[state] and found.get(state):
             told[state] = coefficient_unit(found[state], (MOMENTUM,))
     return told
+
+
+def _known(units: Mapping[str, str]) -> dict[str, str]:
+    """The units without those that are empty."""
+    return {name: unit for name, unit in units.items() if unit}
 
 
 def _is_stated(parameter: Parameter) -> bool:
