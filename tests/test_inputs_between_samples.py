@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.trajectory import SmoothInputs
-from phsi_opt.page.drafts import StudyDraft
+from phsi_opt.data.trajectory import SmoothInputs, is_stepped
+from phsi_opt.page.drafts import StudyDraft, look_at
 from phsi_opt.simulation.simulate import free_run
+from phsi_opt.study_file.survey import first_text, survey
 from phsi_opt.study_file.toml_text import toml_tables
-from phsi_opt.transcription.grid import aligned, grid_of
+from phsi_opt.transcription.grid import AlignedData, aligned, grid_of
 from tests.machines import pushed_mass
 
 # ---- smooth inputs
@@ -254,3 +255,76 @@ def test_a_study_file_its_page_and_its_report_say_it(tmp_path: Path) -> None:
     path.write_text(STUDY.replace('"zero"', '"zeros"'))
     with pytest.raises(ph.StudyFileError, match=r"data.inputs.valve.hold = .*'zero'\?"):
         ph.StudyFile.read(path)
+
+
+# ---- an input that is constant between jumps
+
+LEVELS = np.random.default_rng(1).choice([-6.0, -3.0, 0.0, 3.0], 30)
+CLOCK = 0.01 * np.arange(1200)
+STEPS = np.repeat(LEVELS, 40)  # V, a step every 0.4 s
+STEPPED = {
+    "steps": STEPS,
+    "one step": np.where(CLOCK > 3, 5.0, 0.0),
+    "a relay": np.sign(np.sin(CLOCK)),
+    "measured steps": STEPS + 0.1 * np.random.default_rng(2).normal(size=1200),
+    "a shift register of 3 samples": np.repeat(LEVELS > 0, 3).astype(float),
+}
+SMOOTH = {
+    "a wave": np.sin(3 * CLOCK),
+    "a wave of 3 samples": np.sin(2 * np.pi / 3 * np.arange(1200)),
+    "noise": np.random.default_rng(0).normal(size=1200),
+    "new values at every sample": np.random.default_rng(0).choice([-1.0, 1.0], 1200),
+    "ramps": np.abs(np.arange(1200) % 80 - 40.0),
+    "a quantised wave": np.round(10 * np.sin(CLOCK)) / 10,
+    "a constant": np.ones(1200),
+}
+
+
+def pushed(u: np.ndarray, hold: Any = "linear") -> ph.Measurements:
+    x = np.column_stack([np.sin(CLOCK), CLOCK])[: len(u)]
+    return ph.Measurements.from_arrays(
+        CLOCK[: len(u)], x, u, states=["q", "p"], inputs=["u"], hold=hold
+    )
+
+
+@pytest.mark.parametrize("name", [*STEPPED, *SMOOTH])
+def test_a_note_names_the_input_that_jumps_but_is_interpolated(name: str) -> None:
+    u = {**STEPPED, **SMOOTH}[name]
+    model = pushed_mass(MASS)
+    (*notes,) = AlignedData.of(model, pushed(u)).notes
+    assert len(notes) == (name in STEPPED)
+    assert all('hold={"u": "zero"}' in note for note in notes)
+    assert not AlignedData.of(model, pushed(u, hold={"u": "zero"})).notes
+
+
+def test_runs_that_begin_elsewhere_are_no_jumps() -> None:
+    waves = [np.sin(CLOCK), 5 + np.sin(CLOCK)]
+    assert not is_stepped(waves)
+    assert is_stepped([STEPS, 5 + STEPS])
+
+
+def test_a_fit_tells_it() -> None:
+    fit = ph.identify(pushed_mass(ph.Parameter(1.0, lower=0)), pushed(STEPS[:100]))
+    assert 'hold={"u": "zero"}' in str(fit)
+
+
+def test_init_and_page_hold_the_input_that_jumps(tmp_path: Path) -> None:
+    table = tmp_path / "motor.csv"
+    columns = np.column_stack([CLOCK, np.sin(CLOCK), STEPS, np.sin(3 * CLOCK)])
+    header = "t_s,w_rad/s,voltage input_V,torque_Nm"
+    np.savetxt(table, columns, delimiter=",", header=header, comments="")
+    text = first_text(survey(table), [table], tmp_path)
+    held = toml_tables(text)["data"]["inputs"]
+    assert held["voltage_input"]["hold"] == "zero"
+    assert "hold" not in held["torque"]
+    assert "constant between jumps: held" in text
+    draft = look_at({table.name: table})
+    contents = draft.content([])["inputs"]
+    assert contents["voltage_input"]["hold"] == "zero"
+    assert "hold" not in contents["torque"]
+    column = draft.column_named("input", "voltage_input")
+    assert column is not None
+    column.becomes("state")
+    assert "hold" not in column.content()
+    column.becomes("input")
+    assert column.content()["hold"] == "zero"

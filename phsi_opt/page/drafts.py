@@ -121,6 +121,7 @@ class ColumnDraft:
     table: Content = field(default_factory=dict)
     examples: tuple[str, ...] = ()  # its first cells
     is_numeric: bool = True  # whether it holds numbers; else it can only name runs
+    hold: str = ""  # "zero" where it is constant between jumps
     # A state to the user, for which the base model that was chosen last has no place.
     fits_no_state: bool = False
 
@@ -137,7 +138,8 @@ class ColumnDraft:
     def becomes(self, role: str, name: str = "") -> None:
         """Take a role; the name stays unless there is another one."""
         self.role = role
-        self.table = {"name": name or self.name, "unit": self.unit}
+        hold = {"hold": self.hold} if role == INPUT and self.hold else {}
+        self.table = {"name": name or self.name, "unit": self.unit, **hold}
 
     def content(self) -> Content:
         """What a study file says of it."""
@@ -291,9 +293,14 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
     draft.runs = list(dict.fromkeys(draft.runs))
     for column in seen[0].columns:  # parts have the same words here except for one
         role = NOT_USED if column.part == UNUSED else column.part
-        told = {"name": column.name, "unit": column.unit}
-        examples = tuple(column.cells[:3])
-        found = ColumnDraft(column.column, role, told, examples, column.is_numeric)
+        found = ColumnDraft(
+            column.column,
+            table={"unit": column.unit},
+            examples=tuple(column.cells[:3]),
+            is_numeric=column.is_numeric,
+            hold=column.hold,
+        )
+        found.becomes(role, column.name)
         draft.columns.append(found)
     return draft
 

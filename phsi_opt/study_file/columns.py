@@ -18,6 +18,7 @@ import pandas as pd
 
 from phsi_opt.data.tables import MISSING_CELLS, Table, rows_of_runs
 from phsi_opt.data.times import format_of_dates
+from phsi_opt.data.trajectory import is_stepped
 from phsi_opt.model.kinds import VOLTS, kind_of_unit
 from phsi_opt.presentation.numbers import number_of, shortened
 
@@ -170,6 +171,8 @@ class Column(Header):
     wrong: str = ""
     part: str = UNUSED  # `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`
     name: str = ""  # what it could be called in formulas; "" where it is in none
+    # "zero" where it is constant between jumps, as an input that is held; else ""
+    hold: str = ""
 
     @property
     def remark(self) -> str:
@@ -179,7 +182,7 @@ class Column(Header):
     @property
     def content(self) -> dict[str, Any]:
         """What JSON has of it."""
-        names = ("column", "part", "name", "unit", "said", "wrong")
+        names = ("column", "part", "name", "unit", "hold", "said", "wrong")
         return {name: getattr(self, name) for name in names}
 
     @property
@@ -221,12 +224,22 @@ class Column(Header):
             return self.is_dates
         return not np.all(np.diff(self.values) == 1)  # a counter of lines
 
+    def rows_of(self, run: "Column | None") -> list[np.ndarray]:
+        """The rows of each run."""
+        if run is None:
+            return [np.arange(len(self.lines))]
+        return list(rows_of_runs(run.cells).values())
+
     def neighbours(self, run: "Column | None") -> np.ndarray:
         """The rows of each sample and of the next one of its run, (n_pairs, 2)."""
-        runs = [np.arange(len(self.lines))]
-        if run is not None:
-            runs = list(rows_of_runs(run.cells).values())
+        runs = self.rows_of(run)
         return np.vstack([np.column_stack([rows[:-1], rows[1:]]) for rows in runs])
+
+    def is_held(self, run: "Column | None") -> bool:
+        """Whether it is constant between jumps, in its runs; gaps tell nothing."""
+        if self.values is None or self.n_missing or self.wrong:
+            return False
+        return is_stepped([self.values[rows] for rows in self.rows_of(run)])
 
     def wrong_time(self, run: "Column | None") -> str:
         """The first time that is missing, wrong or not after the one before it."""

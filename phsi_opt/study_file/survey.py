@@ -232,6 +232,7 @@ def _take_part(
     one: Column, time: Column | None, run: Column | None, of_step: Column | None
 ) -> None:
     """Say of a column what it is."""
+    one.hold = "zero" if one.is_held(run) else ""
     if one is time:
         one.becomes(TIME)
     elif one is run:
@@ -244,6 +245,8 @@ def _take_part(
         one.becomes(UNUSED, "in a unit of time, and another column has the times")
     elif one.is_set_point:
         one.becomes(UNUSED, "a set point, by its name")
+    elif one.hold:
+        one.becomes(INPUT, "constant between jumps: held")
     elif one.has_one_of(INPUT_WORDS):
         must = "an input must be known at every sample"
         one.becomes(INPUT, must if one.n_missing else "")

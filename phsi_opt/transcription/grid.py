@@ -11,7 +11,7 @@ in the data. Units and noise stay with their names; values are never changed. A 
 is an exact copy of another is left out: in all that follows it counts once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -21,7 +21,7 @@ import numpy as np
 from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import SmoothInputs
+from phsi_opt.data.trajectory import SmoothInputs, is_stepped
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.model import Model
 
@@ -213,7 +213,8 @@ class AlignedData:
     """Measurements with states and inputs in a model's order, and their layout.
 
     Made once and handed on: alignments for larger models are kept. The grid has one
-    interval between neighbouring samples; notes say which runs are copies of others.
+    interval between neighbouring samples; notes say which runs are copies of others,
+    and which inputs jump but are interpolated.
     """
 
     data: Measurements
@@ -246,7 +247,7 @@ class AlignedData:
         copies = copies_in(ordered)
         once = counted_once(ordered, copies)
         notes = (sentence_about(copies),) if copies else ()
-        return cls(once, grid_of(once), notes)
+        return cls(once, grid_of(once), notes + tuple(_notes_on_jumps(once)))
 
     def for_model(self, model: Model) -> "AlignedData":
         """The same for a model that has states more; itself where it has none."""
@@ -266,6 +267,19 @@ class AlignedData:
         if all(np.all(n == 1) for n in steps):
             return self.grid
         return grid_of(self.data, steps)
+
+
+def _notes_on_jumps(data: Measurements) -> Iterator[str]:
+    """A sentence on every input that jumps and is not held."""
+    for k, hold in enumerate(hold_of_each(data.hold, data.inputs)):
+        if hold != "zero" and is_stepped([run.u[:, k] for run in data]):
+            name = data.inputs[k]
+            yield (
+                f"input {name} is constant between jumps, but it is interpolated "
+                "between samples, so that it acts half a sample too early; if it keeps "
+                f'each value until the next sample, give hold={{"{name}": "zero"}} '
+                f'(in a study file: {name} = {{ ..., hold = "zero" }})'
+            )
 
 
 def aligned_once(model: Model, data: Measurements) -> Measurements:
