@@ -13,7 +13,7 @@ guards divisions everywhere.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import fft, special
+import scipy
 
 # Keeps quotients and logarithms of what may be zero finite; far below every number that
 # a measurement or a model can mean, far above the least that float64 can hold.
@@ -90,31 +90,31 @@ def self_convolved(values: np.ndarray) -> np.ndarray:
     n_shifts = max(2 * len(values) - 1, 0)
     if not n_shifts:
         return np.zeros(0)
-    n_fft = fft.next_fast_len(n_shifts, real=True)
-    spectrum = fft.rfft(values, n_fft)
-    reversed_spectrum = fft.rfft(values[::-1], n_fft)
-    products = fft.irfft(spectrum * reversed_spectrum, n_fft)
+    n_fft = scipy.fft.next_fast_len(n_shifts, real=True)
+    spectrum = scipy.fft.rfft(values, n_fft)
+    reversed_spectrum = scipy.fft.rfft(values[::-1], n_fft)
+    products = scipy.fft.irfft(spectrum * reversed_spectrum, n_fft)
     return np.asarray(products[:n_shifts])
 
 
 def chi_square_tail(value: float, freedom: float) -> float:
     """Probability that a chi-square variable of this freedom exceeds the value."""
-    return float(special.chdtrc(freedom, max(value, 0.0)))
+    return float(scipy.special.chdtrc(freedom, max(value, 0.0)))
 
 
 def chi_square_limit(level: float, freedom: float) -> float:
     """What a chi-square variable exceeds with the probability ``level``."""
-    return float(special.chdtri(freedom, level))
+    return float(scipy.special.chdtri(freedom, level))
 
 
 def normal_tail(value: float) -> float:
     """Probability that a standard normal variable exceeds the value."""
-    return float(special.ndtr(-value))
+    return float(scipy.special.ndtr(-value))
 
 
 def normal_limit(level: float) -> float:
     """What a standard normal variable exceeds with the probability ``level``."""
-    return float(-special.ndtri(level))
+    return float(-scipy.special.ndtri(level))
 
 
 def normal_density(value: float) -> float:
@@ -124,12 +124,12 @@ def normal_density(value: float) -> float:
 
 def student_limit(level: float, freedom: np.ndarray) -> np.ndarray:
     """What Student's t exceeds with the probability ``level``, (n,) as the freedom."""
-    return np.asarray(-special.stdtrit(freedom, level))
+    return np.asarray(-scipy.special.stdtrit(freedom, level))
 
 
 def f_limit(level: float, first: float, second: float) -> float:
     """What F of these degrees of freedom exceeds with the probability ``level``."""
-    return float(special.fdtri(first, second, 1 - level))
+    return float(scipy.special.fdtri(first, second, 1 - level))
 
 
 def ljung_box(series: Sequence[np.ndarray]) -> float:

@@ -127,6 +127,40 @@ def test_help_tells_the_commands_and_the_exit_codes_and_loads_nothing_slow() -> 
     assert not {"numpy", "casadi", "pandas", "scipy"} & set(imported)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fit", "gone.toml"], "there is no such file; phsi-opt init"),
+        (["check", "broken.toml"], "this is not TOML"),
+        (["add", "gap", "broken.toml"], "this is not TOML"),
+        (["init", "gone.csv"], "there is no such file; check the path"),
+    ],
+)
+def test_a_refusal_loads_nothing_slow(
+    tmp_path: Path, arguments: list[str], words: str
+) -> None:
+    (tmp_path / "broken.toml").write_text("[data")
+    command = [COMMAND[0], "-X", "importtime", *COMMAND[1:], *arguments]
+    refused = subprocess.run(
+        command, cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True
+    )
+    assert refused.returncode == ExitCode.BAD_INPUT
+    assert words in refused.stderr
+    imported = {line.rpartition("|")[2].strip() for line in refused.stderr.splitlines()}
+    assert "typer" in imported
+    assert not {"numpy", "casadi", "pandas", "scipy"} & imported
+
+
+def test_checking_a_study_file_loads_nothing_that_only_solving_needs() -> None:
+    script = "import sys, phsi_opt.command_line.file_jobs; print(*sys.modules)"
+    imported = subprocess.run(
+        [sys.executable, "-c", script], env=ENVIRONMENT, capture_output=True, text=True
+    ).stdout.split()
+    assert "casadi" in imported
+    slow = {"scipy.linalg", "scipy.special", "sympy", "phsi_opt.study.study"}
+    assert not slow & set(imported)
+
+
 def test_a_report_without_a_name_gets_one() -> None:
     name = commands.REPORT_NAME
     assert with_report_name(["study", "--report"]) == ["study", "--report", name]

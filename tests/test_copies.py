@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.command_line.jobs import checked
+from phsi_opt.command_line.file_jobs import checked
 from phsi_opt.data.copies import check_can_judge, copies_in, sentence_about
 from phsi_opt.sweeps.local_workers import InThisProcess
 

@@ -16,7 +16,7 @@ from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt import reading
-from phsi_opt.command_line.jobs import first_study
+from phsi_opt.command_line.file_jobs import first_study
 from phsi_opt.data import excel_tables, matlab_tables
 from phsi_opt.sweeps.sweep import KeptResults
 

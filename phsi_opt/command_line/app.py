@@ -25,6 +25,7 @@ from phsi_opt.command_line.job import (
     Reach,
 )
 from phsi_opt.command_line.process import do, finish, told_errors
+from phsi_opt.data.file_opening import opened_files
 
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
 REPORT_NAME = "report.html"  # written by --report without a name
@@ -100,7 +101,9 @@ def init(
 ) -> None:
     """Read a data file and write a first study file for it."""
     with told_errors(as_json):
-        from phsi_opt.command_line.jobs import first_study
+        for _ in opened_files(data, as_text=False):
+            pass  # one that cannot be read is refused before the libraries are loaded
+        from phsi_opt.command_line.file_jobs import first_study
 
         finish(first_study(data, study, force), as_json)
 
@@ -108,8 +111,8 @@ def init(
 @app.command()
 def check(study: StudyPath = Path(STUDY_NAME), as_json: AsJson = False) -> None:
     """Check a study file, its data and its model; list all mistakes."""
-    with told_errors(as_json):
-        from phsi_opt.command_line.jobs import checked
+    with told_errors(as_json, study):
+        from phsi_opt.command_line.file_jobs import checked
 
         finish(checked(study), as_json)
 
@@ -154,8 +157,8 @@ def add(
     as_json: AsJson = False,
 ) -> None:
     """Add an effect to the study file; your text and comments are kept."""
-    with told_errors(as_json):
-        from phsi_opt.command_line.jobs import add_effect
+    with told_errors(as_json, study):
+        from phsi_opt.command_line.file_jobs import add_effect
 
         finish(add_effect(study, effect, equation), as_json)
 
@@ -221,7 +224,7 @@ def demo(
 ) -> None:
     """Run an example: a damped spring with hidden friction (one minute)."""
     with told_errors(as_json):
-        from phsi_opt.command_line.jobs import written_demonstration
+        from phsi_opt.command_line.file_jobs import written_demonstration
 
         study = written_demonstration(folder)
     typer.echo(f"the study file: {study}", err=True)

@@ -20,6 +20,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
 import typer
@@ -34,7 +35,7 @@ from phsi_opt.command_line.job import (
 )
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.presentation.forecast import Forecast
-from phsi_opt.study_file.toml_text import add_effects
+from phsi_opt.study_file.toml_text import add_effects, tables_of
 from phsi_opt.sweeps.local_workers import begin_worker
 
 Show = Callable[[str | None], None]
@@ -75,9 +76,14 @@ def _broken_at_words(text: str, stream: TextIO) -> str:
 
 
 @contextlib.contextmanager
-def told_errors(as_json: bool = False) -> Iterator[None]:
-    """Say what the package refuses, without a trace, and end with the exit code."""
+def told_errors(as_json: bool = False, study: Path | None = None) -> Iterator[None]:
+    """Say what the package refuses, without a trace, and end with the exit code.
+
+    A study file that is missing or no TOML is refused first: no library is loaded yet.
+    """
     try:
+        if study is not None:
+            tables_of(study)
         yield
     except PhsiOptError as error:
         finish(answer_to(error), as_json)
@@ -85,13 +91,13 @@ def told_errors(as_json: bool = False) -> Iterator[None]:
 
 def do(job: Job, as_json: bool) -> NoReturn:
     """Have a job done, say how it ended, and end with the exit code."""
-    for path in job.places:  # before the work, not after it
-        if path.is_dir() or not path.parent.is_dir():
-            error = DataError(
-                f"{path} cannot be written: {path.parent} is not a folder, or {path} "
-                "is one. Give the name of a file in an existing folder."
-            )
-            finish(answer_to(error), as_json)
+    with told_errors(as_json, job.study):
+        for path in job.places:  # before the work, not after it
+            if path.is_dir() or not path.parent.is_dir():
+                raise DataError(
+                    f"{path} cannot be written: {path.parent} is not a folder, or "
+                    f"{path} is one. Give the name of a file in an existing folder."
+                )
     answer, kept, seconds = supervise(job)
     done = kept or Finished()
     files = list(map(str, done.files))

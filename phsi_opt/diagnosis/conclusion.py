@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
 
 from phsi_opt.comparison.compare import is_explained, is_small_as_noise
 from phsi_opt.criteria import (
@@ -115,7 +114,7 @@ class _Judge:
         highest = max((one.log_evidence for one in believed), default=-np.inf)
         least = highest - STRONG_EVIDENCE
         tied = [one for one in believed if one.log_evidence > least]
-        together = logsumexp([one.log_evidence for one in tied]) if tied else -np.inf
+        together = np.logaddexp.reduce([one.log_evidence for one in tied])
         return tied if together >= DECISIVE_EVIDENCE else []
 
     def refit(self, place: int) -> DiagnosedModel | None:

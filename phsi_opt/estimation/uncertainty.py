@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr
-from scipy.optimize import nnls
+import scipy
 
 from phsi_opt.errors import SolveError
 from phsi_opt.model.model import Model
@@ -140,7 +139,7 @@ def of_defects(
 
     noise_to_square = np.mean(at_begin**2, axis=0) + np.mean(at_end**2, axis=0)
     squares = np.mean((own_d if d is None else d) ** 2, axis=0)
-    variance, _ = nnls(noise_to_square, squares)
+    variance, _ = scipy.optimize.nnls(noise_to_square, squares)
 
     weighted = gathered * np.sqrt(variance)[None, :, None]
     weighted = weighted.reshape(-1, n_theta)
@@ -237,7 +236,7 @@ def _open_directions(covariance: np.ndarray, size: np.ndarray) -> list[_Open]:
     # Directions that span the same space, with few members each: eigenvectors of one
     # eigenvalue are mixed at will. Each of these has a parameter to itself.
     unknown = directions[:, is_unknown]
-    _, _, order = qr(unknown.T, mode="economic", pivoting=True)
+    _, _, order = scipy.linalg.qr(unknown.T, mode="economic", pivoting=True)
     own = order[: unknown.shape[1]]
     separated = unknown @ np.linalg.inv(unknown[own])
     is_rounding = np.abs(separated) < 1e-6 * np.max(np.abs(separated))

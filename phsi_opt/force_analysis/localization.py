@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import find_objects, label
+import scipy
 
 from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
@@ -99,7 +99,7 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
     is_large = _rms_in_parts(w, part, n_bins) > OUTSTANDING_FORCE * rms(w)
     is_strong = is_visited & is_large
     # Neighbouring strong bins are one range.
-    found = find_objects(label(is_strong)[0])
+    found = scipy.ndimage.find_objects(scipy.ndimage.label(is_strong)[0])
     if is_strong.all() or len(found) > MOST_STRONG_RANGES:
         return []
     ranges = []

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.fft import next_fast_len
+import scipy
 
 from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import piecewise_linear_basis
@@ -68,7 +68,9 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     typical_steps = [float(np.median(np.diff(t[inside]))) for inside in runs]
     # One short step among millions of long ones does not decide the size.
     step = max(min(typical_steps), duration / 2**18)
-    n_fft = next_fast_len(POINTS_PER_FREQUENCY * int(duration / step + 2), real=True)
+    n_fft = scipy.fft.next_fast_len(
+        POINTS_PER_FREQUENCY * int(duration / step + 2), real=True
+    )
     frequencies = np.fft.rfftfreq(n_fft, step)
     mean_square = np.zeros((len(frequencies), *signal.shape[1:]))
     for inside in runs:

@@ -22,7 +22,7 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import (
@@ -453,5 +453,5 @@ def _gain(slopes: np.ndarray, information: np.ndarray) -> float:
     found = np.linalg.solve(regular, slopes)
     if np.any(found < 0):
         lower = np.linalg.cholesky(regular)
-        found, _ = nnls(lower.T, np.linalg.solve(lower, slopes))
+        found, _ = scipy.optimize.nnls(lower.T, np.linalg.solve(lower, slopes))
     return float(slopes @ found - found @ information @ found / 2)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 from phsi_opt.errors import SolveError
 
@@ -127,7 +127,9 @@ def bounded_least_squares(
     where the columns of A differ by many orders of magnitude, the line search of
     SciPy's other method goes on for ever.
     """
-    solution: np.ndarray = lsq_linear(A, b, (lower, upper), method="bvls").x
+    solution: np.ndarray = scipy.optimize.lsq_linear(
+        A, b, (lower, upper), method="bvls"
+    ).x
     return solution
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.special import erf
+import scipy
 
 AT_ONCE = 2048  # places that are worked on at once, so that registers stay in the cache
 
@@ -41,7 +41,7 @@ def _in_floats(test: Callable[..., Any], *operands: np.ndarray) -> np.ndarray:
 OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_TWICE: partial(np.multiply, 2.0),
     ca.OP_IF_ELSE_ZERO: lambda condition, value: np.where(condition != 0, value, 0.0),
-    ca.OP_ERF: erf,
+    ca.OP_ERF: lambda value: scipy.special.erf(value),
 }
 for _pair in NUMPY_NAMES.split(","):
     _operation, _called = _pair.split()

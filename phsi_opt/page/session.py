@@ -30,8 +30,8 @@ from phsi_opt.page.gallery import GALLERY, BaseModel, left_over, match_states
 from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
-from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.study_file.toml_text import tables_of
 from phsi_opt.writing import write_whole
 
 WORKING_FILE = "working_study.toml"

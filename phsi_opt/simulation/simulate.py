@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import RK45, solve_ivp
+import scipy
 
 from phsi_opt.data.checks import LARGEST_VALUE, Hold, hold_of_each
 from phsi_opt.data.trajectory import SmoothInputs
@@ -111,7 +111,7 @@ def simulate_forced(
         rate = _Rate(f, model.theta, force, value, last - first)
         times = t[first : last + 1]
         with np.errstate(all="ignore"):
-            solution = solve_ivp(
+            solution = scipy.integrate.solve_ivp(
                 rate,
                 (times[0], times[-1]),
                 states[first],
@@ -415,10 +415,11 @@ def _step(rhs: ca.Function) -> ca.Function:
             total = total + weight * rate if weight else total
         return h * total
 
-    for weights, c in zip([*RK45.A, RK45.B], [*RK45.C, 1.0], strict=True):
+    scheme = scipy.integrate.RK45
+    for weights, c in zip([*scheme.A, scheme.B], [*scheme.C, 1.0], strict=True):
         after = x + change(weights)
         rates.append(rhs(after, u + c * h * slope, t + c * h))
-    error = ca.fabs(change(RK45.E))
+    error = ca.fabs(change(scheme.E))
     return ca.Function("step", [x, column], [after, error], {"cse": True})
 
 

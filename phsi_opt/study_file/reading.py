@@ -19,7 +19,6 @@ from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.model.catalogue import EffectChoice, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.reading import file_text, why_not_read
 from phsi_opt.study_file.keys import Complaints, Place, TooManyComplaintsError, usable
 from phsi_opt.study_file.model_reading import ModelReader, check_channels
 from phsi_opt.study_file.sections import (
@@ -31,7 +30,7 @@ from phsi_opt.study_file.sections import (
     reader_of,
     table_at,
 )
-from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, toml_tables
+from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, text_and_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 NEEDED = {
@@ -59,7 +58,7 @@ def read_sections(
     Raises:
         StudyFileError: something cannot be used; with all that is wrong.
     """
-    text, tables = _read(path)
+    text, tables = text_and_tables(path)
     faults = Complaints(tables)
     read = None
     with suppress(TooManyComplaintsError):
@@ -151,36 +150,6 @@ def _in_order(faults: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
         listed.append(replace(complaint, line=lines.get(key)))
     listed.sort(key=lambda complaint: complaint.line or LARGEST_STUDY)
     return [*listed, Complaint("", "", MORE)] if faults.is_full else listed
-
-
-def tables_of(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Raises:
-        StudyFileError: it cannot be read, or is no TOML.
-    """
-    return _read(path)[1]
-
-
-def _read(path: Path) -> tuple[str, dict[str, Any]]:
-    """The text and the tables of a TOML file."""
-    try:
-        text = file_text(path, LARGEST_STUDY)
-        return text, toml_tables(text)
-    except FileNotFoundError:
-        said = "there is no such file; phsi-opt init DATA.csv writes one."
-    except UnicodeDecodeError as error:
-        byte = error.object[error.start]
-        line = error.object[: error.start].count(b"\n") + 1
-        said = f"line {line} is not UTF-8 text (byte {byte:#04x}); save it as UTF-8."
-    except ValueError as error:
-        said = (
-            f"this is not TOML: {error}. Write texts in quotes and section names "
-            "as [name]."
-        )
-    except OSError as error:
-        said = f"it cannot be read: {why_not_read(error)}."
-    raise StudyFileError(path, [Complaint("", "", said)])
 
 
 # ---- rules that need more than one key -----------------------------------------------

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from phsi_opt.model.catalogue import catalogue, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.reading import file_text
-from phsi_opt.study import Study
 from phsi_opt.study_file.reading import read_sections
 from phsi_opt.study_file.sections import (
     Channel,
@@ -34,6 +33,9 @@ from phsi_opt.study_file.study_text import study_script, study_text
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole
+
+if TYPE_CHECKING:
+    from phsi_opt.study import Study
 
 UNWRITTEN = "measurements.csv"  # called so until it is known beside which file it lies
 
@@ -252,8 +254,8 @@ class StudyFile(Sections):
     def study(
         self,
         progress: Callable[[str], None] | None = None,
-        after_each: Callable[[Study], None] | None = None,
-    ) -> Study:
+        after_each: "Callable[[Study], None] | None" = None,
+    ) -> "Study":
         """The study: the base model fitted, then each effect added.
 
         Args:
@@ -265,6 +267,8 @@ class StudyFile(Sections):
             ModelError: one of the effects is unknown.
             SolveError: a model could not be fitted.
         """
+        from phsi_opt.study import Study  # what checking a file does not need
+
         train, held_out = self.split()
         study = Study(
             self.base,

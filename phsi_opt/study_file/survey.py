@@ -36,9 +36,8 @@ from phsi_opt.study_file.columns import (
     columns_of,
 )
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
-from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.sections import DataSection, table_at
-from phsi_opt.study_file.toml_text import text_template
+from phsi_opt.study_file.toml_text import tables_of, text_template
 
 # From 2000 to 2050 as clocks count it: the unit, with its first and last number.
 CLOCKS = (

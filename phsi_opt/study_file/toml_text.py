@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from phsi_opt.errors import DataError
-from phsi_opt.reading import file_bytes
+from phsi_opt.errors import Complaint, DataError, StudyFileError
+from phsi_opt.reading import file_bytes, file_text, why_not_read
 from phsi_opt.writing import write_whole
 
 if TYPE_CHECKING:
@@ -40,6 +40,36 @@ LONG_KEY = re.compile(
 ENTRY = re.compile(rf"[ \t]*+(\[{{0,2}})[ \t]*+({DOTTED}*+)[ \t]*+[=\]]")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 DELETE = "\x7f"  # the one character that JSON leaves as it is and TOML does not allow
+
+
+def tables_of(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        StudyFileError: it cannot be read, or is no TOML.
+    """
+    return text_and_tables(path)[1]
+
+
+def text_and_tables(path: Path) -> tuple[str, dict[str, Any]]:
+    """The text and the tables of a TOML file, as `tables_of`."""
+    try:
+        text = file_text(path, LARGEST_STUDY)
+        return text, toml_tables(text)
+    except FileNotFoundError:
+        said = "there is no such file; phsi-opt init DATA.csv writes one."
+    except UnicodeDecodeError as error:
+        byte = error.object[error.start]
+        line = error.object[: error.start].count(b"\n") + 1
+        said = f"line {line} is not UTF-8 text (byte {byte:#04x}); save it as UTF-8."
+    except ValueError as error:
+        said = (
+            f"this is not TOML: {error}. Write texts in quotes and section names "
+            "as [name]."
+        )
+    except OSError as error:
+        said = f"it cannot be read: {why_not_read(error)}."
+    raise StudyFileError(path, [Complaint("", "", said)])
 
 
 def toml_tables(text: str) -> dict[str, Any]:

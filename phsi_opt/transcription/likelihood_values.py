@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
+import scipy
 
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.defects import (
@@ -52,10 +52,10 @@ class Pattern(NamedTuple):
         shifted = self.columns[own] - columns.start
         return Pattern(self.rows[own], shifted, shape, np.flatnonzero(own))
 
-    def sparse(self, values: np.ndarray) -> coo_matrix:
+    def sparse(self, values: np.ndarray) -> "scipy.sparse.coo_matrix":
         """The matrix with values (n_values,) of the whole pattern."""
         own = (values[self.chosen], (self.rows, self.columns))
-        return coo_matrix(own, shape=self.shape)
+        return scipy.sparse.coo_matrix(own, shape=self.shape)
 
     def dense(self, values: np.ndarray) -> np.ndarray:
         """The same as an array."""
@@ -264,7 +264,7 @@ def constraint_curvature(
     places = pattern.columns * n_z + pattern.rows
     entry, where = np.unique(places, return_inverse=True)
     summed = (values.curvature_factor, (where, np.arange(len(where))))
-    gather = csc_matrix(summed, shape=(len(entry), len(where)))
+    gather = scipy.sparse.csc_matrix(summed, shape=(len(entry), len(where)))
     column, row = np.divmod(entry, n_z)
     sparsity = ca.Sparsity.triplet(n_z, n_z, row.tolist(), column.tolist())
     return ca.MX(sparsity, ca.mtimes(ca.DM(gather), ca.vec(entries)))

@@ -1,0 +1,164 @@
+"""What the commands on study files do: init, check, add, the demonstration's files.
+
+Nothing is solved here, so that none of the solver's rooms is loaded.
+"""
+
+from importlib.resources import files
+from pathlib import Path
+
+from phsi_opt.command_line.job import Answer, answer_to
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.model.catalogue import catalogue
+from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.sentences import lines
+from phsi_opt.reading import file_bytes
+from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
+from phsi_opt.study_file.toml_text import add_effects
+from phsi_opt.transcription.grid import AlignedData
+from phsi_opt.writing import write_whole
+
+DEMO_FILES = ("friction_spring.csv", "study.toml")
+
+
+def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
+    """Write a study file; nothing that is there is overwritten unless forced.
+
+    Raises:
+        DataError: the table cannot be read, or the study file is there already.
+    """
+    if study.exists() and not force:
+        raise DataError(
+            f"{study} exists already; nothing was written. Give another name with "
+            "--study, or overwrite it with --force."
+        )
+    table = survey(tables[0])
+    for further in tables[1:]:
+        other = survey(further)
+        check_alike(table.columns, other.columns, str(other.path))
+    write_whole(study, first_text(table, tables, study.parent))
+    needs: tuple[Complaint, ...] = ()
+    try:
+        StudyFile.read(study)
+    except StudyFileError as error:
+        needs = error.complaints
+    facts = {"table": table, "study": study, "path": tables[0], "needs": needs}
+    content = {
+        "study_file": str(study),
+        "columns": [column.content for column in table.columns],
+        "further": list(map(vars, table.table.further)),
+        "needs": list(map(vars, needs)),
+    }
+    return Answer(lines(__package__, "first_study", **facts), content)
+
+
+def checked(path: Path) -> Answer:
+    """A summary of a study file, or everything that is wrong, and what stands empty.
+
+    Raises:
+        StudyFileError: it cannot be read, or is no TOML.
+    """
+    empty = unfilled(path)
+    try:
+        file = StudyFile.read(path)
+        file.check_formulas()
+        answer = _summary(path, file)
+        has_dates = any(run.origin is not None for run in file.measurements())
+        empty = unfilled(path, has_dates)
+    except StudyFileError as error:
+        answer = answer_to(error)
+    except ModelError as error:
+        wrong = StudyFileError(path, [Complaint("model", "", str(error))])
+        answer = answer_to(wrong)
+    text = lines(__package__, "checked", text=answer.text, empty=empty)
+    content = {**answer.content, "empty": list(empty)}
+    return Answer(text, content, answer.code)
+
+
+def _summary(path: Path, file: StudyFile) -> Answer:
+    """What a study file that can be used holds."""
+    train, held_out = file.split()
+    model = file.model()
+    notes = AlignedData.of(model, train).notes
+    text = lines(
+        __package__,
+        "summary",
+        path=path,
+        measurements=file.measurements(),
+        train=train,
+        held_out=held_out,
+        runs=_runs,
+        model=model,
+        kind=type(model).__name__,
+        added=file.steps.added,
+        n_effects=len(catalogue(model, file.data.units)),
+        notes=notes,
+    )
+    content = {
+        "states": list(model.states),
+        "inputs": list(model.inputs),
+        "measured": list(train.measured),
+        "free": list(model.free),
+        "added": list(file.steps.added),
+        "n_runs": file.measurements().n_trajectories,
+        "n_samples": file.measurements().n_samples,
+        "n_held_out": 0 if held_out is None else held_out.n_samples,
+        "warnings": list(notes),
+    }
+    return Answer(text, content)
+
+
+def _runs(data: Measurements) -> str:
+    return f"{number_of(data.n_trajectories, 'run')}, {data.n_samples} samples"
+
+
+def add_effect(path: Path, name: str, equation: str | None) -> Answer:
+    """Write an effect into a study file, if the model can have it.
+
+    Raises:
+        StudyFileError: the file cannot be used as it is.
+        DataError: the file is written in a way that cannot be changed safely.
+        ModelError: there is no such effect, or the model has it.
+    """
+    file = StudyFile.read(path)
+    model = file.model()
+    if equation is not None:
+        model.index(equation, "--equation")
+        place = f" on {equation}"
+        name = name.removesuffix(place) + place
+    effect = file.meant(model, name)
+    larger = model.add(effect)
+    backup = add_effects(path, [str(effect)])
+    free = [one for one in larger.free if one not in model.entries]
+    facts = {"effect": effect, "path": path, "free": free, "backup": backup}
+    content = {
+        "added": str(effect),
+        "unknowns": free,
+        "study_file": str(path),
+        "backup": str(backup),
+    }
+    return Answer(lines(__package__, "added", **facts), content)
+
+
+def written_demonstration(folder: Path) -> Path:
+    """Write table and study file into a folder; the path of the study file.
+
+    Raises:
+        DataError: another file is there, or the folder cannot be written.
+    """
+    shipped = files("phsi_opt.command_line") / "demo_data"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in DEMO_FILES:
+            text = (shipped / name).read_bytes()
+            place = folder / name
+            if place.exists() and file_bytes(place) != text:
+                raise DataError(
+                    f"{place} exists already with changes, and was not overwritten. "
+                    "Give another folder: phsi-opt demo FOLDER."
+                )
+            place.write_bytes(text)
+    except OSError as error:
+        raise DataError(f"{folder} cannot be written ({error}).") from None
+    return folder / "study.toml"
