@@ -22,7 +22,7 @@ def test_importing_the_package_alone_does_not_wait_for_libraries() -> None:
 
 
 def test_identify_and_study_do_not_wait_for_what_they_may_not_need() -> None:
-    slow = {"cvxpy", "jinja2", "matplotlib", "openpyxl", "pandas", "plotly", "rich"}
+    slow = {"cvxpy", "jinja2", "matplotlib", "openpyxl", "pandas", "rich"}
     slow |= {"scipy.interpolate", "scipy.signal", "scipy.stats", "sympy", "typer"}
     imported = imported_by("from phsi_opt import Study, identify")
     assert imported & slow == set()

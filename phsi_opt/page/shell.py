@@ -14,6 +14,7 @@ from phsi_opt.page.draft_views import DataView, ModelView
 from phsi_opt.page.parts import button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
+from phsi_opt.presentation.html_report import ours
 
 PRIMARY = "#1f5fa8"  # 6.5:1 below white text
 ON_PRIMARY = "#ffffff"
@@ -67,6 +68,8 @@ class Shell:
         """Draw everything and keep up with the session."""
         ui.colors(primary=PRIMARY, onprimary=ON_PRIMARY)
         ui.add_css(Path(str(files("phsi_opt.page") / "page.css")))
+        ui.add_css(ours("chart.css"))
+        ui.add_body_html(f"<script>{ours('chart.js')}</script>")
         self._dark = ui.dark_mode(value=None)
         parts: dict[str, Callable[[], object]] = {
             DATA_PART: self._data.build,

@@ -5,6 +5,7 @@ All of it is drawn from the content of the study; texts are those of
 is told. The field for the time does the same for those who use no mouse.
 """
 
+import json
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -19,8 +20,8 @@ from phsi_opt.page.session import Look, Session
 from phsi_opt.presentation.charts import (
     Chart,
     errors_chart,
+    figure,
     force_chart,
-    plotly,
     run_chart,
 )
 from phsi_opt.presentation.content import Diagnosed, Ranked, Run, StudyContent
@@ -47,9 +48,6 @@ STALE = (
     "Data or model have changed since the last fit. The results below belong to the "
     "previous model."
 )
-# Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
-# chosen: nested lists in the configuration make plotly's ``react`` draw without end.
-UNUSED_BUTTONS = ("toImage", "zoom2d", "pan2d", "select2d", "lasso2d", "autoScale2d")
 
 
 class StudyView:
@@ -201,11 +199,9 @@ class StudyView:
         """A chart whose clicks mark a time."""
 
         def click(e: events.GenericEventArguments) -> None:
-            points = e.args.get("points") or []
-            if points:
-                self._field.set_value(float(points[0]["x"]))
+            self._field.set_value(float(e.args["detail"]))
 
-        plotted(chart, told, height).on("plotly_click", click)
+        plotted(chart, told, height).on("moment", click, ["detail"])
 
     def _mark(self, run: Run) -> tuple[float, str] | None:
         """The time that is marked with its words, where the run has it."""
@@ -343,14 +339,9 @@ def said_by(name: str, *facts: Any) -> None:
     ui.html(words(name, *facts), sanitize=False).classes("told w-full")
 
 
-def plotted(chart: Chart, told: str, height: int) -> ui.plotly:
+def plotted(chart: Chart, told: str, height: int) -> ui.element:
     """A chart; ``told`` to screen readers, ``height`` in pixels."""
-    config = {
-        "responsive": True,
-        "displaylogo": False,
-        "displayModeBar": True,
-        "modeBarButtonsToRemove": list(UNUSED_BUTTONS),
-    }
-    plot = ui.plotly({**plotly(chart), "config": config}).classes("w-full")
-    plot.style(f"height: {height}px").props('role="img"').props["aria-label"] = told
+    plot = ui.element("div").classes("live w-full").style(f"height: {height}px")
+    plot.props["data-label"] = told
+    plot.props["data-figure"] = json.dumps(figure(chart), allow_nan=False)
     return plot

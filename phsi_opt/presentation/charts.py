@@ -1,19 +1,15 @@
-"""The charts of a study, made once: as figures of plotly, as SVG, and on axes.
+"""The charts of a study, made once: for a script, as SVG, and on axes.
 
-A `Chart` says what is drawn; the page and the report's browser draw it by plotly
-(`plotly`), paper, notebooks and browsers without scripts by matplotlib (`svg`, `draw`).
+A `Chart` says what is drawn; ``chart.js`` draws it in page and report (`figure`), and
+matplotlib on paper, in notebooks and in browsers without scripts (`svg`, `draw`).
 Names are never read as formulas or markup. Nothing here calls ``plt.show``.
 """
 
 import datetime as dt
 import io
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cache
-from html import escape
-from importlib.resources import files
+from dataclasses import dataclass, fields, is_dataclass, replace
 from textwrap import wrap
 from typing import Any
 
@@ -88,6 +84,7 @@ class Curve:
     texts: tuple[str, ...] = ()  # beside the points
     side: str = "top"  # of the texts, or "bottom"
     is_shown: bool = True  # before somebody asks for it
+    group: str = ""  # the name of the curve with which it is shown or not
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +153,9 @@ def run_chart(
     """The channel of a number measured and simulated, with the residuals below."""
     one = run.channels[channel]
     residuals = [one.measured - model for model in one.models]
-    curves = _of_models(("",) * len(residuals), one.t, residuals)
+    curves = []
+    for curve in _of_models(content.names, one.t, residuals):
+        curves.append(replace(curve, name="", group=curve.name))
     noise = None if one.noise is None else 2 * one.noise
     below = Panel(label("residual", one.unit), curves, noise=noise, height=0.5)
     x_label = time_label(content.time.unit, run.origin)
@@ -234,115 +233,24 @@ def _short(name: str) -> str:
     return shortened(name, 44)
 
 
-# ---- by plotly -----------------------------------------------------------------------
+# ---- by a script -------------------------------------------------------------------
 
 
-def plotly(chart: Chart) -> dict[str, Any]:
-    """Data and layout for plotly's library, as JSON takes them.
-
-    Texts and grid have no colours: those of the page around them are taken.
-    """
-    look = _looks()
-    data: list[dict[str, Any]] = []
-    shapes: list[dict[str, Any]] = []
-    notes: list[dict[str, Any]] = []
-    bottom = f"y{len(chart.panels) or 1}"
-    x_axis = {**_plotly_axis(chart.x_label), "anchor": bottom, "zeroline": False}
-    layout = {**look["layout"], "xaxis": x_axis, "shapes": shapes, "annotations": notes}
-    if chart.map is not None:
-        layout["yaxis1"] = _plotly_axis(chart.map.y_label)
-        data.append(_plotly_map(chart.map))
-    top = 1.0
-    gap = 0.1  # of the height, between two panels
-    room = 1 - gap * (len(chart.panels) - 1)
-    heights = sum(panel.height for panel in chart.panels)
-    for k, panel in enumerate(chart.panels, start=1):
-        end = top - room * panel.height / heights
-        domain = {"domain": [max(end, 0.0), top]}
-        axis = {**_plotly_axis(panel.label), **domain, **look.get(panel.scale, {})}
-        layout[f"yaxis{k}"] = axis
-        for curve in panel.curves:
-            data += _plotly_curve(curve, f"y{k}")
-        if panel.noise is not None:
-            band = {"yref": f"y{k}", "y0": -panel.noise, "y1": panel.noise}
-            shapes.append({**look["noise band"], **band, "fillcolor": _faint(FLOOR)})
-            notes.append({**look["noise"], "y": top})
-        top = end - gap
-    if chart.ticks:
-        escaped = [[escape(one, quote=False) for one in lines] for lines in chart.ticks]
-        x_axis["ticktext"] = list(map("<br>".join, escaped))
-        x_axis["tickvals"] = list(range(len(escaped)))
-        x_axis["range"] = [-0.5, len(escaped) - 0.5]
-    if chart.window is not None:
-        begin, end = chart.window
-        place = {"x0": begin, "x1": end, "fillcolor": _faint(ATTENTION)}
-        shapes.append({**look["along"], **place})
-    if chart.mark is not None:
-        t, text = chart.mark
-        line = {"color": MARK, "width": 2, "dash": "dash"}
-        shapes.append({**look["along"], "type": "line", "x0": t, "x1": t, "line": line})
-        notes.append({**look["mark"], "text": escape(text, quote=False), "x": t})
-    return {"data": data, "layout": layout}
-
-
-@cache
-def _looks() -> dict[str, Any]:
-    """What all charts of plotly's library have in common."""
-    path = files("phsi_opt.presentation") / "templates" / "chart.json"
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+def figure(chart: Chart) -> dict[str, Any]:
+    """What ``chart.js`` draws: the chart as JSON takes it, None for NaN."""
+    found: dict[str, Any] = _plain(chart)
     return found
 
 
-def _plotly_axis(title: str) -> dict[str, Any]:
-    text = {"text": escape(title, quote=False), "font": {"size": 13}}
-    return {**_looks()["axis"], "title": text}
-
-
-def _plotly_curve(curve: Curve, axis: str) -> list[dict[str, Any]]:
-    """The curve; before it the edges of its band, where it has one."""
-    look = _looks()
-    x = rounded(curve.x, digits=6)  # a zoomed curve has no steps
-    dash = curve.look if curve.look in ("dash", "dot") else "solid"
-    place = {"type": "scatter", "x": x, "yaxis": axis}
-    trace: dict[str, Any] = {
-        **place,
-        "y": rounded(curve.y),
-        "name": escape(_short(curve.name), quote=False),
-        "line": {"color": curve.color, "width": 2, "dash": dash},
-        "hovertemplate": "%{y:.4g}",
-        "showlegend": bool(curve.name),
-        "visible": True if curve.is_shown else "legendonly",
-        "mode": "lines",
-        **look.get(curve.look, {}),
-    }
-    trace["marker"] = {**trace.get("marker", {}), "color": curve.color}
-    if curve.texts:
-        trace |= {"text": curve.texts, "textposition": f"{curve.side} center"}
-    if curve.std is None:
-        return [trace]
-    upper = {**place, **look["edge"], "y": rounded(curve.y + curve.std)}
-    lower = {**place, **look["edge"], "y": rounded(curve.y - curve.std)}
-    filled = {"fill": "tonexty", "fillcolor": _faint(curve.color)}
-    lower |= {**filled, "showlegend": True, "name": curve.band}
-    return [upper, lower, trace]
-
-
-def _plotly_map(found: ForceMap) -> dict[str, Any]:
-    title = {"text": escape(found.label, quote=False), "side": "right"}
-    return {
-        **_looks()["map"],
-        "x": rounded(found.x),
-        "y": rounded(found.y),
-        "z": list(map(rounded, found.force)),
-        "zmin": -found.largest,
-        "zmax": found.largest,
-        "colorbar": {"title": title},
-    }
-
-
-def _faint(color: str) -> str:
-    red, green, blue = bytes.fromhex(color[1:])
-    return f"rgba({red},{green},{blue},0.2)"
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return rounded(value) if value.ndim == 1 else list(map(rounded, value))
+    if isinstance(value, list | tuple):
+        return list(map(_plain, value))
+    if not is_dataclass(value):
+        return value
+    found = {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+    return found | ({"largest": value.largest} if isinstance(value, ForceMap) else {})
 
 
 def rounded(curve: np.ndarray, digits: int = 4) -> list[float | None]:

@@ -1,14 +1,13 @@
 """Reports by templates: one HTML file, or Markdown; everything of the data is escaped.
 
-The HTML file loads nothing. Charts and their library are in it, compressed; the browser
-unpacks them. Until it has, on paper, and where no script runs, static pictures stand in
+The HTML file loads nothing. What charts show is in it, compressed; the browser unpacks
+and draws it. Until it has, on paper, and where no script runs, static pictures stand in
 place of the charts.
 """
 
 import base64
 import gzip
 import json
-from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -17,10 +16,10 @@ from markupsafe import Markup
 from phsi_opt.presentation.charts import (
     Chart,
     errors_chart,
+    figure,
     follows_chart,
     force_chart,
     glance_chart,
-    plotly,
     run_chart,
     svg,
 )
@@ -42,7 +41,7 @@ class _Place(NamedTuple):
 
     def drawn(self) -> Any:
         """The figures, or the figure, for the browser."""
-        figures = [list(map(plotly, of_run)) for of_run in self.charts]
+        figures = [list(map(figure, of_run)) for of_run in self.charts]
         return figures[0][0] if self.shown is None else figures
 
 
@@ -80,19 +79,18 @@ def html_report(content: StudyContent) -> str:
         return f"data:image/svg+xml;base64,{base64.b64encode(text).decode()}"
 
     templates = environment(PRESENTATION, TEMPLATES, autoescape=True)
-    folder = files(PRESENTATION) / TEMPLATES
-    style, script = (
-        Markup((folder / name).read_text(encoding="utf-8"))  # ours: no escape
-        for name in ("report.css", "report.js")
-    )
     return templates.get_template("report.html.jinja").render(
         report=content,
         picture=picture,
-        style=style,
-        script=script,
+        style=Markup(ours("chart.css") + ours("report.css")),  # no escape
+        script=Markup(ours("chart.js") + ours("report.js")),
         data=packed(json.dumps(drawn, allow_nan=False)),
-        library=_library(),
     )
+
+
+def ours(name: str) -> str:
+    """The text of one of our scripts and style sheets."""
+    return (files(PRESENTATION) / TEMPLATES / name).read_text(encoding="utf-8")
 
 
 def markdown_report(content: StudyContent) -> str:
@@ -107,13 +105,6 @@ def _in_markdown(value: Any) -> str:
     if isinstance(value, Markup):
         return value
     return " ".join(str(value).split()).replace("<", "&lt;").replace("|", "\\|")
-
-
-@cache
-def _library() -> str:
-    from plotly.offline import get_plotlyjs
-
-    return packed(get_plotlyjs())
 
 
 def packed(text: str) -> str:

@@ -1,4 +1,3 @@
-"use strict";
 (async function () {
   const root = document.documentElement;
 
@@ -32,10 +31,6 @@
   let charts;
   try {
     charts = JSON.parse(await unpacked("data"));
-    const script = document.createElement("script");
-    script.textContent = await unpacked("library");
-    document.head.appendChild(script);
-    if (!window.Plotly) throw new Error("no chart library");
   } catch (error) {
     return; // the static pictures stay
   }
@@ -50,28 +45,15 @@
     });
     return charts[id][run][channel];
   }
-  const settings = { responsive: true, displaylogo: false, displayModeBar: false };
+  const drawn = {};
   function draw(id) {
-    const figure = chosen(id);
-    Plotly.react(id, figure.data, figure.layout, settings);
+    if (drawn[id]) drawn[id].stop();
+    drawn[id] = phsiChart(document.getElementById(id), chosen(id));
   }
   document.querySelectorAll("select[data-chart]").forEach((select) => select.addEventListener("change", () => draw(select.dataset.chart)));
-
-  // Zoom by keyboard: half or twice the width, a quarter of it to either side.
-  function zoom(id, what) {
-    if (what === "whole") {
-      Plotly.relayout(id, { "xaxis.autorange": true, "yaxis.autorange": true });
-      return;
-    }
-    const range = document.getElementById(id)._fullLayout.xaxis.range.map(Number);
-    const width = range[1] - range[0];
-    const middle = (range[0] + range[1]) / 2;
-    const change = { in: [middle - width / 4, middle + width / 4], out: [middle - width, middle + width], left: range.map((v) => v - width / 4), right: range.map((v) => v + width / 4) };
-    Plotly.relayout(id, { "xaxis.range": change[what] });
-  }
   document.querySelectorAll(".zoom").forEach((group) => group.addEventListener("click", (event) => {
     const what = event.target.dataset.do;
-    if (what) zoom(group.dataset.chart, what);
+    if (what) drawn[group.dataset.chart].zoom(what);
   }));
   Object.keys(charts).forEach(draw);
   root.dataset.drawn = "yes";

@@ -1,0 +1,208 @@
+"use strict";
+// Draws a chart of Python's `Chart` into an element, as SVG: hover, legend, zoom.
+function phsiChart(host, chart) {
+  const DASHES = { dash: "7 4", dot: "2 4" }, LEFT = 62, RIGHT = 12, GAP = 22;
+  const plain = (text) => String(text).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
+  const finite = (values) => values.filter((value) => value !== null && isFinite(value));
+  const curves = chart.panels.flatMap((panel) => panel.curves);
+  const hidden = new Set(curves.filter((curve) => !curve.is_shown).map((curve) => curve.group || curve.name));
+  const seen = (panel) => panel.curves.filter((curve) => !hidden.has(curve.group || curve.name));
+  const whole = chart.ticks.length ? [-0.5, chart.ticks.length - 0.5] : chart.map ? edges(chart.map.x) : reach(curves.flatMap((curve) => ends(curve.x)));
+  let range = whole;
+
+  function ends(values) {
+    let [low, high] = [Infinity, -Infinity];
+    for (const value of values) if (value !== null) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    return low <= high ? [low, high] : [];
+  }
+  function reach(values) {
+    const [low = 0, high = 1] = ends(values);
+    return low < high ? [low, high] : [low - (Math.abs(low) || 1) / 2, high + (Math.abs(high) || 1) / 2];
+  }
+  function edges(middles) {
+    const half = middles.length > 1 ? (middles[1] - middles[0]) / 2 : 0.5;
+    return [middles[0] - half, middles[middles.length - 1] + half];
+  }
+  function said(value, digits = 4) {
+    const text = Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
+    return text.replace(/e\+?(-?\d+)/, " × 10^$1").replace(/-/g, "−");
+  }
+  function ticks(low, high, most) {
+    const rough = (high - low) / most, size = 10 ** Math.floor(Math.log10(rough));
+    const step = size * [1, 2, 5, 10].find((factor) => factor * size >= rough);
+    const found = [];
+    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
+    return found;
+  }
+  function decades(low, high) {
+    const found = [];
+    for (let k = Math.floor(low); k <= high; k++) for (const one of [1, 2, 5]) found.push(k + Math.log10(one));
+    return found.filter((value) => value >= low && value <= high);
+  }
+  function limits(panel) {
+    if (chart.map) return edges(chart.map.y);
+    const log = panel.scale === "log", values = panel.noise ? [-panel.noise, panel.noise] : [];
+    for (const curve of seen(panel)) {
+      curve.y.forEach((y, k) => {
+        if (y === null || curve.x[k] < range[0] || curve.x[k] > range[1] || (log && y <= 0)) return;
+        const half = curve.std ? curve.std[k] || 0 : 0;
+        values.push(log ? Math.log10(y) : y - half, log ? Math.log10(y) : y + half);
+      });
+    }
+    if (panel.scale === "from zero") values.push(0);
+    const [low, high] = reach(values), room = (high - low) * (panel.curves.some((curve) => curve.texts.length) ? 0.2 : 0.06);
+    return [panel.scale === "from zero" ? 0 : low - room, high + room];
+  }
+  function path(curve, x, y, height) {
+    let text = "", pen = "M";
+    curve.y.forEach((value, k) => {
+      const at = value === null ? NaN : y(value);
+      if (!isFinite(at)) { pen = "M"; return; }
+      text += `${pen}${x(curve.x[k]).toFixed(1)} ${Math.max(-999, Math.min(height + 999, at)).toFixed(1)}`;
+      pen = "L";
+    });
+    return text;
+  }
+  function drawn(curve, x, y, height) {
+    let svg = "";
+    if (curve.std) {
+      const known = curve.y.map((value, k) => k).filter((k) => curve.y[k] !== null && curve.std[k] !== null);
+      const side = (sign) => known.map((k) => `${x(curve.x[k]).toFixed(1)} ${y(curve.y[k] + sign * curve.std[k]).toFixed(1)}`);
+      svg += `<polygon points="${[...side(1), ...side(-1).reverse()].join(" ")}" fill="${curve.color}" opacity=".2"/>`;
+    }
+    const isPoints = curve.look === "points";
+    if (!isPoints) svg += `<path d="${path(curve, x, y, height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
+    if (!isPoints && curve.look !== "steps") return svg;
+    curve.y.forEach((value, k) => {
+      if (value === null || !isFinite(y(value))) return;
+      const [cx, cy] = [x(curve.x[k]).toFixed(1), y(value)];
+      svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isPoints ? 1.8 : 4}" fill="${curve.color}"/>`;
+      const text = curve.texts[k] || "";
+      svg += text && `<text x="${cx}" y="${cy + (curve.side === "top" ? -9 : 18)}" text-anchor="middle" style="fill: ${curve.color}">${plain(text)}</text>`;
+    });
+    return svg;
+  }
+  function cells(map, x, y) {
+    const [left, right] = edges(map.x), [low, high] = edges(map.y);
+    const [width, height] = [(x(right) - x(left)) / map.x.length, (y(low) - y(high)) / map.y.length];
+    return map.force.flatMap((row, r) => row.map((value, k) => {
+      if (value === null) return "";
+      const colour = value > 0 ? "#b2182b" : "#2166ac";
+      const place = `x="${x(map.x[k]) - width / 2}" y="${y(map.y[r]) - height / 2}" width="${width}" height="${height}"`;
+      return `<rect ${place} fill="${colour}" opacity="${Math.abs(value) / map.largest}"><title>${said(value, 3)}</title></rect>`;
+    })).join("");
+  }
+  function legend() {
+    const named = new Map();
+    for (const curve of curves) {
+      if (curve.name && !named.has(curve.name)) named.set(curve.name, curve);
+      if (curve.std) named.set(curve.band, { ...curve, look: "band" });
+    }
+    const keys = [...named].map(([name, curve]) => {
+      const line = curve.look === "points" ? "dotted 4px" : curve.look === "band" ? "solid 9px" : { dash: "dashed 3px", dot: "dotted 3px" }[curve.look] || "solid 3px";
+      const key = `<i style="border-top: ${line} ${curve.color}${curve.look === "band" ? "55" : ""}"></i>${plain(name)}`;
+      return curve.look === "band" ? `<span>${key}</span>` : `<button type="button" aria-pressed="${!hidden.has(name)}" data-name="${plain(name)}">${key}</button>`;
+    });
+    if (chart.panels.some((panel) => panel.noise)) keys.push('<span><i class="noise"></i>noise, two standard deviations</span>');
+    if (chart.map) keys.push(`<span><i style="border-top: solid 9px #b2182b"></i>up to ${said(chart.map.largest, 3)}</span><span><i style="border-top: solid 9px #2166ac"></i>down to ${said(-chart.map.largest, 3)}: ${plain(chart.map.label)}</span>`);
+    return `<div class="keys">${keys.join("")}</div>`;
+  }
+  function draw() {
+    const width = host.clientWidth, panels = chart.map ? [{ label: chart.map.y_label, curves: [], height: 1, scale: "" }] : chart.panels;
+    if (!width) return;
+    const box = host.querySelector("svg"), tickRows = Math.max(1, ...chart.ticks.map((lines) => lines.length));
+    host.querySelector(".keys").outerHTML = legend();
+    const height = Math.max(host.clientHeight - host.querySelector(".keys").offsetHeight - 4, 120);
+    const bottom = height - 18 * tickRows - (chart.x_label ? 22 : 4);
+    const x = (value) => LEFT + (value - range[0]) / (range[1] - range[0]) * (width - LEFT - RIGHT);
+    const room = bottom - 18 - GAP * (panels.length - 1), heights = panels.reduce((sum, panel) => sum + panel.height, 0);
+    let top = 18, svg = "";
+    panels.forEach((panel) => {
+      const high = room * panel.height / heights, [least, most] = limits(panel), log = panel.scale === "log";
+      const y = (value) => top + high - ((log ? Math.log10(value) : value) - least) / (most - least) * high;
+      const shape = (from, to, kind) => `<rect x="${x(Math.max(from, range[0]))}" y="${top}" width="${Math.max(x(Math.min(to, range[1])) - x(Math.max(from, range[0])), 0)}" height="${high}" class="${kind}"/>`;
+      const marks = log ? decades(least, most) : ticks(least, most, Math.max(high / 35, 3));
+      marks.forEach((mark) => {
+        const at = y(log ? 10 ** mark : mark);
+        svg += `<line x1="${LEFT}" x2="${width - RIGHT}" y1="${at}" y2="${at}" class="${mark === 0 && !log ? "zero" : "grid"}"/><text x="${LEFT - 6}" y="${at + 4}" text-anchor="end">${said(log ? 10 ** mark : mark)}</text>`;
+      });
+      svg += `<text x="2" y="${top - 6}" class="name">${plain(panel.label)}</text><g clip-path="inset(0)"><svg x="${LEFT}" y="${top - 6}" width="${width - LEFT - RIGHT}" height="${high + 12}" viewBox="${LEFT} ${top - 6} ${width - LEFT - RIGHT} ${high + 12}">`;
+      if (chart.window) svg += shape(...chart.window, "window");
+      if (panel.noise) svg += `<rect x="${LEFT}" width="${width}" y="${y(panel.noise)}" height="${y(-panel.noise) - y(panel.noise)}" class="noise"/>`;
+      if (chart.map) svg += cells(chart.map, x, y);
+      svg += seen(panel).map((curve) => drawn(curve, x, y, height)).join("");
+      if (chart.mark) svg += `<line x1="${x(chart.mark[0])}" x2="${x(chart.mark[0])}" y1="${top}" y2="${top + high}" class="mark"/>`;
+      svg += "</svg></g>";
+      top += high + GAP;
+    });
+    if (chart.mark) svg += `<text x="${x(chart.mark[0])}" y="12" text-anchor="middle">${plain(chart.mark[1])}</text>`;
+    const below = chart.ticks.length ? chart.ticks.map((lines, k) => [k, lines]) : ticks(...range, Math.max((width - LEFT) / 90, 2)).map((value) => [value, [said(value)]]);
+    below.forEach(([value, lines]) => lines.forEach((line, row) => { svg += `<text x="${x(value)}" y="${bottom + 16 + 17 * row}" text-anchor="middle">${plain(line)}</text>`; }));
+    svg += `<text x="${(LEFT + width - RIGHT) / 2}" y="${height - 5}" text-anchor="middle" class="name">${plain(chart.x_label)}</text><line class="cursor" x1="-9" x2="-9" y1="18" y2="${bottom}"/><rect class="drag" y="18" height="${bottom - 18}"/>`;
+    box.setAttribute("height", height);
+    box.innerHTML = svg;
+  }
+
+  // ---- what a reader does: hover, drag, the legend, and the zoom of buttons ----------
+  host.classList.add("drawn");
+  host.innerHTML = `${legend()}<svg width="100%" role="img" aria-label="${plain(host.dataset.label)}"></svg><output hidden></output>`;
+  const box = host.querySelector("svg"), told = host.querySelector("output");
+  const inside = (event) => event.clientX - box.getBoundingClientRect().left;
+  const value = (pixel) => range[0] + (Math.min(Math.max(pixel, LEFT), host.clientWidth - RIGHT) - LEFT) / (host.clientWidth - LEFT - RIGHT) * (range[1] - range[0]);
+  const nearest = (curve, at) => curve.x.reduce((best, x, k) => curve.y[k] !== null && (best < 0 || Math.abs(x - at) < Math.abs(curve.x[best] - at)) ? k : best, -1);
+  let from = null;
+  function zoom(low, high) {
+    range = low < high ? [low, high] : whole;
+    draw();
+  }
+  box.addEventListener("pointerdown", (event) => { from = inside(event); });
+  box.addEventListener("pointermove", (event) => {
+    const at = inside(event), cursor = box.querySelector(".cursor"), drag = box.querySelector(".drag");
+    if (chart.map || !cursor) return;
+    if (event.buttons && from !== null) {
+      drag.setAttribute("x", Math.min(from, at));
+      drag.setAttribute("width", Math.abs(at - from));
+    }
+    const rows = chart.panels.flatMap(seen).map((curve) => [curve, nearest(curve, value(at))]).filter(([, k]) => k >= 0);
+    if (!rows.length) return;
+    const x = rows[0][0].x[rows[0][1]];
+    const title = chart.ticks.length ? chart.ticks[x].join(" ") : `${chart.x_label}: ${said(x)}`;
+    told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k]) => `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.name || `residual, ${curve.group}`)} ${said(curve.y[k])}`).join("<br>");
+    told.hidden = false;
+    told.style.left = `${Math.min(at + 14, host.clientWidth - told.offsetWidth - 4)}px`;
+    cursor.setAttribute("x1", at);
+    cursor.setAttribute("x2", at);
+  });
+  box.addEventListener("pointerup", (event) => {
+    const at = inside(event);
+    if (from !== null && Math.abs(at - from) > 8 && !chart.ticks.length && !chart.map) zoom(...[value(from), value(at)].sort((a, b) => a - b));
+    else host.dispatchEvent(new CustomEvent("moment", { detail: Number(value(at).toPrecision(5)) }));
+    from = null;
+  });
+  box.addEventListener("pointerleave", () => {
+    told.hidden = true;
+    ["x1", "x2"].forEach((end) => box.querySelector(".cursor").setAttribute(end, -9));
+  });
+  box.addEventListener("dblclick", () => zoom(0, 0));
+  host.addEventListener("click", (event) => {
+    const key = event.target.closest("button[data-name]");
+    if (!key) return;
+    const name = key.dataset.name;
+    if (!hidden.delete(name)) hidden.add(name);
+    draw();
+    [...host.querySelectorAll("button[data-name]")].find((one) => one.dataset.name === name)?.focus();
+  });
+  const watch = new ResizeObserver(draw);
+  watch.observe(host);
+  draw();
+  return {
+    stop: () => watch.disconnect(),
+    zoom(what) {
+      const [low, high] = range, width = high - low;
+      const to = { in: [low + width / 4, high - width / 4], out: [low - width / 2, high + width / 2], left: [low - width / 2, high - width / 2], right: [low + width / 2, high + width / 2] };
+      zoom(...(to[what] || [0, 0]));
+    },
+  };
+}
+// A page that puts charts in and takes them out has each in ``data-figure``.
+new MutationObserver(() => document.querySelectorAll("[data-figure]:not(.drawn)").forEach((host) => phsiChart(host, JSON.parse(host.dataset.figure)))).observe(document.documentElement, { childList: true, subtree: true });
