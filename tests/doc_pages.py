@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 HOW_TO = "how_to"
 # A page whose files come with the package: what `phsi-opt demo` writes.
-DEMO_DATA = ROOT / "phsi_opt" / "command_line" / "demo_data"
+DEMO_DATA = ROOT / "phsi_opt" / "study_file" / "examples" / "spring"
 WITH_DEMO_DATA = ("command_line",)
 RUN = ("python", "console", "toml")
 FILE_NAME = re.compile(r"# (\w+\.toml)\n")

@@ -85,7 +85,7 @@ def run(*arguments: object, at: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def demo(tmp_path: Path) -> Path:
     """The study file of the demonstration, with three of its eight runs."""
-    shipped = ROOT / "phsi_opt" / "command_line" / "demo_data"
+    shipped = ROOT / "phsi_opt" / "study_file" / "examples" / "spring"
     lines = (shipped / "friction_spring.csv").read_text().splitlines()
     left_out = tuple(f"run {number}" for number in range(4, 9))
     kept = [line for line in lines if not line.startswith(left_out)]

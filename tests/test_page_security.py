@@ -137,7 +137,7 @@ def test_nothing_that_is_uploaded_is_run(tmp_path: Path) -> None:
     state = ("working_study.toml", "fitted_study.toml", "report.html")
     for name in ("study.checkpoint", "innocent.csv", *state):
         session.upload(name, content)
-        session.undo()  # answered once the worker is there, and has taken its study
+        session.diagnose()  # answered once the worker is there
         wait_for(lambda: session.job is None)
         assert session.message.startswith("Nothing has been fitted yet")
         session.rest()

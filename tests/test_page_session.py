@@ -17,7 +17,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.criteria import FAILING_ERROR
-from phsi_opt.page.draft_views import unknown_names
+from phsi_opt.page.draft_views import EXAMPLES, unknown_names
 from phsi_opt.page.drafts import (
     INPUT,
     MOST_UPLOADED,
@@ -31,14 +31,13 @@ from phsi_opt.page.gallery import GALLERY, BaseModel, match_states
 from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words
 from phsi_opt.page.serve import is_loopback, serve
-from phsi_opt.page.session import Job, Look, Session
+from phsi_opt.page.session import Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
-from phsi_opt.page.study_view import words
+from phsi_opt.page.study_view import beside, rows_of, words
 from phsi_opt.page.worker import Order, Shown, WorkerHandle
 from phsi_opt.presentation.content import (
     ErrorStep,
     Glance,
-    StudyContent,
 )
 from tests.page_tools import bad_table, contrast, spring_table, wait_for
 
@@ -373,26 +372,16 @@ def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None
         assert "dp/dt lacks" in words("at_time", [force], run, 1.0, content.time, 2.0)
 
 
-def test_the_charts_open_where_the_verdict_says_and_stay_there(
-    studied: Session,
-) -> None:
+def test_the_charts_open_at_the_run_held_out(studied: Session) -> None:
     known = studied.content
     assert known is not None and known.glance is not None
-    studied._show(replace(known, glance=Glance(2, 0, "", t=3.5)))
-    assert studied.look == Look(2, 0, 3.5)
-    assert not studied.look.is_of(known)
-    studied._show(replace(known, glance=None))
-    assert studied.look == Look(known.shown, 0, None)
-    studied.job = Job("Adding an effect", compares=True)
-    studied.look = looked = Look(run=1, t=2.0)
-    studied._show(known)
-    assert studied.look is looked, "before and after are compared"
-    studied.job = None
+    assert studied.look == Look(known.shown, 0)
+    assert known.runs[studied.look.run].part == "held out"
     # Of a model that lacks nothing, no moment is the worst one.
-    studied._show(known)
-    assert not studied.look.is_of(known)
+    assert Look.worst(known) is None
     lacks = replace(known, diagnoses=known.diagnoses[:1])
-    assert studied.look.is_of(lacks)
+    lacks = replace(lacks, glance=Glance(2, 0, "", t=3.5))
+    assert Look.worst(lacks) == Look(2, 0, 3.5)
     assert known.runs[0].holds(1.0) and not known.runs[0].holds(99.0)
 
 
@@ -442,16 +431,64 @@ def test_samples_are_averaged_and_fitted_again(session: Session) -> None:
     assert any("thinned" in one.key for one in session.check())
 
 
-def test_undo_takes_back_the_step(studied: Session) -> None:
-    before = studied.content
-    assert before is not None
-    studied.undo()
-    wait_for(lambda: studied.job is None)
+def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None:
+    larger = studied.content
+    assert larger is not None
+    assert [one.name for one in studied.models] == [
+        "base model",
+        "+ Coulomb friction on p",
+    ]
+    assert (studied.compared, studied.redone) == (0, None)
+    studied.go_to(studied.undone)
+    assert studied.job is None
     assert studied.content is not None
-    assert studied.content.steps == before.steps[:1]
+    assert studied.content.steps == larger.steps[:1]
     assert studied.content.present is not None
     assert studied.content.present.proposed == ("coulomb friction on p",)
-    assert studied.message == ""
+    assert "coulomb friction" not in studied.study_file().text()
+    assert (studied.undone, studied.redone, studied.compared) == (None, 1, None)
+    studied.rest()  # a further worker goes on from the model that is shown
+    studied.add("quadratic drag on p")
+    wait_for(lambda: len(studied.models) == 3)
+    studied.cancel()
+    assert studied.content.added == ("quadratic drag on p",)
+    studied.go_to(1)
+    assert studied.content is larger
+    studied.look.run = 1
+    run = larger.runs[1]
+    base, present = studied.models[0].content, studied.models[2].content
+    content, drawn = beside({"one": base, "other": present}, run, 0)
+    assert content.names == ("one", "other")
+    assert len(drawn.channels[0].models) == 2
+    rows = rows_of([base, larger])
+    assert list(rows)[:3] == ["training error", "held-out error", "k"]
+    assert rows["coulomb_friction_p"][0] == ""
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_example_is_a_study_without_complaint(name: str, tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    session.open_example(name)
+    assert session.job is not None, session.complaints
+    session.close()
+
+
+def test_a_study_file_opens_when_its_tables_are_there(tmp_path: Path) -> None:
+    folder = Path(ph.__file__).parent / "study_file" / "examples" / "motor"
+    session = Session(tmp_path)
+    text = (folder / "study.toml").read_bytes()
+    assert session.upload("mine.toml", text)
+    assert session.message == "mine.toml reads motor.csv: upload this as well."
+    assert session.upload("motor.csv", (folder / "motor.csv").read_bytes())
+    assert session.complaints == (), session.upload_error
+    assert session.draft.model.table["F"] == {"w": "g*u - a*w"}
+    assert not session.upload("wrong.toml", b"[data]\nfiles = 3")
+    assert "wrong.toml" in session.upload_error
+    assert session.draft.model.table["F"] == {"w": "g*u - a*w"}, "nothing is lost"
+    elsewhere = text.replace(b"motor.csv", b"/etc/hostname")
+    assert session.upload("other.toml", elsewhere)
+    assert session.message.startswith("other.toml reads /etc/hostname: upload this")
+    session.close()
 
 
 def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
@@ -471,7 +508,9 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
     session: Session, monkeypatch: pytest.MonkeyPatch, studied: Session
 ) -> None:
     told: list[Order] = []
-    monkeypatch.setattr(WorkerHandle, "tell", lambda _, order: told.append(order))
+    monkeypatch.setattr(
+        WorkerHandle, "tell", lambda _, order, study: told.append(order)
+    )
     assert studied.content is not None
     for is_shown, said in (
         (False, "Cancelled: Adding coulomb friction on p."),
@@ -494,10 +533,10 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(
     counted_as_made = []
     show = Session._show
 
-    def noted(self: Session, content: StudyContent) -> None:
+    def noted(self: Session, shown: Shown) -> None:
         assert self.job is not None
         counted_as_made.append(self.job.is_shown)
-        show(self, content)
+        show(self, shown)
 
     monkeypatch.setattr(Session, "_show", noted)
     consider_few(session)

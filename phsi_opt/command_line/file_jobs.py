@@ -147,7 +147,7 @@ def written_demonstration(folder: Path) -> Path:
     Raises:
         DataError: another file is there, or the folder cannot be written.
     """
-    shipped = files("phsi_opt.command_line") / "demo_data"
+    shipped = files("phsi_opt.study_file") / "examples" / "spring"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name in DEMO_FILES:

@@ -28,6 +28,7 @@ from phsi_opt.page.drafts import (
     RUNS,
     SHARE,
     STATE,
+    STUDY_KIND,
     TABLE_KINDS,
     TERMS,
     TIME,
@@ -60,8 +61,16 @@ from phsi_opt.study_file.keys import listed
 ABOUT = (
     "A table as CSV, text or Excel workbook: one line per sample below a header. At "
     f"most {in_megabytes(MOST_UPLOADED)} a file. Several files with the same columns "
-    "are several runs."
+    "are several runs. A study file (.toml) opens with the tables that it names."
 )
+EXAMPLES = {
+    "spring": "Damped spring",
+    "motor": "Motor with steps of voltage",
+    "house": "Heated room",
+}
+DATA_PART = "1 Data"
+MODEL_PART = "2 Model"
+STUDY_PART = "3 Study"
 # What the server is told of files that the browser does not even send.
 TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
@@ -92,7 +101,7 @@ class DataView:
 
     session: Session  # whose draft it is
     checked: Then  # called after every change of the draft
-    go_on: Callable[[], Any]  # shows the next part
+    go: Callable[[str], Any]  # shows a part
 
     def build(self) -> None:
         """Draw it all."""
@@ -108,10 +117,11 @@ class DataView:
                     on_upload=self._upload,
                 )
                 upload.on("rejected", self._rejected, js_handler=TELL_REJECTED)
-                upload.props["accept"] = ",".join(TABLE_KINDS)
+                upload.props["accept"] = ",".join((*TABLE_KINDS, STUDY_KIND))
                 ui.label("Drop tables here, or").classes("said q-mb-sm")
                 button("Choose files", lambda: upload.run_method("pickFiles"))
             self.error()
+        self.examples()
         self.table()
         self.wrong()
 
@@ -130,6 +140,22 @@ class DataView:
         self.session.shape += 1
 
     @ui.refreshable_method
+    def examples(self) -> None:
+        """Studies to try, as long as there are no measurements."""
+        if self.session.draft.data is not None:
+            return
+        with card():
+            heading("Or try an example")
+            ui.label("Simulated measurements; the model lacks one effect.")
+            with ui.row():
+                for name, title in EXAMPLES.items():
+                    button(title, partial(self._open_example, name), quiet=True)
+
+    async def _open_example(self, name: str) -> None:
+        await run.io_bound(self.session.open_example, name)
+        self.go(STUDY_PART)
+
+    @ui.refreshable_method
     def error(self) -> None:
         """Why the last file was refused."""
         if self.session.upload_error:
@@ -144,7 +170,7 @@ class DataView:
             found = self.session.complaints
             of_data = [one for one in found if one.key.split(".")[0] in DATA_SECTIONS]
             complaints(of_data, "The data are valid.")
-            button("Next: the model", self.go_on)
+            button("Next: the model", lambda: self.go(MODEL_PART))
 
     @ui.refreshable_method
     def table(self) -> None:

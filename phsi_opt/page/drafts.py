@@ -50,6 +50,7 @@ MOST_UPLOADED = 20_000_000
 MOST_FILES = 50  # of one study; each is a run
 # What the name of an uploaded table may end in; the ending tells how it is read.
 TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
+STUDY_KIND = ".toml"  # of a study file
 
 
 # ---- texts of fields, and what a study file has for them -----------------------------
@@ -320,9 +321,9 @@ def refusal_of(name: str, n_bytes: int) -> str:
     shown = repr(shortened(name, 40))
     if not name.isprintable():
         return f"the name {shown} has control characters; expected letters."
-    if suffix_of(name) not in TABLE_KINDS:
-        kinds = ", ".join(TABLE_KINDS)
-        return f"{shown} is not a table by its ending; expected {kinds}."
+    if suffix_of(name) not in (*TABLE_KINDS, STUDY_KIND):
+        kinds = ", ".join((*TABLE_KINDS, STUDY_KIND))
+        return f"{shown} is no table or study file by its ending; expected {kinds}."
     if n_bytes > MOST_UPLOADED:
         return (
             f"{name} has {in_megabytes(n_bytes)}; at most "

@@ -7,19 +7,20 @@ Its files lie in two folders: what it writes itself, and what was uploaded. The 
 the disk are its own; a user's name for a file is shown, and is no path.
 """
 
-import os
 import re
 import shutil
 import threading
 import time
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from pathlib import Path, PurePath
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.drafts import (
     INPUT,
     MOST_FILES,
+    STUDY_KIND,
     Drafted,
     StudyDraft,
     look_at,
@@ -30,6 +31,8 @@ from phsi_opt.page.gallery import GALLERY, BaseModel, left_over, match_states
 from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
+from phsi_opt.presentation.numbers import proper_names
+from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.toml_text import tables_of
 from phsi_opt.writing import write_whole
@@ -37,6 +40,7 @@ from phsi_opt.writing import write_whole
 WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
+OPENED_FILE = "opened_study.toml"
 REPORT_FILE = "report.html"
 LOOKING = "diagnosing"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; upload a file.")
@@ -52,17 +56,34 @@ class Look:
 
     @classmethod
     def at(cls, content: StudyContent) -> "Look":
-        """Where the verdict says that it shows best, else where the error is worst."""
-        glance = content.glance
-        if glance is None:
-            return cls(content.shown)
-        return cls(glance.run, glance.channel, glance.t)
+        """The run held out in which the base model is off most."""
+        run = content.runs[content.shown]
+        return cls(content.shown, run.channels.index(run.worst(0)))
 
-    def is_of(self, content: StudyContent | None) -> bool:
-        """Whether it is where the present model is said to fail."""
+    @classmethod
+    def worst(cls, content: StudyContent | None) -> "Look | None":
+        """Where the present model is said to fail; None: nowhere."""
         if content is None or content.glance is None or content.present is None:
-            return False
-        return bool(content.present.forces) and self == Look.at(content)
+            return None
+        glance = content.glance
+        is_told = bool(content.present.forces)
+        return cls(glance.run, glance.channel, glance.t) if is_told else None
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A fitted model, to which one can go back."""
+
+    content: StudyContent  # of the study whose present model it is
+    study: bytes  # as the worker sent it, to go on from
+    drafted: Drafted  # what was fitted
+    before: int | None = None  # number of the model that was shown before it
+
+    @property
+    def name(self) -> str:
+        """What was done last, such as "+ Coulomb friction on p"."""
+        steps = self.content.steps
+        return proper_names(steps[-1].change(len(steps) - 1))
 
 
 @dataclass
@@ -117,16 +138,16 @@ class Session:
         for part in (self._state, self._uploads):
             part.mkdir(parents=True)
         self._n_uploads = 0
-        self._study: bytes | None = None  # as the worker sent it, for the next one
         self.draft = StudyDraft()  # what the user filled in
         self.upload_error = ""  # why the last file was refused
         self.job: Job | None = None  # the work that goes on
         # What was handed out last, or how the last job ended where not well.
         self.message = ""
         self.failure = ""  # why the last job could not be done
-        self.content: StudyContent | None = None  # the study as it stands
+        self.models: list[Model] = []  # that were fitted, the oldest first
+        self.now: int | None = None  # number of the one that is shown
+        self.compared: int | None = None  # of the one that is drawn beside it
         self.look = Look()  # what its charts show
-        self.fitted: Drafted | None = None  # the draft as it was fitted last
         self.report_path: Path | None = None  # the report that was written last
         # Counts changes after which the fields of drafts are drawn anew; and all else.
         self.shape = 0
@@ -137,6 +158,7 @@ class Session:
         self._worker: WorkerHandle | None = None
         self._idle_since = time.monotonic()
         self._fitting: Drafted | None = None
+        self._waiting = ""  # the name of a study file whose tables are not there yet
         self._checking = threading.Lock()
         self._taking = threading.Lock()
         if study_file is not None:
@@ -146,33 +168,70 @@ class Session:
 
     # ---- drafts ----------------------------------------------------------------------
 
-    def _open(self, path: Path) -> None:
+    def _open(self, path: Path, places: dict[str, Path] | None = None) -> None:
+        """Begin with a study file; its tables lie beside it unless told otherwise."""
         content = tables_of(path)
-        files = content["data"]["files"]
-        listed = [files] if isinstance(files, str) else files
-        places = {file: path.parent.absolute() / file for file in listed}
+        if places is None:
+            folder = path.parent.absolute()
+            places = {file: folder / file for file in listed(content["data"]["files"])}
         measured = StudyFile.read(path, places).measurements()
         self.draft = StudyDraft.of(content, places)
         assert self.draft.data is not None
         self.draft.data.n_samples = measured.n_samples
         self.draft.data.runs = [run.name for run in measured.trajectories]
 
+    def open_example(self, name: str) -> None:
+        """Begin with a study that comes with the package, and fit it."""
+        folder = Path(str(files("phsi_opt.study_file") / "examples" / name))
+        self._open(folder / "study.toml")
+        self.shape += 1
+        self.fit()
+
     def upload(self, name: str, content: bytes) -> bool:
-        """Take a table; whether it could be used.
+        """Take a table or a study file; whether it could be used.
 
         A further table with the same columns is a further run; one of the same name
-        takes its place. ``upload_error`` says why one was refused, and the files before
-        it stay.
+        takes its place. A study file is opened when all of its tables are there.
+        ``upload_error`` says why one was refused, and the files before it stay.
         """
         name = re.split(r"[/\\]", name)[-1]  # without folders that a browser may tell
         with self._taking:  # a browser sends several at once
             self.upload_error = self._refusal(name, content)
-            if not self.upload_error:
+            is_study = suffix_of(name) == STUDY_KIND
+            if is_study and not self.upload_error:
+                write_whole(self._state / OPENED_FILE, content)
+                self._waiting = name
+            elif not self.upload_error:
                 self._take(name, content)
+            if self._waiting and not self.upload_error:
+                self._open_waiting()
             if not self.upload_error:
                 self._ready_worker()
             self.shape += 1  # at last: a page may look at any time
             return not self.upload_error
+
+    def _open_waiting(self) -> None:
+        """Open the study file that was uploaded, once all of its tables are."""
+        path = self._state / OPENED_FILE
+        known = self.draft.places
+        try:
+            named = tables_of(path).get("data", {}).get("files", ())
+            places = {}
+            for file in filter(lambda one: isinstance(one, str), listed(named)):
+                places[file] = known.get(PurePath(file).name)
+            lacking = [file for file, place in places.items() if place is None]
+            if lacking:
+                said = f"{self._waiting} reads {', '.join(lacking)}"
+                self.message = f"{said}: upload this as well."
+                return
+            self._open(path, {file: at for file, at in places.items() if at})
+        except StudyFileError as error:
+            said = "; ".join(map(str, error.complaints[:3]))
+            self.upload_error = f"{self._waiting}: {said}"
+        except PhsiOptError as error:
+            self.upload_error = f"{self._waiting}: {error}"
+        self._waiting = ""
+        self.check()
 
     def _refusal(self, name: str, content: bytes) -> str:
         """Why a file is not even looked at; "" where it is."""
@@ -200,8 +259,9 @@ class Session:
             return
         # Uploads that neither the draft nor a fit names any more are removed.
         used = set(self.draft.places.values())
-        for drafted in (self.fitted, self._fitting):
-            used.update(drafted.places.values() if drafted else ())
+        fitted = [one.drafted for one in self.models]
+        for drafted in filter(None, (*fitted, self._fitting)):
+            used.update(drafted.places.values())
         for path in self._uploads.iterdir():
             if path not in used:
                 path.unlink()
@@ -291,9 +351,20 @@ class Session:
         return ()
 
     @property
+    def model(self) -> Model | None:
+        """The one that is shown; None before there is one."""
+        return None if self.now is None else self.models[self.now]
+
+    @property
+    def content(self) -> StudyContent | None:
+        """The study as it stands; None before there is one."""
+        return None if self.model is None else self.model.content
+
+    @property
     def is_stale(self) -> bool:
-        """Whether the draft has changed since it was fitted."""
-        return self.fitted is not None and self.fitted != self.draft.as_it_is()
+        """Whether the draft has changed since the model that is shown was fitted."""
+        model = self.model
+        return model is not None and model.drafted != self.draft.as_it_is()
 
     @property
     def is_empty(self) -> bool:
@@ -335,13 +406,41 @@ class Session:
         """Ask what the present model lacks."""
         self._order("Diagnosing", Order(Verb.DIAGNOSE))
 
-    def add(self, effect: str) -> None:
-        """Add an effect of the ranking, re-fit, and ask again."""
-        self._order(f"Adding {effect}", Order(Verb.ADD, effect), f"Added {effect}")
+    def add(self, *effects: str) -> None:
+        """Add an effect of the ranking, or all that are proposed; ask again."""
+        said = " and ".join(effects)
+        what = effects[0] if len(effects) == 1 else ""
+        self._order(f"Adding {said}", Order(Verb.ADD, what), f"Added {said}")
 
-    def undo(self) -> None:
-        """Take back the last step."""
-        self._order("Undoing the last step", Order(Verb.UNDO))
+    @property
+    def undone(self) -> int | None:
+        """The number of the model before the one that is shown."""
+        return None if self.model is None else self.model.before
+
+    @property
+    def redone(self) -> int | None:
+        """The number of the model that came last of the one that is shown."""
+        after = [k for k, one in enumerate(self.models) if one.before == self.now]
+        return after[-1] if after else None
+
+    def go_to(self, number: int | None) -> None:
+        """Show a model that was fitted, and go on from it; nothing is lost."""
+        if number is None or self.job is not None:
+            return
+        self.now = number
+        self._compare_with_base()
+        self.message = f"Now at model {number + 1}: {self.models[number].name}."
+        self.version += 1
+
+    def _compare_with_base(self) -> None:
+        """Compare with the base model that the one shown came from."""
+        self.compared = None
+        if self.model is None:
+            return
+        for number, one in enumerate(self.models):
+            is_base = len(one.content.steps) == 1 and number != self.now
+            if is_base and one.drafted == self.model.drafted:
+                self.compared = number
 
     def auto(self) -> None:
         """Add while an effect is decisive."""
@@ -374,16 +473,16 @@ class Session:
             return
         self.message = ""
         self.failure = ""
-        compares = order.verb in (Verb.ADD, Verb.AUTO, Verb.UNDO)
+        compares = order.verb in (Verb.ADD, Verb.AUTO)
         forecast = Forecast(n_diagnoses)
         self.job = Job(label, done=done, compares=compares, forecast=forecast)
-        self._ready_worker().tell(order)
+        model = None if order.verb == Verb.FIT else self.model
+        self._ready_worker().tell(order, model.study if model else None)
         self.version += 1
 
     def _ready_worker(self) -> WorkerHandle:
-        """The worker; a new one goes on from the study that the last one kept."""
         if self._worker is None or not self._worker.is_alive:
-            self._worker = WorkerHandle(self._study, self._receive)
+            self._worker = WorkerHandle(self._receive)
         self._idle_since = time.monotonic()
         return self._worker
 
@@ -414,15 +513,10 @@ class Session:
         if isinstance(message, str) and self.job is not None:
             self.job.say(message)
         elif isinstance(message, Shown):
-            self._study = message.study
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
                 self.job.show()
-            self._show(message.content)
-            if self._fitting is not None:  # the first result of a fit
-                self.fitted = self._fitting
-                self._fitting = None
-                os.replace(self._state / FITTING_FILE, self._state / FITTED_FILE)
+            self._show(message)
         elif isinstance(message, Path):
             self.report_path = message
         elif isinstance(message, Refused):
@@ -442,15 +536,27 @@ class Session:
             self._end_worker()
         self.version += 1
 
-    def _show(self, content: StudyContent) -> None:
-        """Take a new state of the study.
+    def _show(self, shown: Shown) -> None:
+        """Take a new model, or what is known now of the one that is shown.
 
-        Charts of a base model open at what is said of it. After a further step they
+        Charts of a base model open at the run that judges it. After a further step they
         stay where they were: the reader compares before and after.
         """
-        self.content = content
-        if self.job is None or not self.job.compares:
-            self.look = Look.at(content)
+        content, known = shown.content, self.model
+        drafted = self._fitting or (known.drafted if known else self.draft.as_it_is())
+        is_fitted = self._fitting is not None  # the first result of a fit
+        self._fitting = None
+        n_known = len(known.content.steps) if known else 0
+        if known is None or is_fitted or len(content.steps) > n_known:
+            self.models.append(Model(content, shown.study, drafted, self.now))
+            self.now = len(self.models) - 1
+            self._compare_with_base()
+            if self.job is None or not self.job.compares:
+                self.look = Look.at(content)
+        else:
+            assert self.now is not None
+            further = replace(known, content=content, study=shown.study)
+            self.models[self.now] = further
 
     # ---- files to take away ----------------------------------------------------------
 
@@ -461,11 +567,13 @@ class Session:
             DataError: nothing was fitted yet.
             StudyFileError: a data file has changed since.
         """
-        if self.content is None or self.fitted is None:
+        if self.model is None:
             raise DataError("nothing has been fitted yet; press Fit first.")
-        file = StudyFile.read(self._state / FITTED_FILE, self.fitted.places)
-        further = [one for one in self.content.added if one not in file.steps.added]
-        return file.with_added(*further)
+        drafted = self.model.drafted
+        path = write_whole(self._state / FITTED_FILE, drafted.text)
+        file = StudyFile.read(path, drafted.places)
+        added = self.model.content.added
+        return file.with_added(*(one for one in added if one not in file.steps.added))
 
     def close(self) -> None:
         """End the worker and remove the files."""

@@ -10,7 +10,13 @@ from pathlib import Path
 
 from nicegui import run, ui
 
-from phsi_opt.page.draft_views import DataView, ModelView
+from phsi_opt.page.draft_views import (
+    DATA_PART,
+    MODEL_PART,
+    STUDY_PART,
+    DataView,
+    ModelView,
+)
 from phsi_opt.page.parts import button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
@@ -39,9 +45,6 @@ BY_ARROWS = """(key) => {
   const first = step > 0 ? 0 : items.length - 1;
   items[place < 0 ? first : (place + step + items.length) % items.length].focus();
 }"""
-DATA_PART = "1 Data"
-MODEL_PART = "2 Model"
-STUDY_PART = "3 Study"
 READY = "Ready."
 THEMES = {None: "as the system", False: "light", True: "dark"}
 
@@ -57,7 +60,7 @@ class Shell:
     def __init__(self, session: Session, begin_again: Callable[[], object]) -> None:
         self._session = session
         self._begin_again = begin_again
-        self._data = DataView(session, self._checked, lambda: self._go(MODEL_PART))
+        self._data = DataView(session, self._checked, self._go)
         self._model = ModelView(session, self._checked)
         self._study = StudyView(session)
         self._shape = session.shape
@@ -178,6 +181,7 @@ class Shell:
         if session.shape != self._shape:
             self._shape = session.shape
             self._data.error.refresh()
+            self._data.examples.refresh()
             self._data.table.refresh()
             self._model.gallery.refresh()
             self._model.fields.refresh()

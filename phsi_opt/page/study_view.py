@@ -6,26 +6,29 @@ is told. The field for the time does the same for those who use no mouse.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from nicegui import events, ui
 
 from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.page.parts import alert, button, card, choice, heading
-from phsi_opt.page.session import Look, Session
+from phsi_opt.page.session import Look, Model, Session
 from phsi_opt.presentation.charts import (
     Chart,
     errors_chart,
     figure,
+    follows_chart,
     force_chart,
     run_chart,
 )
 from phsi_opt.presentation.content import Diagnosed, Ranked, Run, StudyContent
-from phsi_opt.presentation.numbers import number, proper_names
+from phsi_opt.presentation.numbers import number, proper_names, with_error
 from phsi_opt.presentation.sentences import environment
 
 N_SHOWN = 5  # candidates that are shown at once
@@ -44,6 +47,7 @@ HOW_TO_LOOK = (
     "Click in a chart to see the missing force at that time; drag to zoom, "
     "double-click to reset."
 )
+NO_MODEL = "no other model"
 STALE = (
     "Data or model have changed since the last fit. The results below belong to the "
     "previous model."
@@ -108,9 +112,10 @@ class StudyView:
                 self._measured(content)
                 with card().classes("last"):
                     said_by("model", content)
+                    self.side_by_side()
                 self._exports()
             with ui.column().classes("gap-3").style("min-width: 0"):
-                self._errors(content)
+                self._models(content)
                 if content.present is not None:
                     self._ranking(content, content.present)
 
@@ -142,13 +147,13 @@ class StudyView:
             label = f"Average every {n} samples and fit again"
             self._begins(label, lambda: self._session.average(n), quiet=False)
         if diagnosed.proposed:
-            self._add_button("Add", diagnosed.proposed[0], quiet=False)
+            self._add_button("Add", *diagnosed.proposed)
         elif diagnosed.nearest:
-            self._add_button("Try", diagnosed.nearest, quiet=True)
+            self._add_button("Try", diagnosed.nearest)
 
-    def _add_button(self, verb: str, effect: str, quiet: bool) -> None:
-        label = f"{verb} {proper_names(effect)}"
-        self._begins(label, lambda: self._session.add(effect), quiet)
+    def _add_button(self, verb: str, *effects: str) -> None:
+        label = f"{verb} {proper_names(' and '.join(effects))}"
+        self._begins(label, partial(self._session.add, *effects), verb != "Add")
 
     # ---- measured and model, and the force that is missing ---------------------------
 
@@ -161,7 +166,8 @@ class StudyView:
             heading("Measured and model")
             with ui.element("div").classes("fields"):
                 titles = {k: run.title for k, run in enumerate(content.runs)}
-                choice("run", titles, self._look.run, self._set_run, width="15em")
+                shown = (titles, self._look.run, self._set_run)
+                runs = choice("run", *shown, width="15em")
                 names = [one.name for one in content.runs[0].channels]
                 if len(names) > 1:
                     channels = dict(enumerate(names))
@@ -175,11 +181,47 @@ class StudyView:
                     on_change=lambda e: self._look_at(e.value),
                 )
                 self._field.props("dense outlined debounce=400").style("width: 12em")
+                self._choose_compared()
+                worst = Look.worst(content)
+                if worst is not None and worst.t is not None:
+                    t = worst.t
+                    button("Show the worst moment", lambda: show(worst.run, t), True)
             self.overlay()
             ui.label(HOW_TO_LOOK).classes("faint")
         with card():
             heading("The missing force")
+            self._follows(content)
             self.force()
+
+        def show(run: int, t: float) -> None:
+            runs.set_value(run)
+            self._field.set_value(float(f"{t:.6g}"))
+
+    def _choose_compared(self) -> None:
+        """Which other model is drawn beside the one that is shown."""
+        session = self._session
+        others: dict[int | None, str] = {None: NO_MODEL}
+        for place, one in enumerate(session.models):
+            if place != session.now:
+                others[place] = titled(place, one)
+
+        def compare(place: int | None) -> None:
+            session.compared = place
+            self.overlay.refresh()
+            self.side_by_side.refresh()
+
+        if len(others) > 1:
+            now = session.compared
+            choice("compare with", others, now, compare, width="15em")
+
+    def _follows(self, content: StudyContent) -> None:
+        """What is missing, or was before it was added, against what it follows."""
+        missed = [one for one in content.diagnoses if one.forces]
+        for force in missed[-1].forces[:2] if missed else ():
+            found = force.follows
+            ui.label(found.sentence)
+            told = f"Chart: {found.y_label} against {found.x_label}"
+            plotted(follows_chart(found), told, 260)
 
     def _set_run(self, run: int) -> None:
         self._look.run = run
@@ -208,7 +250,10 @@ class StudyView:
         t = self._look.t
         if t is None or not run.holds(t):
             return None
-        is_worst = self._look.is_of(self._session.content)
+        worst = Look.worst(self._session.content)
+        is_worst = False
+        if worst is not None and worst.t is not None:
+            is_worst = worst.run == self._look.run and number(t) == number(worst.t)
         return t, "worst moment" if is_worst else "the time shown"
 
     @ui.refreshable_method
@@ -218,8 +263,10 @@ class StudyView:
         if content is None:
             return
         run = content.runs[self._look.run]
-        chart = run_chart(content, run, self._look.channel, self._mark(run))
-        name = run.channels[self._look.channel].name
+        channel = self._look.channel
+        drawn = beside(self._chosen(), run, channel)
+        chart = run_chart(*drawn, channel, self._mark(run))
+        name = run.channels[channel].name
         label = f"Chart: {name} of {run.title}, measured and model"
         self._plotted(chart, label, 360)
         t = self._look.t
@@ -241,19 +288,54 @@ class StudyView:
             chart = force_chart(forces, content.time.unit, self._mark(run))
             self._plotted(chart, "Chart: the missing force over time", 260)
 
-    # ---- errors, ranking and exports -------------------------------------------------
+    # ---- models, ranking and exports -------------------------------------------------
 
-    def _errors(self, content: StudyContent) -> None:
+    def _chosen(self) -> dict[str, StudyContent]:
+        """The model to compare with, if any, and the one that is shown."""
+        session = self._session
+        chosen = {}
+        for place in (session.compared, session.now):
+            if place is not None:
+                one = session.models[place]
+                chosen[titled(place, one)] = one.content
+        return chosen
+
+    @ui.refreshable_method
+    def side_by_side(self) -> None:
+        """Errors and parameters of two models."""
+        chosen = self._chosen()
+        if len(chosen) > 1:
+            said_by("side_by_side", list(chosen), rows_of(list(chosen.values())))
+
+    def _models(self, content: StudyContent) -> None:
+        session = self._session
         with card():
             heading("Error after each step")
             chart = errors_chart(content.steps, content.unit)
             errors = [f"{one.label} {number(one.judged, 3)}" for one in content.steps]
             plotted(chart, f"Chart: error after each step: {', '.join(errors)}", 280)
             with ui.row():
-                if len(content.steps) > 1:
-                    self._begins("Undo the last step", self._session.undo, True)
+                steps = {"Undo": session.undone, "Redo": session.redone}
+                for label, place in steps.items():
+                    if place is not None:
+                        self._begins(label, partial(session.go_to, place), True)
                 if content.present is None or content.present.proposed:
-                    self._begins(ADD_ALL, self._session.auto, True)
+                    self._begins(ADD_ALL, session.auto, True)
+            several = session.models if len(session.models) > 1 else ()
+            for place, one in enumerate(several):
+                self._listed(place, one)
+
+    def _listed(self, place: int, one: Model) -> None:
+        """A model of the list, with the button that shows it."""
+        session = self._session
+        with ui.row().classes("candidate items-center no-wrap justify-between"):
+            said_by("listed_model", titled(place, one), one.content)
+            if place == session.now:
+                ui.label("shown").classes("faint")
+                return
+            show = self._begins("Show", partial(session.go_to, place), True)
+            show.props("dense flat").props(remove="outline")
+            show.props["aria-label"] = f"Show model {titled(place, one)}"
 
     def _ranking(self, content: StudyContent, diagnosed: Diagnosed) -> None:
         is_good = diagnosed.verdict == "nothing missing"
@@ -321,6 +403,51 @@ class StudyView:
             told = f"{name} was downloaded by the browser."
             self._session.message = told
         self._session.version += 1
+
+
+def titled(place: int, one: Model) -> str:
+    """A model with its number."""
+    return f"{place + 1}: {one.name}"
+
+
+def beside(
+    models: Mapping[str, StudyContent], run: Run, channel: int
+) -> tuple[StudyContent, Run]:
+    """Content and run to draw: the free runs of several models, each by its name.
+
+    Args:
+        models: their studies, by what they are called; the run is of the last one.
+        run: measured.
+        channel: number of the one that is drawn.
+    """
+    one = run.channels[channel]
+    simulated = {}
+    for name, content in models.items():
+        for known in content.runs:
+            for found in known.channels if known.title == run.title else ():
+                if (found.name, found.unit) == (one.name, one.unit):
+                    simulated[name] = np.interp(one.t, found.t, found.models[-1])
+    channels = list(run.channels)
+    channels[channel] = replace(one, models=tuple(simulated.values()))
+    content = list(models.values())[-1]
+    drawn = replace(content, names=tuple(simulated))
+    return drawn, replace(run, channels=tuple(channels))
+
+
+def rows_of(models: Sequence[StudyContent]) -> dict[str, list[str]]:
+    """Errors and parameters, a text for each model; "" where it has none."""
+    rows: dict[str, list[str]] = {}
+    for k, one in enumerate(models):
+        step = one.steps[-1]
+        errors = {"training error": step.train, "held-out error": step.held_out}
+        said = {}
+        for name, error in errors.items():
+            said[name] = "" if error is None else f"{number(error, 3)} {one.unit}"
+        for row in one.models[-1].parameters:
+            said[row.name] = f"{with_error(row.value, row.std_error)} {row.unit}"
+        for name, text in said.items():
+            rows.setdefault(name, [""] * len(models))[k] = text
+    return rows
 
 
 @cache

@@ -34,7 +34,6 @@ class Verb(StrEnum):
     FIT = "fit"
     DIAGNOSE = "diagnose"
     ADD = "add"
-    UNDO = "undo"
     AUTO = "auto"
     REPORT = "report"
 
@@ -44,7 +43,8 @@ class Order:
     """What the worker is told: a verb, and what it needs."""
 
     verb: Verb
-    # A path for ``FIT`` and ``REPORT``; for ``ADD`` the name of an effect.
+    # A path for ``FIT`` and ``REPORT``; for ``ADD`` the name of an effect, or "" for
+    # what the diagnosis proposes.
     what: str = ""
     # For ``FIT``: where the data files lie, by their names.
     places: Mapping[str, Path] = field(default_factory=dict)
@@ -78,23 +78,22 @@ class WorkerHandle:
     """One spawned process, the thread that listens to it and the one that tells it.
 
     Args:
-        study: the study to go on from, as the worker before sent it; None: there is
-            none.
         on_message: called from the listening thread with every message (a line of
             progress, `Shown`, the `Path` of a report, `Refused`, `Done`), and with None
             when the process has ended.
     """
 
-    def __init__(self, study: bytes | None, on_message: Receiver) -> None:
+    def __init__(self, on_message: Receiver) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._on_message = on_message
-        self._orders: SimpleQueue[Order | None] = SimpleQueue()
+        self._orders: SimpleQueue[Order | bytes | None] = SimpleQueue()
+        self.study: bytes | None = None  # the one that it has, as it was sent
         self._process = context.Process(target=work, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()  # else the pipe would not break when the worker ends
         threading.Thread(target=self._listen, daemon=True).start()
-        threading.Thread(target=self._write, args=(study,), daemon=True).start()
+        threading.Thread(target=self._write, daemon=True).start()
 
     @property
     def pid(self) -> int:
@@ -106,8 +105,16 @@ class WorkerHandle:
         """Whether the process is there."""
         return self._process.is_alive()
 
-    def tell(self, order: Order) -> None:
-        """Send an order; the worker takes it when the one before is done."""
+    def tell(self, order: Order, study: bytes | None = None) -> None:
+        """Send an order; the worker takes it when the one before is done.
+
+        Args:
+            order: what to do.
+            study: to go on from, as a worker sent it; None: it needs none.
+        """
+        if study is not None and study is not self.study:
+            self.study = study
+            self._orders.put(study)
         self._orders.put(order)
 
     def end(self) -> None:
@@ -124,14 +131,18 @@ class WorkerHandle:
             except (EOFError, OSError):
                 message = None
                 self._orders.put(None)
+            if isinstance(message, Shown):
+                self.study = message.study
             self._on_message(self, message)
 
-    def _write(self, study: bytes | None) -> None:
-        """Send the study, which a worker that starts takes late, then the orders."""
+    def _write(self) -> None:
+        """Send studies and orders, which a worker that starts takes late."""
         try:
-            self._connection.send_bytes(study or ForkingPickler.dumps(None))
             while (order := self._orders.get()) is not None:
-                self._connection.send(order)
+                if isinstance(order, bytes):
+                    self._connection.send_bytes(order)
+                else:
+                    self._connection.send(order)
         except OSError:  # the process has ended; the other thread tells
             return
 
@@ -155,17 +166,19 @@ def work(connection: Connection) -> None:
     """Carry out orders until the pipe breaks.
 
     Args:
-        connection: the study to go on from, or None, comes in first, then orders;
-            messages go out.
+        connection: studies to go on from and orders come in; messages go out.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
     _Pipe.connection = connection
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
-    study: Study | None = orders.get()
+    study: Study | None = None
     while True:
         order = orders.get()
+        if isinstance(order, Study):
+            study = order
+            continue
         try:
             if order.verb == Verb.FIT:
                 study = StudyFile.read(order.what, order.places).study(tell)
@@ -197,9 +210,7 @@ def _carried_out(study: Study, order: Order, send: Callable[[Shown], None]) -> A
     if order.verb == Verb.REPORT:
         return study.report(order.what)
     if order.verb == Verb.ADD:
-        study.add(order.what)
-    elif order.verb == Verb.UNDO:
-        study.undo()
+        study.add(order.what or None)
     elif order.verb == Verb.AUTO:
         for _ in range(DEFAULT_MAX_STEPS):  # shown after each step
             n_steps = len(study.steps)

@@ -190,19 +190,29 @@ class Study(Summarised):
         return found
 
     @interruptible
-    def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
+    def add(
+        self, effect: str | Effect | None = None, equation: str | None = None
+    ) -> Fit:
         """Add an effect, re-fit, and return the fit.
 
         Args:
-            effect: an `Effect`, or its name in the ranking or the catalogue.
+            effect: an `Effect`, or its name in the ranking or the catalogue; default:
+                what the diagnosis of the present model proposes, which may be several.
             equation: the equation of an effect that is given by name; not needed if
                 only one equation can have it.
 
         Raises:
-            ModelError: there is no such effect, or it is in the model already.
+            ModelError: there is no such effect, it is in the model already, or none is
+                proposed.
             SolveError: the larger model could not be fitted.
         """
         present = self.record.present
+        if effect is None:
+            if present is None or not present.proposed:
+                raise ModelError(
+                    "no effect is proposed: call diagnose() first, or name the effect."
+                )
+            return self._add_all(present.proposed, present.proposed_fit)
         ranking = () if present is None else present.ranking
         if isinstance(effect, str):
             ranked = {one.name: one.effect for one in ranking}
