@@ -37,7 +37,7 @@ HEADERS = {
 }
 STRANGE_NAMES = [
     *("", ".", "..", "\0.csv", "a\nb.csv", "\udcff.csv"),
-    *("study.checkpoint", "study.toml", "table", ".csv.exe"),
+    *("study.checkpoint", "table", ".csv.exe"),
 ]
 
 
