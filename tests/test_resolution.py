@@ -8,10 +8,8 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.noise import (
-    initial_noise,
-    resolution,
-)
+from phsi_opt.data.channel_noise import resolution
+from phsi_opt.data.noise import initial_noise
 from phsi_opt.diagnosis.candidate import Grade
 from problems.tools.data_paths import folder
 

@@ -29,6 +29,7 @@ from phsi_opt.data.checks import (
     hold_of_each,
     numbered_names,
 )
+from phsi_opt.data.noticed import DataLook
 from phsi_opt.data.table_readers import TableReaders
 from phsi_opt.data.trajectory import (
     Trajectory,
@@ -44,6 +45,10 @@ from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_tab
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
+
+    from phsi_opt.presentation.charts import Chart
+    from phsi_opt.presentation.tables import PrintedTable
 
 Arguments = ParamSpec("Arguments")
 Derived = Callable[Concatenate["Measurements", Arguments], np.ndarray]
@@ -424,6 +429,56 @@ class Measurements(TableReaders, Summarised):
         n_samples = [run.n_samples for run in self.trajectories]
         frame.insert(0, "trajectory", np.repeat(np.array(names, object), n_samples))
         return frame
+
+    @cached_property
+    def look(self) -> DataLook:
+        """The clock and every channel as they are seen before there is a model."""
+        fields = (self.trajectories, self.states, self.inputs, self.units)
+        return DataLook(*fields, tuple(hold_of_each(self.hold, self.inputs)))
+
+    @property
+    def noticed(self) -> "PrintedTable":
+        """What the samples show before there is a model.
+
+        Returns:
+            A row for the clock "t" and one for each channel, with the columns channel,
+            unit, lowest, highest, resolution (the step in which the values are
+            quantised), noise (standard deviation, from differences of neighbours; NaN
+            where not known) and noticed: how regular the clock is, and its gaps;
+            missing samples; single samples far from both neighbours; values at which a
+            channel stays.
+
+        Examples:
+            >>> t = np.linspace(0.0, 1.0, 101)
+            >>> q = np.sin(t)
+            >>> q[40] = 3.0
+            >>> data = Measurements.from_arrays(t, q, states=["q"])
+            >>> print(data.noticed["noticed"][1])
+            1 outlier of one sample, at t = 0.4
+        """
+        return printed_table(self.look.rows())
+
+    def chart(self) -> "Chart":
+        """Every measured channel over time, as page and report draw it."""
+        from phsi_opt.data.data_chart import data_chart
+
+        return data_chart(self.look)
+
+    def plot(self, ax: "Axes | None" = None) -> "list[Axes]":
+        """Every measured channel over time, states first, the runs one after another.
+
+        What `noticed` tells is marked: gaps, single samples far from both neighbours,
+        and samples at a limit of a sensor.
+
+        Args:
+            ax: Axes whose place is divided among the channels; None: a new figure.
+
+        Returns:
+            The axes, one for each channel.
+        """
+        from phsi_opt.presentation.pictures import plot_panels
+
+        return plot_panels(self.chart(), ax)
 
     def _channels(self) -> Iterator[dict[str, Any]]:
         """A row per channel; NaN for what is not known."""

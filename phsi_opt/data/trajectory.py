@@ -105,6 +105,11 @@ def part_of(run: Trajectory, rows: slice) -> Trajectory:
     return replace(run, t=run.t[rows], x=run.x[rows], u=run.u[rows])
 
 
+def run_numbers(runs: Sequence[Trajectory]) -> np.ndarray:
+    """The number of the trajectory of each sample of all of them, (n_samples,)."""
+    return np.repeat(np.arange(len(runs)), [run.n_samples for run in runs])
+
+
 def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
     """At least one trajectory, each under a name of its own, as a tuple.
 

@@ -14,8 +14,8 @@ Nothing is solved here.
 
 import numpy as np
 
+from phsi_opt.data.channel_noise import DEVIATION_PER_STEP
 from phsi_opt.data.noise import (
-    DEVIATION_PER_STEP,
     LEAST_NOISE_SHARE,
     channel_spread,
     difference_noise,

@@ -47,12 +47,14 @@ MODEL_LOOKS = (
 )
 POINTS = "points"
 STEPS = "steps"
+RINGS = "rings"
 MATPLOTLIB_LOOKS: dict[str, Any] = {
     "solid": {},
     "dash": {"ls": "--"},
     "dot": {"ls": ":"},
     POINTS: {"ls": "none", "marker": ".", "ms": 3},
     STEPS: {"marker": "o", "ms": 5},
+    RINGS: {"ls": "none", "marker": "o", "ms": 9, "mfc": "none"},
 }
 TWO_DEVIATIONS = "two standard deviations"
 DEVIATION = "std. deviation"
@@ -67,6 +69,7 @@ STYLE: Any = {
 }
 FROM_ZERO = "from zero"
 LOG = "log"
+FREE = "free"
 Mark = tuple[float, str]  # a time, with what it is called
 
 
@@ -78,7 +81,8 @@ class Curve:
     x: np.ndarray
     y: np.ndarray
     color: str
-    look: str = "solid"  # ``POINTS``, ``STEPS`` (line and markers), or a kind of line
+    # ``POINTS``, ``RINGS``, ``STEPS`` (line and markers), or a kind of line
+    look: str = "solid"
     std: np.ndarray | None = None  # half the width of a band around it; None: no band
     band: str = TWO_DEVIATIONS  # what the band is called
     texts: tuple[str, ...] = ()  # beside the points
@@ -96,7 +100,8 @@ class Panel:
     # Half the width of the band that noise fills; None: no band.
     noise: float | None = None
     height: float = 1.0  # relative to the other panels
-    scale: str = ""  # of the axis: ``FROM_ZERO``, ``LOG``, or "": as the curves ask
+    # of the axis: ``FROM_ZERO``, ``LOG``, ``FREE``, or "": with a line at zero
+    scale: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +327,7 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
         ax.set_yscale("log")
     elif panel.scale == FROM_ZERO:
         ax.set_ylim(bottom=0)
-    else:
+    elif panel.scale != FREE:
         ax.axhline(0, color=BASELINE, lw=0.6)
     if chart.window is not None:
         ax.axvspan(*chart.window, color=ATTENTION, alpha=0.15, lw=0)

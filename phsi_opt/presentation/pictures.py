@@ -88,24 +88,37 @@ def plot_free_run(
     draw(ax, chart)
     ax.set_title(title)
     if all(channel.noise for channel in channels):
-        draw(_panel_below(ax), chart, place=1)
+        draw(_rows_of(ax, (2, 1))[1], chart, place=1)
         ax.tick_params(axis="x", labelbottom=False)
         ax.xaxis.label.set_visible(False)  # it stands below the residuals
     return ax
 
 
-def _panel_below(ax: Axes) -> Axes:
-    """New axes in the lower part of the place that the axes had."""
+def _rows_of(ax: Axes, heights: Sequence[float]) -> list[Axes]:
+    """The place of axes in rows of relative heights; the first one has the axes."""
     place = ax.get_subplotspec()
-    if place is not None:
-        rows = place.subgridspec(2, 1, height_ratios=(2, 1))
-        ax.set_subplotspec(rows[0])
-        return ax.figure.add_subplot(rows[1], sharex=ax)
-    box = ax.get_position()
-    lower = box.height / 3
-    ax.set_position((box.x0, box.y0 + lower, box.width, box.height - lower))
-    size = (box.x0, box.y0, box.width, 0.85 * lower)  # a gap between them
-    return ax.figure.add_axes(size, sharex=ax)
+    if place is None:  # free in the figure: a grid within the same box
+        box = ax.get_position()
+        edges = {"left": box.x0, "right": box.x1, "bottom": box.y0, "top": box.y1}
+        place = ax.figure.add_gridspec(1, 1, **edges)[0]
+    grid = place.subgridspec(len(heights), 1, height_ratios=heights)
+    ax.set_subplotspec(grid[0])
+    rows = [ax]
+    for number in range(1, len(heights)):
+        rows.append(ax.figure.add_subplot(grid[number], sharex=ax))
+    return rows
+
+
+def plot_panels(chart: Chart, ax: Axes | None = None) -> list[Axes]:
+    """All panels of a chart below each other, in the place of axes or in a figure."""
+    heights = [panel.height for panel in chart.panels]
+    rows = _rows_of(axes_of(ax, (8.0, 1.0 + 2.4 * sum(heights))), heights)
+    for place, row in enumerate(rows):
+        draw(row, chart, place)
+        is_last = row is rows[-1]
+        row.tick_params(axis="x", labelbottom=is_last)
+        row.xaxis.label.set_visible(is_last)
+    return rows
 
 
 def plot_missing_force(

@@ -70,13 +70,13 @@ function phsiChart(host, chart) {
       const side = (sign) => known.map((k) => `${x(curve.x[k]).toFixed(1)} ${y(curve.y[k] + sign * curve.std[k]).toFixed(1)}`);
       svg += `<polygon points="${[...side(1), ...side(-1).reverse()].join(" ")}" fill="${curve.color}" opacity=".2"/>`;
     }
-    const isPoints = curve.look === "points";
+    const isRings = curve.look === "rings", isPoints = curve.look === "points" || isRings;
     if (!isPoints) svg += `<path d="${path(curve, x, y, height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
     if (!isPoints && curve.look !== "steps") return svg;
     curve.y.forEach((value, k) => {
       if (value === null || !isFinite(y(value))) return;
       const [cx, cy] = [x(curve.x[k]).toFixed(1), y(value)];
-      svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isPoints ? 1.8 : 4}" fill="${curve.color}"/>`;
+      svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isRings ? 6 : isPoints ? 1.8 : 4}" ${isRings ? 'fill="none" stroke-width="2" stroke' : "fill"}="${curve.color}"/>`;
       const text = curve.texts[k] || "";
       svg += text && `<text x="${cx}" y="${cy + (curve.side === "top" ? -9 : 18)}" text-anchor="middle" style="fill: ${curve.color}">${plain(text)}</text>`;
     });
@@ -136,7 +136,7 @@ function phsiChart(host, chart) {
       top += high + GAP;
     });
     if (chart.mark) svg += `<text x="${x(chart.mark[0])}" y="12" text-anchor="middle">${plain(chart.mark[1])}</text>`;
-    const below = chart.ticks.length ? chart.ticks.map((lines, k) => [k, lines]) : ticks(...range, Math.max((width - LEFT) / 90, 2)).map((value) => [value, [said(value)]]);
+    const below = chart.ticks.length ? chart.ticks.map((lines, k) => [k, lines]).filter(([k]) => k >= range[0] && k <= range[1]) : ticks(...range, Math.max((width - LEFT) / 90, 2)).map((value) => [value, [said(value)]]);
     below.forEach(([value, lines]) => lines.forEach((line, row) => { svg += `<text x="${x(value)}" y="${bottom + 16 + 17 * row}" text-anchor="middle">${plain(line)}</text>`; }));
     svg += `<text x="${(LEFT + width - RIGHT) / 2}" y="${height - 5}" text-anchor="middle" class="name">${plain(chart.x_label)}</text><line class="cursor" x1="-9" x2="-9" y1="18" y2="${bottom}"/><rect class="drag" y="18" height="${bottom - 18}"/>`;
     box.setAttribute("height", height);
@@ -166,7 +166,7 @@ function phsiChart(host, chart) {
     const rows = chart.panels.flatMap(seen).map((curve) => [curve, nearest(curve, value(at))]).filter(([, k]) => k >= 0);
     if (!rows.length) return;
     const x = rows[0][0].x[rows[0][1]];
-    const title = chart.ticks.length ? chart.ticks[x].join(" ") : `${chart.x_label}: ${said(x)}`;
+    const title = chart.ticks.length ? chart.ticks[Math.round(x)].join(" ") : `${chart.x_label}: ${said(x)}`;
     told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k]) => `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.name || `residual, ${curve.group}`)} ${said(curve.y[k])}`).join("<br>");
     told.hidden = false;
     told.style.left = `${Math.min(at + 14, host.clientWidth - told.offsetWidth - 4)}px`;
@@ -175,7 +175,7 @@ function phsiChart(host, chart) {
   });
   box.addEventListener("pointerup", (event) => {
     const at = inside(event);
-    if (from !== null && Math.abs(at - from) > 8 && !chart.ticks.length && !chart.map) zoom(...[value(from), value(at)].sort((a, b) => a - b));
+    if (from !== null && Math.abs(at - from) > 8 && !chart.map) zoom(...[value(from), value(at)].sort((a, b) => a - b));
     else host.dispatchEvent(new CustomEvent("moment", { detail: Number(value(at).toPrecision(5)) }));
     from = null;
   });

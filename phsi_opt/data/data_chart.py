@@ -1,0 +1,117 @@
+"""Measurements as a chart: a panel for each channel, the runs one after another."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from textwrap import wrap
+
+import numpy as np
+
+from phsi_opt.data.noticed import ChannelLook, DataLook
+from phsi_opt.presentation.charts import (
+    ATTENTION,
+    FORCE,
+    FREE,
+    MODEL,
+    POINTS,
+    RINGS,
+    Chart,
+    Curve,
+    Panel,
+    time_label,
+)
+from phsi_opt.presentation.content import thinned
+from phsi_opt.presentation.numbers import label
+from phsi_opt.presentation.units import scale_of_time, time_words
+
+MOST_POINTS = 4000  # of a channel that are drawn
+MOST_NAMES = 10  # of runs that have room below the axis
+MOST_TICKS = 200  # runs of which any is named
+CELL = 0.94  # of a cell's width that the longest run takes
+
+
+def data_chart(look: DataLook) -> Chart:
+    """Every measured channel over time, states first.
+
+    Several runs stand one after another, in cells of one scale of time. A dotted line
+    is a gap, rings are around single samples far from both neighbours, and orange
+    points are samples at a limit of the sensor.
+    """
+    channels = [one for one in look.channels if len(one.known)]
+    height = 0.8 if len(channels) == 1 else 0.55
+    x, x_label, ticks = _axis(look)
+    told: set[str] = set()  # names that the legend has
+    panels = []
+    for one in channels:
+        curves = []
+        for curve in (_line(look, one, x), *_marks(look, one, x)):
+            curves.append(replace(curve, name="" if curve.name in told else curve.name))
+            told.add(curve.name)
+        name = label(f"{one.name}, input" if one.hold else one.name, one.unit)
+        panels.append(Panel(name, curves, height=height, scale=FREE))
+    return Chart(x_label, tuple(panels), ticks=ticks)
+
+
+def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
+    """Where each sample stands, (n_samples,), with the label and ticks of the axis."""
+    runs = look.trajectories
+    begins = np.array([run.t[0] for run in runs])
+    lengths = np.array([run.t[-1] - run.t[0] for run in runs])
+    longest = float(lengths.max())
+    unit = look.units["t"]
+    if len(runs) == 1:
+        scale = scale_of_time(longest, unit)
+        return look.t / scale.size, time_label(scale.unit, runs[0].origin), ()
+    cells = np.arange(len(runs)) - CELL / 2
+    x = cells[look.run] + CELL * (look.t - begins[look.run]) / longest
+    each = "each" if np.ptp(lengths) < 0.01 * longest else "up to"
+    x_label = f"runs one after another, {each} {time_words(longest, unit)} long"
+    if len(runs) > MOST_TICKS:
+        return x + 1, f"number of the run; {x_label}", ()
+    every = -(-len(runs) // MOST_NAMES)
+    n_letters = max(60 // min(len(runs), MOST_NAMES), 8)  # side by side they have 60
+    ticks = [wrap(run.name, n_letters)[:3] for run in runs]
+    for k in range(len(runs)):
+        if k % every:
+            ticks[k] = []
+    return x, x_label, tuple(ticks)
+
+
+def _line(look: DataLook, one: ChannelLook, x: np.ndarray) -> Curve:
+    """The channel; lines end where a run or a gap begins, points are where some miss.
+
+    A held input has its steps.
+    """
+    color = FORCE if one.hold else MODEL
+    y = one.values[one.known]
+    x = x[one.known]
+    if len(y) < len(one.values):
+        return _thinned(Curve("", x, y, color, POINTS))
+    is_break = np.isnan(look.steps[:-1])
+    is_break[look.gaps] = True
+    if one.hold == "zero":
+        kept = np.where(is_break, np.nan, y[:-1])  # at the time of the next sample
+        y = np.insert(y, np.arange(1, len(y)), kept)
+        return _thinned(Curve("", np.repeat(x, 2)[1:], y, color))
+    places = np.flatnonzero(is_break) + 1
+    y = np.insert(y, places, np.nan)
+    return _thinned(Curve("", np.insert(x, places, x[places]), y, color))
+
+
+def _thinned(curve: Curve) -> Curve:
+    kept = thinned([curve.y], MOST_POINTS)
+    return replace(curve, x=curve.x[kept], y=curve.y[kept])
+
+
+def _marks(look: DataLook, one: ChannelLook, x: np.ndarray) -> Iterator[Curve]:
+    """What is to be seen: gaps, samples at a limit, single samples far away."""
+    if len(look.gaps):
+        ends = np.array([look.gaps, look.gaps + 1, look.gaps + 1])
+        y = np.array([*one.values[ends[:2]], np.full(len(look.gaps), np.nan)])
+        yield Curve("gap", x[ends].T.ravel(), y.T.ravel(), ATTENTION, "dot")
+    if len(one.at_limit):
+        y = one.values[one.at_limit]
+        yield _thinned(Curve("at a limit", x[one.at_limit], y, ATTENTION, POINTS))
+    if len(one.outliers):
+        y = one.values[one.outliers]
+        name = "single sample far from both neighbours"
+        yield Curve(name, x[one.outliers], y, ATTENTION, RINGS)

@@ -1,0 +1,286 @@
+"""What measurements show before there is a model: the clock, and every channel.
+
+Nothing is repaired and nothing is decided here. Each remark follows from a principle
+that its function states; a reader decides whether it matters.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from phsi_opt.data.channel_noise import (
+    DEVIATION_PER_STEP,
+    resolution,
+    robust_deviation,
+    scatter_of,
+)
+from phsi_opt.data.trajectory import Trajectory, run_numbers
+from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.units import date_words, spaced, time_words
+
+LONG_STEP = 1.5  # typical steps: a longer step of the clock is a gap
+REGULAR_STEPS = 0.01  # largest deviation of a step, of a clock that is regular
+BEYOND = 5.0  # times by which an outlier is beyond what its surroundings do
+AROUND = 5  # samples on each side that are the surroundings of a sample
+MANY = 10  # equal samples that are no chance
+NO_SAMPLES = np.array([], dtype=int)
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelLook:
+    """One channel, with the numbers of its samples in the stacked trajectories.
+
+    Attributes:
+        name: Of the channel.
+        unit: "" where it is unknown.
+        hold: Of an input between samples; "" for a state.
+        values: (n_samples,), NaN where not measured.
+        resolution: The step in which it is quantised; 0 if it is not.
+        noise: Standard deviation by differences of neighbours; NaN where not known.
+        outliers: Single samples far from both neighbours.
+        at_limit: Samples that stay at the largest or the smallest value.
+    """
+
+    name: str
+    unit: str
+    hold: str
+    values: np.ndarray
+    resolution: float
+    noise: float
+    outliers: np.ndarray
+    at_limit: np.ndarray
+
+    @cached_property
+    def known(self) -> np.ndarray:
+        """The numbers of the samples that were measured."""
+        return np.flatnonzero(np.isfinite(self.values))
+
+
+@dataclass(frozen=True, eq=False)
+class DataLook:
+    """Measurements as they are seen before there is a model.
+
+    The attributes are those of `Measurements`; ``hold`` is that of each input.
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    units: Mapping[str, str]
+    hold: tuple[str, ...]
+
+    def _stacked(self, what: str) -> np.ndarray:
+        return np.concatenate([getattr(run, what) for run in self.trajectories])
+
+    @cached_property
+    def t(self) -> np.ndarray:
+        """The times of all trajectories, (n_samples,)."""
+        return self._stacked("t")
+
+    @cached_property
+    def run(self) -> np.ndarray:
+        """The number of the trajectory of each sample, (n_samples,)."""
+        return run_numbers(self.trajectories)
+
+    # ---- the clock -------------------------------------------------------------------
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """The time to the next sample, (n_samples,); NaN at the end of a trajectory."""
+        is_last = np.append(np.diff(self.run) != 0, True)
+        return np.where(is_last, np.nan, np.diff(self.t, append=np.nan))
+
+    @cached_property
+    def relative_steps(self) -> np.ndarray:
+        """The steps, (n_samples,), over the median step of their trajectory."""
+        typical = [float(np.median(np.diff(run.t))) for run in self.trajectories]
+        return self.steps / np.array(typical)[self.run]
+
+    @cached_property
+    def is_uneven(self) -> bool:
+        """Whether a tenth of the steps are long, or half of the time: none is a gap."""
+        is_long = self.relative_steps > LONG_STEP
+        time = np.nansum(self.steps[is_long]) / np.nansum(self.steps)
+        return bool(np.mean(is_long) > 0.1 or time > 0.5)
+
+    @cached_property
+    def gaps(self) -> np.ndarray:
+        """The numbers of the samples before a gap of the clock."""
+        if self.is_uneven:
+            return NO_SAMPLES
+        return np.flatnonzero(self.relative_steps > LONG_STEP)
+
+    def clock_words(self) -> str:
+        """How regular the samples are, and where there are gaps."""
+        unit = spaced(self.units["t"])
+        typical = self.steps / self.relative_steps
+        if self.is_uneven:
+            typical = self.steps
+        low = np.nanmin(typical)
+        high = np.nanmax(typical)
+        is_one = high - low <= REGULAR_STEPS * high
+        every = f"{high:.4g}" if is_one else f"{low:.4g} to {high:.4g}"
+        if self.is_uneven:
+            return f"uneven, every {every}{unit}"
+        relative = np.delete(self.relative_steps, self.gaps)
+        relative = relative[np.isfinite(relative)]
+        is_regular = np.max(np.abs(relative - 1), initial=0.0) <= REGULAR_STEPS
+        jitter = f"jitter {100 * np.std(relative):.2g} %"
+        words = [f"every {every}{unit}", "regular" if is_regular else jitter]
+        if len(self.gaps):
+            longest = int(self.gaps[np.argmax(self.steps[self.gaps])])
+            size = time_words(self.steps[longest], self.units["t"])
+            of = "of" if len(self.gaps) == 1 else "up to"
+            place = self.place_words(longest)
+            words.append(f"{number_of(len(self.gaps), 'gap')} {of} {size}, {place}")
+        return ", ".join(words)
+
+    def place_words(self, sample: int) -> str:
+        """When a sample was taken, such as "at t = 3 s in run 2"."""
+        run = self.trajectories[self.run[sample]]
+        t = float(self.t[sample])
+        moment = date_words(t, run.origin) or f"t = {t:.5g}{spaced(self.units['t'])}"
+        is_alone = len(self.trajectories) == 1
+        return f"at {moment}" if is_alone else f"at {moment} in {run.name}"
+
+    # ---- the channels ----------------------------------------------------------------
+
+    @cached_property
+    def channels(self) -> tuple[ChannelLook, ...]:
+        """The states and then the inputs, in their order."""
+        looks = []
+        for name, values in zip(self.states, self._stacked("x").T, strict=True):
+            looks.append(self._look(name, values, ""))
+        inputs = zip(self.inputs, self._stacked("u").T, self.hold, strict=True)
+        for name, values, hold in inputs:
+            looks.append(self._look(name, values, hold))
+        return tuple(looks)
+
+    def _look(self, name: str, values: np.ndarray, hold: str) -> ChannelLook:
+        ends = np.flatnonzero(np.diff(self.run)) + 1
+        step = resolution(np.split(values, ends))
+        residuals = scatter_of(self.t, values, self.run)[1]
+        noise = np.nan
+        if len(residuals):
+            noise = max(robust_deviation(residuals), DEVIATION_PER_STEP * step)
+        known = np.flatnonzero(np.isfinite(values))
+        of_known = (self.t[known], values[known], self.run[known])
+        outliers = known[lone_peaks(*of_known, noise)]
+        at_limit = NO_SAMPLES if hold else samples_at_limit(values)
+        unit = self.units[name]
+        return ChannelLook(name, unit, hold, values, step, noise, outliers, at_limit)
+
+    def remarks(self, one: ChannelLook) -> Iterator[str]:
+        """What is noticed of a channel, a phrase each."""
+        values = one.values[one.known]
+        if not len(values):
+            yield "not measured"
+            return
+        spread = float(np.std(values))
+        if np.ptp(values) == 0:
+            yield "does not change"
+            return
+        n_missing = len(one.values) - len(values)
+        if n_missing:
+            yield f"{n_missing} of {len(one.values)} missing"
+        if len(one.outliers):
+            name = number_of(len(one.outliers), "peak" if one.hold else "outlier")
+            first = "" if len(one.outliers) == 1 else "the first "
+            yield f"{name} of one sample, {first}{self.place_words(one.outliers[0])}"
+        for limit in np.unique(one.values[one.at_limit]):
+            side = "highest" if limit == values.max() else "lowest"
+            percent = 100 * np.mean(values == limit)
+            yield f"at its {side} value in {percent:.2g} % of the samples"
+        if one.resolution and np.ptp(values) < MANY * one.resolution:
+            yield "moves by few steps of its resolution"
+        if not one.hold and one.noise > spread / 2:
+            yield "changes mostly between neighbours: noise, or sampled too slowly"
+        if not one.resolution:
+            yield from self._stays(one.values)
+
+    def _stays(self, values: np.ndarray) -> Iterator[str]:
+        """Whether a channel keeps its values, or stops once, as a stuck sensor does."""
+        is_new = np.diff(values, prepend=np.nan) != 0
+        is_new[1:] |= np.isnan(self.steps[:-1])
+        begins = np.flatnonzero(is_new)
+        lengths = np.diff(begins, append=len(values))
+        longest = int(np.argmax(lengths))
+        begin = begins[longest]
+        length = lengths[longest]
+        if np.mean(is_new) < 0.5:
+            yield f"a new value every {np.mean(lengths):.3g} samples"
+        elif length >= MANY:
+            place = self.place_words(begin)
+            yield f"stays at {values[begin]:.4g} for {length} samples, {place}"
+
+    def rows(self) -> Iterator[dict[str, object]]:
+        """A row for the clock, and one for each channel; NaN for what is not known."""
+        names = ("channel", "unit", "lowest", "highest", "resolution", "noise")
+        ends = self.t.min(), self.t.max()
+        clock = ("t", self.units["t"], *ends, np.nan, np.nan)
+        yield dict(zip(names, clock, strict=True)) | {"noticed": self.clock_words()}
+        for one in self.channels:
+            ends = np.fmin.reduce(one.values), np.fmax.reduce(one.values)
+            facts = (one.name, one.unit, *ends, one.resolution or np.nan, one.noise)
+            noticed = "; ".join(self.remarks(one))
+            yield dict(zip(names, facts, strict=True)) | {"noticed": noticed}
+
+
+def lone_peaks(
+    t: np.ndarray, y: np.ndarray, run: np.ndarray, noise: float
+) -> np.ndarray:
+    """The numbers of single samples that are far from both of their neighbours.
+
+    The deviation of a sample from the line through its neighbours, at even steps::
+
+        d_i = y_i - (y_(i-1) + y_(i+1)) / 2
+
+    An error of a single sample of the size a makes it a there and -a/2 beside it; a
+    step of the signal, or a corner, does not. The sample is an outlier if its deviation
+    has this pattern and is five times as large as all others within five samples, and
+    as their standard deviation by noise.
+
+    Args:
+        t: Times, (n_samples,).
+        y: Values, (n_samples,), finite.
+        run: The number of the trajectory of each sample.
+        noise: Standard deviation of the values; NaN: not known.
+    """
+    n = len(y)
+    if n < 3:
+        return NO_SAMPLES
+    away = np.zeros(n + 2 * AROUND)  # zero where a sample has no two neighbours
+    share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    between = (1 - share) * y[:-2] + share * y[2:]
+    is_inside = run[2:] == run[:-2]
+    away[AROUND + 1 : AROUND + n - 1] = np.where(is_inside, y[1:-1] - between, 0.0)
+
+    def moved(k: int) -> np.ndarray:
+        return away[AROUND + k : AROUND + k + n]
+
+    size = np.abs(moved(0))
+    is_peak = size > BEYOND * np.sqrt(1.5) * np.nan_to_num(noise)
+    for k in (-1, 1):
+        beside = moved(k) / np.where(size > 0, moved(0), 1.0)
+        is_peak &= (beside < -0.25) & (beside > -0.75)
+    for k in range(2, AROUND + 1):
+        others = np.maximum(np.abs(moved(k)), np.abs(moved(-k)))
+        is_peak &= size > BEYOND * others
+    return np.flatnonzero(is_peak)
+
+
+def samples_at_limit(values: np.ndarray) -> np.ndarray:
+    """The numbers of samples at a limit of a sensor: many exactly at an extreme.
+
+    There are ten or more, and five times as many as at the value next to it; a smooth
+    extreme of a quantised signal has at most about 2.4 times as many.
+    """
+    different, counts = np.unique(values[np.isfinite(values)], return_counts=True)
+    is_limit = np.zeros(len(values), bool)
+    if len(different) > 2 * MANY:
+        for end, beside in ((0, 1), (-1, -2)):
+            if counts[end] >= max(MANY, BEYOND * counts[beside]):
+                is_limit |= values == different[end]
+    return np.flatnonzero(is_limit)

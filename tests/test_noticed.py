@@ -1,0 +1,180 @@
+"""What is noticed in measurements before there is a model, and their picture."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import phsi_opt as ph
+from phsi_opt.presentation.charts import Chart, Curve
+
+T = 0.01 * np.arange(2000)
+RNG = np.random.default_rng(0)
+NOISY = np.sin(T) + 0.01 * RNG.normal(size=T.size)
+
+
+def data_of(q: np.ndarray, t: np.ndarray = T, **options: Any) -> ph.Measurements:
+    units = {"t": "s", "q": "m"}
+    return ph.Measurements.from_arrays(t, q, states=["q"], units=units, **options)
+
+
+def noticed(q: np.ndarray, t: np.ndarray = T) -> tuple[str, str]:
+    """Of the clock, and of the channel."""
+    clock, channel = data_of(q, t).noticed["noticed"]
+    return clock, channel
+
+
+def changed(places: Any, values: Any, q: np.ndarray = NOISY) -> np.ndarray:
+    q = q.copy()
+    q[places] = values
+    return q
+
+
+# ---- the clock
+
+
+def test_a_regular_clock_is_said_to_be_regular() -> None:
+    assert noticed(NOISY) == ("every 0.01 s, regular", "")
+
+
+def test_jitter_is_the_standard_deviation_of_the_steps() -> None:
+    steps = 0.01 * (1 + 0.05 * RNG.normal(size=T.size))
+    clock, _ = noticed(NOISY, np.cumsum(steps))
+    step = np.median(steps[1:])
+    percent = 100 * np.std(steps[1:]) / step
+    assert clock == f"every {step:.4g} s, jitter {percent:.2g} %"
+
+
+def test_gaps_are_counted_and_the_longest_is_placed() -> None:
+    kept = (T < 3) | ((T > 3.2) & (T < 12)) | (T > 13)
+    clock, _ = noticed(NOISY[kept], T[kept])
+    assert clock == "every 0.01 s, regular, 2 gaps up to 1.02 s, at t = 11.99 s"
+
+
+def test_a_logger_with_two_rates_has_no_gaps() -> None:
+    t = np.concatenate([T[:1000], 10 + np.arange(100.0)])
+    clock, _ = noticed(np.sin(t), t)
+    assert clock == "uneven, every 0.01 to 1 s"
+
+
+# ---- channels
+
+
+def test_single_samples_far_from_both_neighbours_are_outliers() -> None:
+    q = changed([400, 1200], [1.5, -2.0])
+    assert noticed(q)[1] == "2 outliers of one sample, the first at t = 4 s"
+    assert data_of(q).look.channels[0].outliers.tolist() == [400, 1200]
+
+
+@pytest.mark.parametrize(
+    "q",
+    [
+        np.where(T > 7, 1.0, 0.0) + NOISY,  # a step
+        np.abs(T % 2 - 1),  # corners
+        np.sin(2.2 / 0.01 * T),  # three samples in a period
+        np.exp(-(((T - 7) / 0.02) ** 2)),  # a pulse of some samples
+        RNG.normal(size=T.size),
+        np.round(NOISY, 1),
+    ],
+)
+def test_motions_are_no_outliers(q: np.ndarray) -> None:
+    assert not len(data_of(q).look.channels[0].outliers)
+
+
+def test_outliers_do_not_reach_into_other_runs() -> None:
+    runs = [np.zeros(3), np.array([1.0, 0.0, 1.0]), np.zeros(3)]
+    data = data_of(runs, [np.arange(3.0)] * 3)  # type: ignore[arg-type]
+    assert "outlier" not in data.noticed["noticed"][1]
+
+
+def test_a_sensor_at_its_limit_is_told_and_the_top_of_a_quantised_wave_is_not() -> None:
+    clipped = np.minimum(NOISY, 0.8)
+    percent = 100 * np.mean(clipped == 0.8)
+    told = f"at its highest value in {percent:.2g} % of the samples"
+    assert told in noticed(clipped)[1]
+    for step in (0.01, 0.003, 0.1):
+        assert "highest" not in noticed(step * np.round(np.sin(T) / step))[1]
+
+
+def test_missing_samples_stuck_sensors_and_repeated_values_are_told() -> None:
+    assert noticed(changed(slice(3, 8), np.nan))[1] == "5 of 2000 missing"
+    stuck = noticed(changed(slice(500, 550), NOISY[500]))[1]
+    assert stuck == f"stays at {NOISY[500]:.4g} for 50 samples, at t = 5 s"
+    assert noticed(np.repeat(NOISY[::10], 10))[1] == "a new value every 10 samples"
+    assert noticed(np.ones(T.size))[1] == "does not change"
+    assert noticed(RNG.normal(size=T.size))[1].startswith("changes mostly between")
+
+
+def test_the_table_has_numbers_for_the_clock_and_every_channel() -> None:
+    x = np.column_stack([np.round(NOISY, 2), np.full(T.size, np.nan)])
+    units = {"t": "s", "q": "m", "u": "V"}
+    names: Any = {"states": ["q", "p"], "inputs": ["u"], "units": units}
+    table = ph.Measurements.from_arrays(T, x, np.cos(T), **names).noticed
+    assert table["channel"].tolist() == ["t", "q", "p", "u"]
+    q = table.loc[1]
+    assert q["resolution"] == pytest.approx(0.01)
+    assert q["noise"] == pytest.approx(np.hypot(0.01, 0.01 / np.sqrt(12)), rel=0.2)
+    assert (q["lowest"], q["highest"]) == (x[:, 0].min(), x[:, 0].max())
+    assert table["noticed"][2] == "not measured"
+    assert max(map(len, str(table).splitlines())) <= 80
+
+
+# ---- the picture
+
+
+def curves_of(chart: Chart, panel: int = 0) -> dict[str, Curve]:
+    return {curve.name: curve for curve in chart.panels[panel].curves}
+
+
+def test_runs_stand_one_after_another_on_one_scale_of_time() -> None:
+    runs: Any = ([T[:1000], T[:500]], [NOISY[:1000], NOISY[:500]])
+    chart = data_of(runs[1], runs[0]).chart()
+    assert chart.ticks == (["run", "1"], ["run", "2"])
+    (line,) = chart.panels[0].curves
+    (gap,) = np.flatnonzero(np.isnan(line.y))
+    first, second = line.x[:gap], line.x[gap + 1 :]
+    assert np.ptp(first) == pytest.approx(2 * np.ptp(second), rel=0.01)
+    assert -0.5 < first[0] < first[-1] < 0.5 < second[0] < second[-1] < 1.5
+    assert chart.x_label == "runs one after another, up to 9.99 s long"
+
+
+def test_a_held_input_is_drawn_with_its_steps() -> None:
+    u = np.repeat([0.0, 1.0, -1.0, 0.0], 5)
+    for hold, n_points in (("zero", 39), ("linear", 20)):
+        names: Any = {"inputs": ["u"], "hold": hold}
+        chart = data_of(NOISY[:20], T[:20], u=u, **names).chart()
+        (line,) = chart.panels[1].curves
+        assert len(line.x) == n_points
+        slanted = (np.diff(line.x) != 0) & (np.diff(line.y) != 0)
+        assert slanted.any() == (hold == "linear")
+
+
+def test_gaps_limits_and_outliers_are_marked_where_they_are() -> None:
+    kept = np.abs(T - 5) > 0.5
+    q = changed(1500, 2.0, np.minimum(NOISY, 0.8))[kept]
+    marked = curves_of(data_of(q, T[kept]).chart())
+    assert marked["gap"].x[:2] == pytest.approx([4.49, 5.51])
+    ring = marked["single sample far from both neighbours"]
+    assert (ring.x.tolist(), ring.y.tolist()) == ([15.0], [2.0])
+
+
+def test_a_long_record_is_thinned_with_its_extremes() -> None:
+    t = np.arange(100_000.0)
+    q = changed(31_415, 7.0, np.sin(t))
+    line = data_of(q, t).chart().panels[0].curves[0]
+    assert len(line.x) < 5000
+    assert line.y.max() == 7.0
+
+
+@pytest.mark.parametrize("n_runs", [1, 3, 30, 300])
+def test_the_picture_has_a_panel_for_each_measured_channel(n_runs: int) -> None:
+    runs: Any = [np.column_stack([NOISY, np.full(T.size, np.nan)])[:50]] * n_runs
+    names: Any = {"states": ["q", "p"], "inputs": ["u"], "units": {"q": "m"}}
+    u = [np.cos(T[:50])] * n_runs
+    data = ph.Measurements.from_arrays([T[:50]] * n_runs, runs, u, **names)
+    ax = Figure().add_subplot()
+    axes = data.plot(ax)
+    assert [one.get_ylabel() for one in axes] == ["q (m)", "u, input"]
+    assert axes[0] is ax
+    assert len([one for one in axes[1].get_xticklabels() if one.get_text()]) <= 10
