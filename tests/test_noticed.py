@@ -106,6 +106,12 @@ def test_missing_samples_stuck_sensors_and_repeated_values_are_told() -> None:
     assert noticed(RNG.normal(size=T.size))[1].startswith("changes mostly between")
 
 
+def test_an_input_that_jumps_is_told_with_its_hold() -> None:
+    u = np.repeat(RNG.normal(size=20), 100)
+    told = data_of(NOISY, u=u, inputs=["u"], hold="zero").noticed["noticed"][2]
+    assert told == 'constant between jumps (hold is "zero")'
+
+
 def test_the_table_has_numbers_for_the_clock_and_every_channel() -> None:
     x = np.column_stack([np.round(NOISY, 2), np.full(T.size, np.nan)])
     units = {"t": "s", "q": "m", "u": "V"}

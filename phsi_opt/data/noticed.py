@@ -16,7 +16,7 @@ from phsi_opt.data.channel_noise import (
     robust_deviation,
     scatter_of,
 )
-from phsi_opt.data.trajectory import Trajectory, run_numbers
+from phsi_opt.data.trajectory import Trajectory, is_stepped, run_numbers
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.units import date_words, spaced, time_words
 
@@ -83,6 +83,11 @@ class DataLook:
     def run(self) -> np.ndarray:
         """The number of the trajectory of each sample, (n_samples,)."""
         return run_numbers(self.trajectories)
+
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """The numbers of the first samples of all trajectories but the first."""
+        return np.flatnonzero(np.diff(self.run)) + 1
 
     # ---- the clock -------------------------------------------------------------------
 
@@ -159,8 +164,7 @@ class DataLook:
         return tuple(looks)
 
     def _look(self, name: str, values: np.ndarray, hold: str) -> ChannelLook:
-        ends = np.flatnonzero(np.diff(self.run)) + 1
-        step = resolution(np.split(values, ends))
+        step = resolution(np.split(values, self.ends))
         residuals = scatter_of(self.t, values, self.run)[1]
         noise = np.nan
         if len(residuals):
@@ -197,7 +201,9 @@ class DataLook:
             yield "moves by few steps of its resolution"
         if not one.hold and one.noise > spread / 2:
             yield "changes mostly between neighbours: noise, or sampled too slowly"
-        if not one.resolution:
+        if one.hold and is_stepped(np.split(one.values, self.ends)):
+            yield f'constant between jumps (hold is "{one.hold}")'
+        elif not one.resolution:
             yield from self._stays(one.values)
 
     def _stays(self, values: np.ndarray) -> Iterator[str]:
