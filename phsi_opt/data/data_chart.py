@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from textwrap import wrap
 
 import numpy as np
 
@@ -68,8 +67,7 @@ def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
     if len(runs) > MOST_TICKS:
         return x + 1, f"number of the run; {x_label}", ()
     every = -(-len(runs) // MOST_NAMES)
-    n_letters = max(60 // min(len(runs), MOST_NAMES), 8)  # side by side they have 60
-    ticks = [wrap(run.name, n_letters)[:3] for run in runs]
+    ticks = [run.name.split()[:3] for run in runs]  # narrow: a word in a line
     for k in range(len(runs)):
         if k % every:
             ticks[k] = []

@@ -452,7 +452,7 @@ class Measurements(TableReaders, Summarised):
             >>> t = np.linspace(0.0, 1.0, 101)
             >>> q = np.sin(t)
             >>> q[40] = 3.0
-            >>> data = Measurements.from_arrays(t, q, states=["q"])
+            >>> data = ph.Measurements.from_arrays(t, q, states=["q"])
             >>> print(data.noticed["noticed"][1])
             1 outlier of one sample, at t = 0.4
         """

@@ -163,11 +163,11 @@ function phsiChart(host, chart) {
       drag.setAttribute("x", Math.min(from, at));
       drag.setAttribute("width", Math.abs(at - from));
     }
-    const rows = chart.panels.flatMap(seen).map((curve) => [curve, nearest(curve, value(at))]).filter(([, k]) => k >= 0);
+    const rows = chart.panels.flatMap((panel) => seen(panel).map((curve) => [curve, nearest(curve, value(at)), panel.label])).filter(([, k]) => k >= 0);
     if (!rows.length) return;
     const x = rows[0][0].x[rows[0][1]];
     const title = chart.ticks.length ? chart.ticks[Math.round(x)].join(" ") : `${chart.x_label}: ${said(x)}`;
-    told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k]) => `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.name || `residual, ${curve.group}`)} ${said(curve.y[k])}`).join("<br>");
+    told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k, label]) => `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.name || (curve.group ? `residual, ${curve.group}` : label))} ${said(curve.y[k])}`).join("<br>");
     told.hidden = false;
     told.style.left = `${Math.min(at + 14, host.clientWidth - told.offsetWidth - 4)}px`;
     cursor.setAttribute("x1", at);
