@@ -62,6 +62,11 @@ MOST_REFITTED = 3
 # measured machine most may be weather, people and gearing.
 LEAST_ERROR_EXPLAINED = 0.3
 
+# Sampling intervals below which a delay may be an input that does otherwise between its
+# samples than was said: steps that are interpolated act half a sample too early. One
+# and a half leave room for an error of that size beside a delay of a sample.
+HOLD_DELAY = 1.5
+
 # --- Dry friction, whose corner is sharpened step by step
 
 # Friction is sharp: a sharper corner is taken unless the deviance rises by more than

@@ -328,3 +328,56 @@ def test_init_and_page_hold_the_input_that_jumps(tmp_path: Path) -> None:
     assert "hold" not in column.content()
     column.becomes("input")
     assert column.content()["hold"] == "zero"
+
+
+# ---- a delay that is no delay
+
+STEP = 0.02  # s between samples
+PUSHES = np.random.default_rng(3).choice([-1.0, 0.0, 1.0], 80)
+
+
+def first_order(gain: Any, loss: Any) -> ph.FirstOrder:
+    return ph.FirstOrder(
+        ["w"], {"w": ph.formula("g*u - a*w", g=gain, a=loss)}, inputs=["u"]
+    )
+
+
+def followed(hold: str, late: float = 0.0) -> ph.Measurements:
+    """The truth has inputs ``hold`` that act late; the measurements say linear."""
+    fine = np.arange(len(PUSHES) * 50) * STEP / 50
+    samples = STEP * np.arange(len(PUSHES))
+    u = np.interp(fine - late, samples, PUSHES)
+    if hold == "zero":
+        u = PUSHES[np.maximum(np.floor((fine - late) / STEP + 1e-9), 0).astype(int)]
+    x = ph.simulate(first_order(3.0, 2.0), fine, [0.0], u[:, None], hold=hold)[::50]
+    y = x + 0.02 * np.random.default_rng(0).normal(size=x.shape)
+    return ph.Measurements.from_arrays(
+        samples, y, PUSHES, states=["w"], inputs=["u"], units={"t": "s"}
+    )
+
+
+def study_of(data: ph.Measurements) -> ph.Study:
+    model = first_order(ph.Parameter(2.0, lower=0), ph.Parameter(1.0, lower=0))
+    return ph.Study(model, data, effects=["input delay"])
+
+
+def test_an_input_that_is_held_is_no_delay_of_half_a_sample() -> None:
+    """It changes at every sample, so that no look at the samples could tell."""
+    data = followed("zero")
+    study = study_of(data)
+    found = study.diagnose()
+    assert not found.findings
+    assert "hold={'u': 'zero'}" in found.reason
+    assert "input delay on w (0.01" in found.reason
+    assert found.reason.split(";")[0] in study.fit.warnings
+    assert (data.hold, study.train.hold) == ("linear", "zero")
+    assert study.fit.hold == "zero"
+    assert study.fit.values["g"] == pytest.approx(3.0, abs=0.15)
+
+
+def test_a_delay_that_no_other_input_explains_is_named() -> None:
+    study = study_of(followed("linear", late=0.02))
+    (finding,) = study.diagnose().findings
+    assert str(finding.effects[0]) == "input delay on w"
+    assert finding.coefficient == pytest.approx(0.02, abs=0.002)
+    assert study.train.hold == "linear"

@@ -18,7 +18,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.conclusion import concluded, without_evidence
 from phsi_opt.diagnosis.ranking import ranked
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.refit import DiagnosedModel, better_base, refit
+from phsi_opt.diagnosis.refit import DiagnosedModel, better_base, held_base, refit
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.estimate import Progress, silent
 from phsi_opt.estimation.fit import Fit
@@ -131,6 +131,11 @@ def diagnose_comparison(
     except SolveError as error:
         return without_evidence(base, error)
     found = concluded(base, record, listed)
+    held = held_base(base, record, found.established)
+    if held is not None:
+        base, record = held, held.evidence_record()
+        found = concluded(base, record, listed)
+        found = replace(found, reason=f"{base.record.aligned.notes[0]}; {found.reason}")
     if found.findings or base.is_noise:
         return found
     better = better_base(base, record)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.comparison.compare import Comparison
@@ -96,6 +97,13 @@ class Diagnosis(Summarised):
             return ()
         first = self.ranking[0]
         return (first.effect,) if first.grade == Grade.STRONG else ()
+
+    @property
+    def established(self) -> list[Candidate]:
+        """The candidates of the findings; the first of all where none is found."""
+        named = list(chain(*(found.effects for found in self.findings)))
+        found = [one for one in self.ranking if one.effect in named]
+        return found or list(self.ranking[:1])
 
     @property
     def candidates(self) -> "pd.DataFrame":

@@ -28,6 +28,7 @@ from phsi_opt.comparison.compare import (
 )
 from phsi_opt.criteria import (
     CORNER_WIDTHS,
+    HOLD_DELAY,
     MOST_SHARP_STATES,
     ONE_ATTEMPT_INTERVALS,
     OTHER_OPTIMUM_DEVIANCE,
@@ -36,8 +37,10 @@ from phsi_opt.criteria import (
     SHARPER_CORNER_DEVIANCE,
     STEPS_AT_CORNER,
     STRAYED_STATES,
+    STRONG_EVIDENCE,
     THOROUGH_ITERATIONS,
 )
+from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.errors import PhsiOptError, SolveError
@@ -50,7 +53,7 @@ from phsi_opt.estimation.likelihood_estimate import (
 )
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
-from phsi_opt.model.effect import is_scanned
+from phsi_opt.model.effect import is_delay, is_scanned
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.ipopt import SolverSettings
@@ -114,6 +117,20 @@ class DiagnosedModel:
             judged = compared(self.judged.record)
         return replace(self, trained=trained, judged=judged)
 
+    def held_as(self, hold: Hold, note: str) -> "DiagnosedModel":
+        """The model fitted again to inputs that do otherwise between their samples.
+
+        Raises:
+            PhsiOptError: it could not be fitted.
+        """
+        aligned = self.record.aligned.held_as(hold, (note,))
+        fit = identify(self.fit.model, aligned, self.loss, start=self.fit)
+        trained = judged = compare_record(Record.of_aligned(fit, aligned))
+        if self.is_held_out:
+            aligned = self.judged.record.aligned.held_as(hold, (note,))
+            judged = compare_record(Record.of_aligned(fit, aligned))
+        return replace(self, trained=trained, judged=judged)
+
     @property
     def fit(self) -> Fit:
         """The fit."""
@@ -156,6 +173,48 @@ class DiagnosedModel:
         if not self.judged.rmse > self.judged.noise_floor:
             return np.nan
         return explained_share(self.judged, larger.judged)
+
+
+def held_base(
+    base: DiagnosedModel, record: EvidenceRecord, named: Sequence[Candidate]
+) -> DiagnosedModel | None:
+    """The model with inputs that do otherwise between samples; None: no likelier one.
+
+    Asked where a short delay is to be named. An input that is held, not interpolated,
+    or the other way round, needs no parameter: it is preferred if the evidence does not
+    clearly speak for the delay.
+    """
+    limit = HOLD_DELAY * float(np.median(base.record.grid.h))
+    delays = [one for one in named if is_delay(one.effect)]
+    shortest = min(delays, key=lambda one: one.coefficient, default=None)
+    if shortest is None or shortest.coefficient > limit:
+        return None
+    base.say("trying what the inputs do between samples")
+    data = base.record.data
+    hold = dict(zip(data.inputs, hold_of_each(data.hold, data.inputs), strict=True))
+    likeliest = record.base.log_evidence
+    changed = {}
+    for name, old in hold.items():
+        other = "linear" if old == "zero" else "zero"
+        with suppress(SolveError):
+            found = record.held_as({**hold, **changed, name: other}).log_evidence
+            if found > likeliest:
+                likeliest = found
+                changed[name] = other
+    gain = likeliest - record.base.log_evidence
+    evidence = shortest.log_evidence
+    if gain < max(evidence - STRONG_EVIDENCE, STRONG_EVIDENCE):
+        return None
+    note = (
+        f"inputs between samples are taken as hold={changed}: that explains what would "
+        f"be {shortest.name} ({shortest.size}) without a further parameter (log "
+        f"evidence {gain:.0f} against {evidence:.0f})"
+    )
+    base.say(note)
+    try:
+        return base.held_as({**hold, **changed}, note)
+    except PhsiOptError:
+        return None
 
 
 def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel | None:

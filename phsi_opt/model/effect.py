@@ -98,6 +98,15 @@ def is_wave(effect: Effect) -> bool:
     return _has_guess(effect.term, Scan)
 
 
+def is_delay(effect: Effect) -> bool:
+    """Whether the effect has a time that is sought among multiples of the sampling."""
+    for term in effect.terms:
+        for one in term.inner.values():
+            if isinstance(one.guess, Tried) and one.guess.of == "dt":
+                return True
+    return False
+
+
 def _has_guess(terms: Iterable[Term], kind: type | UnionType) -> bool:
     parameters = chain.from_iterable(term.inner.values() for term in terms)
     return any(isinstance(one.guess, kind) for one in parameters)

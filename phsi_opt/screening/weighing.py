@@ -22,6 +22,7 @@ import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import STRONG_EVIDENCE
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise, quantisation_noise
 from phsi_opt.errors import SolveError
@@ -509,6 +510,15 @@ class EvidenceRecord:
             disturbances=base.disturbances,
         )
         return self.weighing.weighed(start, base.log_likelihood)
+
+    def held_as(self, hold: Hold) -> Weighed:
+        """The base with inputs that do otherwise between their samples.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        aligned = self.weighing.aligned.held_as(hold, ())
+        return replace(self.weighing, aligned=aligned).weighed(self.base)
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
         """A fitted model without any force, begun at its free runs.

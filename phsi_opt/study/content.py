@@ -417,7 +417,7 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
     checks += (Check("fit", LOOK, remark) for remark in fit.warnings)
     notes: Sequence[str] = [NOT_HELD_OUT]
     if study.judging is not None:
-        notes = study.judging.notes
+        notes = study.judging_notes
     checks += (Check("data held out", LOOK, note) for note in notes)
     return tuple(checks)
 

@@ -5,7 +5,7 @@ next one.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from phsi_opt.comparison.compare import Comparison, compare_record
@@ -103,8 +103,13 @@ class StudyRecord:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a user should know of the measurements."""
-        held_out = () if self.judging is None else self.judging.notes
-        return self.training.notes + tuple(f"held out: {note}" for note in held_out)
+        return (*self.training.notes, *map("held out: {}".format, self.judging_notes))
+
+    @property
+    def judging_notes(self) -> tuple[str, ...]:
+        """Those of the data held out alone."""
+        notes = () if self.judging is None else self.judging.notes
+        return tuple(note for note in notes if note not in self.training.notes)
 
     @property
     def last(self) -> Step:
@@ -127,6 +132,13 @@ class StudyRecord:
                 established |= set(map(str, finding.effects))
         names = [str(one) for one in self.last.added if str(one) not in established]
         return tuple(considered[name] for name in names if name in considered)
+
+    def held_as(self, diagnosis: Diagnosis) -> "StudyRecord":
+        """With inputs that do between their samples what a diagnosis found."""
+        hold, notes = diagnosis.data.hold, diagnosis.record.aligned.notes
+        training = self.training.held_as(hold, notes)
+        judging = self.judging and self.judging.held_as(hold, notes)
+        return replace(self, training=training, judging=judging)
 
     # ---- what is said of it ----------------------------------------------------------
 

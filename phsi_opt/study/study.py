@@ -182,6 +182,8 @@ class Study(Summarised):
             executor=executor,
         )
         self._considered[number] = choice
+        if found.data.hold != record.train.hold:
+            record = record.held_as(found)
         if found.fit is not step.fit:  # a better optimum
             step = record.step(f"{step.label}, re-fitted", step.added, found.fit)
         steps = (*record.steps[:-1], step)

@@ -18,7 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from phsi_opt.data.checks import hold_of_each
+from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import SmoothInputs, is_stepped
@@ -258,6 +258,11 @@ class AlignedData:
             data = aligned(model, self.data)
             self._larger[states] = AlignedData(data, grid_of(data), self.notes)
         return self._larger[states]
+
+    def held_as(self, hold: Hold, notes: tuple[str, ...]) -> "AlignedData":
+        """The same samples with inputs that do otherwise between them."""
+        data = replace(self.data, hold=hold)
+        return AlignedData(data, grid_of(data), notes)
 
     def grid_with(self, steps: Sequence[np.ndarray]) -> Grid:
         """The layout with other numbers of intervals in every gap between samples.
