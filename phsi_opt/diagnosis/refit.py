@@ -193,7 +193,7 @@ def held_base(
     data = base.record.data
     hold = dict(zip(data.inputs, hold_of_each(data.hold, data.inputs), strict=True))
     likeliest = record.base.log_evidence
-    changed = {}
+    changed: dict[str, str] = {}
     for name, old in hold.items():
         other = "linear" if old == "zero" else "zero"
         with suppress(SolveError):
