@@ -58,23 +58,28 @@ class StudyFileError(DataError):
     Args:
         path: of the file, as messages name it.
         complaints: what is wrong, in the order of the file.
+        measurements: those that could be read nevertheless; None: none.
 
     Attributes:
         complaints: the same.
     """
 
-    def __init__(self, path: object, complaints: Sequence[Complaint]) -> None:
+    def __init__(
+        self,
+        path: object,
+        complaints: Sequence[Complaint],
+        measurements: object = None,
+    ) -> None:
         self.path = str(path)
+        self.measurements = measurements
         self.complaints = tuple(complaints)
         lines = [f"  {complaint}" for complaint in complaints]
         n = len(lines)
         what = "one thing" if n == 1 else f"{n} things"
         super().__init__("\n".join([f"{path}: {what} to correct", *lines]))
 
-    def __reduce__(
-        self,
-    ) -> tuple[object, ...]:  # two arguments, where Exception has one
-        return StudyFileError, (self.path, self.complaints)
+    def __reduce__(self) -> tuple[object, ...]:  # Exception has one argument
+        return StudyFileError, (self.path, self.complaints, self.measurements)
 
 
 def did_you_mean(name: object, options: Iterable[object]) -> str:

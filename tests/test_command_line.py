@@ -462,6 +462,32 @@ def test_check_says_what_a_study_file_holds(demo: Path) -> None:
     assert content["measured"] == ["q"]
     assert content["n_held_out"] == 201
     assert content["empty"] == ['model.F: no forces, such as F = { p = "u" }']
+    assert content["noticed"][0]["noticed"] == "every 0.025 s, regular"
+    assert content["noticed"][2]["noise"] is None
+
+
+def test_init_and_check_draw_the_data_once_and_replace_no_other_picture(
+    demo: Path,
+) -> None:
+    picture = demo.with_name("study_data.svg")
+    said("check", demo, "--json")
+    assert not picture.exists()
+    result = said("check", demo)
+    assert f"Picture: {picture}" in result.out
+    assert "t: every 0.025 s, regular" in result.out
+    drawn = picture.read_bytes()
+    assert drawn.startswith(b"<?xml") and b"run" in drawn
+    before = picture.stat().st_mtime_ns
+    said("check", demo)
+    assert picture.stat().st_mtime_ns == before
+    demo.write_text(demo.read_text().replace('unit = "m"', 'unit = "cm"'))
+    said("check", demo)
+    assert b"q (cm)" in picture.read_bytes()
+    picture.write_text("mine")
+    result = said("init", CSV, "-o", demo, "--force")
+    assert "Picture: none: " in result.out
+    assert picture.read_text() == "mine"
+    assert "position  state  m" in result.out
 
 
 def test_check_tells_all_errors_at_once_without_a_trace(demo: Path) -> None:

@@ -357,11 +357,14 @@ def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
     lines = repr(data).splitlines()
     assert lines[0] == "Measurements: 1 trajectory, 2 samples, t = 0 to 2.5 [s]"
     assert [line.split() for line in lines[1:]] == [
-        ["channel", "part", "unit", "measured", "lowest", "highest", "noise"],
-        ["q", "state", "m", "2", "of", "2", "-2.5", "1", "0.1"],
-        ["p", "state", "1", "of", "2", "3", "3", "-"],
-        ["r", "state", "0", "of", "2", "-", "-", "-"],
-        ["u", "input", "2", "of", "2", "0", "1", "-"],
+        ["channel", "part", "unit", "lowest", "highest", "resolution", "noise"],
+        ["q", "state", "m", "-2.5", "1", "-", "0.1"],
+        ["p", "state", "3", "3", "-", "-"],
+        ["r", "state", "-", "-", "-", "-"],
+        ["u", "input", "0", "1", "-", "-"],
+        ["t:", "every", "2.5", "s,", "regular"],
+        ["p:", "1", "of", "2", "missing"],
+        ["r:", "not", "measured"],
     ]
     assert str(data) == repr(data)
     assert repr(data.trajectories[0]) == "Trajectory('run 1', 2 samples, t = 0 to 2.5)"

@@ -105,7 +105,7 @@ def init(
             pass  # one that cannot be read is refused before the libraries are loaded
         from phsi_opt.command_line.file_jobs import first_study
 
-        finish(first_study(data, study, force), as_json)
+        finish(first_study(data, study, force, not as_json), as_json)
 
 
 @app.command()
@@ -114,7 +114,7 @@ def check(study: StudyPath = Path(STUDY_NAME), as_json: AsJson = False) -> None:
     with told_errors(as_json, study):
         from phsi_opt.command_line.file_jobs import checked
 
-        finish(checked(study), as_json)
+        finish(checked(study, not as_json), as_json)
 
 
 @app.command()

@@ -3,6 +3,8 @@
 Nothing is solved here, so that none of the solver's rooms is loaded.
 """
 
+import json
+from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 
@@ -12,7 +14,7 @@ from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.sentences import lines
-from phsi_opt.reading import file_bytes
+from phsi_opt.reading import file_bytes, why_not_read
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
 from phsi_opt.study_file.toml_text import add_effects
@@ -20,10 +22,19 @@ from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.writing import write_whole
 
 DEMO_FILES = ("friction_spring.csv", "study.toml")
+PICTURE_MARK = b"<!-- measurements drawn by phsi-opt:"
 
 
-def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
+def first_study(
+    tables: list[Path], study: Path, force: bool, draws: bool = True
+) -> Answer:
     """Write a study file; nothing that is there is overwritten unless forced.
+
+    Args:
+        tables: The paths of the data files.
+        study: The path of the study file.
+        force: Whether to overwrite one that is there.
+        draws: Whether to write a picture of the measurements beside it.
 
     Raises:
         DataError: the table cannot be read, or the study file is there already.
@@ -40,21 +51,64 @@ def first_study(tables: list[Path], study: Path, force: bool) -> Answer:
     write_whole(study, first_text(table, tables, study.parent))
     needs: tuple[Complaint, ...] = ()
     try:
-        StudyFile.read(study)
+        data: object = StudyFile.read(study).measurements()
     except StudyFileError as error:
         needs = error.complaints
+        data = error.measurements
+    shown = _shown(data, study, draws)
     facts = {"table": table, "study": study, "path": tables[0], "needs": needs}
+    facts |= {"data": data, "picture": shown.get("picture")}
     content = {
         "study_file": str(study),
         "columns": [column.content for column in table.columns],
         "further": list(map(vars, table.table.further)),
         "needs": list(map(vars, needs)),
     }
-    return Answer(lines(__package__, "first_study", **facts), content)
+    return Answer(lines(__package__, "first_study", **facts), content | shown)
 
 
-def checked(path: Path) -> Answer:
+def _shown(data: object, study: Path, draws: bool) -> dict[str, object]:
+    """What measurements show, and their picture, written unless it is there already."""
+    if not isinstance(data, Measurements):
+        return {}
+    rows = data.noticed.to_json(orient="records", double_precision=15)  # no NaN
+    shown: dict[str, object] = {"noticed": json.loads(rows)}
+    if not draws:
+        return shown
+    path = study.with_name(f"{study.stem}_data.svg")
+    try:
+        _draw(data, path)
+    except DataError as error:
+        return shown | {"picture": f"none: {error}"}
+    return shown | {"picture": str(path)}
+
+
+def _draw(data: Measurements, path: Path) -> None:
+    """Write the picture, unless it is there already.
+
+    Raises:
+        DataError: another file is there, or it cannot be written.
+    """
+    drawn = repr((data.digest, sorted(data.units.items()), data.look.hold))
+    mark = PICTURE_MARK + sha256(drawn.encode()).hexdigest().encode() + b" -->\n"
+    try:
+        there = file_bytes(path) if path.exists() else b""
+    except OSError as error:
+        raise DataError(f"{path} cannot be read ({why_not_read(error)}).") from None
+    if there and PICTURE_MARK not in there:
+        raise DataError(f"{path} exists already and is no such picture; rename it.")
+    if not there.endswith(mark):
+        from phsi_opt.presentation.charts import svg  # matplotlib is slow to load
+
+        write_whole(path, svg(data.chart()).encode() + mark)
+
+
+def checked(path: Path, draws: bool = True) -> Answer:
     """A summary of a study file, or everything that is wrong, and what stands empty.
+
+    Args:
+        path: Of the study file.
+        draws: Whether to write a picture of the measurements beside it.
 
     Raises:
         StudyFileError: it cannot be read, or is no TOML.
@@ -63,7 +117,7 @@ def checked(path: Path) -> Answer:
     try:
         file = StudyFile.read(path)
         file.check_formulas()
-        answer = _summary(path, file)
+        answer = _summary(path, file, _shown(file.measurements(), path, draws))
         has_dates = any(run.origin is not None for run in file.measurements())
         empty = unfilled(path, has_dates)
     except StudyFileError as error:
@@ -76,8 +130,8 @@ def checked(path: Path) -> Answer:
     return Answer(text, content, answer.code)
 
 
-def _summary(path: Path, file: StudyFile) -> Answer:
-    """What a study file that can be used holds."""
+def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
+    """What a study file that can be used holds, and what is shown of its data."""
     train, held_out = file.split()
     model = file.model()
     notes = AlignedData.of(model, train).notes
@@ -85,7 +139,8 @@ def _summary(path: Path, file: StudyFile) -> Answer:
         __package__,
         "summary",
         path=path,
-        measurements=file.measurements(),
+        data=file.measurements(),
+        picture=shown.get("picture"),
         train=train,
         held_out=held_out,
         runs=_runs,
@@ -106,7 +161,7 @@ def _summary(path: Path, file: StudyFile) -> Answer:
         "n_held_out": 0 if held_out is None else held_out.n_samples,
         "warnings": list(notes),
     }
-    return Answer(text, content)
+    return Answer(text, content | shown)
 
 
 def _runs(data: Measurements) -> str:

@@ -19,7 +19,7 @@ from phsi_opt.presentation.charts import (
     time_label,
 )
 from phsi_opt.presentation.content import thinned
-from phsi_opt.presentation.numbers import label
+from phsi_opt.presentation.numbers import label, number_of
 from phsi_opt.presentation.units import scale_of_time, time_words
 
 MOST_POINTS = 4000  # of a channel that are drawn
@@ -47,7 +47,8 @@ def data_chart(look: DataLook) -> Chart:
             told.add(curve.name)
         name = label(f"{one.name}, input" if one.hold else one.name, one.unit)
         panels.append(Panel(name, curves, height=height, scale=FREE))
-    return Chart(x_label, tuple(panels), ticks=ticks)
+    n_runs = number_of(len(look.trajectories), "trajectory", "trajectories")
+    return Chart(x_label, tuple(panels), f"{n_runs}, {len(look.t)} samples", ticks)
 
 
 def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from numbers import Real
+from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
 
@@ -40,7 +41,7 @@ from phsi_opt.data.trajectory import (
     trajectories_in_arrays,
 )
 from phsi_opt.errors import DataError
-from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.numbers import LINE_WIDTH, number_of
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 
 if TYPE_CHECKING:
@@ -441,12 +442,12 @@ class Measurements(TableReaders, Summarised):
         """What the samples show before there is a model.
 
         Returns:
-            A row for the clock "t" and one for each channel, with the columns channel,
-            unit, lowest, highest, resolution (the step in which the values are
-            quantised), noise (standard deviation, from differences of neighbours; NaN
-            where not known) and noticed: how regular the clock is, and its gaps;
-            missing samples; single samples far from both neighbours; values at which a
-            channel stays.
+            A row for the clock and one for each channel, with the columns channel, part
+            ("time", "state" or "input"), unit, lowest, highest, resolution (the step in
+            which the values are quantised), noise (standard deviation: the given one,
+            else from differences of neighbours) and noticed: how regular the clock is,
+            and its gaps; missing samples; single samples far from both neighbours;
+            values at which a channel stays. NaN stands for what is not known.
 
         Examples:
             >>> t = np.linspace(0.0, 1.0, 101)
@@ -456,7 +457,10 @@ class Measurements(TableReaders, Summarised):
             >>> print(data.noticed["noticed"][1])
             1 outlier of one sample, at t = 0.4
         """
-        return printed_table(self.look.rows())
+        table = printed_table(self.look.rows())
+        given = table["channel"].map(dict(self.noise or {}))
+        table["noise"] = given.fillna(table["noise"]).astype(float)
+        return table
 
     def chart(self) -> "Chart":
         """Every measured channel over time, as page and report draw it."""
@@ -464,7 +468,7 @@ class Measurements(TableReaders, Summarised):
 
         return data_chart(self.look)
 
-    def plot(self, ax: "Axes | None" = None) -> "list[Axes]":
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Every measured channel over time, states first, the runs one after another.
 
         What `noticed` tells is marked: gaps, single samples far from both neighbours,
@@ -474,39 +478,30 @@ class Measurements(TableReaders, Summarised):
             ax: Axes whose place is divided among the channels; None: a new figure.
 
         Returns:
-            The axes, one for each channel.
+            The axes of the first channel; those of the others are in its figure.
+
+        Examples:
+            >>> data.plot().figure.savefig("data.png")
         """
         from phsi_opt.presentation.pictures import plot_panels
 
         return plot_panels(self.chart(), ax)
 
-    def _channels(self) -> Iterator[dict[str, Any]]:
-        """A row per channel; NaN for what is not known."""
-        values_of = [*self.stacked("x").T, *self.stacked("u").T]
-        parts = ["state"] * self.n_states + ["input"] * self.n_inputs
-        channels = (*self.states, *self.inputs)
-        noise = self.noise or {}
-        for part, name, values in zip(parts, channels, values_of, strict=True):
-            known = values[np.isfinite(values)]
-            yield {
-                "channel": name,
-                "part": part,
-                "unit": self.units[name],
-                "measured": f"{known.size} of {values.size}",
-                "lowest": known.min() if known.size else np.nan,
-                "highest": known.max() if known.size else np.nan,
-                "noise": noise.get(name, np.nan),
-            }
-
     def _summary(self) -> Summary:
-        """Number of trajectories and samples, span of time, and a line per channel."""
+        """Numbers of trajectories and samples, span of time, and what is noticed."""
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
         t = self.stacked("t")
         unit = f" [{self.units['t']}]" if self.units["t"] else ""
         span = f"t = {t.min():g} to {t.max():g}{unit}"
         title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
-        table = printed_table(self._channels())
-        return Summary(title, (Part(table=table),))
+        table = self.noticed
+        channels = table[1:].drop(columns="noticed")
+        told = []
+        for name, noticed in zip(table["channel"], table["noticed"], strict=True):
+            if noticed:
+                line = f"{name}: {noticed}"
+                told.append(fill(line, LINE_WIDTH, subsequent_indent="  "))
+        return Summary(title, (Part(table=channels), Part(code="\n".join(told))))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""

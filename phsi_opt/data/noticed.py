@@ -182,13 +182,12 @@ class DataLook:
         if not len(values):
             yield "not measured"
             return
-        spread = float(np.std(values))
-        if np.ptp(values) == 0:
-            yield "does not change"
-            return
         n_missing = len(one.values) - len(values)
         if n_missing:
             yield f"{n_missing} of {len(one.values)} missing"
+        if len(values) > 1 and np.ptp(values) == 0:
+            yield "does not change"
+            return
         if len(one.outliers):
             name = number_of(len(one.outliers), "peak" if one.hold else "outlier")
             first = "" if len(one.outliers) == 1 else "the first "
@@ -199,7 +198,7 @@ class DataLook:
             yield f"at its {side} value in {percent:.2g} % of the samples"
         if one.resolution and np.ptp(values) < MANY * one.resolution:
             yield "moves by few steps of its resolution"
-        if not one.hold and one.noise > spread / 2:
+        if not one.hold and one.noise > np.std(values) / 2:
             yield "changes mostly between neighbours: noise, or sampled too slowly"
         if one.hold and is_stepped(np.split(one.values, self.ends)):
             yield f'constant between jumps (hold is "{one.hold}")'
@@ -223,15 +222,27 @@ class DataLook:
 
     def rows(self) -> Iterator[dict[str, object]]:
         """A row for the clock, and one for each channel; NaN for what is not known."""
-        names = ("channel", "unit", "lowest", "highest", "resolution", "noise")
-        ends = self.t.min(), self.t.max()
-        clock = ("t", self.units["t"], *ends, np.nan, np.nan)
-        yield dict(zip(names, clock, strict=True)) | {"noticed": self.clock_words()}
+        yield {
+            "channel": "t",
+            "part": "time",
+            "unit": self.units["t"],
+            "lowest": self.t.min(),
+            "highest": self.t.max(),
+            "resolution": np.nan,
+            "noise": np.nan,
+            "noticed": self.clock_words(),
+        }
         for one in self.channels:
-            ends = np.fmin.reduce(one.values), np.fmax.reduce(one.values)
-            facts = (one.name, one.unit, *ends, one.resolution or np.nan, one.noise)
-            noticed = "; ".join(self.remarks(one))
-            yield dict(zip(names, facts, strict=True)) | {"noticed": noticed}
+            yield {
+                "channel": one.name,
+                "part": "input" if one.hold else "state",
+                "unit": one.unit,
+                "lowest": np.fmin.reduce(one.values),
+                "highest": np.fmax.reduce(one.values),
+                "resolution": one.resolution or np.nan,
+                "noise": one.noise,
+                "noticed": "; ".join(self.remarks(one)),
+            }
 
 
 def lone_peaks(

@@ -109,8 +109,8 @@ def _rows_of(ax: Axes, heights: Sequence[float]) -> list[Axes]:
     return rows
 
 
-def plot_panels(chart: Chart, ax: Axes | None = None) -> list[Axes]:
-    """All panels of a chart below each other, in the place of axes or in a figure."""
+def plot_panels(chart: Chart, ax: Axes | None = None) -> Axes:
+    """All panels of a chart below each other, the first one on axes."""
     heights = [panel.height for panel in chart.panels]
     rows = _rows_of(axes_of(ax, (8.0, 1.0 + 2.4 * sum(heights))), heights)
     for place, row in enumerate(rows):
@@ -118,7 +118,7 @@ def plot_panels(chart: Chart, ax: Axes | None = None) -> list[Axes]:
         is_last = row is rows[-1]
         row.tick_params(axis="x", labelbottom=is_last)
         row.xaxis.label.set_visible(is_last)
-    return rows
+    return rows[0]
 
 
 def plot_missing_force(

@@ -60,17 +60,18 @@ def read_sections(
     """
     text, tables = text_and_tables(path)
     faults = Complaints(tables)
-    read = None
+    sections = measured = None
     with suppress(TooManyComplaintsError):
-        read = _sections(faults, path.parent, places or {})
-    if read is None or faults.listed:
-        raise StudyFileError(path, _in_order(faults, lines_of(text)))
-    return read
+        sections, measured = _sections(faults, path.parent, places or {})
+    if sections is None or measured is None or faults.listed:
+        raise StudyFileError(path, _in_order(faults, lines_of(text)), measured)
+    return sections, measured
 
 
 def _sections(
     faults: Complaints, folder: Path, places: Mapping[str, Path]
-) -> tuple[Sections, Measurements] | None:
+) -> tuple[Sections | None, Measurements | None]:
+    """The sections without a fault, and the measurements; None: something is wrong."""
     file = usable(faults.content, faults)
     for (section, *names), said in NEEDED.items():
         if not names:
@@ -99,8 +100,8 @@ def _sections(
         if not faults.about("held_out"):
             with faults.noting("held_out"):
                 held_out.split(measured)
-    if model is None or measured is None:
-        return None
+    if model is None:
+        return None, measured
     parts: dict[str, Any] = {"base": model, "data": data, "held_out": held_out}
     return Sections(**parts, steps=steps, own_effects=own, loss=loss), measured
 
