@@ -234,7 +234,8 @@ def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
         ({"states": ("q", "pi")}, "states: the name 'pi' is reserved"),
         ({"inputs": ("q",)}, "the name 'q' is used 2 times"),
         ({"H": Dictionary()}, "H has no term"),
-        ({"H": "q**2"}, "H='q\\*\\*2' is not a dictionary"),
+        ({"H": 2}, "H=2 is not a dictionary"),
+        ({"H": "q*u"}, "uses 'u', but an energy depends on the states alone"),
         ({"H": ph.formula("q*u")}, "uses 'u', but an energy depends on the states alone"),
         ({"H": ph.formula("k*q**2")}, "name 'k' in 'k\\*q\\*\\*2' .* If it is a parameter"),
         ({"R": {"x": ph.formula("1")}}, "equation of R 'x' is not a state"),
@@ -249,6 +250,30 @@ def test_a_model_that_contradicts_itself_is_refused(
 ) -> None:
     with pytest.raises(ph.ModelError, match=message):
         spring(**changes)
+
+
+def test_a_text_is_a_formula_whose_other_names_are_free_parameters() -> None:
+    known = ph.Parameter(3.0, lower=1.0)
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H="k*q**2/2 + p**2/(2*m)",
+        R={"p": "c"},
+        F={"p": "b*u - c*g*dH_dp**3", "q": ph.formula("e*t", e=known)},
+        sensor={"q": "e*q"},
+    )
+    table = {name: entry.parameter for name, entry in model.entries.items()}
+    assert list(table) == ["k", "m", "c", "e", "b", "g"]
+    from_data = ph.Parameter()
+    assert (table["k"], table["b"]) == (from_data, from_data)
+    assert table["c"] == ph.Parameter(lower=0), "R >= 0"
+    assert table["m"] == ph.Parameter(1.0), "at 0 the energy has no value"
+    assert table["g"] == ph.Parameter(1.0), "c is zero, too"
+    assert table["e"] == known
+    assert replace(model, sensor={}).free == model.free
+    outflow = ph.FirstOrder(["h"], {"h": "u - a*sqrt(h)"}, inputs=["u"])
+    assert outflow.free == ("a",)
 
 
 def test_a_first_order_model_refuses_an_energy_and_a_structure() -> None:

@@ -9,6 +9,7 @@ makes a new record.
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import chain
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -63,9 +64,9 @@ class BaseModel:
         check_unique((*self.states, *self.inputs), "name", ModelError)
         check_unique(self.memory, "memory", ModelError)
         self._set("S", checked_structure(self.S, len(self.states)))
-        self._set("H", checked_dictionary(self.H, "H"))
         for slot in BY_EQUATION:
-            self._set(slot, self._checked_equations(getattr(self, slot), slot))
+            self._set(slot, self._in_order(getattr(self, slot), slot))
+        self._read_texts()
         for name in self.memory:
             self.index(name, "memory")
         self._set("kind", checked_kinds(self.kind, self.states, self.memory))
@@ -79,23 +80,35 @@ class BaseModel:
     def __getstate__(self) -> dict[str, Any]:  # without what was built
         return {part.name: getattr(self, part.name) for part in fields(self)}
 
-    def _checked_equations(
-        self, dictionaries: Mapping[str, Dictionary], slot: str
-    ) -> Mapping[str, Dictionary]:
-        """The terms per equation, in the order of the states."""
-        if not isinstance(dictionaries, Mapping):
+    def _in_order(self, terms: Mapping[str, Any], slot: str) -> dict[str, Any]:
+        """What is given per equation, in the order of the states."""
+        if not isinstance(terms, Mapping):
             raise ModelError(
-                f"{slot}={dictionaries!r} must map a state to its terms, "
+                f"{slot}={terms!r} must map a state to its terms, "
                 "such as {'p': formula('u')}."
             )
-        for name in dictionaries:
+        for name in terms:
             self.index(name, f"equation of {slot}")
-        ordered = {}
-        for name in self.states:
-            if name in dictionaries:
-                where = f"{slot}[{name!r}]"
-                ordered[name] = checked_dictionary(dictionaries[name], where)
-        return MappingProxyType(ordered)
+        return {name: terms[name] for name in self.states if name in terms}
+
+    def _read_texts(self) -> None:
+        """Turn texts into formulas; names that nothing defines become parameters."""
+        given: dict[str, dict[str, Any]] = {"R": {}, "H": {"": self.H}}  # R first:
+        for slot in BY_EQUATION:  # what is a loss is not negative elsewhere either
+            given[slot] = dict(getattr(self, slot))
+        known: dict[str, Parameter] = {}
+        for terms in chain.from_iterable(map(dict.values, given.values())):
+            if isinstance(terms, Dictionary):
+                known |= terms.of_formulas
+        for slot, equations in given.items():
+            for equation, terms in equations.items():
+                if isinstance(terms, str):
+                    terms = self.variables.formula(terms, slot, known)
+                where = f"{slot}[{equation!r}]" if equation else slot
+                equations[equation] = checked_dictionary(terms, where)
+        self._set("H", given.pop("H")[""])
+        for slot, equations in given.items():
+            self._set(slot, MappingProxyType(equations))
 
     # ---- what it consists of ---------------------------------------------------------
 
@@ -369,6 +382,6 @@ def checked_dictionary(terms: Any, where: str) -> Dictionary:
     if not isinstance(terms, Dictionary):
         raise ModelError(
             f"{where}={terms!r} is not a dictionary of terms; "
-            "write formula('...') or polynomials([...], n)."
+            "write a formula as text, formula('...') or polynomials([...], n)."
         )
     return terms

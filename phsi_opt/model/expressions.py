@@ -9,7 +9,7 @@ is solved, what is printed and what is exported cannot drift apart.
 import ast
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any
@@ -248,6 +248,13 @@ def _names_below(tree: ast.AST) -> set[str]:
             named.append(node)
     found = {node.id for node in named if id(node) not in called}
     return found - set(CONSTANTS)
+
+
+def is_linear(text: str, names: Sequence[str]) -> bool:
+    """Whether a formula is linear in these names, all others being numbers."""
+    symbols = {name: ca.SX.sym(name) for name in names_of(text)}
+    chosen = ca.vertcat(*(symbols[name] for name in names))
+    return bool(ca.is_linear(ca.SX(evaluate(text, symbols)), chosen))
 
 
 # ---- evaluation ----------------------------------------------------------------------

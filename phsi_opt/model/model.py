@@ -29,6 +29,8 @@ from phsi_opt.model.terms import Dictionary
 from phsi_opt.presentation.summary import Summarised, Summary
 
 T = TypeVar("T")
+Terms = Dictionary | str  # a text is a formula, see `Model`
+TermsByState = Mapping[str, Terms]
 
 
 @lru_cache(maxsize=64)  # those last asked for; a model keeps its own while it lives
@@ -43,9 +45,14 @@ def built_of(formulas: Hashable) -> dict[Hashable, object]:
     return {}
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class Model(BaseModel, Summarised):
     """Base class of `PseudoHamiltonian` and `FirstOrder`.
+
+    Terms are a `formula`, a dictionary such as `polynomials`, or a text: a formula
+    whose names are states, inputs, the time ``t``, efforts such as ``dH_dp``, and
+    parameters. Those that no other formula of the model defines are free, without
+    bounds; a loss that is nothing but a parameter, ``R={"p": "c"}``, is not negative.
 
     ``sensor`` contains the error terms of the sensors by state: measured = state +
     sensor terms, such as an offset ``formula("b", b=Parameter(0.0))`` or a gain
@@ -53,6 +60,23 @@ class Model(BaseModel, Summarised):
     memory of an effect (a lag, a hysteresis): their equations are in F, and the
     measurements need not contain them.
     """
+
+    def __init__(
+        self,
+        *,
+        states: Sequence[str],
+        inputs: Sequence[str] = (),
+        R: TermsByState | None = None,
+        F: TermsByState | None = None,
+        sensor: TermsByState | None = None,
+        S: Any = None,
+        H: Terms | None = None,
+        memory: Sequence[str] = (),
+        kind: str | Mapping[str, str] | None = None,
+    ) -> None:
+        given = {"R": R, "F": F, "sensor": sensor, "H": H, "kind": kind}
+        told: dict[str, Any] = {n: one for n, one in given.items() if one is not None}
+        super().__init__(states=states, inputs=inputs, memory=memory, S=S, **told)
 
     def _summary(self) -> Summary:
         """The equations, and the parameters in a table."""
@@ -164,7 +188,7 @@ class Model(BaseModel, Summarised):
         )
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class PseudoHamiltonian(Model):
     """A model with an energy H.
 
@@ -204,6 +228,17 @@ class PseudoHamiltonian(Model):
         ... )
         >>> spring.free
         ('k', 'R_p')
+
+        The same as texts, with m unknown, too:
+
+        >>> spring = ph.PseudoHamiltonian(
+        ...     states=["q", "p"],
+        ...     S=ph.canonical(1),
+        ...     H="k*q**2/2 + p**2/(2*m)",
+        ...     R={"p": "c"},
+        ... )
+        >>> spring.free
+        ('k', 'm', 'c')
     """
 
     def __post_init__(self) -> None:
@@ -247,23 +282,22 @@ class FirstOrder(Model):
             kind.
 
     Examples:
-        >>> outflow = ph.formula("u - a*sqrt(h)", a=ph.Parameter(0.2, lower=0))
-        >>> ph.FirstOrder(["h"], {"h": outflow}, inputs=["u"]).free
+        >>> ph.FirstOrder(["h"], {"h": "u - a*sqrt(h)"}, inputs=["u"]).free
         ('a',)
     """
 
     def __init__(
         self,
         states: Sequence[str],
-        F: Mapping[str, Dictionary],
+        F: TermsByState,
         inputs: Sequence[str] = (),
-        R: Mapping[str, Dictionary] | None = None,
-        sensor: Mapping[str, Dictionary] | None = None,
+        R: TermsByState | None = None,
+        sensor: TermsByState | None = None,
         *,
         memory: Sequence[str] = (),
         kind: str | Mapping[str, str] | None = None,
         S: Any = None,
-        H: Dictionary | None = None,
+        H: Terms | None = None,
     ) -> None:
         if H or np.any(S):
             raise ModelError(
@@ -274,10 +308,10 @@ class FirstOrder(Model):
             states=states,
             F=F,
             inputs=inputs,
-            R=R or {},
-            sensor=sensor or {},
+            R=R,
+            sensor=sensor,
             memory=memory,
-            kind={} if kind is None else kind,
+            kind=kind,
         )
 
     @property

@@ -7,14 +7,15 @@ stands in the names of the parameters.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from types import MappingProxyType
 from typing import NamedTuple
 
 from phsi_opt.data.checks import RESERVED_PREFIXES
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.model.expressions import names_of
+from phsi_opt.model.expressions import is_linear, names_of
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.terms import Term
+from phsi_opt.model.terms import Dictionary, Term
 
 SLOTS = ("H", "R", "F", "sensor")
 BY_EQUATION = SLOTS[1:]  # the slots that have terms per equation
@@ -112,6 +113,27 @@ class Variables:
         if slot == "F":
             names |= set(self.slopes)
         return names
+
+    def formula(
+        self, text: str, slot: str, known: dict[str, Parameter]
+    ) -> Dictionary:
+        """A formula of the slot; names without a meaning become ``known`` parameters.
+
+        A free parameter begins at a value from the data where the formula is linear in
+        it, else at 1. A loss that is nothing but a parameter is not negative.
+        """
+        variables = self.of_slot("F")
+        own = {}
+        for name in sorted(names_of(text)):
+            if name in variables or name.startswith(RESERVED_PREFIXES):
+                continue  # what is wrong in this slot is refused with the term
+            if name not in known:
+                linear = [other for other in own if known[other].value is None]
+                value = None if is_linear(text, [*linear, name]) else 1.0
+                lower = 0.0 if slot == "R" and text.strip() == name else -inf
+                known[name] = Parameter(value, lower=lower)
+            own[name] = known[name]
+        return Dictionary((Term(text, None, own),))
 
     def check_parameters(self, names: Iterable[str]) -> None:
         """Check that no parameter has the name of a variable or of a derivative.

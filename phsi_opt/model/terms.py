@@ -133,6 +133,14 @@ class Dictionary:
             )
         return Dictionary(self.terms + other.terms)
 
+    @property
+    def of_formulas(self) -> dict[str, Parameter]:
+        """The parameters of its formulas, which the whole model knows by name."""
+        known: dict[str, Parameter] = {}
+        for term in self.terms:
+            known |= term.inner if term.is_formula else {}
+        return known
+
     def __len__(self) -> int:
         return len(self.terms)
 
