@@ -133,17 +133,28 @@ def test_equations_keep_every_term_however_small() -> None:
             assert found == pytest.approx(rate(fit, at)[row], rel=2e-6)
 
 
-def test_latex_holds_the_same_numbers_as_the_equations() -> None:
+def test_latex_says_what_the_equations_say() -> None:
     energy = ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=2.5)
     fit = fit_of(hamiltonian(energy, R=ph.damping("p")), R_p=0.0)
     rows = dict(re.findall(r"\\dot\{(\w)\} &= (.*?)(?: \\\\)?\n", fit.latex()))
-    at = {"q": 0.3, "p": -0.8}
-    found = []
-    for name in at:
-        formula = re.sub(r"(\d) ([a-z])", r"\1*\2", rows[name])
-        found.append(float(evaluate(formula, at, NUMPY)))
-    # Six digits are printed.
-    np.testing.assert_allclose(found, rate(fit, list(at.values())), rtol=1e-5)
+    assert rows == {"q": r"\frac{p}{m}", "p": "- k q"}
+    assert fit.equations() == ["dq/dt = p/m", "dp/dt = -k*q"]
+
+
+def test_equations_have_the_names_of_formulas_and_the_numbers_of_other_terms() -> None:
+    fit = rich_fit()
+    x, u, t = [0.4, -0.9], [0.3], 1.7
+    known = {"q": x[0], "p": x[1], "u": u[0], "t": t}
+    known |= {name: fit.values[name] for name in fit.model.names_in_formulas}
+    assert "k" in fit.model.names_in_formulas
+    assert "R_p" not in fit.model.names_in_formulas
+    for row, text in enumerate(fit.equations()):
+        found = float(evaluate(text.split(" = ")[1], known, NUMPY))
+        assert found == pytest.approx(rate(fit, x, u, t)[row], rel=1e-5)
+    assert all(name in fit.equations()[1] for name in ("k*", "b*u", "tanh", "eps"))
+    text = str(fit)
+    assert "k*abs(q)**3 + p**2/(2*m) + (1e-09 +- " in text
+    assert "b*u - c*tanh(dH_dp/eps)" in text and "m = 2.5 kg" in text
 
 
 def test_the_report_names_every_parameter_with_its_error_and_every_warning() -> None:
@@ -380,5 +391,6 @@ def test_what_would_be_endless_multiplied_out_is_left_as_it_is() -> None:
     fit = fit_of(hamiltonian(ph.formula(f"c*{nested}", c=ph.Parameter(0.1))), c=0.1)
     _, dp = fit.equations()
     assert len(dp) < 2_000
-    found = float(evaluate(dp.split(" = ")[1], {"q": 0.3, "p": 0.2}, NUMPY))
+    known = {"q": 0.3, "p": 0.2, "c": 0.1}
+    found = float(evaluate(dp.split(" = ")[1], known, NUMPY))
     assert found == pytest.approx(rate(fit, [0.3, 0.2])[1], rel=1e-5)

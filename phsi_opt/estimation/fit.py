@@ -59,8 +59,8 @@ class Fit(FitRecord, Summarised):
 
     - Numbers: ``parameters`` (a table), ``estimates``, ``std_errors``,
       ``intervals(level)``, ``correlations``, ``noise``, ``bic``.
-    - Equations: ``equations()``, ``latex()``, ``sympy()``, ``casadi()``, all with the
-      fitted numbers.
+    - Equations: ``equations()`` and ``latex()`` in the names of the parameters;
+      ``sympy()`` and ``casadi()`` with the fitted numbers.
     - Simulation: ``simulate(t, x0, u)``; ``model`` is the fitted model,
       ``model_of(trajectory)`` that of one trajectory.
     - Forms: ``print(fit)``, ``plot()``, ``plot_states(data)``, ``save(path)`` and
@@ -314,15 +314,17 @@ def _title(fit: FitRecord) -> str:
 
 
 def equation_lines(fit: FitRecord) -> list[str]:
-    """Structure, terms with their estimates, and fixed parameters; a line each."""
-    rows = [
-        *structure_rows(fit.model),
-        *dictionary_rows(fit.model, partial(_term, fit)),
-    ]
-    for name, entry in fit.model.entries.items():
-        if entry.parameter.fixed:
-            value = f"{fit.values[name]:.6g} {fit.parameter_units[name]}".rstrip()
-            rows.append(f"{name} = {value} (fixed)")
+    """Structure, terms, and the parameters of formulas by name; a line each.
+
+    Coefficients and inner parameters of a dictionary's terms stand in the terms.
+    """
+    rows = structure_rows(fit.model)
+    rows += dictionary_rows(fit.model, partial(_term, fit))
+    fixed = [name for name, one in fit.model.entries.items() if one.parameter.fixed]
+    for name in dict.fromkeys((*fit.model.names_in_formulas, *fixed)):
+        value = f"{fit.values[name]:.6g} {fit.parameter_units[name]}".rstrip()
+        is_fixed = name in fixed
+        rows.append(f"{name} = {f'{value} (fixed)' if is_fixed else _estimate(fit, name)}")
     return [LONG_NUMBER.sub(_few_digits, row) for row in rows]
 
 
@@ -342,7 +344,9 @@ def _remarks(fit: FitRecord) -> list[str]:
 
 
 def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
-    """The term with every parameter replaced by its estimate in brackets."""
+    """A formula as it is; a term with every parameter replaced by its estimate."""
+    if term.is_formula:
+        return term.body
 
     def estimate_of(match: re.Match[str]) -> str:
         name = match[0]
@@ -352,8 +356,6 @@ def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
 
     # In one pass: a unit that was put in may have the name of another parameter.
     body = IDENTIFIER.sub(estimate_of, term.body)
-    if term.is_formula:
-        return body
     coefficient = f"({_estimate(fit, term.coefficient_name(place))})"
     return coefficient if term.body == "1" else f"{coefficient}*{body}"
 

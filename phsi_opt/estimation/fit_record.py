@@ -5,7 +5,7 @@
 printed, stored and drawn stands in `fit`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -123,8 +123,12 @@ class Identified:
         """
         return simulate(self.model, t, x0, u, hold=self.hold)
 
-    def sympy(self) -> "dict[str, sp.Expr]":
+    def sympy(self, named: bool = False) -> "dict[str, sp.Expr]":
         """The fitted model as SymPy expressions.
+
+        Args:
+            named: whether the parameters of formulas keep their names; coefficients of
+                a dictionary's terms are numbers in any case.
 
         Returns:
             ``H``, and for every state ``R_<state>``, ``F_<state>`` and the right-hand
@@ -142,6 +146,8 @@ class Identified:
         u = sp.symbols(model.inputs, real=True)
         t = sp.Symbol("t", real=True)
         values = {name: sp.Float(value) for name, value in self.values.items()}
+        own = sp.symbols(model.names_in_formulas if named else (), real=True)
+        values |= {symbol.name: symbol for symbol in own}
         parts = Expressions(model, x, u, t, values, SYMPY)
         expressions = {"H": sp.sympify(parts.energy)}
         by_state = (model.states, parts.loss, parts.force, parts.rates)
@@ -150,7 +156,7 @@ class Identified:
             expressions[f"F_{state}"] = sp.sympify(force)
             is_short = n_expanded(rate) <= MOST_TERMS
             expressions[f"d{state}/dt"] = sp.expand(rate) if is_short else rate
-        plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t)}
+        plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t, *own)}
         return {name: e.xreplace(plain) for name, e in expressions.items()}
 
     def casadi(self) -> ca.Function:
@@ -161,28 +167,35 @@ class Identified:
         return rates(self.model)
 
     def equations(self) -> list[str]:
-        """The right-hand sides with the fitted numbers, one text per state.
+        """The right-hand sides, one text per state: ``dp/dt = -c*p/m - k*q``.
 
-        Numbers have 6 digits; no term is left out, however small.
+        Parameters of formulas have their names, whose values are in ``parameters``;
+        coefficients of a dictionary's terms are numbers with 6 digits. No term is left
+        out, however small.
         """
-        return [f"d{s}/dt = {e}" for s, e in self._rounded("sstr").items()]
+        from phsi_opt.model.sympy_backend import formula_text
+
+        return [f"d{s}/dt = {e}" for s, e in self._rounded(formula_text).items()]
 
     def latex(self) -> str:
-        """The right-hand sides as an aligned LaTeX block, numbers with 6 digits."""
-        rows = self._rounded("latex").items()
+        """The right-hand sides as an aligned LaTeX block, as in `equations`."""
+        import sympy as sp
+
+        rows = self._rounded(sp.latex).items()
         body = " \\\\\n".join(rf"\dot{{{symbol}}} &= {e}" for symbol, e in rows)
         return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
-    def _rounded(self, printer: str) -> dict[str, str]:
-        """The right-hand side of every state, by a function of SymPy that prints."""
+    def _rounded(self, text_of: "Callable[[sp.Expr], str]") -> dict[str, str]:
+        """The right-hand side of every state as text."""
         import sympy as sp
 
-        text_of = getattr(sp, printer)
-        exact = self.sympy()
+        exact = self.sympy(named=True)
         found = {}
         for state in self.model.states:
             rounded = exact[f"d{state}/dt"].n(DIGITS)
-            found[text_of(sp.Symbol(state))] = text_of(rounded)
+            floats = [n for n in rounded.atoms(sp.Float) if float(n).is_integer()]
+            whole = rounded.xreplace({one: sp.Integer(one) for one in floats})
+            found[text_of(sp.Symbol(state))] = text_of(whole)
         return found
 
 

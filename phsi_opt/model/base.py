@@ -173,6 +173,14 @@ class BaseModel:
                 rows += [PlacedTerm(slot, equation, term) for term in terms]
         return rows
 
+    @property
+    def names_in_formulas(self) -> tuple[str, ...]:
+        """Names of the parameters that a user gave: those of formulas."""
+        names: dict[str, Parameter] = {}
+        for placed in self.placed():
+            names |= Dictionary((placed.term,)).of_formulas
+        return tuple(names)
+
     # ---- its parameters --------------------------------------------------------------
 
     @cached_property

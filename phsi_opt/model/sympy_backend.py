@@ -1,8 +1,10 @@
 """SymPy as a library in which formulas are evaluated; slow to import."""
 
 from math import comb, prod
+from typing import Any
 
 import sympy as sp
+from sympy.printing.str import StrPrinter
 
 from phsi_opt.model.expressions import Backend, functions_of
 
@@ -11,6 +13,30 @@ SYMPY = Backend(
     number=sp.sympify,
     constants={"pi": sp.pi},
 )
+
+
+class _FormulaPrinter(StrPrinter):
+    """Writes expressions as formulas that ``expressions`` reads."""
+
+    def _print_Float(self, number: Any) -> str:  # noqa: N802  (SymPy's name)
+        is_rounded = number._prec < sp.Float(1.0)._prec
+        return str(super()._print_Float(number)) if is_rounded else repr(float(number))
+
+    def _print_Function(self, call: Any) -> str:  # noqa: N802
+        name = type(call).__name__.lower()
+        first, *others = map(self._print, call.args)
+        if name not in ("max", "min"):
+            return f"{name}({', '.join([first, *others])})"
+        for other in others:  # a formula's maximum is of two
+            first = f"{name}({first}, {other})"
+        return first
+
+    _print_Abs = _print_Max = _print_Min = _print_Function
+
+
+def formula_text(expression: sp.Expr) -> str:
+    """An expression as a formula."""
+    return str(_FormulaPrinter().doprint(expression))
 
 
 def n_expanded(expression: sp.Expr) -> int:
