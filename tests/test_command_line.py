@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 import phsi_opt as ph
 from phsi_opt.command_line import app as commands
-from phsi_opt.command_line.app import app, with_report_name
+from phsi_opt.command_line.app import app, with_names
 from phsi_opt.command_line.job import (
     FIT,
     GO_THROUGH,
@@ -163,12 +163,13 @@ def test_checking_a_study_file_loads_nothing_that_only_solving_needs() -> None:
 
 def test_a_report_without_a_name_gets_one() -> None:
     name = commands.REPORT_NAME
-    assert with_report_name(["study", "--report"]) == ["study", "--report", name]
-    assert with_report_name(["study", "--report", "--auto"]) == [
+    assert with_names(["init", "--model"]) == ["init", "--model", "?"]
+    assert with_names(["study", "--report"]) == ["study", "--report", name]
+    assert with_names(["study", "--report", "--auto"]) == [
         *("study", "--report", name, "--auto")
     ]
     named = ["study", "--report", "mine.md", "--auto"]
-    assert with_report_name(named) == named
+    assert with_names(named) == named
 
 
 # ---- init ----------------------------------------------------------------------------

@@ -27,7 +27,7 @@ from phsi_opt.page.drafts import (
     ColumnDraft,
     DataDraft,
 )
-from phsi_opt.page.gallery import GALLERY, BaseModel, match_states
+from phsi_opt.page.gallery import drafted, match_states
 from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words
 from phsi_opt.page.serve import is_loopback, serve
@@ -39,6 +39,7 @@ from phsi_opt.presentation.content import (
     ErrorStep,
     Glance,
 )
+from phsi_opt.study_file.gallery import GALLERY
 from tests.page_tools import bad_table, contrast, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
@@ -59,7 +60,7 @@ def filled(folder: Path) -> Session:
     """A session with the spring of the demonstration."""
     session = Session(folder)
     assert session.upload("spring.csv", spring_table()), session.upload_error
-    session.choose(GALLERY["Spring"])
+    session.choose(GALLERY["mass"])
     mass = next(one for one in session.draft.model.parameters if one.name == "m")
     mass.table["value"] = 2.5
     assert session.check() == ()
@@ -168,30 +169,6 @@ def test_tables_with_the_same_columns_are_runs_and_others_take_their_place(
 # ---- the model -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("base", GALLERY.values(), ids=lambda base: base.title)
-@pytest.mark.parametrize("inputs", [[], ["u"]], ids=["free", "driven"])
-def test_every_base_model_of_the_gallery_is_a_model(
-    base: BaseModel, inputs: list[str], tmp_path: Path
-) -> None:
-    session = Session(tmp_path)
-    session.draft.model = base.drafted(inputs)
-    states = "".join(f"{name} = {{ column = '{name}' }}\n" for name in base.units)
-    driving = "[data.inputs]\nu = { column = 'u' }\n" if inputs else ""
-    names = ["t", *base.units, *inputs]
-    rows = [",".join(str(i + j) for j in range(len(names))) for i in range(5)]
-    (tmp_path / "a.csv").write_text("\n".join([",".join(names), *rows]))
-    path = tmp_path / "study.toml"
-    path.write_text(
-        "[data]\nfiles = 'a.csv'\ntime = { column = 't' }\n"
-        f"[data.states]\n{states}{driving}{session.draft.as_it_is().text}"
-    )
-    model = ph.StudyFile.read(path).model()
-    assert list(model.states) == list(base.units)
-    assert list(model.inputs) == inputs
-    if inputs:
-        assert any("u" in terms.terms[0].body for terms in model.F.values())
-
-
 def test_columns_become_the_states_of_the_same_unit() -> None:
     columns = [
         ColumnDraft("v", STATE, {"name": "v", "unit": "m/s"}),
@@ -199,20 +176,26 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
         ColumnDraft("u", INPUT, {"name": "u", "unit": "N"}),
     ]
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
-    match_states(data, {"q": "rad", "p": "kg m^2 rad/s"})
+    match_states(data, GALLERY["pendulum"])
     assert columns[1].role == "not used"
-    match_states(data, {"q": "m", "p": "kg m/s"})
+    match_states(data, GALLERY["mass"])
     assert data.column_named(STATE, "q") is columns[1], "it comes back"
     assert columns[0].role == "not used", "a velocity is no momentum"
     assert data.unmeasured == {"p": "kg m/s"}
+    force = data.with_role("input")[0]
+    force.table["name"] = "force"
+    draft = drafted(GALLERY["mass"], data)
+    assert (force.name, draft.names("inputs")) == ("u", ["u"])
+    assert draft.table["F"] == {"p": "u"}
+    assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"
 
 
 def test_what_the_gallery_assumes_or_cannot_use_is_told(session: Session) -> None:
-    session.choose(GALLERY["Pendulum"])
+    session.choose(GALLERY["pendulum"])
     assert session.left_over.startswith(
         "position_m in m fits no state of Pendulum (q in rad,"
     )
-    session.choose(GALLERY["Spring"])
+    session.choose(GALLERY["mass"])
     assert session.left_over == ""
     parameters = session.draft.model.parameters
     (mass,) = [one for one in parameters if one.is_assumed]

@@ -29,6 +29,8 @@ from phsi_opt.data.file_opening import opened_files
 
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
 REPORT_NAME = "report.html"  # written by --report without a name
+ALL_MODELS = "?"  # --model without a name
+NAMELESS = {"--report": REPORT_NAME, "--model": ALL_MODELS}
 LOOPBACK = "127.0.0.1"  # the page is for this machine alone, unless told otherwise
 
 CODES = "\n\n".join(f"{code.value}: {said}" for code, said in MEANINGS.items())
@@ -89,23 +91,35 @@ def options(
 @app.command()
 def init(
     data: Annotated[
-        list[Path], typer.Argument(help="Data file(s): text, .xlsx or .mat.")
-    ],
+        list[Path] | None, typer.Argument(help="Data file(s): text, .xlsx or .mat.")
+    ] = None,
     study: Annotated[
         Path, typer.Option("--study", "-o", help="Path of the new study file.")
     ] = Path(STUDY_NAME),
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Begin with this base model; without a name: list all of them.",
+            metavar="[NAME]",
+        ),
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Overwrite an existing file.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Read a data file and write a first study file for it."""
+    if not data and model != ALL_MODELS:
+        raise typer.BadParameter("give the data file(s): phsi-opt init data.csv.")
     with told_errors(as_json):
-        for _ in opened_files(data, as_text=False):
+        for _ in opened_files(data or [], as_text=False):
             pass  # one that cannot be read is refused before the libraries are loaded
-        from phsi_opt.command_line.file_jobs import first_study
+        from phsi_opt.command_line.file_jobs import first_study, gallery
 
-        finish(first_study(data, study, force, not as_json), as_json)
+        if model == ALL_MODELS:
+            finish(gallery(), as_json)
+        else:
+            finish(first_study(data or [], study, force, model, not as_json), as_json)
 
 
 @app.command()
@@ -232,13 +246,13 @@ def demo(
     do(Job(GO_THROUGH, study, is_auto=True, report=report), as_json)
 
 
-def with_report_name(arguments: list[str]) -> list[str]:
-    """The arguments with the report's name after a ``--report`` without one."""
+def with_names(arguments: list[str]) -> list[str]:
+    """The arguments with what ``--report`` and ``--model`` mean without a name."""
     completed = []
     for argument, following in zip(arguments, [*arguments[1:], "-"], strict=True):
         completed.append(argument)
-        if argument == "--report" and following.startswith("-"):
-            completed.append(REPORT_NAME)
+        if argument in NAMELESS and following.startswith("-"):
+            completed.append(NAMELESS[argument])
     return completed
 
 
@@ -246,7 +260,7 @@ def main() -> None:
     """The entry point ``phsi-opt``."""
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        app(with_report_name(sys.argv[1:]))
+        app(with_names(sys.argv[1:]))
     except KeyboardInterrupt:
         typer.echo("stopped.", err=True)
         sys.exit(int(ExitCode.INTERRUPTED))

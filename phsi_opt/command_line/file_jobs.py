@@ -4,9 +4,11 @@ Nothing is solved here, so that none of the solver's rooms is loaded.
 """
 
 import json
+from functools import partial
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
+from textwrap import fill
 
 from phsi_opt.command_line.job import Answer, answer_to
 from phsi_opt.data.measurements import Measurements
@@ -15,6 +17,7 @@ from phsi_opt.model.catalogue import catalogue
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.reading import file_bytes, why_not_read
+from phsi_opt.study_file.gallery import GALLERY, base_model
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
 from phsi_opt.study_file.toml_text import add_effects
@@ -25,8 +28,20 @@ DEMO_FILES = ("friction_spring.csv", "study.toml")
 PICTURE_MARK = b"<!-- measurements drawn by phsi-opt:"
 
 
+def gallery() -> Answer:
+    """The base models of the gallery."""
+    models = list(GALLERY.values())
+    wrapped = partial(fill, width=80, initial_indent="    ", subsequent_indent="    ")
+    text = lines(__package__, "gallery", models=models, wrapped=wrapped)
+    return Answer(text, {"models": list(map(vars, models))})
+
+
 def first_study(
-    tables: list[Path], study: Path, force: bool, draws: bool = True
+    tables: list[Path],
+    study: Path,
+    force: bool,
+    model: str | None = None,
+    draws: bool = True,
 ) -> Answer:
     """Write a study file; nothing that is there is overwritten unless forced.
 
@@ -34,11 +49,14 @@ def first_study(
         tables: The paths of the data files.
         study: The path of the study file.
         force: Whether to overwrite one that is there.
+        model: The name of a base model of the gallery; None: the model stays empty.
         draws: Whether to write a picture of the measurements beside it.
 
     Raises:
-        DataError: the table cannot be read, or the study file is there already.
+        DataError: the table cannot be read, the study file is there already, or the
+            gallery has no such model.
     """
+    base = None if model is None else base_model(model)
     if study.exists() and not force:
         raise DataError(
             f"{study} exists already; nothing was written. Give another name with "
@@ -48,7 +66,7 @@ def first_study(
     for further in tables[1:]:
         other = survey(further)
         check_alike(table.columns, other.columns, str(other.path))
-    write_whole(study, first_text(table, tables, study.parent))
+    write_whole(study, first_text(table, tables, study.parent, base))
     needs: tuple[Complaint, ...] = ()
     try:
         data: object = StudyFile.read(study).measurements()

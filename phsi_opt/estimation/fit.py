@@ -320,11 +320,13 @@ def equation_lines(fit: FitRecord) -> list[str]:
     """
     rows = structure_rows(fit.model)
     rows += dictionary_rows(fit.model, partial(_term, fit))
-    fixed = [name for name, one in fit.model.entries.items() if one.parameter.fixed]
-    for name in dict.fromkeys((*fit.model.names_in_formulas, *fixed)):
+    own = fit.model.names_in_formulas
+    for name, entry in fit.model.entries.items():
         value = f"{fit.values[name]:.6g} {fit.parameter_units[name]}".rstrip()
-        is_fixed = name in fixed
-        rows.append(f"{name} = {f'{value} (fixed)' if is_fixed else _estimate(fit, name)}")
+        if entry.parameter.fixed:
+            rows.append(f"{name} = {value} (fixed)")
+        elif name in own:
+            rows.append(f"{name} = {_estimate(fit, name)}")
     return [LONG_NUMBER.sub(_few_digits, row) for row in rows]
 
 

@@ -146,8 +146,9 @@ class Identified:
         u = sp.symbols(model.inputs, real=True)
         t = sp.Symbol("t", real=True)
         values = {name: sp.Float(value) for name, value in self.values.items()}
-        own = sp.symbols(model.names_in_formulas if named else (), real=True)
-        values |= {symbol.name: symbol for symbol in own}
+        names = model.names_in_formulas if named else ()
+        own = sp.symbols(names, real=True)
+        values |= zip(names, own, strict=True)
         parts = Expressions(model, x, u, t, values, SYMPY)
         expressions = {"H": sp.sympify(parts.energy)}
         by_state = (model.states, parts.loss, parts.force, parts.rates)
@@ -193,9 +194,10 @@ class Identified:
         found = {}
         for state in self.model.states:
             rounded = exact[f"d{state}/dt"].n(DIGITS)
-            floats = [n for n in rounded.atoms(sp.Float) if float(n).is_integer()]
-            whole = rounded.xreplace({one: sp.Integer(one) for one in floats})
-            found[text_of(sp.Symbol(state))] = text_of(whole)
+            for number in rounded.atoms(sp.Float):
+                if float(number).is_integer():
+                    rounded = rounded.xreplace({number: sp.Integer(number)})
+            found[text_of(sp.Symbol(state))] = text_of(rounded)
         return found
 
 

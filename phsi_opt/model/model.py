@@ -59,6 +59,9 @@ class Model(BaseModel, Summarised):
     ``formula("(g - 1)*q", g=Parameter(1.0))``. ``memory`` names the states that are the
     memory of an effect (a lag, a hysteresis): their equations are in F, and the
     measurements need not contain them.
+
+    Raises:
+        ModelError: see the two classes.
     """
 
     def __init__(
@@ -74,9 +77,11 @@ class Model(BaseModel, Summarised):
         memory: Sequence[str] = (),
         kind: str | Mapping[str, str] | None = None,
     ) -> None:
-        given = {"R": R, "F": F, "sensor": sensor, "H": H, "kind": kind}
-        told: dict[str, Any] = {n: one for n, one in given.items() if one is not None}
-        super().__init__(states=states, inputs=inputs, memory=memory, S=S, **told)
+        terms: dict[str, Any] = {"R": R or {}, "F": F or {}, "sensor": sensor or {}}
+        terms["H"] = Dictionary() if H is None else H
+        kinds = {} if kind is None else kind
+        names = {"states": states, "inputs": inputs, "memory": memory}
+        super().__init__(S=S, kind=kinds, **names, **terms)
 
     def _summary(self) -> Summary:
         """The equations, and the parameters in a table."""

@@ -114,25 +114,24 @@ class Variables:
             names |= set(self.slopes)
         return names
 
-    def formula(
-        self, text: str, slot: str, known: dict[str, Parameter]
-    ) -> Dictionary:
+    def formula(self, text: str, slot: str, known: dict[str, Parameter]) -> Dictionary:
         """A formula of the slot; names without a meaning become ``known`` parameters.
 
         A free parameter begins at a value from the data where the formula is linear in
         it, else at 1. A loss that is nothing but a parameter is not negative.
         """
         variables = self.of_slot("F")
-        own = {}
+        own: dict[str, Parameter] = {}
+        linear: list[str] = []
         for name in sorted(names_of(text)):
             if name in variables or name.startswith(RESERVED_PREFIXES):
                 continue  # what is wrong in this slot is refused with the term
             if name not in known:
-                linear = [other for other in own if known[other].value is None]
                 value = None if is_linear(text, [*linear, name]) else 1.0
                 lower = 0.0 if slot == "R" and text.strip() == name else -inf
                 known[name] = Parameter(value, lower=lower)
             own[name] = known[name]
+            linear += [name] if own[name].value is None else []
         return Dictionary((Term(text, None, own),))
 
     def check_parameters(self, names: Iterable[str]) -> None:

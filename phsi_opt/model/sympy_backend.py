@@ -1,5 +1,6 @@
 """SymPy as a library in which formulas are evaluated; slow to import."""
 
+from functools import reduce
 from math import comb, prod
 from typing import Any
 
@@ -18,20 +19,18 @@ SYMPY = Backend(
 class _FormulaPrinter(StrPrinter):
     """Writes expressions as formulas that ``expressions`` reads."""
 
-    def _print_Float(self, number: Any) -> str:  # noqa: N802  (SymPy's name)
-        is_rounded = number._prec < sp.Float(1.0)._prec
-        return str(super()._print_Float(number)) if is_rounded else repr(float(number))
-
-    def _print_Function(self, call: Any) -> str:  # noqa: N802
-        name = type(call).__name__.lower()
-        first, *others = map(self._print, call.args)
-        if name not in ("max", "min"):
-            return f"{name}({', '.join([first, *others])})"
-        for other in others:  # a formula's maximum is of two
-            first = f"{name}({first}, {other})"
-        return first
-
-    _print_Abs = _print_Max = _print_Min = _print_Function
+    def _print(self, expression: Any, **kwargs: Any) -> str:
+        match expression:
+            case sp.Float() if expression._prec >= sp.Float(1.0)._prec:
+                return repr(float(expression))
+            case sp.Max() | sp.Min():  # a formula's maximum is of two
+                name = type(expression).__name__.lower()
+                parts = map(self._print, expression.args)
+                return reduce(lambda one, other: f"{name}({one}, {other})", parts)
+            case sp.Function():
+                name = type(expression).__name__.replace("Abs", "abs")
+                return f"{name}({', '.join(map(self._print, expression.args))})"
+        return str(super()._print(expression, **kwargs))
 
 
 def formula_text(expression: sp.Expr) -> str:

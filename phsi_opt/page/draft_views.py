@@ -39,7 +39,6 @@ from phsi_opt.page.drafts import (
     ParameterDraft,
     in_megabytes,
 )
-from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.parts import (
     Field,
     Then,
@@ -54,6 +53,7 @@ from phsi_opt.page.parts import (
 )
 from phsi_opt.page.session import Session
 from phsi_opt.presentation.numbers import number_of
+from phsi_opt.study_file.gallery import GALLERY, BaseModel
 from phsi_opt.study_file.keys import listed
 
 # ---- part 1: the measurements --------------------------------------------------------
@@ -316,12 +316,13 @@ class ModelView:
             await self.checked()
             page.run_javascript(FOCUS_SOON.replace("ID", tile_id))
 
-        is_chosen = base.title == self._draft.title
+        is_chosen = base.name == self._draft.title
         tile = ui.element("button").classes("tile").props('type="button"')
         tile.props["aria-pressed"] = str(is_chosen).lower()
         tile.props["id"] = tile_id
         tile.classes("chosen" if is_chosen else "")
         with tile:
+            ui.html(base.picture, sanitize=False).classes("picture")
             title = ui.label(base.title + (" (chosen)" if is_chosen else ""))
             title.style("font-weight: 600; line-height: 1.35")
             ui.label(base.about).classes("faint")

@@ -384,7 +384,7 @@ class ModelDraft:
     # The section [model]; R and F are there, perhaps empty.
     table: Content = field(default_factory=lambda: {"R": {}, "F": {}})
     parameters: list[ParameterDraft] = field(default_factory=list)  # in their order
-    # Of the entry of the gallery that it came from; "" where it is written.
+    # Name of the entry of the gallery that it came from; "" where it is written.
     title: str = ""
 
     @classmethod

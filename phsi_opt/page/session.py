@@ -18,7 +18,6 @@ from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.drafts import (
-    INPUT,
     MOST_FILES,
     STUDY_KIND,
     Drafted,
@@ -27,12 +26,16 @@ from phsi_opt.page.drafts import (
     refusal_of,
     suffix_of,
 )
-from phsi_opt.page.gallery import GALLERY, BaseModel, left_over, match_states
+from phsi_opt.page.gallery import drafted, left_over, match_states
 from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
+<<<<<<< HEAD
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.study_file.keys import listed
+=======
+from phsi_opt.study_file.gallery import GALLERY, BaseModel
+>>>>>>> 5b64790b (a gallery of thirteen base models with drawings, in the page and in phsi-opt init --model)
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.toml_text import tables_of
 from phsi_opt.writing import write_whole
@@ -259,9 +262,14 @@ class Session:
             return
         # Uploads that neither the draft nor a fit names any more are removed.
         used = set(self.draft.places.values())
+<<<<<<< HEAD
         fitted = [one.drafted for one in self.models]
         for drafted in filter(None, (*fitted, self._fitting)):
             used.update(drafted.places.values())
+=======
+        for one in (self.fitted, self._fitting):
+            used.update(one.places.values() if one else ())
+>>>>>>> 5b64790b (a gallery of thirteen base models with drawings, in the page and in phsi-opt init --model)
         for path in self._uploads.iterdir():
             if path not in used:
                 path.unlink()
@@ -310,12 +318,10 @@ class Session:
 
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
-        inputs: list[str] = []
         self.message = ""
         if self.draft.data is not None:
-            match_states(self.draft.data, base.units)
-            inputs = [one.name for one in self.draft.data.with_role(INPUT)]
-        self.draft.model = base.drafted(inputs)
+            match_states(self.draft.data, base)
+        self.draft.model = drafted(base, self.draft.data)
         self.draft.kept.get("study", {}).pop("added", None)
         self.check()
         self.shape += 1
@@ -327,7 +333,7 @@ class Session:
         base = GALLERY.get(self.draft.model.title)
         if data is None or base is None:
             return ""
-        return left_over(data, base.title, base.units)
+        return left_over(data, base)
 
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""

@@ -35,8 +35,10 @@ from phsi_opt.study_file.columns import (
     Header,
     columns_of,
 )
+from phsi_opt.study_file.gallery import BaseModel, give_parts
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
 from phsi_opt.study_file.sections import DataSection, table_at
+from phsi_opt.study_file.study_text import COMMENTS, text_of
 from phsi_opt.study_file.toml_text import tables_of, text_template
 
 # From 2000 to 2050 as clocks count it: the unit, with its first and last number.
@@ -285,15 +287,33 @@ def _free_name(wanted: str, used: set[str]) -> str:
 # ---- what a person fills in ----------------------------------------------------------
 
 
-def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
-    """The study file of a folder for tables, of which the first one was looked at."""
+def first_text(
+    table: TableSurvey, files: list[Path], folder: Path, base: BaseModel | None = None
+) -> str:
+    """The study file of a folder for tables, of which the first one was looked at.
+
+    With a base model of the gallery its columns become the states and inputs of that.
+    """
+    physics = ""
+    lacking: dict[str, str] = {}
+    if base is not None:
+        give_parts(table.columns, base)
+        inputs = [one.name for one in table.of_part(INPUT)]
+        model, parameters = base.sections(inputs)
+        sections = {"model": model, "parameters": parameters}
+        physics = text_of(sections, {**COMMENTS, "model": base.equation})
+        lacking = base.units
+        for column in table.of_part(STATE):
+            del lacking[column.name]
     places = []
     for file in files:  # as the folder calls it; absolute where that was meant
         place = Path(os.path.relpath(file.resolve(), folder.resolve()))
         is_outside = place.parts[0] == os.pardir
         places.append((file if is_outside and file.is_absolute() else place).as_posix())
     template = text_template("first_study.toml.jinja")
-    return template.render(table=table, files=places, clocks=CLOCKS)
+    return template.render(
+        table=table, files=places, clocks=CLOCKS, physics=physics, lacking=lacking
+    )
 
 
 def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:

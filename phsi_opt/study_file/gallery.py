@@ -1,0 +1,191 @@
+"""The gallery: base models to begin with, for the page and for ``phsi-opt init``.
+
+``gallery.toml`` has them, ``pictures/`` their drawings. The names of their states and
+inputs are given to the columns of a table by name, unit and order.
+"""
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field
+from functools import partial
+from importlib.resources import files
+from typing import Any, Protocol, TypeVar
+
+from phsi_opt.arguments import require_known
+from phsi_opt.errors import DataError
+from phsi_opt.model.kinds import LENGTHS, TEMPERATURES, TURN, VOLTS, plain_unit
+from phsi_opt.model.slots import BY_EQUATION
+from phsi_opt.presentation.units import powers_in_base_units
+from phsi_opt.study_file.columns import INPUT, STATE, UNUSED, Column
+
+ALIKE = (LENGTHS, VOLTS, frozenset(TURN), TEMPERATURES)  # units of one quantity each
+
+
+@dataclass(frozen=True)
+class BaseModel:
+    """One entry of the gallery (see ``gallery.toml``)."""
+
+    name: str  # such as "mass"
+    title: str
+    about: str  # what it is, in a sentence
+    equation: str  # as an engineer writes it
+    states: Mapping[str, str]  # the units of those that can be measured, by name
+    model: Mapping[str, Any]  # sections of a study file, as are the ``parameters``
+    parameters: Mapping[str, Any]
+    # By name: the unit, the terms by slot and state, and parameters.
+    inputs: Mapping[str, Mapping[str, Any]]
+    hidden: Mapping[str, str] = field(default_factory=dict)  # of states without sensor
+
+    @property
+    def picture(self) -> str:
+        """The drawing, as SVG in the colour of the text around it."""
+        return _text(f"pictures/{self.name}.svg")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units of all states."""
+        return {**self.states, **self.hidden}
+
+    @property
+    def input_units(self) -> dict[str, str]:
+        """The units of the inputs."""
+        return {name: one["unit"] for name, one in self.inputs.items()}
+
+    @property
+    def names(self) -> str:
+        """Its states and inputs with their units, in words."""
+        states, inputs = map(with_units, (self.units, self.input_units))
+        return f"states {states}; inputs {inputs}"
+
+    def sections(self, inputs: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The sections [model] and [parameters], with the inputs that were measured.
+
+        The terms of the other inputs are left out, or a parameter takes their place.
+        """
+        model = {"states": list(self.units), "inputs": list(inputs)}
+        model |= deepcopy(dict(self.model))
+        parameters = dict(self.parameters)
+        for name, one in self.inputs.items():
+            if name not in inputs:
+                parameters |= {name: one["otherwise"]} if "otherwise" in one else {}
+                continue
+            parameters |= one.get("parameters", {})
+            for slot in BY_EQUATION:
+                for state, term in one.get(slot, {}).items():
+                    terms = model.setdefault(slot, {})
+                    known = f"{terms[state]} + " if state in terms else ""
+                    terms[state] = (known + term).replace("+ -", "- ")
+        return model, parameters
+
+
+def with_units(units: Mapping[str, str]) -> str:
+    """Names with their units: "q in m, p in kg m/s"."""
+    return ", ".join(f"{n} in {unit}" if unit else n for n, unit in units.items())
+
+
+def base_model(name: str) -> BaseModel:
+    """The base model of a name.
+
+    Raises:
+        DataError: there is none.
+    """
+    require_known(name, GALLERY, f"--model {name!r} is not in the gallery", DataError)
+    return GALLERY[name]
+
+
+def _text(name: str) -> str:
+    return (files("phsi_opt.study_file") / name).read_text(encoding="utf-8")
+
+
+GALLERY = {
+    name: BaseModel(name, **one)
+    for name, one in tomllib.loads(_text("gallery.toml")).items()
+}
+
+
+# ---- columns for its states and inputs -----------------------------------------------
+
+
+class Named(Protocol):
+    """What has a name, and a unit or ""."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def unit(self) -> str: ...
+
+
+AnyColumn = TypeVar("AnyColumn", bound=Named)
+
+
+def give_parts(columns: Sequence[Column], base: BaseModel) -> None:
+    """Let the columns of a table be states and inputs of a base model, or left out."""
+    left = [one for one in columns if one.part in (STATE, INPUT)]
+    _take(left, STATE, base.states)
+    _take(left, INPUT, base.input_units)
+    for column in left:
+        column.name = ""
+        column.becomes(UNUSED, f"the model {base.name} has no place for it")
+
+
+def _take(left: list[Column], part: str, units: Mapping[str, str]) -> None:
+    """Take those that are this part of the model from the columns that are left."""
+    is_state = part == STATE
+    left.sort(key=lambda one: (one.part != part, one.may_be_input == is_state))
+    for column, name in matched(left, units, lambda one: one.part == part):
+        left.remove(column)
+        column.part = part
+        column.name = name
+
+
+def matched(
+    columns: Sequence[AnyColumn],
+    units: Mapping[str, str],
+    may_guess: Callable[[AnyColumn], bool] = lambda column: True,
+) -> list[tuple[AnyColumn, str]]:
+    """Columns with the names that they have in a model.
+
+    First where names and quantities agree, then where quantities do, then in order
+    where a unit is unknown.
+
+    Args:
+        columns: of a table.
+        units: of the model's states or inputs, by name.
+        may_guess: whether a column can be told by its place in the order.
+    """
+    found = []
+    free = dict(units)
+    left = list(columns)
+    for is_alike in (_is_same, _is_same_quantity, _is_perhaps_same):
+        for column in list(left):
+            if is_alike is _is_perhaps_same and not may_guess(column):
+                continue
+            alike = filter(partial(is_alike, column), free.items())
+            name, _ = next(alike, ("", ""))
+            if name:
+                found.append((column, name))
+                left.remove(column)
+                del free[name]
+    return found
+
+
+def _is_same(column: Named, wanted: tuple[str, str]) -> bool:
+    called = re.sub(r"\W|_", "", column.name).lower()
+    is_possible = _is_perhaps_same(column, wanted) or _is_same_quantity(column, wanted)
+    return called == wanted[0].lower() and is_possible
+
+
+def _is_same_quantity(column: Named, wanted: tuple[str, str]) -> bool:
+    """Whether two units are of one quantity: m and mm are."""
+    units = {plain_unit(column.unit), plain_unit(wanted[1])}
+    if "" in units:
+        return False
+    first, *others = map(powers_in_base_units, units)
+    is_one = first is not None and others in ([], [first])
+    return is_one or any(map(units.issubset, ALIKE))
+
+
+def _is_perhaps_same(column: Named, wanted: tuple[str, str]) -> bool:
+    return not column.unit or not wanted[1]
