@@ -112,7 +112,7 @@ def init(
     if not data and model != ALL_MODELS:
         raise typer.BadParameter("give the data file(s): phsi-opt init data.csv.")
     with told_errors(as_json):
-        for _ in opened_files(data or [], as_text=False):
+        for _ in opened_files(data, as_text=False) if data else ():
             pass  # one that cannot be read is refused before the libraries are loaded
         from phsi_opt.command_line.file_jobs import first_study, gallery
 

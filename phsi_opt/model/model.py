@@ -79,9 +79,8 @@ class Model(BaseModel, Summarised):
     ) -> None:
         terms: dict[str, Any] = {"R": R or {}, "F": F or {}, "sensor": sensor or {}}
         terms["H"] = Dictionary() if H is None else H
-        kinds = {} if kind is None else kind
-        names = {"states": states, "inputs": inputs, "memory": memory}
-        super().__init__(S=S, kind=kinds, **names, **terms)
+        terms |= {"S": S, "kind": {} if kind is None else kind}
+        super().__init__(states=states, inputs=inputs, memory=memory, **terms)
 
     def _summary(self) -> Summary:
         """The equations, and the parameters in a table."""

@@ -64,7 +64,7 @@ class BaseModel:
 
         The terms of the other inputs are left out, or a parameter takes their place.
         """
-        model = {"states": list(self.units), "inputs": list(inputs)}
+        model: dict[str, Any] = {"states": list(self.units), "inputs": list(inputs)}
         model |= deepcopy(dict(self.model))
         parameters = dict(self.parameters)
         for name, one in self.inputs.items():
