@@ -27,7 +27,7 @@ from phsi_opt.page.drafts import (
     ColumnDraft,
     DataDraft,
 )
-from phsi_opt.page.gallery import drafted, match_states
+from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words
 from phsi_opt.page.serve import is_loopback, serve
@@ -184,7 +184,7 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     assert data.unmeasured == {"p": "kg m/s"}
     force = data.with_role("input")[0]
     force.table["name"] = "force"
-    draft = drafted(GALLERY["mass"], data)
+    draft = draft_of(GALLERY["mass"], data)
     assert (force.name, draft.names("inputs")) == ("u", ["u"])
     assert draft.table["F"] == {"p": "u"}
     assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"

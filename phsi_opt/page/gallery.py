@@ -4,7 +4,7 @@ from phsi_opt.page.drafts import INPUT, NOT_USED, STATE, DataDraft, ModelDraft
 from phsi_opt.study_file.gallery import BaseModel, matched, with_units
 
 
-def drafted(base: BaseModel, data: DataDraft | None) -> ModelDraft:
+def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
     """A fresh draft; columns that are inputs get the names that the model has."""
     inputs: list[str] = []
     if data is not None:

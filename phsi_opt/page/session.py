@@ -26,16 +26,13 @@ from phsi_opt.page.drafts import (
     refusal_of,
     suffix_of,
 )
-from phsi_opt.page.gallery import drafted, left_over, match_states
+from phsi_opt.page.gallery import draft_of, left_over, match_states
 from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
-<<<<<<< HEAD
 from phsi_opt.presentation.numbers import proper_names
-from phsi_opt.study_file.keys import listed
-=======
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
->>>>>>> 5b64790b (a gallery of thirteen base models with drawings, in the page and in phsi-opt init --model)
+from phsi_opt.study_file.keys import listed
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.toml_text import tables_of
 from phsi_opt.writing import write_whole
@@ -262,14 +259,9 @@ class Session:
             return
         # Uploads that neither the draft nor a fit names any more are removed.
         used = set(self.draft.places.values())
-<<<<<<< HEAD
         fitted = [one.drafted for one in self.models]
-        for drafted in filter(None, (*fitted, self._fitting)):
-            used.update(drafted.places.values())
-=======
-        for one in (self.fitted, self._fitting):
-            used.update(one.places.values() if one else ())
->>>>>>> 5b64790b (a gallery of thirteen base models with drawings, in the page and in phsi-opt init --model)
+        for one in filter(None, (*fitted, self._fitting)):
+            used.update(one.places.values())
         for path in self._uploads.iterdir():
             if path not in used:
                 path.unlink()
@@ -321,7 +313,7 @@ class Session:
         self.message = ""
         if self.draft.data is not None:
             match_states(self.draft.data, base)
-        self.draft.model = drafted(base, self.draft.data)
+        self.draft.model = draft_of(base, self.draft.data)
         self.draft.kept.get("study", {}).pop("added", None)
         self.check()
         self.shape += 1
