@@ -436,6 +436,23 @@ def test_the_likely_cause_comes_before_the_symptom(
     assert likely_cause({}, force) == expected
 
 
+def test_beside_a_controller_the_advice_names_what_goes_together() -> None:
+    model = replace(spring(), inputs=("u",))
+    causes = Causes({"inputs": 0.8}, {}, goes_together=True)
+    force: Any = SimpleNamespace(
+        wave=None,
+        equation="p",
+        row=1,
+        causes=causes,
+        position_of=lambda _: "q",
+        record=SimpleNamespace(model=model),
+    )
+    said = advice_of_cause({}, force)
+    assert said.lead == (
+        "Record data in which the input and the velocity of q are not correlated."
+    )
+
+
 def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
     pace = Pace(51.0, 0.75, 0.15, 1 / 300, 700.0, 18.0)
     assert pace.is_vibration

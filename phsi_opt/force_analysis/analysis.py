@@ -307,6 +307,7 @@ def _advice(name: str, units: Mapping[str, str], force: EquationForce) -> Answer
         rate=f"d{force.equation}/dt",
         kind=kind_of(with_kinds_of_units(model, units), force.equation),
         law_of=_followed,
+        plain=partial(plain_name, force),
     )
 
 
