@@ -449,7 +449,7 @@ def test_beside_a_controller_the_advice_names_what_goes_together() -> None:
     )
     said = advice_of_cause({}, force)
     assert said.lead == (
-        "Record data in which the input and the velocity of q are not correlated."
+        "Record data in which the input u and the velocity of q are not correlated."
     )
 
 
