@@ -312,7 +312,7 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert larger.judged < 0.8 * base.judged
     told = content.headline
     assert told.status == content.present.verdict == "nothing missing"
-    assert told.sentence.startswith("The base model lacked coulomb friction on p.")
+    assert told.discovery.lead.startswith("Coulomb friction, ")
     assert f"fell from {base.judged:.3g} to {larger.judged:.3g} m" in told.sentence
     assert content.forces and not content.present.forces
     ranked = {row.effect: row for row in content.present.ranking}

@@ -32,6 +32,7 @@ from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
     SEVERITY_WORDS,
+    Answer,
     Channel,
     ParameterRow,
     Ranked,
@@ -62,6 +63,7 @@ from phsi_opt.study.answers import (
     answer,
     disturbance_word,
     nearest_candidate,
+    odds_words,
     undetermined_words,
     where_answer,
 )
@@ -78,7 +80,7 @@ from problems.examples.friction_spring import table
 from tests.page_tools import contrast
 
 MOST_BYTES = 1_500_000
-ORDER = ["verdict", "errors", "equations", "runs", "where", "ranked", "checks"]
+ORDER = ["verdict", "runs", "errors", "equations", "where", "ranked", "checks"]
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$\\x$ {{7*7}}"
 # Colours of texts on the page and on cards, by name in the style sheet.
 TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad"]
@@ -179,8 +181,31 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     assert list(answers) == list(expected)
     for question, pattern in expected.items():
         assert re.fullmatch(pattern, answers[question]), answers[question]
-    assert "lacked coulomb friction on p" in content.headline.sentence
-    assert content.headline.sentence.endswith("Now nothing is missing.")
+    found = content.headline.discovery
+    assert re.fullmatch(
+        r"Coulomb friction, [\d.]+ ± [\d.]+ N, was missing\.", found.lead
+    )
+    assert re.fullmatch(
+        r"With it, the held-out error fell from ([\d.]+) to [\d.]+ m, the noise\. Now "
+        r"nothing is missing\.",
+        found.detail,
+    )
+
+
+def test_who_does_not_read_on_is_told_how_sure_how_good_and_what_to_do(
+    study: ph.Study, content: StudyContent
+) -> None:
+    sure, good, then = content.headline.brief
+    assert sure.lead == "Practically certain: odds of more than a million to one."
+    assert re.fullmatch(r"Its error is \d+ % smaller\.", good.lead)
+    assert good.detail.endswith("That is the noise of the measurements.")
+    assert then.lead == "Use the model with coulomb friction."
+    unknown = unexplained(study.record.diagnoses[0])
+    _, good, then = study_content(with_diagnoses(study, unknown)).headline.brief
+    assert re.fullmatch(r"Its error is [\d.]+ m\.", good.lead)
+    assert re.search(r"That is 1\.\d times the noise", good.detail)
+    assert then.lead.startswith("Add your own term")
+    assert odds_words(3.0).startswith("Very likely: odds of more than ten to one")
 
 
 def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
@@ -190,8 +215,8 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     open_ = unexplained(named)
     headline = study_content(with_diagnoses(study, open_, open_)).headline
     assert re.match(
-        r"Added, but not established: coulomb friction on p \(decisive, log evidence "
-        r"[\d.]+\)\. With it, the held-out error fell from",
+        r"Added, but not established: coulomb friction, [\d.]+ ± [\d.]+ N \(decisive, log "
+        r"evidence [\d.]+\)\. With it, the held-out error fell from",
         headline.sentence,
     )
     assert "no effect of the catalogue explains" in headline.sentence
@@ -255,7 +280,7 @@ def test_one_line_says_how_sure_it_is(
     assert re.fullmatch(
         r"The model is certainly incomplete: the error is "
         r"1\.\d times the noise\. The evidence for coulomb friction on p is decisive "
-        r"\(log evidence [\d.]+\)\. ± is one standard error\.",
+        r"\(log evidence [\d.]+\)\.",
         said,
     )
     unknown = unexplained(named)
@@ -287,8 +312,10 @@ def test_one_line_says_how_sure_it_is(
 def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None:
     partly = replace(study.record.diagnoses[0], verdict=ph.Verdict.PARTLY_NAMED)
     headline = study_content(with_diagnoses(study, partly)).headline
-    told = "Coulomb friction on p is missing. With it, the held-out error falls"
-    assert headline.sentence.startswith(told)
+    told = (
+        r"Coulomb friction on p, .* N, is missing\. With it, the held-out error falls"
+    )
+    assert re.match(told, headline.sentence)
     facts = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
     assert "The held-out error falls from" in facts["What to add"]
     assert facts["What to add"].endswith("the remaining error is more than noise.")
@@ -472,8 +499,10 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert p_value_words(0.034) == "0.034"
     assert listed("abcd") == "a, b, c, d" and listed("", "nothing") == "nothing"
     assert listed("abcde") == "a, b, c and 2 more"
-    assert estimate_text(39.9871, 0.104) == "39.99 +- 0.1"
-    assert estimate_text(0.00402, 0.006) == "0.004 +- 0.006"
+    assert estimate_text(39.9871, 0.104) == "39.99 +- 0.10"
+    assert estimate_text(0.00402, 0.006) == "0.0040 +- 0.0060"
+    assert estimate_text(-3.8e-5, 0.0032) == "0.0000 +- 0.0032"
+    assert estimate_text(1.2345e-6, 4.2e-8) == "1.234e-06 +- 4.2e-08"
     assert estimate_text(2.5, np.nan) == "2.5"
     assert estimate_text(263.3, 1895.4) == "260 +- 1900"
     assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
@@ -500,7 +529,7 @@ def test_bounds_cut_an_interval_and_open_parameters_are_named(study: ph.Study) -
     assert ends_within(damping, -0.12, 0.2) == (0, 0.2)
     assert ends_within(damping, np.nan, 0.2) == (None, None)
     row = ParameterRow("c", 0.1, 0.05, 0.0, 0.2, "cut at its bound", "")
-    assert row.interval == "0 to 0.2, cut at its bound"
+    assert row.interval == "0.000 to 0.200, cut at its bound"
     assert replace(row, lower=None, remark="fixed").interval == "fixed"
     table = study.fit.parameters
     assert undetermined_words(table) == ""
@@ -571,7 +600,7 @@ def test_verdict_table_and_picture_use_the_same_words(
         not in text.split("Reproduce this result")[1].split("Seeds")[0]
     )
     last = study.history.iloc[-1]
-    assert f"{last['held_out_rmse']:.4g}" in text and number(last["bic"], 6) in text
+    assert f"{last['held_out_rmse']:.3g}" in text and number(last["bic"], 6) in text
     held_out = [step.held_out for step in content.steps]
     assert held_out == list(study.history["held_out_rmse"])
     items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)
@@ -640,7 +669,9 @@ def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None
     hostile = replace(
         content,
         title=HOSTILE,
-        headline=replace(content.headline, sentence=HOSTILE, status=HOSTILE),
+        headline=replace(
+            content.headline, discovery=Answer(HOSTILE, HOSTILE), status=HOSTILE
+        ),
         names=tuple(HOSTILE for _ in content.names),
         runs=tuple(runs),
         diagnoses=(told,),

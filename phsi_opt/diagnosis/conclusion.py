@@ -260,7 +260,7 @@ class _Judge:
         last = thorough_refit(judges[-1].larger or larger)
         if second is None:
             self.note_refit(0, last)
-            size = fitted_size(self.base.fit, last.fit, self.ranking[0].effect)
+            size = fitted_size(self.base.fit.model, last.fit, self.ranking[0].effect)
             self.note(0, coefficient=size.value, std_error=size.std_error)
         findings = tuple(judge.finding(last) for judge in judges)
         is_complete = judges[-1].explains_all(larger)
@@ -304,7 +304,7 @@ class _Judge:
             self.refit(place)
         members = [self.ranking[place] for place in (0, *places)]
         effects = tuple(one.effect for one in members if not one.lost)
-        size = fitted_size(self.base.fit, last.fit, effects[0])
+        size = fitted_size(self.base.fit.model, last.fit, effects[0])
         return Finding(
             effects,
             class_of(effects),

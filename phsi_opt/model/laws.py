@@ -120,6 +120,19 @@ def _delayed(signal: str, tau: str, a: str) -> tuple[str, dict[str, str]]:
 
 LATE_INPUT, INPUT_MEMORY = _delayed("{u}", "delay_{u}_{x}", "{u}_delayed_{x}")
 LATE_READING, READING_MEMORY = _delayed("{x}", "sensor_delay_{x}", "{x}_delayed")
+
+
+def delayed_signals(model: BaseModel) -> dict[str, tuple[str, str]]:
+    """The signal and the parameter of each delay, by the first state of its memory."""
+    found = {}
+    for state in model.memory:
+        signal, _, place = state.partition("_delayed")
+        if f"{state}_bend" in model.memory:
+            delay = f"delay_{signal}{place}" if place else f"sensor_delay_{signal}"
+            found[state] = (signal, delay)
+    return found
+
+
 # By the state that the bodies name.
 MEMORIES: Mapping[str, Mapping[str, str]] = {
     # The force follows the lagged input z: lag dz/dt = u - z.

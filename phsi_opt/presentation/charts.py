@@ -67,6 +67,7 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
+CLOSE = 0.1  # of the movement: curves that are nearer are hardly told apart
 FROM_ZERO = "from zero"
 LOG = "log"
 FREE = "free"
@@ -155,14 +156,19 @@ def _steps(name: str, x: np.ndarray, y: np.ndarray, color: str) -> Curve:
 def run_chart(
     content: StudyContent, run: Run, channel: int, mark: Mark | None = None
 ) -> Chart:
-    """The channel of a number measured and simulated, with the residuals below."""
+    """The channel of a number measured and simulated, with the residuals below.
+
+    Where curves lie upon each other, the residuals have most of the room.
+    """
     one = run.channels[channel]
     residuals = [one.measured - model for model in one.models]
     curves = []
     for curve in _of_models(content.names, one.t, residuals):
         curves.append(replace(curve, name="", group=curve.name))
     noise = None if one.noise is None else 2 * one.noise
-    below = Panel(label("residual", one.unit), curves, noise=noise, height=0.5)
+    is_close = one.change < CLOSE
+    height = 1.4 if is_close else 0.5
+    below = Panel(label("residual", one.unit), curves, noise=noise, height=height)
     x_label = time_label(content.time.unit, run.origin)
     return Chart(x_label, (_measured_panel(content, one), below), run.title, mark=mark)
 
@@ -285,9 +291,15 @@ def svg(chart: Chart) -> str:
         for place, ax in enumerate(axes):
             draw(ax, chart, place)
             ax.label_outer()
+            for line in ax.lines:  # of many points each takes 100 letters
+                is_cloud = (
+                    line.get_linestyle() == "None" and len(line.get_xydata()) > 300
+                )
+                line.set_rasterized(is_cloud)
         axes[0].set_title(_short(chart.title), loc="left", fontsize=10)
         text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+        written: Any = {"format": "svg", "metadata": {"Date": None, "Creator": None}}
+        figure.savefig(text, dpi=150, **written)
     return text.getvalue()
 
 

@@ -8,10 +8,11 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.numbers import as_exact_as, number, said, with_error
 from phsi_opt.presentation.units import Scale
 
 Number = float | None
@@ -49,12 +50,19 @@ class Headline:
 
     status: str  # in a phrase
     severity: str  # how bad that is
-    sentence: str  # what was found and what it changed
+    discovery: Answer  # what was found, and what it changed
+    # How sure that is, how much better the model is, what to do next.
+    brief: tuple[Answer, ...]
     answers: tuple[Answer, ...]  # what is wrong, where, since when, what to add
     remark: str = ""  # on the status, such as "fast disturbance"; "": none
     # How sure it is that something is missing, and whether why is known.
     certainty: str = ""
     caution: str = ""  # what else to know before anything is believed; "" for nothing
+
+    @property
+    def sentence(self) -> str:
+        """What was found and what it changed."""
+        return str(self.discovery)
 
 
 @dataclass(frozen=True)
@@ -113,8 +121,12 @@ class ParameterRow:
     @property
     def interval(self) -> str:
         """The interval in words, and what is odd about it."""
-        known = self.lower is not None and self.upper is not None
-        ends = f"{number(self.lower)} to {number(self.upper)}" if known else ""
+        ends = ""
+        if self.lower is not None and self.upper is not None:
+            told = number
+            if 0 < self.std_error < np.inf:
+                told = partial(as_exact_as, self.std_error)
+            ends = said(f"{told(self.lower)} to {told(self.upper)}")
         return ", ".join(filter(None, (ends, self.remark)))
 
 
@@ -125,6 +137,7 @@ class Equations:
     heading: str
     lines: tuple[str, ...]
     parameters: tuple[ParameterRow, ...]
+    typeset: tuple[str, ...] = ()  # the same as MathML, without numbers; (): too long
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +152,18 @@ class Channel:
     models: tuple[np.ndarray, ...]  # simulated by each model, as `StudyContent.names`
     errors: tuple[Number, ...]  # rms of the residual of each model, of all samples
     movement: float = 0.0  # standard deviation of all that was measured
+
+    @property
+    def change(self) -> float:
+        """How far the first and the last model are apart (rms), over the movement.
+
+        Of one model: how far it is off.
+        """
+        last = self.models[-1] if len(self.models) > 1 else self.measured
+        apart = self.models[0] - last
+        known = apart[np.isfinite(apart)]
+        size = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        return size / self.movement if self.movement else 0.0
 
     def share_off(self, model: int) -> float:
         """The error of a model over the movement."""
@@ -324,7 +349,8 @@ class StudyContent:
     # Of the models whose free runs are shown; the last is the present one.
     names: tuple[str, ...]
     runs: tuple[Run, ...]  # measurements and free runs
-    shown: int  # number of the first one to show
+    shown: int  # number of the first one to show: there the models differ most
+    shown_channel: int  # in this channel
     runs_caption: str  # what to see, and which are left out
     # Of the present model along all runs; empty unless they were asked for.
     forces: tuple[ForceRun, ...]

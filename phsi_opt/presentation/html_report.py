@@ -33,11 +33,12 @@ TEMPLATES = "templates"
 class _Place(NamedTuple):
     """What a place of the report shows: one chart, or one of a run and a channel.
 
-    ``shown`` is the number of the run that is drawn on paper; None: there is no choice.
+    ``shown`` are the numbers of the run and the channel that are drawn on paper; None:
+    there is no choice.
     """
 
     charts: list[list[Chart]]
-    shown: int | None = None
+    shown: tuple[int, int] | None = None
 
     def drawn(self) -> Any:
         """The figures, or the figure, for the browser."""
@@ -50,7 +51,7 @@ def _places(content: StudyContent) -> dict[str, _Place]:
     runs = []
     for run in content.runs:
         runs.append([run_chart(content, run, k) for k in range(len(run.channels))])
-    places = {"measured": _Place(runs, content.shown)}
+    places = {"measured": _Place(runs, (content.shown, content.shown_channel))}
     charts = {"staircase": errors_chart(content.steps, content.unit)}
     if content.glance is not None:
         charts["glance"] = glance_chart(content)
@@ -60,7 +61,7 @@ def _places(content: StudyContent) -> dict[str, _Place]:
         for k, force in enumerate(diagnosed.forces):
             name = f"force-{f}-{k}"
             along = [[force_chart([run], content.time.unit)] for run in force.runs]
-            places[f"{name}-time"] = _Place(along, force.shown)
+            places[f"{name}-time"] = _Place(along, (force.shown, 0))
             charts[f"{name}-follows"] = follows_chart(force.follows)
             if force.map is not None:
                 charts[f"{name}-map"] = Chart(force.map.x_label, map=force.map)
@@ -75,13 +76,15 @@ def html_report(content: StudyContent) -> str:
     def picture(name: str) -> str:
         """An address that holds the picture for paper."""
         place = places[name]
-        text = svg(place.charts[place.shown or 0][0]).encode()
+        run, channel = place.shown or (0, 0)
+        text = svg(place.charts[run][channel]).encode()
         return f"data:image/svg+xml;base64,{base64.b64encode(text).decode()}"
 
     templates = environment(PRESENTATION, TEMPLATES, autoescape=True)
     return templates.get_template("report.html.jinja").render(
         report=content,
         picture=picture,
+        markup=Markup,
         style=Markup(ours("chart.css") + ours("report.css")),  # no escape
         script=Markup(ours("chart.js") + ours("report.js")),
         data=packed(json.dumps(drawn, allow_nan=False)),

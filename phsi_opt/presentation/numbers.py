@@ -36,15 +36,22 @@ def decimal(value: float, digits: int) -> str:
 def estimate_text(value: float, std_error: float) -> str:
     """Value and standard error of an equation, in signs that can be typed.
 
-    The value ends with the second digit of its error; further ones say nothing.
+    Both end with the second digit of the error; further ones say nothing.
     """
     if not math.isfinite(std_error):
         return f"{value:.6g}"
     if std_error <= 0 or not math.isfinite(value):
         return f"{value:.6g} +- {decimal(std_error, 2)}"
+    return f"{as_exact_as(std_error, value)} +- {as_exact_as(std_error, std_error)}"
+
+
+def as_exact_as(std_error: float, value: float) -> str:
+    """The value, which ends with the second digit of its standard error."""
+    place = math.floor(math.log10(std_error))
     size = max(abs(value), std_error)
-    n_digits = math.floor(math.log10(size)) - math.floor(math.log10(std_error)) + 2
-    return f"{decimal(value, n_digits)} +- {decimal(std_error, 2)}"
+    if std_error < 1e-4 or size >= 1e6:
+        return decimal(value, math.floor(math.log10(size)) - place + 2)
+    return f"{round(value, 1 - place) + 0.0:.{max(1 - place, 0)}f}"
 
 
 def with_error(value: float, std_error: float) -> str:

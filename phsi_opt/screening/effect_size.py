@@ -81,13 +81,13 @@ def _deviation(variance: float) -> float:
     return float(np.sqrt(variance)) if variance >= 0 else np.nan
 
 
-def fitted_size(base: Fit, fit: Fit, effect: Effect) -> Size:
-    """Size of an effect in a re-fit of a base model."""
-    names = new_names(base.model, effect, fit.names)
+def fitted_size(base: Model, fit: Fit, effect: Effect) -> Size:
+    """Size of an effect in a fit of a base model with it."""
+    names = new_names(base, effect, fit.names)
     places = list(map(fit.names.index, names))
     covariance = fit.covariance[np.ix_(places, places)]
     size = size_of(effect, fit.model, names, fit.estimates, covariance)
-    return replace(size, unit=size_unit(base.model, effect, fit.units))
+    return replace(size, unit=size_unit(base, effect, fit.units))
 
 
 def size_unit(base: Model, effect: Effect, units: Mapping[str, str]) -> str:

@@ -58,6 +58,16 @@ NOTHING_FOUND = (
     ("What to add", "Nothing."),
 )
 PAST = ("What was wrong", "Where it was", "Since when", "What was added")
+# What ``words.jinja`` says to somebody who does not read on, and what it answers.
+AT_A_GLANCE = {
+    "how_sure": "How sure is it",
+    "how_much": "How good is the model",
+    "next": "What to do next",
+}
+POWERS_OF_TEN = (
+    *("ten", "a hundred", "a thousand", "ten thousand"),
+    *("a hundred thousand", "a million"),
+)
 FAST_DISTURBANCE = "fast disturbance"
 NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the noise
 
@@ -324,24 +334,52 @@ def headline_of(study: StudyRecord) -> Headline:
     """The verdict on the present model, and the answers of the first screen."""
     present = study.present
     status = NOT_ASKED
-    remark = certainty = ""
+    remark = ""
+    certainty = Answer("")
     if present is not None:
         status = str(present.verdict)
         remark = disturbance_word(present)
-        certainty = str(answer("certainty", present, is_held_out=True))
+        certainty = answer("certainty", present, is_held_out=True)
     severity = SEVERITIES[status]
     if study.unestablished and not remark:
         remark = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
+    answers = _answers(study)
     return Headline(
         status,
         severity,
-        _sentence(study),
-        _answers(study),
+        _discovery(study),
+        _brief(study, certainty.lead, answers[-1]),
+        answers,
         remark=remark,
-        certainty=certainty,
+        certainty=str(certainty),
         caution=undetermined_words(study.last.fit.parameters),
     )
+
+
+def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, ...]:
+    """What somebody asks who does not read on."""
+    found = [one for _, one in sorted(study.diagnoses.items()) if one.findings]
+    evidence = [one.ranking[0].log_evidence for one in found]
+    classes = chain(*(one.findings for one in found))
+    facts = {
+        "odds": odds_words(min(evidence)) if evidence else "",
+        "has_class": not all(finding.is_name for finding in classes),
+        "certainty": certainty,
+        "present": study.present,
+        "after": found[-1].ranking[0].comparison if found else None,
+        "to_do": to_do,
+    }
+    told = (said_of(study, name, **facts) for name in AT_A_GLANCE)
+    asked = zip(told, AT_A_GLANCE.values(), strict=True)
+    return tuple(replace(one, question=question) for one, question in asked if one.lead)
+
+
+def odds_words(log_evidence: float) -> str:
+    """How sure an effect is, as odds in words: from a hundred to a million to one."""
+    power = int(np.clip(log_evidence / np.log(10), 1, 6))
+    how = "Practically certain" if power >= 4 else "Very likely"
+    return f"{how}: odds of more than {POWERS_OF_TEN[power - 1]} to one"
 
 
 def telling_step(study: StudyRecord) -> int | None:
@@ -370,32 +408,43 @@ def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
         size=size,
         unit=spaced(unit),
         short=short,
+        is_at_floor=lambda found: not is_failing(found),
         **facts,
     )
 
 
-def _sentence(study: StudyRecord) -> str:
+def _discovery(study: StudyRecord) -> Answer:
     present = study.present
-    lacking = ""
+    lacking = Answer("")
     if present is not None and present.verdict != Verdict.NOTHING_MISSING:
-        is_held_out = study.held_out is not None
-        lacking = str(answer("missing", present, is_held_out))
+        lacking = answer("missing", present, study.held_out is not None)
+    added = study.last.added if len(study.steps) > 1 else ()
+    names = [one.name for one in added]
     open_ = {one.name: evidence_words(one) for one in study.unestablished}
-    findings = chain(*(one.findings for one in study.diagnoses.values()))
-    classes: dict[str, str] = {}
-    for finding in findings:
-        for name in map(str, finding.effects):
-            classes[name] = classes.get(name) or alternatives(finding, name)
     sure = []
     unsure = []
-    for name in map(str, study.last.added):
-        if name in open_:
-            unsure.append(f"{name} ({open_[name]})")
+    for effect in added:
+        is_alone = names.count(effect.name) == 1  # in one equation
+        called = _with_size(study, effect, effect.name if is_alone else str(effect))
+        if str(effect) in open_:
+            unsure.append(f"{called} ({open_[str(effect)]})")
         else:
-            sure.append(f"{name}{classes.get(name, '')}")
+            sure.append(called)
     facts = {"sure": sure, "unsure": unsure, "lacking": lacking, "ask": ASK}
-    added = study.last.added if len(study.steps) > 1 else ()
-    return said_of(study, "sentence", present=present, added=added, **facts).lead
+    return said_of(study, "discovery", present=present, added=added, **facts)
+
+
+def _with_size(study: StudyRecord, effect: Effect, called: str) -> str:
+    """An effect that was added with its present size, and the others of its class."""
+    classes = ""
+    for finding in chain(*(one.findings for one in study.diagnoses.values())):
+        if effect in finding.effects:
+            classes = classes or alternatives(finding, str(effect))
+    size = study.size(effect)
+    if np.isfinite(size.value):
+        amount = with_error(size.value, size.std_error)
+        called = f"{called}, {amount}{spaced(size.unit)}"
+    return f"{called}{classes}"
 
 
 def _answers(study: StudyRecord) -> tuple[Answer, ...]:
@@ -428,18 +477,19 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
 
 
 def _was_added(study: StudyRecord) -> Answer:
-    """What was added, with the sizes that diagnoses found, and how clear it was."""
-    told = {
-        one.name: (f"{one.name}, not established", evidence_words(one))
-        for one in study.unestablished
-    }
+    """What was added, with its present size, and how clear it was."""
+    open_ = {one.name: evidence_words(one) for one in study.unestablished}
+    clear = dict(open_)
     for diagnosis in study.diagnoses.values():
         for finding in diagnosis.findings:
-            evidence = evidence_words(diagnosis.ranking[0])
-            told[str(finding.effects[0])] = (finding_words(finding), evidence)
+            clear[str(finding.effects[0])] = evidence_words(diagnosis.ranking[0])
+    sizes = []
+    for effect in study.last.added:
+        name = str(effect)
+        doubt = f"{name}, not established"
+        sizes.append(doubt if name in open_ else _with_size(study, effect, name))
     names = list(map(str, study.last.added))
-    sizes = [told.get(name, (name, ""))[0] for name in names]
-    clear = {name: told[name][1] for name in names if name in told}
+    clear = {name: clear[name] for name in names if name in clear}
     return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)
 
 

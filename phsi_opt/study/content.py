@@ -20,6 +20,7 @@ from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import force_of, force_runs, samples_of_each
 from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.presentation.content import (
     BAD,
     GOOD,
@@ -107,7 +108,7 @@ def study_content(
         added = " and ".join(map(str, study.last.added))
         heading = f"Present model: with {added}" if added else "Present model"
         models.append(_model(heading, study.last.fit))
-    judged = [run for run in runs if run.part == runs[0].part]
+    shown, shown_channel = _most_changed(runs)
     place = telling_step(study)
     glance = None  # where what the verdict tells of is seen best
     if place is not None:
@@ -124,7 +125,8 @@ def study_content(
         time=time,
         names=tuple(names),
         runs=runs,
-        shown=runs.index(_worst_run(judged, 0)),
+        shown=shown,
+        shown_channel=shown_channel,
         runs_caption=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
         forces=_all_forces(study, time) if forces else (),
         laws=laws,
@@ -172,7 +174,8 @@ def _model(heading: str, fit: Fit) -> Equations:
     intervals = fit.intervals(LEVEL)
     rows = [_parameter(fit, row, intervals) for _, row in fit.parameters.iterrows()]
     lines = tuple(map(short_constants, equation_lines(fit)))
-    return Equations(proper_names(heading), lines, tuple(rows))
+    equations = typeset_equations(fit.model, fit.values, fit.units.get("t", ""))
+    return Equations(proper_names(heading), lines, tuple(rows), equations)
 
 
 def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRow:
@@ -216,6 +219,16 @@ def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, 
     places = places[:200]
     most = samples_of_each(len(places) * len(study.last.judged.noise))
     return tuple(_run(part, parts[part], k, most, time) for part, k in places)
+
+
+def _most_changed(runs: tuple[Run, ...]) -> tuple[int, int]:
+    """The run that judges, and its channel, in which the models differ most."""
+    changes = {}
+    for k, run in enumerate(runs):
+        for c, channel in enumerate(run.channels):
+            if run.part == runs[0].part:
+                changes[k, c] = channel.change
+    return max(changes, key=changes.__getitem__)
 
 
 def _run(

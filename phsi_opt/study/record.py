@@ -25,6 +25,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.presentation.summary import Part, Summary, printed_table
+from phsi_opt.screening.effect_size import Size, fitted_size
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -221,6 +222,11 @@ class StudyRecord:
         values = self.last.fit.model.values
         known = {name: one for name, one in values.items() if name in model.entries}
         return model.with_values(known)
+
+    def size(self, effect: Effect) -> Size:
+        """The size that an effect which was added has in the present fit."""
+        others = [other for other in self.last.added if other is not effect]
+        return fitted_size(self.model_with(others), self.last.fit, effect)
 
     def law(self, effect: Effect) -> Follows:
         """The force that the present model lacks without one of the effects added.

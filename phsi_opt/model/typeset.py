@@ -1,0 +1,142 @@
+"""The equations of a model as MathML, in the names of their states and parameters.
+
+SymPy writes them. The velocity of a position q is written with a dot, and a delay as
+u(t - 5.3 ms), not as the states that approximate it.
+"""
+
+import re
+from collections.abc import Mapping
+from functools import cached_property
+from html import escape
+from typing import Any
+
+from phsi_opt.model.base import BaseModel
+from phsi_opt.model.laws import delayed_signals
+from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.model.symbolic import Expressions
+from phsi_opt.presentation.numbers import number
+
+MOST_READ = 60  # of a model whose equations somebody reads
+GREEK = re.compile(
+    "(?i)(alpha|beta|gamma|delta|epsilon|zeta|eta|theta|iota|kappa|lambda|mu|nu|xi|rho|"
+    "sigma|tau|upsilon|phi|chi|psi|omega)$"
+)
+NUMBERED = re.compile(r"([A-Za-z]+)(\d+)$")
+TIMES, THIN_SPACE = "<mo>&InvisibleTimes;</mo>", '<mspace width="0.17em"/>'
+BY_NUMBER = re.compile(r"<mi>N(\d+)N</mi>")  # of a name in what SymPy writes
+
+
+class _WithVelocities(Expressions):
+    """Efforts that are velocities of positions have these as names."""
+
+    @cached_property
+    def efforts(self) -> list[Any]:
+        efforts = list(super().efforts)
+        for momentum, position in position_of_momentum(self.model).items():
+            if self.model.has_energy:
+                row = self.model.states.index(momentum)
+                efforts[row] = self.values[_dotted(position)]
+        return efforts
+
+
+def typeset_equations(
+    model: BaseModel, values: Mapping[str, float], unit_of_time: str
+) -> tuple[str, ...]:
+    """Energy, rates and sensors as elements of MathML; none of a model that is large.
+
+    Args:
+        model: the model.
+        values: its parameters; a coefficient that has no name of its own is written as
+            a number.
+        unit_of_time: of the measurements.
+    """
+    if len(model.placed()) > MOST_READ:
+        return ()
+    import sympy as sp
+    from sympy.printing.mathml import mathml
+
+    from phsi_opt.model.sympy_backend import SYMPY
+
+    written: list[str] = []  # MathML of the names that SymPy knows by their numbers
+
+    def named(text: str) -> Any:
+        written.append(text)
+        return sp.Symbol(f"N{len(written):04}N", real=True)  # factors are in this order
+
+    known = {}
+    for name, value in values.items():
+        is_named = "[" not in name
+        known[name] = named(_name(name)) if is_named else sp.Float(f"{value:.3g}")
+    for name in model.states:
+        known[_dotted(name)] = named(_dot(_name(name)))
+    symbols = {}
+    for name in (*model.states, *model.inputs):
+        symbols[name] = named(_name(name))
+    x = list(map(symbols.__getitem__, model.states))
+    u = list(map(symbols.__getitem__, model.inputs))
+    instead: dict[Any, Any] = {}
+    for state, (signal, delay) in delayed_signals(model).items():
+        late = named(_late(signal, values[delay], unit_of_time))
+        now = symbols[signal]
+        instead[symbols[state]] = (now + late) / 2
+        for one in ("rate", "bend"):
+            instead[symbols[f"{state}_{one}"]] = 0
+    arguments = (model, x, u, sp.Symbol("t", real=True), known, SYMPY)
+    plain, parts = Expressions(*arguments), _WithVelocities(*arguments)
+    pairs = position_of_momentum(model).values()
+    rows = {"<mi>H</mi>": plain.energy} if model.has_energy else {}
+    for k, state in enumerate(model.states):
+        if symbols[state] not in instead:
+            rate = (plain if state in pairs else parts).rates[k]
+            rows[_dot(_name(state))] = rate
+    for k, state in enumerate(model.states):
+        if state in model.sensor:
+            shown = f"<msub>{_name(state)}<mtext>measured</mtext></msub>"
+            rows[shown] = x[k] + plain.sensor[k]
+    lines = []
+    for left, right in rows.items():
+        found = sp.sympify(right)
+        if instead:
+            found = sp.expand(found.subs(instead))
+        found = found.replace(lambda one: one.is_Float, _exact)
+        text = mathml(found, printer="presentation").replace(TIMES, THIN_SPACE)
+        text = BY_NUMBER.sub(lambda one: written[int(one[1]) - 1], text)
+        lines.append(f'<math display="block">{left}<mo>=</mo>{text}</math>')
+    return tuple(lines)
+
+
+def _exact(value: Any) -> Any:
+    """A number of halves and quarters as such: 2 for 2.0, 1/4 for 0.25."""
+    import sympy as sp
+
+    quarters = 4 * float(value)
+    return sp.Rational(int(quarters), 4) if quarters == int(quarters) else value
+
+
+def _dotted(state: str) -> str:
+    return f"d{state}/dt"
+
+
+def _dot(name: str) -> str:
+    return f'<mover accent="true">{name}<mo>\N{DOT ABOVE}</mo></mover>'
+
+
+def _late(signal: str, delay: float, unit: str) -> str:
+    """Such as u(t - 5.3 ms)."""
+    if unit == "s" and abs(delay) < 0.1:
+        delay, unit = 1000 * delay, "ms"
+    minus = f"<mi>t</mi><mo>\N{MINUS SIGN}</mo><mn>{number(delay, 3)}</mn>"
+    return f"{_name(signal)}<mo>(</mo>{minus}<mtext>\N{NO-BREAK SPACE}{escape(unit)}</mtext><mo>)</mo>"
+
+
+def _name(name: str) -> str:
+    """A name with its last part as an index, and Greek letters: omega_t, v0."""
+    name = name.rpartition(".")[2]
+    numbered = NUMBERED.match(name)
+    base, _, index = name.rpartition("_") if "_" in name else (name, "", "")
+    if numbered:
+        base, index = numbered.groups()
+    first = base.replace("_", " ")
+    said = f"&{first};" if GREEK.match(first) else escape(first)
+    found = f"<mi>{said}</mi>"
+    return f"<msub>{found}<mi>{escape(index)}</mi></msub>" if index else found

@@ -1,0 +1,67 @@
+"""Equations as MathML: own names, and a delay as a delay."""
+
+import re
+from xml.etree import ElementTree
+
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.model.typeset import typeset_equations
+
+
+def spring() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(), m=2.5),
+        R=ph.damping("p"),
+        F={"p": ph.formula("gain_u*u", gain_u=ph.Parameter())},
+    )
+
+
+def told(model: ph.Model, value: float = 0.0053) -> list[str]:
+    """The letters of each equation, in the order of reading."""
+    lines = typeset_equations(model, dict.fromkeys(model.entries, value), "s")
+    told = []
+    for line in lines:
+        text = line.replace("\N{NO-BREAK SPACE}", " ").replace("&omega;", "ω")
+        told.append("".join(ElementTree.fromstring(text).itertext()))
+    return told
+
+
+def test_equations_have_the_names_of_their_parameters() -> None:
+    energy, position, momentum = told(spring())
+    assert energy == "H=kq22+p22m"
+    assert position == "q˙=pm"
+    assert momentum == "p˙=-kq-Rpq˙+gainuu"
+
+
+def test_a_delay_is_written_as_one_and_not_as_its_states() -> None:
+    *_, momentum = told(spring().add("input delay", "p"))
+    assert momentum == "p˙=-kq-Rpq˙+gainuu(t−5.3 ms)"
+    lines = told(spring().add("sensor delay", "q"), 2.0)
+    assert lines[-1] == "qmeasured=q(t−2 s)" and len(lines) == 4
+
+
+@pytest.mark.parametrize("effect", ["coulomb friction", "hysteresis", "gap"])
+def test_effects_are_written_with_the_velocity(effect: str) -> None:
+    lines = told(spring().add(effect, "p"))
+    assert not any("dH" in line or "N0" in line for line in lines)
+    assert any(effect in line for line in lines)
+
+
+def test_coefficients_without_a_name_are_numbers_and_greek_letters_are_greek() -> None:
+    wave = ph.formula("sin(omega*t)", omega=ph.Parameter())
+    model = ph.FirstOrder(["x_1"], {"x_1": ph.polynomials(["x_1"], 2) + wave})
+    (line,) = told(model, 0.12345)
+    assert line == "x1˙=0.123x12+0.123x1+sin(ωt)"
+
+
+def test_a_name_cannot_be_markup_and_large_models_are_left_out() -> None:
+    (line,) = typeset_equations(
+        ph.FirstOrder(["lt"], {"lt": ph.formula("-lt")}), {}, ""
+    )
+    assert re.search("<mi>lt</mi>", line) and "&lt" not in line
+    many = ph.FirstOrder(["x"], {"x": ph.polynomials(["x"], 61)})
+    assert typeset_equations(many, many.values, "s") == ()
