@@ -504,7 +504,7 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert estimate_text(-3.8e-5, 0.0032) == "0.0000 +- 0.0032"
     assert estimate_text(1.2345e-6, 4.2e-8) == "1.234e-06 +- 4.2e-08"
     assert estimate_text(2.5, np.nan) == "2.5"
-    assert estimate_text(263.3, 1895.4) == "260 +- 1900"
+    assert estimate_text(263.3, 1895.4) == "300 +- 1900"
     assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
     assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
     assert number(2.6e2, 2) == "260" and number(748.6, 2) == "750"

@@ -126,7 +126,8 @@ def _late(signal: str, delay: float, unit: str) -> str:
     if unit == "s" and abs(delay) < 0.1:
         delay, unit = 1000 * delay, "ms"
     minus = f"<mi>t</mi><mo>\N{MINUS SIGN}</mo><mn>{number(delay, 3)}</mn>"
-    return f"{_name(signal)}<mo>(</mo>{minus}<mtext>\N{NO-BREAK SPACE}{escape(unit)}</mtext><mo>)</mo>"
+    told_unit = f"<mtext>\N{NO-BREAK SPACE}{escape(unit)}</mtext>"
+    return f"{_name(signal)}<mo>(</mo>{minus}{told_unit}<mo>)</mo>"
 
 
 def _name(name: str) -> str:
