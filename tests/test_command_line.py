@@ -22,6 +22,7 @@ import phsi_opt as ph
 from phsi_opt.command_line import app as commands
 from phsi_opt.command_line.app import app, with_names
 from phsi_opt.command_line.job import (
+    COMPARE,
     FIT,
     GO_THROUGH,
     MEANINGS,
@@ -43,6 +44,7 @@ from phsi_opt.presentation.forecast import (
     Forecast,
     duration,
 )
+from phsi_opt.study_file import kept_fits
 from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.survey import survey
 from problems.examples.friction_spring import CSV
@@ -564,6 +566,81 @@ def test_a_fit_is_saved_and_taken_up_again(short: Path) -> None:
     assert json.loads(diagnosed.stdout)["proposed"] == ["coulomb friction on p"]
     assert "[0:" in diagnosed.stderr and "left] re-fitting with" in diagnosed.stderr
     assert left_over(short.parent) == []
+
+
+def lines_and_answer(kind: str, study: Path) -> tuple[str, Any]:
+    """What a command tells on its way, and what it answers."""
+    told: list[Message] = []
+    answer = run_job(Job(kind, study), told.append)
+    return "\n".join(one for one in told if isinstance(one, str)), answer
+
+
+def test_no_command_fits_again_what_one_before_it_fitted(short: Path) -> None:
+    added = 'added = ["coulomb friction on p"]'
+    short.write_text(short.read_text().replace("added = []", added))
+    lines, alone = lines_and_answer(COMPARE, short)
+    assert FITTING in lines and ADDING in lines
+    short.with_name("study.toml.cache").unlink()
+    lines_and_answer(FIT, short)
+    lines, after_fit = lines_and_answer(COMPARE, short)
+    assert FITTING not in lines and ADDING not in lines
+    assert "taking up the fits in" in lines and "study.toml.cache" in lines
+    assert after_fit == alone  # to the last digit
+    short.write_text(short.read_text().replace(added, "added = []") + "# a comment")
+    assert FITTING not in lines_and_answer(FIT, short)[0]
+
+
+def kept_fit(study: Path) -> ph.Fit | None:
+    """The fit of the base model that the next command would take."""
+    file = ph.StudyFile.read(study)
+    return kept_fits.KeptFits.of(study, file, file.split()[0]).with_effects()
+
+
+def test_a_fit_of_something_else_is_not_taken(
+    short: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_job(Job(FIT, short), lambda message: None)
+    for name, old, new in [
+        ("study.toml", "m = 2.5", "m = 2.6"),
+        ("study.toml", "start = 10.0", "start = 11.0"),
+        ("study.toml", 'unit = "m"', 'unit = "mm"'),
+        ("study.toml", "share = 0.4", "share = 0.7"),
+        ("study.toml", "[study]", "[loss]\nsteps = 2\n[study]"),
+        ("friction_spring.csv", "run 1,0.1,0.326095", "run 1,0.1,0.326096"),
+        ("study.toml.cache", '"value": ', '"value": 1'),
+        ("study.toml.cache", '{"key"', "{'key'"),
+        ("study.toml.cache", "\n", ""),
+    ]:
+        assert kept_fit(short) is not None
+        path = short.with_name(name)
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+        assert kept_fit(short) is None, (name, new)
+        path.write_text(text)
+    monkeypatch.setattr(kept_fits, "version", lambda name: "0.0.9")
+    assert kept_fit(short) is None
+    told: list[Message] = []
+    run_job(Job(FIT, short), told.append)
+    assert FITTING in told
+    assert kept_fit(short) is not None
+
+
+def test_commands_at_the_same_time_keep_the_fits_of_each_other(short: Path) -> None:
+    file = ph.StudyFile.read(short)
+    kept = [kept_fits.KeptFits.of(short, file, file.split()[0]) for _ in range(3)]
+    assert [one.with_effects() for one in kept[:2]] == [None, None]
+    study = file.study()
+    kept[0].keep(study)
+    study.add("coulomb friction", "p")
+    kept[1].keep(study)
+    for added, step in zip([(), study.added], study.steps, strict=True):
+        again = kept[2].with_effects(added)
+        assert again is not None and again.values == step.fit.values
+    short.with_name("study.toml.cache").unlink()
+    short.with_name("study.toml.cache").mkdir()  # cannot be written
+    kept_fits.KeptFits.of(short, file, file.split()[0]).keep(study)
+    assert kept_fit(short) is None
 
 
 @pytest.mark.slow

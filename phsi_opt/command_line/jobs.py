@@ -27,6 +27,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.study import Study
+from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.study_file.study_file import StudyFile
 
 Tell = Callable[[Message], None]
@@ -49,8 +50,11 @@ def run(job: Job, tell: Tell) -> Answer:
     file = StudyFile.read(job.study)
     if job.fit is not None:
         return _of_saved_fit(job, file, tell)
-    keeper = _Keeper(job, tell, len(file.steps.added))
-    study = file.study(keeper.progress, keeper.step_finished)
+    kept = KeptFits.of(job.study, file, file.split()[0])
+    if kept.with_effects() is not None:
+        tell(f"taking up the fits in {kept.path}")
+    keeper = _Keeper(job, tell, len(file.steps.added), kept)
+    study = file.study(keeper.progress, keeper.step_finished, kept)
     if job.kind == FIT:
         answer = _fit_answer(study.fit)
     elif job.kind == COMPARE:
@@ -97,6 +101,7 @@ class _Keeper:
     job: Job
     tell: Tell
     n_known: int  # effects that the study file has
+    kept: KeptFits  # what the next command need not fit
     study: Study | None = None
     n_kept: int = 0
 
@@ -108,6 +113,7 @@ class _Keeper:
     def step_finished(self, study: Study, is_last: bool = False) -> None:
         self.study = study
         self.n_kept = len(study.steps)
+        self.kept.keep(study)
         files: list[Path] = []
         if self.job.save is not None:
             study.fit.save(self.job.save)

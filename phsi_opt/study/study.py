@@ -55,14 +55,15 @@ class Study(Summarised):
         without: effects to exclude, in the same form.
         loss: how to fit; default `MaximumLikelihood`.
         progress: called with a line of text about the progress, such as ``print``.
+        fit: a fit of the base model to the training data; default: a new one.
 
     Attributes:
         base: the base model.
         record: the present state of the study, from which reports are made.
 
     Raises:
-        DataError: a state or input of the model is not in the measurements, or a run
-            that is held out is fitted too.
+        DataError: a state or input of the model is not in the measurements, a run that
+            is held out is fitted too, or ``fit`` is of other measurements.
         ModelError: one of the ``effects``, or of those to leave out, is unknown.
         SolveError: the base model could not be fitted.
     """
@@ -78,6 +79,7 @@ class Study(Summarised):
         without: Given = (),
         loss: MaximumLikelihood | None = None,
         progress: Callable[[str], None] | None = None,
+        fit: Fit | None = None,
     ) -> None:
         self.base = model
         self._choice = EffectChoice(effects, without).checked(model, train.units)
@@ -89,8 +91,10 @@ class Study(Summarised):
         )
         for note in self.record.notes:
             self._say(note)
-        self._say("fitting the base model")
-        self._take("base model", (), self.record.fitted(model))
+        if fit is None:
+            self._say("fitting the base model")
+            fit = self.record.fitted(model)
+        self._take("base model", (), fit)
         if self.record.last.train.warning:
             self._say(self.record.last.train.warning)
 
@@ -193,7 +197,11 @@ class Study(Summarised):
 
     @interruptible
     def add(
-        self, effect: str | Effect | None = None, equation: str | None = None
+        self,
+        effect: str | Effect | None = None,
+        equation: str | None = None,
+        *,
+        fit: Fit | None = None,
     ) -> Fit:
         """Add an effect, re-fit, and return the fit.
 
@@ -202,8 +210,11 @@ class Study(Summarised):
                 what the diagnosis of the present model proposes, which may be several.
             equation: the equation of an effect that is given by name; not needed if
                 only one equation can have it.
+            fit: a fit of the model with the effect to the training data; default: a new
+                one.
 
         Raises:
+            DataError: ``fit`` is of other measurements.
             ModelError: there is no such effect, it is in the model already, or none is
                 proposed.
             SolveError: the larger model could not be fitted.
@@ -222,6 +233,8 @@ class Study(Summarised):
             effect = ranked.get(effect) or effect_named(
                 self.model, effect, equation, units
             )
+        if fit is not None:
+            return self._take(str(effect), (*self.added, effect), fit)
         if present and present.proposed_fit and present.proposed == (effect,):
             return self._add_all(present.proposed, present.proposed_fit)
         found = next((one for one in ranking if one.effect == effect), None)
@@ -234,6 +247,11 @@ class Study(Summarised):
 
     def _take(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Fit:
         """Go on from a fit; ``label`` says what was done."""
+        if fit.provenance.get("data_sha256") != self.train.digest:
+            raise DataError(
+                "fit was made from other measurements than the training data of the "
+                "study; leave it out, and the model is fitted anew."
+            )
         return self._go_on(self.record.step(label, added, fit))
 
     def _go_on(self, step: Step) -> Fit:

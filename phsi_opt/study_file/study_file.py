@@ -36,6 +36,7 @@ from phsi_opt.writing import write_whole
 
 if TYPE_CHECKING:
     from phsi_opt.study import Study
+    from phsi_opt.study_file.kept_fits import KeptFits
 
 UNWRITTEN = "measurements.csv"  # called so until it is known beside which file it lies
 
@@ -255,12 +256,14 @@ class StudyFile(Sections):
         self,
         progress: Callable[[str], None] | None = None,
         after_each: "Callable[[Study], None] | None" = None,
+        kept: "KeptFits | None" = None,
     ) -> "Study":
         """The study: the base model fitted, then each effect added.
 
         Args:
             progress: called with a line of text about the progress, such as ``print``.
             after_each: called with the study after each of these steps.
+            kept: fits that are taken instead of new ones.
 
         Raises:
             DataError: the data files are not valid.
@@ -278,11 +281,14 @@ class StudyFile(Sections):
             without=self.steps.without,
             loss=self.loss,
             progress=progress,
+            fit=kept and kept.with_effects(),
         )
         tell = after_each or (lambda study: None)
         tell(study)
         for name in self.steps.added:
-            study.add(self.meant(study.model, name))
+            effect = self.meant(study.model, name)
+            fit = kept and kept.with_effects((*study.added, effect))
+            study.add(effect, fit=fit)
             tell(study)
         return study
 
