@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue import EffectChoice, effect_named, every_name
+from phsi_opt.model.catalogue import (
+    EffectChoice,
+    effect_named,
+    effects_told,
+    every_name,
+)
 from phsi_opt.model.kinds import KINDS
-from phsi_opt.model.laws import is_second_storage
+from phsi_opt.model.laws import is_second_storage, laws_told, said_of
 
 ROOT = Path(__file__).resolve().parents[1]
 EVERY_KIND: tuple[Any, ...] = ({}, *KINDS)
@@ -332,6 +337,66 @@ def test_what_is_chosen_by_a_name_of_another_kind_is_found(name: str) -> None:
     left = EffectChoice(without=[name]).checked(model).candidates(model)
     expected = [e for e in ph.catalogue(model) if e.name != "linear leak"]
     assert left == expected
+
+
+def pushed() -> ph.PseudoHamiltonian:
+    """A mass with a spring and a force, without losses."""
+    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, lower=0))
+    force = {"p": ph.formula("u")}
+    return ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=energy, F=force, inputs=["u"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("other", "name"),
+    [
+        ("air drag", "quadratic drag"),
+        ("Windage", "quadratic drag"),
+        ("backlash", "gap"),
+        ("free play", "gap"),
+        ("dead time", "input delay"),
+        ("stiction", "stribeck friction"),
+        ("dashpot", "viscous damping"),
+    ],
+)
+def test_an_effect_is_found_by_what_people_call_it(other: str, name: str) -> None:
+    model = pushed()
+    assert str(effect_named(model, other)) == f"{name} on p"
+    assert str(effect_named(model, f"{other} on p")) == f"{name} on p"
+    assert model.add(other, "p") == model.add(name, "p")
+    assert [str(e) for e in ph.catalogue(model, called=other)] == [f"{name} on p"]
+    chosen = EffectChoice([other], without=["gap"]).checked(model).candidates(model)
+    assert [str(e) for e in chosen] == [f"{name} on p"] * (name != "gap")
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ("offset on p", "'offset' may be constant force or sensor offset; say which"),
+        ("rope friction", "Did you mean 'viscous damping' or 'coulomb friction'"),
+        ("wind", "Did you mean 'quadratic drag'?"),
+        ("coulom friction", "Did you mean 'coulomb friction'?"),
+        ("voodoo", "'voodoo' in the catalogue. ph.catalogue(model)"),
+    ],
+)
+def test_an_unknown_name_is_answered_by_meaning(asked: str, words: str) -> None:
+    with pytest.raises(ph.ModelError) as refused:
+        pushed().add(asked)
+    assert words in str(refused.value)
+    assert len(str(refused.value)) <= 300
+
+
+def test_every_law_says_what_it_adds_and_no_other_name_is_that_of_a_law() -> None:
+    told = laws_told()
+    assert all(told.values())
+    names = set(told)
+    for name in told:
+        assert not names & set(said_of(name)[1])
+    adds = {str(effect): one for effect, one in effects_told(pushed())}
+    assert adds["quadratic drag on p"] == "-c |dH_dp| dH_dp"
+    assert adds["input delay on p"] == "dF/du (u(t - delay) - u)"
+    assert list(adds) == list(map(str, ph.catalogue(pushed())))
 
 
 def test_the_page_of_effects_has_every_name() -> None:

@@ -527,6 +527,7 @@ def test_add_writes_an_effect_and_keeps_what_the_user_wrote(demo: Path) -> None:
     ("arguments", "words"),
     [
         (["coulom friction"], "Did you mean 'coulomb friction'?"),
+        (["offset"], "'offset' may be constant force or sensor offset; say which."),
         (
             ["coulomb friction", "-e", "v"],
             "'v' is not a state of the model; expected one of q, p",
@@ -542,6 +543,27 @@ def test_add_refuses_what_is_unknown_and_says_what_was_meant(
     assert words in " ".join(result.err.split())
     assert demo.read_text() == before
     assert list(demo.parent.glob("*.bak")) == []
+
+
+def test_the_effects_of_a_model_are_listed_with_equations_and_units(
+    demo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(demo.parent)
+    listed = said("effects").out
+    assert "quadratic drag on p              -c |dH_dp| dH_dp\n" in listed
+    assert "quadratic_drag_p in N s^2/m^2\n" in listed
+    assert "air drag" in listed and "input delay" not in listed
+    assert "sensor offset on q" in listed and "sensor offset on p" not in listed
+    every = said("effects", "--all").out
+    assert "input delay  " in every and "dead time" in every
+    assert max(map(len, (listed + every).splitlines())) <= 80
+    rows = json.loads(said("effects", demo, "--json").out)["effects"]
+    assert rows[1]["effect"] == "quadratic drag on p"
+    assert rows[1]["units"] == {"quadratic_drag_p": "N s^2/m^2"}
+    demo.unlink()
+    assert said("effects").out == every
+    added = said("add", "air drag", "gone.toml")
+    assert added.code == ExitCode.BAD_INPUT
 
 
 # ---- fit, compare, diagnose, study ---------------------------------------------------

@@ -177,6 +177,30 @@ def add(
         finish(add_effect(study, effect, equation), as_json)
 
 
+@app.command()
+def effects(
+    study: Annotated[
+        Path | None,
+        typer.Argument(
+            help=f"The study file; without one {STUDY_NAME}, if it is there.",
+            metavar="STUDY",
+        ),
+    ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="List the effects of all fields.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List the effects of the catalogue with equations and other names."""
+    if study is None and Path(STUDY_NAME).exists():
+        study = Path(STUDY_NAME)
+    study = None if everything else study
+    with told_errors(as_json, study):
+        from phsi_opt.command_line.file_jobs import effects_of
+
+        finish(effects_of(study), as_json)
+
+
 @app.command(name="study")
 def study_(
     study: StudyPath = Path(STUDY_NAME),

@@ -4,17 +4,23 @@ Nothing is solved here, so that none of the solver's rooms is loaded.
 """
 
 import json
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from hashlib import sha256
 from importlib.resources import files
+from itertools import chain, repeat
 from pathlib import Path
-from textwrap import fill
+from textwrap import fill, wrap
+from typing import Any
 
 from phsi_opt.command_line.job import Answer, answer_to
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
-from phsi_opt.model.catalogue import catalogue
-from phsi_opt.presentation.numbers import number_of
+from phsi_opt.model.catalogue import catalogue, effects_told
+from phsi_opt.model.laws import laws_told, said_of
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.presentation.numbers import LINE_WIDTH, number_of
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.reading import file_bytes, why_not_read
 from phsi_opt.study_file.gallery import GALLERY, base_model
@@ -212,6 +218,53 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
         "backup": str(backup),
     }
     return Answer(lines(__package__, "added", **facts), content)
+
+
+def effects_of(path: Path | None) -> Answer:
+    """The catalogue: of the model of a study file, or (None) all of it.
+
+    Raises:
+        StudyFileError: the file cannot be used as it is.
+    """
+    if path is None:
+        rows = [_told(name, adds, {}) for name, adds in laws_told().items()]
+    else:
+        file = StudyFile.read(path)
+        rows = list(_effects_told(file, file.model()))
+    text = lines(__package__, "effects", path=path, listing=_listing(rows))
+    return Answer(text, {"effects": rows})
+
+
+def _effects_told(file: StudyFile, model: Model) -> Iterator[dict[str, Any]]:
+    """The effects that can be added to a model, in its names and units."""
+    units = file.data.units
+    for effect, adds in effects_told(model, units):
+        if effect.slot != "sensor" or file.data.states[effect.equation].measured:
+            larger = model.add(effect)
+            known = parameter_units(larger, units)
+            new = [name for name in larger.free if name not in model.entries]
+            yield _told(str(effect), adds, {name: known[name] for name in new})
+    for effect in file.own_effects:
+        yield _told(str(effect), "an effect of your own", {})
+
+
+def _told(name: str, adds: str, units: Mapping[str, str]) -> dict[str, Any]:
+    others = list(said_of(name)[1])
+    return {"effect": name, "adds": adds, "units": units, "also_called": others}
+
+
+def _listing(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Names with what is told of each beside it, within the width of a terminal."""
+    width = 2 + max(len(row["effect"]) for row in rows)
+    listed = []
+    for row in rows:
+        units = [f"{name} in {unit}" for name, unit in row["units"].items() if unit]
+        texts = (row["adds"], ", ".join(units), ", ".join(row["also_called"]))
+        told = chain.from_iterable(wrap(one, LINE_WIDTH - width) for one in texts)
+        heads = chain([row["effect"]], repeat(""))
+        pairs = zip(heads, told, strict=False)
+        listed += [f"{head:{width}}{one}" for head, one in pairs]
+    return "\n".join(listed)
 
 
 def written_demonstration(folder: Path) -> Path:

@@ -7,6 +7,7 @@ is left out.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from itertools import combinations, permutations, product
 from typing import Any
 
@@ -34,6 +35,7 @@ from phsi_opt.model.laws import (
     OVERFLOWS,
     SENSORS,
     Law,
+    said_of,
 )
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
@@ -50,7 +52,9 @@ from phsi_opt.model.structure import (
 from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
 
 
-def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
+def catalogue(
+    model: BaseModel, units: Mapping[str, str] | None = None, called: str = ""
+) -> EffectList:
     """The effects that apply to the model, each with its slot and equation.
 
     The list prints as a table.
@@ -63,23 +67,33 @@ def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> Effec
         model: the model.
         units: of its states, as `Measurements.units`; they determine kinds that the
             model does not give.
+        called: only the effects of this name, or of this other name, such as "air drag"
+            for quadratic drag; default: all.
 
     Examples:
         >>> effects = ph.catalogue(model, data.units)
         >>> [effect.name for effect in effects][:3]
         ['coulomb friction', 'quadratic drag', 'cubic drag']
+        >>> ph.catalogue(model, data.units, called="air drag")[0]
+        Effect('quadratic drag on p')
     """
+    offered = EffectList(effect for effect, _ in effects_told(model, units))
+    return EffectList(_called(called, None, offered)) if called else offered
+
+
+def effects_told(
+    model: BaseModel, units: Mapping[str, str] | None = None
+) -> Iterator[tuple[Effect, str]]:
+    """The effects of the catalogue, each with what it adds, in the model's names."""
     units = units or {}
     known = with_kinds_of_units(model, units)
-    offered = EffectList()
     for laws, names in _places(known, units):
         role = role_of(known, names["x"])
         for law in laws:
             is_of_role = not law.roles or role in law.roles
             effect = law.effect(known, names) if is_of_role else None
             if effect is not None and not is_redundant(known, effect):
-                offered.append(effect)
-    return offered
+                yield effect, said_of(effect.name)[0].format_map(names)
 
 
 def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
@@ -109,7 +123,7 @@ def effect_named(
     """The catalogue's effect of that name.
 
     The names of all kinds are known: what a model of tanks calls a linear leak may be
-    added as viscous damping.
+    added as viscous damping. So are other names, such as air drag.
 
     Args:
         model: the model to which it could be added.
@@ -120,7 +134,7 @@ def effect_named(
 
     Raises:
         ModelError: no effect of that name applies there, or it applies to several
-            equations and none is given.
+            equations and none is given, or several effects are called so.
     """
     before, _, place = name.rpartition(" on ")
     if equation is None and before and place in model.states:
@@ -132,6 +146,9 @@ def effect_named(
     found = found or _called(name, equation, every_name(model, units))
     if not found:
         raise ModelError(_not_in_catalogue(model, name, equation, own))
+    names = list(dict.fromkeys(effect.name for effect in found))
+    if len(names) > 1:
+        raise ModelError(f"{name!r} may be {' or '.join(names)}; say which.")
     if len(found) > 1 and equation is None:
         equations = ", ".join(effect.equation for effect in found)
         raise ModelError(
@@ -142,9 +159,11 @@ def effect_named(
 
 
 def _called(name: str, equation: str | None, effects: list[Effect]) -> list[Effect]:
-    """Those of a name, in small letters or large ones, in an equation or in any."""
+    """Those of a name, or else those called so, in an equation or in any."""
+    asked = name.lower()
     there = [one for one in effects if equation in (None, one.equation)]
-    return [one for one in there if one.name.lower() == name.lower()]
+    named = [one for one in there if one.name.lower() == asked]
+    return named or [one for one in there if asked in said_of(one.name)[1]]
 
 
 def _not_in_catalogue(
@@ -158,13 +177,25 @@ def _not_in_catalogue(
             f"the model has {name!r}{place} already, or terms that can represent it; "
             "choose another effect."
         )
-    names = sorted({one.name for one in own if equation in (None, one.equation)})
-    hint = did_you_mean(name, names)
-    where = "this model" if equation is None else f"the equation of {equation}"
+    there = [one for one in own if equation in (None, one.equation)]
     return (
-        f"there is no effect {name!r}{place} in the catalogue.{hint} "
-        f"For {where} there are: {', '.join(names)}."
+        f"there is no effect {name!r}{place} in the catalogue.{_hint(name, there)} "
+        "ph.catalogue(model), or phsi-opt effects, lists all."
     )
+
+
+MISSPELT = 0.85  # likeness of two words of which one is misspelt
+
+
+def _hint(name: str, effects: Sequence[Effect]) -> str:
+    """Effects of a like name, or with a word in common in one of their names."""
+    names = {one.name: " ".join((one.name, *said_of(one.name)[1])) for one in effects}
+    alike = get_close_matches(name.lower(), names, 1, MISSPELT)
+    asked = {word for word in name.lower().split() if len(word) > 2}
+    if not alike:
+        alike = [known for known, words in names.items() if asked & set(words.split())]
+    quoted = " or ".join(map(repr, alike[:4]))
+    return f" Did you mean {quoted}?" if alike else did_you_mean(name, names)
 
 
 def _places(
@@ -446,7 +477,8 @@ def _as_offered(
         return [one]
     found: list[Effect | str] = []
     if isinstance(one, str):
-        for alias in _meant(one, every_name(model, units)):
+        name, _, place = one.rpartition(" on ") if " on " in one else (one, "", None)
+        for alias in _called(name, place, every_name(model, units)):
             found += [str(e) for e in offered if _term_of(e) == _term_of(alias)]
         # What the units rule out may still be meant.
         found = found or [*_meant(one, catalogue(model))]

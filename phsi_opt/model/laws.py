@@ -23,6 +23,7 @@ parameters and the memory of a law are those that its bodies name.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -153,6 +154,93 @@ MEMORIES: Mapping[str, Mapping[str, str]] = {
     },
     "{x}_delayed": READING_MEMORY,
 }
+
+# ---- what people call them -----------------------------------------------------------
+
+# By the name of a law: what it adds, with c for its coefficient, and its other names. A
+# row of several laws of like names begins as they do.
+SAID = """
+viscous damping | -c {e} | viscous friction, damper, dashpot, linear drag
+laminar pipe friction | -c {e} | pipe resistance, pipe loss
+linear leak | -c {e} | leak, leakage, seepage
+linear resistance | -c {e} | ohmic loss, winding resistance, series resistance
+leakage conductance | -c {e} | leakage current, self-discharge
+heat loss | -c {e} | cooling, convection, heat leak, heat transfer
+coulomb friction | -c sign({e}) | dry friction, sliding friction, kinetic friction
+contact voltage drop | -c sign({e}) | brush drop, diode drop
+quadratic drag | -c |{e}| {e} | air drag, air resistance, wind resistance, windage
+turbulent pipe friction | -c |{e}| {e} | pipe loss, pressure loss
+quadratic leak | -c |{e}| {e} | leak, leakage
+quadratic resistance | -c |{e}| {e} |
+quadratic conductance | -c |{e}| {e} |
+quadratic heat loss | -c |{e}| {e} | natural convection
+cubic drag | -c {e}^3 |
+stribeck friction | -(c + s exp(-({e}/v_s)^2)) sign({e}) | stiction, static friction
+turbulent leak | -c sign({e}) sqrt(|{e}|) | leak, leakage, orifice, outflow, hole
+saturating leak | -c {e}/(1 + |{e}|/half) | leak, leakage
+overflow | -c sign({e}) max(|{e}| - limit, 0) | spill, weir
+radiation | -c {e}^3 |{e}| | thermal radiation, radiative loss
+position-dependent damping | -c {q}^2 {e} | position-dependent friction
+charge-dependent resistance | -c {q}^2 {e} |
+constant | c | bias, offset, load, tilt, gravity, disturbance, supply
+drifting | c t | drift, trend, ramp
+harmonic | a sin({omega} t) + b cos({omega} t) | unbalance, vibration, ripple, hum
+quadratic input | c {u}^2 | nonlinear actuator
+input gain | c dF/d{u} {u} | actuator gain, calibration, scale error
+input dead zone | -dF/d{u} min(max({u}, -width), width) | dead band, threshold
+input saturation | -dF/d{u} ({u} - min(max({u}, -limit), limit)) | saturation
+input lag | dF/d{u} (z - {u}), lag dz/dt = {u} - z | actuator lag, slow actuator
+input delay | dF/d{u} ({u}(t - delay) - {u}) | dead time, transport delay, latency
+linear stiffness | energy c {q}^2/2 | spring
+quadratic stiffness | energy c {q}^3/3 | asymmetric spring
+cubic stiffness | energy c {q}^4/4 | hardening, softening, duffing spring
+gravity torque | energy -c cos({angle}) | pendulum, imbalance, eccentric weight
+linear elastance | energy c {q}^2/2 | series capacitor
+quadratic elastance | energy c {q}^3/3 |
+cubic elastance | energy c {q}^4/4 |
+coil saturation | energy c {x}^4/4 | saturation, iron saturation, magnetic saturation
+coil or capacitor saturation | energy c {x}^4/4 | saturation, iron saturation
+coupling stiffness | energy c ({q1} - {q2})^2/2 | coupling spring
+coupling capacitance | energy c ({q1} - {q2})^2/2 |
+gap | energy c max(|{q}| - play, 0)^2/2 | backlash, free play, play, clearance, slack
+second heat storage | c (z - {x}), tau dz/dt = {x} - z | wall, thermal mass
+second charge storage | c (z - {x}), tau dz/dt = {x} - z | relaxation
+parametric stiffness | -{q} (a sin({omega} t) + b cos({omega} t)) |
+parametric elastance | -{q} (a sin({omega} t) + b cos({omega} t)) |
+hysteresis | -c z, w dz/dt = {e} - (|{e}| z + {e} |z|)/2 | bouc-wen, presliding
+overflow from | c max({s_e} - limit, 0) | spill, weir
+heat exchange with | c ({s_e} - {e}) | heat transfer, ambient, conduction
+sensor offset | sensor + c | offset, bias, zero error
+sensor gain | sensor + c {x} | calibration, scale error
+sensor drift | sensor + c t | drift
+sensor clipping | sensor = min(max({x}, -limit), limit) | clipping, saturation
+sensor delay | sensor = {x}(t - delay) | latency, time delay, filter delay
+"""
+
+
+def _said() -> dict[str, tuple[str, tuple[str, ...]]]:
+    rows = {}
+    for line in SAID.strip().splitlines():
+        name, adds, others = (f"{line} ").split(" | ")
+        rows[name] = adds, tuple(others.strip().split(", ")) if others.strip() else ()
+    return rows
+
+
+ROWS = _said()
+
+
+def said_of(name: str) -> tuple[str, tuple[str, ...]]:
+    """What an effect adds, with names in braces, and what else it is called.
+
+    Of a name such as "input delay of u" the row is "input delay".
+    """
+    words = name.split()
+    for n in range(len(words), 0, -1):
+        row = ROWS.get(" ".join(words[:n]))
+        if row is not None:
+            return row
+    return "", ()
+
 
 # ---- a law ---------------------------------------------------------------------------
 
@@ -376,6 +464,19 @@ sensor clipping | | min(max({x}, -clipping_{x}), clipping_{x}) - {x} | READING |
 sensor delay | | LATE_READING | a delay of the sensor | formula
 """,
 )
+
+
+TABLES = (LOSSES, ENERGIES, FORCES, INPUTS, LASTING, OVERFLOWS, HEAT_EXCHANGES, SENSORS)
+# Names that stand for those of any model.
+ANY_MODEL = {"e": "e", "q": "q", "angle": "q", "x": "x", "u": "u", "omega": "omega"}
+ANY_MODEL |= {"s": "x2", "s_e": "e2", "q1": "q1", "q2": "q2"}
+ANY_MODEL |= {"source": "force", "of_u": ""}
+
+
+def laws_told() -> dict[str, str]:
+    """What each law of the catalogue adds, by its name, in the names of any model."""
+    names = [law.name.format_map(ANY_MODEL) for law in chain(*TABLES)]
+    return {name: said_of(name)[0].format_map(ANY_MODEL) for name in names}
 
 
 def is_second_storage(effect: Effect) -> bool:

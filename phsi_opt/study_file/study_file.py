@@ -281,14 +281,14 @@ class StudyFile(Sections):
             without=self.steps.without,
             loss=self.loss,
             progress=progress,
-            fit=kept and kept.with_effects(),
+            fit=None if kept is None else kept.with_effects(),
         )
         tell = after_each or (lambda study: None)
         tell(study)
         for name in self.steps.added:
             effect = self.meant(study.model, name)
-            fit = kept and kept.with_effects((*study.added, effect))
-            study.add(effect, fit=fit)
+            added = (*study.added, effect)
+            study.add(effect, fit=None if kept is None else kept.with_effects(added))
             tell(study)
         return study
 
