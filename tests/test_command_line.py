@@ -659,6 +659,8 @@ def test_commands_at_the_same_time_keep_the_fits_of_each_other(short: Path) -> N
     for added, step in zip([(), study.added], study.steps, strict=True):
         again = kept[2].with_effects(added)
         assert again is not None and again.values == step.fit.values
+    with pytest.raises(ph.DataError, match="fit was made from other measurements"):
+        ph.Study(file.base, *reversed(file.split()), fit=study.fit)  # type: ignore
     short.with_name("study.toml.cache").unlink()
     short.with_name("study.toml.cache").mkdir()  # cannot be written
     kept_fits.KeptFits.of(short, file, file.split()[0]).keep(study)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from hashlib import sha256
 from importlib.resources import files
-from itertools import chain, repeat
+from itertools import chain, filterfalse, repeat
 from pathlib import Path
 from textwrap import fill, wrap
 from typing import Any
@@ -242,7 +242,7 @@ def _effects_told(file: StudyFile, model: Model) -> Iterator[dict[str, Any]]:
         if effect.slot != "sensor" or file.data.states[effect.equation].measured:
             larger = model.add(effect)
             known = parameter_units(larger, units)
-            new = [name for name in larger.free if name not in model.entries]
+            new = filterfalse(model.entries.__contains__, larger.free)
             yield _told(str(effect), adds, {name: known[name] for name in new})
     for effect in file.own_effects:
         yield _told(str(effect), "an effect of your own", {})

@@ -191,7 +191,7 @@ def _hint(name: str, effects: Sequence[Effect]) -> str:
     """Effects of a like name, or with a word in common in one of their names."""
     names = {one.name: " ".join((one.name, *said_of(one.name)[1])) for one in effects}
     alike = get_close_matches(name.lower(), names, 1, MISSPELT)
-    asked = {word for word in name.lower().split() if len(word) > 2}
+    asked = set(name.lower().split())
     if not alike:
         alike = [known for known, words in names.items() if asked & set(words.split())]
     quoted = " or ".join(map(repr, alike[:4]))

@@ -475,8 +475,11 @@ ANY_MODEL |= {"source": "force", "of_u": ""}
 
 def laws_told() -> dict[str, str]:
     """What each law of the catalogue adds, by its name, in the names of any model."""
-    names = [law.name.format_map(ANY_MODEL) for law in chain(*TABLES)]
-    return {name: said_of(name)[0].format_map(ANY_MODEL) for name in names}
+    told = {}
+    for law in chain(*TABLES):
+        name = law.name.format_map(ANY_MODEL)
+        told[name] = said_of(name)[0].format_map(ANY_MODEL)
+    return told
 
 
 def is_second_storage(effect: Effect) -> bool:

@@ -94,6 +94,7 @@ class Study(Summarised):
         if fit is None:
             self._say("fitting the base model")
             fit = self.record.fitted(model)
+        self._check_data(fit)
         self._take("base model", (), fit)
         if self.record.last.train.warning:
             self._say(self.record.last.train.warning)
@@ -234,6 +235,7 @@ class Study(Summarised):
                 self.model, effect, equation, units
             )
         if fit is not None:
+            self._check_data(fit)
             return self._take(str(effect), (*self.added, effect), fit)
         if present and present.proposed_fit and present.proposed == (effect,):
             return self._add_all(present.proposed, present.proposed_fit)
@@ -247,12 +249,15 @@ class Study(Summarised):
 
     def _take(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Fit:
         """Go on from a fit; ``label`` says what was done."""
+        return self._go_on(self.record.step(label, added, fit))
+
+    def _check_data(self, fit: Fit) -> None:
+        """Refuse a fit of other measurements than the training data."""
         if fit.provenance.get("data_sha256") != self.train.digest:
             raise DataError(
                 "fit was made from other measurements than the training data of the "
                 "study; leave it out, and the model is fitted anew."
             )
-        return self._go_on(self.record.step(label, added, fit))
 
     def _go_on(self, step: Step) -> Fit:
         self.record = replace(self.record, steps=(*self.record.steps, step))

@@ -8,6 +8,7 @@ another model or to other measurements, counts as empty; deleting it is always s
 
 import hashlib
 import json
+import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -56,7 +57,7 @@ class KeptFits:
         """The fit of the base model with effects; None: it is to be fitted."""
         try:
             entry = self._entries[_name(added)]
-            states = tuple(np.array(one, dtype=float) for one in entry["states"])
+            states = tuple(map(np.array, entry["states"]))
             return replace(Fit.from_content(entry["fit"]), states=states)
         except (PhsiOptError, *DAMAGE):
             return None
@@ -106,4 +107,4 @@ def _digest(text: str) -> str:
 def _edition() -> list[Any]:
     """The version of the package, and its files, which a developer changes."""
     files = sorted(PACKAGE.rglob("*.py"))
-    return [version("phsi_opt"), *((one.stat().st_mtime_ns) for one in files)]
+    return [version("phsi_opt"), *map(os.path.getmtime, files)]
