@@ -89,6 +89,11 @@ STEP_FIELD = Field(
 THINNED_FIELD = Field(
     "thinned", "number of samples to average", "17em", "each by itself", WHOLE
 )
+HOLDS = {
+    "linear": "linear",
+    "zero": "constant until the next",
+    "cubic": "smooth",
+}
 HELD_OUT_FIELDS = {
     SHARE: (Field("share", "share", "8em", "0.3", REAL),),
     AFTER: (Field("after", "from the time", "8em", "10", REAL),),
@@ -215,6 +220,18 @@ class DataView:
             choice(f"{column.column} is", roles, column.role, set_role, width="10em")
             fields = FIELDS_OF_ROLE.get(column.role, ())
             text_fields(column.table, fields, self.checked, str(column.column))
+            if column.role == INPUT:
+                self._hold(column)
+
+    def _hold(self, column: ColumnDraft) -> None:
+        """What an input does between samples."""
+
+        async def set_hold(hold: str) -> None:
+            column.table["hold"] = hold
+            await self.checked()
+
+        now = column.table.get("hold", "linear")
+        choice(f"{column.column} between samples", HOLDS, now, set_hold, width="16em")
 
     @ui.refreshable_method
     def held_out(self) -> None:

@@ -372,9 +372,11 @@ class Session:
         return self.draft.as_it_is() == self._begun
 
     def show_up(self) -> None:
-        """Note that a page shows it."""
+        """Note that a page shows it; the worker starts before it is needed."""
         self.seen = time.monotonic()
-        self.is_shown = True
+        if not self.is_shown:
+            self.is_shown = True
+            self._ready_worker()
 
     # ---- work ------------------------------------------------------------------------
 

@@ -100,7 +100,7 @@ class Shell:
                     build()
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
-        self._asking = ui.timer(0.25, self._keep_up)  # s: no reader waits
+        self._asking = ui.timer(0.1, self._keep_up)  # s: no reader waits
 
     def _menu(self) -> None:
         with ui.button("Menu").props("flat color=primary"), ui.menu() as menu:

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from importlib import import_module
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -169,6 +170,7 @@ def work(connection: Connection) -> None:
         connection: studies to go on from and orders come in; messages go out.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
+    import_module("scipy.optimize")  # takes a while, and each fit needs it
     _Pipe.connection = connection
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
