@@ -260,6 +260,40 @@ def upload_tables_that_run(page: Page, address: str, marker: Path) -> None:
     expect(page.get_by_role("button", name="Remove innocent.csv")).to_be_visible()
 
 
+def test_an_example_is_worked_through_by_the_keyboard_alone(page: Page) -> None:
+    press(page, "Motor with steps of voltage")
+    expect(page.get_by_text("What was measured").last).to_be_visible()
+    region = page.get_by_role("region", name="Verdict")
+    region.get_by_text("What is wrong").wait_for(timeout=SOLVED_WITHIN)
+    nothing_is_solved(page)
+    press(page, "Add Coulomb friction on w")
+    expect(page.get_by_text("Nothing is missing", exact=False).first).to_be_visible(
+        timeout=SOLVED_WITHIN
+    )
+    nothing_is_solved(page)
+    expect(page.get_by_text("Side by side")).to_be_visible()
+    assert page.get_by_label("run", exact=True).input_value() == "run 3 (held out)"
+    press(page, "Undo")
+    expect(region.get_by_text("Coulomb friction on w is missing.")).to_be_visible()
+    press(page, "Redo")
+    expect(region.get_by_text("What was added")).to_be_visible()
+    press(page, "Show model 1: base model")
+    expect(region.get_by_text("What to add")).to_be_visible()
+
+
+def press(page: Page, name: str) -> None:
+    """Go to a button by the Tab key and press Enter; its focus must be visible."""
+    button = page.get_by_role("button", name=name, exact=True)
+    expect(button).to_be_enabled(timeout=SOLVED_WITHIN)
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        if button.evaluate("one => one === document.activeElement"):
+            break
+    look = button.evaluate("one => getComputedStyle(one).boxShadow")
+    assert "5px" in look, "nobody sees where the focus is"
+    page.keyboard.press("Enter")
+
+
 def test_a_link_of_another_site_leads_to_the_session_that_is_there(
     page: Page, address: str
 ) -> None:

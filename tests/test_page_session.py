@@ -21,6 +21,7 @@ from phsi_opt.page.draft_views import EXAMPLES, unknown_names
 from phsi_opt.page.drafts import (
     INPUT,
     MOST_UPLOADED,
+    NOT_USED,
     RUN,
     STATE,
     TIME,
@@ -29,11 +30,11 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.guards import UploadLimit
-from phsi_opt.page.parts import complaint_words
+from phsi_opt.page.parts import complaint_words, words
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
-from phsi_opt.page.study_view import beside, rows_of, words
+from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Order, Shown, WorkerHandle
 from phsi_opt.presentation.content import (
     ErrorStep,
@@ -298,6 +299,26 @@ def test_a_study_file_becomes_drafts_and_comes_back(text: str, tmp_path: Path) -
     (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.text() == ph.StudyFile.read(path).text()
+
+
+def test_the_measurements_are_drawn_before_there_is_a_model(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    assert session.seen_data.chart is None
+    session.upload("spring.csv", spring_table())
+    seen = session.seen_data
+    assert seen.chart is not None
+    assert [panel.label for panel in seen.chart.panels] == ["position (m)"]
+    assert [row["channel"] for row in seen.rows] == ["t", "position"]
+    session.check()
+    assert session.seen_data is seen, "nothing has changed"
+    assert session.draft.data is not None
+    session.draft.data.columns[2].table["unit"] = "mm"
+    session.check()
+    assert session.seen_data.rows[1]["unit"] == "mm"
+    session.draft.data.columns[1].becomes(NOT_USED)
+    session.check()
+    assert session.seen_data.chart is None
+    session.close()
 
 
 # ---- the work ------------------------------------------------------------------------

@@ -49,6 +49,8 @@ from phsi_opt.page.parts import (
     complaints,
     field_row,
     heading,
+    plotted_data,
+    said_by,
     text_fields,
 )
 from phsi_opt.page.session import Session
@@ -127,6 +129,7 @@ class DataView:
                 button("Choose files", lambda: upload.run_method("pickFiles"))
             self.error()
         self.examples()
+        self.seen()
         self.table()
         self.wrong()
 
@@ -159,6 +162,15 @@ class DataView:
     async def _open_example(self, name: str) -> None:
         await run.io_bound(self.session.open_example, name)
         self.go(STUDY_PART)
+
+    @ui.refreshable_method
+    def seen(self) -> None:
+        """The measurements over time, and what was noticed of them."""
+        chart = self.session.seen_data.chart
+        if chart is not None:
+            with card():
+                plotted_data(chart)
+                said_by("noticed", self.session.seen_data.rows)
 
     @ui.refreshable_method
     def error(self) -> None:
