@@ -91,7 +91,7 @@ STEP_FIELD = Field(
 THINNED_FIELD = Field(
     "thinned", "number of samples to average", "17em", "each by itself", WHOLE
 )
-HOLDS = {
+HOLD_OPTIONS = {
     "linear": "linear",
     "zero": "constant until the next",
     "cubic": "smooth",
@@ -243,7 +243,13 @@ class DataView:
             await self.checked()
 
         now = column.table.get("hold", "linear")
-        choice(f"{column.column} between samples", HOLDS, now, set_hold, width="16em")
+        choice(
+            f"{column.column} between samples",
+            HOLD_OPTIONS,
+            now,
+            set_hold,
+            width="16em",
+        )
 
     @ui.refreshable_method
     def held_out(self) -> None:
