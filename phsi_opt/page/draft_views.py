@@ -357,7 +357,8 @@ class ModelView:
         tile.props["id"] = tile_id
         tile.classes("chosen" if is_chosen else "")
         with tile:
-            ui.html(base.picture, sanitize=False).classes("picture")
+            drawing = ui.html(base.picture, sanitize=False).classes("picture")
+            drawing.props('aria-hidden="true"')
             title = ui.label(base.title + (" (chosen)" if is_chosen else ""))
             title.style("font-weight: 600; line-height: 1.35")
             ui.label(base.about).classes("faint")
