@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.arguments import require
+from phsi_opt.errors import ModelError, did_you_mean, shown, some_of
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, EffectList, is_scanned
 from phsi_opt.model.expressions import names_of
@@ -424,14 +425,14 @@ def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
     """The effects and names as a tuple, if they are a list of such."""
     if isinstance(given, str | Effect) or not isinstance(given, Iterable):
         raise ModelError(
-            f"{what}={given!r} must be a list of effects or of their names, "
+            f"{what}={shown(given)} must be a list of effects or of their names, "
             "such as ['coulomb friction', 'gap on p']."
         )
     listed = tuple(given)
     for one in listed:
         if not isinstance(one, str | Effect):
             raise ModelError(
-                f"{one!r} in {what} is neither an Effect nor the name of one."
+                f"{shown(one)} in {what} is neither an Effect nor the name of one."
             )
     return listed
 
@@ -490,7 +491,7 @@ def _as_offered(
     raise ModelError(
         f"effect {str(one)!r} in {what} is not in the catalogue of this model "
         "(or the model has it already); "
-        f"available are {', '.join(names)}.{hint}"
+        f"available are {some_of(names)} (see catalogue(model)).{hint}"
     )
 
 

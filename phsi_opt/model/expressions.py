@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.errors import ModelError, did_you_mean, shown
 from phsi_opt.presentation.numbers import shortened
 
 # Names that have a value of their own in a formula.
@@ -91,7 +91,8 @@ def parse(text: str) -> ast.expr:
     """
     if not isinstance(text, str) or not text.strip():
         raise ModelError(
-            f"formula {text!r} is not text; expected an expression such as 'k*q**2/2'."
+            f"formula {shown(text)} is not text; expected an expression such as "
+            "'k*q**2/2'."
         )
     if len(text) > MAX_CHARACTERS:
         raise ModelError(

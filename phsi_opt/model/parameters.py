@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import ModelError, shown
 from phsi_opt.presentation.numbers import short_repr
 
 
@@ -170,6 +170,4 @@ def _number(value: Any, name: str) -> float:
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):
-        raise ModelError(
-            f"parameter {name}={str(value)[:60]} is not a number."
-        ) from None
+        raise ModelError(f"parameter {name}={shown(value)} is not a number.") from None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from phsi_opt.arguments import require
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
 from phsi_opt.initialization.relative_guesses import check_rates
@@ -112,6 +113,7 @@ class StudyFile(Sections):
                 table.
             ModelError: a study file cannot represent a part of the model.
         """
+        require(isinstance(model, Model), "model", model, "a model")
         unwritten = None
         if isinstance(data, Measurements):
             if isinstance(held_out, HeldOut):
