@@ -91,7 +91,9 @@ def shown(value: object) -> str:
     """
     if isinstance(value, int) and abs(value) > 10**12:
         return "a number beyond 10**12"
-    written = repr(value)
+    if isinstance(value, str) and len(value) > MOST_LETTERS:
+        return repr(f"{value[: MOST_LETTERS - 5]}...")
+    written = value.__name__ if isinstance(value, type) else repr(value)
     is_short = len(written) <= MOST_LETTERS and "\n" not in written
     return written if is_short else f"{type(value).__name__}(...)"
 

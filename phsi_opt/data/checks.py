@@ -63,9 +63,10 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
             "every row must have the same length."
         ) from error
     if array.dtype.kind not in "biuf":
+        kind = "text" if array.dtype.kind in "US" else array.dtype
         raise DataError(
-            f"{title} has the type {array.dtype}; expected real numbers, and NaN for "
-            "missing values."
+            f"{title} has the type {kind}; expected real numbers, and NaN for missing "
+            "values. Convert it by astype(float); dates are read by from_dataframe."
         )
     if n_axes == 2 and array.ndim == 1:  # a single channel
         array = array[:, np.newaxis]
@@ -183,7 +184,7 @@ def checked_names(
         if not is_identifier or keyword.iskeyword(name):
             raise error(
                 f"{what}: {shown(name)} cannot be used in a formula; "
-                "expected letters, digits, _ as in 'q_1'."
+                "expected letters, digits, _ as in 'q_1'; several names as a list."
             )
         if name in reserved or name.startswith(RESERVED_PREFIXES):
             raise error(

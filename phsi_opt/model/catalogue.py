@@ -154,7 +154,7 @@ def effect_named(
         equations = ", ".join(effect.equation for effect in found)
         raise ModelError(
             f"effect {name!r} can act in several equations: {equations}; "
-            f"say which, such as ({name!r}, {found[0].equation!r})."
+            f"say which, such as {str(found[0])!r}."
         )
     return found[0]
 
@@ -491,7 +491,7 @@ def _as_offered(
     raise ModelError(
         f"effect {str(one)!r} in {what} is not in the catalogue of this model "
         "(or the model has it already); "
-        f"available are {some_of(names)} (see catalogue(model)).{hint}"
+        f"available are {some_of(names)}.{hint}"
     )
 
 

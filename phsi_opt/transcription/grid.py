@@ -23,7 +23,7 @@ from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import SmoothInputs, is_stepped
-from phsi_opt.errors import DataError, ModelError, shown
+from phsi_opt.errors import DataError, ModelError, shown, some_of
 from phsi_opt.model.model import Model
 
 
@@ -355,7 +355,8 @@ def _check_names(model: Model, states: Sequence[str], inputs: Sequence[str]) -> 
         if name not in inputs:
             raise DataError(
                 f"input {name!r} of the model is not in the measurements "
-                f"({', '.join(inputs)})."
+                f"({some_of(inputs) or 'none'}); read its column: "
+                f"inputs={{{name!r}: column}}."
             )
     extra = sorted(set(states) - set(model.states))
     if extra:
