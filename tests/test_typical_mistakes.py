@@ -85,7 +85,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "an empty file": (lambda: table(""), ["bench.csv", "header line"]),
     # ---- Python: models
     "unknown effect": (lambda: spring().add("coulom friction", "p"), ["'coulom friction' on p", "'coulomb friction'?"]),
-    "effect elsewhere": (lambda: spring().add("coulomb friction", "q"), ["on q", "sensor offset"]),
+    "effect elsewhere": (lambda: spring().add("coulomb friction", "q"), ["on q", "act on p"]),
     "not skew": (lambda: spring(S=[[0, 1], [1, 0]]), ["S[0, 1]=1", "-S[i, j]"]),
     "bounds": (lambda: ph.Parameter(1.0, lower=2, upper=1), ["lower=2", "upper=1", "swap"]),
     "start": (lambda: ph.Parameter(-1.0, lower=0), ["-1", "[0, inf]", "widen"]),
@@ -107,7 +107,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "file": (lambda: study("friction_spring.csv", "spring.csv"), ["data.files", "spring.csv", "relative"]),
     "key": (lambda: study("trajectory =", "trajectories ="), ["data.trajectories", "'trajectory'?"]),
     "share": (lambda: study("share = 0.4", "share = 40"), ["held_out.share = 40", "0 and 1"]),
-    "effect": (lambda: study("added = []", 'added = ["coulomb friction on q"]'), ["study.added", "on q", "sensor offset"]),
+    "effect": (lambda: study("added = []", 'added = ["coulomb friction on q"]'), ["study.added", "on q", "act on p"]),
     "mass": (lambda: study("m = 2.5", "m = 0"), ["in H", "m = 0", "change"]),
     # ---- the command line
     "no study": (lambda: command("check", "gone.toml"), ["gone.toml", "phsi-opt init"]),

@@ -86,6 +86,7 @@ def effects_told(
     model: BaseModel, units: Mapping[str, str] | None = None
 ) -> Iterator[tuple[Effect, str]]:
     """The effects of the catalogue, each with what it adds, in the model's names."""
+    require(isinstance(model, BaseModel), "model", model, "a model")
     units = units or {}
     known = with_kinds_of_units(model, units)
     for laws, names in _places(known, units):
@@ -179,8 +180,10 @@ def _not_in_catalogue(
             "choose another effect."
         )
     there = [one for one in own if equation in (None, one.equation)]
+    elsewhere = [one.equation for one in _called(name, None, own)]
+    hint = f" It can act on {some_of(elsewhere)}." if elsewhere else _hint(name, there)
     return (
-        f"there is no effect {name!r}{place} in the catalogue.{_hint(name, there)} "
+        f"there is no effect {name!r}{place} in the catalogue.{hint} "
         "ph.catalogue(model), or phsi-opt effects, lists all."
     )
 
