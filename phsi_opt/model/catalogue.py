@@ -275,6 +275,7 @@ def _names_of_input(
         "u": u,
         "of_u": "" if len(model.inputs) == 1 else f" of {u}",
         "input_size": f"{size}'s force" if names["source"] == "force" else size,
+        "dF": f"dF/d{u} " if is_used else "",
         **({"slope": f"dF_d{u}"} if is_used else {"new": u}),
     }
 
