@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -41,6 +42,8 @@ from phsi_opt.presentation.content import (
     Glance,
 )
 from phsi_opt.study_file.gallery import GALLERY
+from phsi_opt.study_file.kept_fits import KeptFits
+from phsi_opt.writing import write_whole
 from tests.page_tools import bad_table, contrast, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
@@ -299,6 +302,21 @@ def test_a_study_file_becomes_drafts_and_comes_back(text: str, tmp_path: Path) -
     (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.text() == ph.StudyFile.read(path).text()
+
+
+def test_an_opened_study_file_has_the_fits_that_commands_kept(tmp_path: Path) -> None:
+    shipped = files("phsi_opt.study_file") / "examples" / "spring"
+    for name in ("study.toml", "friction_spring.csv"):
+        (tmp_path / name).write_bytes((shipped / name).read_bytes())
+    path = tmp_path / "study.toml"
+    session = Session(tmp_path / "session", path)
+    draft = session.draft.as_it_is()
+    copy = write_whole(tmp_path / "copy.toml", draft.text)
+    keys = set()
+    for file in (ph.StudyFile.read(path), ph.StudyFile.read(copy, draft.places)):
+        keys.add(KeptFits.of(path, file, file.split()[0]).key)
+    assert len(keys) == 1
+    session.close()
 
 
 def test_the_measurements_are_drawn_before_there_is_a_model(tmp_path: Path) -> None:

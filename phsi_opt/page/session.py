@@ -185,6 +185,7 @@ class Session:
         self._waiting = ""  # the name of a study file whose tables are not there yet
         self._checking = threading.Lock()
         self._taking = threading.Lock()
+        self._origin = study_file
         if study_file is not None:
             self._open(study_file)
         self.complaints = self._checked()
@@ -417,7 +418,7 @@ class Session:
             return
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
-        order = Order(Verb.FIT, str(path), self._fitting.places)
+        order = Order(Verb.FIT, str(path), self._fitting.places, self._origin)
         self._order("Fitting the base model", order, "Fitted")
 
     def average(self, n: int) -> None:
