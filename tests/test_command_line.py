@@ -226,11 +226,12 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
         ("t,q\n0,1\n1,2\n", ['in seconds? then add unit = "s"']),
         ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
         ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
-        ("t,q\n1612051200,1\n1612051260,2\n", ['seconds since 1970? then add unit = "s"']),
-        ("t,q\n44227,1\n44228,2\n", ['days, as spreadsheets count them? then add unit = "d"']),
+        ("t,q\n1612051200,1\n1612051260,2\n", ['unit = "s", date_format = "unix" }']),
+        ("t,q\n44227,1\n44228,2\n", ['are they dates of a spreadsheet? then date_format = "excel"']),
+        ("Datum;q\n44227,5;1\n44228,5;2\n", ['date_format = "excel" }', 'decimal = ","']),
         ("when,q\n20210131,1\n20210201,2\n20210202,1\n", ['column = "when", unit = "s", date_format = "%Y%m%d" }', "numbers such as 20210131 look like dates"]),
         ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 has no name of a run"]),
-        ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['line 2 contains "m", which is not a finite number; if that line has units']),
+        ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['q = { column = "q", unit = "m" }', "# units_row = 2  # units in line 2"]),
         ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
     ],
 )  # fmt: skip
@@ -323,8 +324,8 @@ def test_init_takes_the_first_sheet_and_names_the_others(tmp_path: Path) -> None
             frame.to_excel(book, sheet_name=name, index=False)
     study = tmp_path / "s.toml"
     told = said("init", tmp_path / "book.xlsx", "-o", study).out
-    assert "other sheets: day 2" in told
-    assert 'sheet = "day 1"  # others: "day 2"' in study.read_text()
+    assert 'sheet = "day 1"   others: day 2' in told
+    assert 'sheet = "day 1"  # others: day 2' in study.read_text()
     assert complained(study) == ["model.H"]
     frame.to_csv(tmp_path / "a.csv", index=False)
     files = (tmp_path / "a.csv", tmp_path / "book.xlsx")

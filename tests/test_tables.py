@@ -151,7 +151,7 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
             "column 'q', line 2: '1,500' is not a real number. "
             'The comma may be a decimal or a thousands separator.*decimal = ","',
         ),
-        ("t;q\n0,5;1.234,5\n1,5;2\n", {}, "column 'q', line 2: '1.234,5' is not a real number. Correct the cell"),
+        ("t;q\n0,5;1.23,5\n1,5;2\n", {}, "column 'q', line 2: '1.23,5' is not a real number. Correct the cell"),
         ("t;q\n0,1;1.5\n0,2;1,5\n", {}, "column 't', line 2: '0,1' is not a real number. The comma may be"),
         (
             "t;q\n0,1;1.5\n0,2;1,5\n",

@@ -84,6 +84,7 @@ def first_study(
     facts |= {"data": data, "picture": shown.get("picture")}
     content = {
         "study_file": str(study),
+        "read": {one.key: one.content for one in table.read},
         "columns": [column.content for column in table.columns],
         "further": list(map(vars, table.table.further)),
         "needs": list(map(vars, needs)),

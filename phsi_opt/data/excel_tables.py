@@ -16,8 +16,9 @@ from typing import Any
 from phsi_opt import reading
 from phsi_opt.arguments import require_known
 from phsi_opt.data.file_opening import OpenedFile
+from phsi_opt.data.table_extent import Rows, n_filled
 from phsi_opt.data.tables import Table
-from phsi_opt.data.text_tables import Rows, TextFormat, n_filled, table_of_rows
+from phsi_opt.data.text_tables import TextFormat, table_of_rows
 from phsi_opt.errors import DataError
 
 MOST_CELLS = 50_000_000  # of a sheet, with the empty ones between; 20 GB of memory
@@ -70,7 +71,8 @@ def table_of_excel(
             "expected a header row and at least 2 rows of numbers."
         )
     title = f"{file.title}, sheet {sheet!r}"
-    table = table_of_rows(file, title, "row", sheets[sheet], wanted, form, ",")
+    rows = sheets[sheet]
+    table = table_of_rows(file, title, "row", rows, wanted, form, ",", may_be_several)
     return replace(table, sheets=tuple(filled))
 
 

@@ -6,6 +6,7 @@ file is its header, or an integer, its position counted from 0.
 """
 
 import datetime as dt
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
@@ -72,20 +73,25 @@ class TableReaders:
         columns: Sequence[str] | None = None,
         separator: str | None = None,
         decimal: str | None = None,
+        skip: int | None = None,
+        units_row: int | None = None,
         **words: Unpack[TableWords],
     ) -> Self:
         """Read text tables.
 
         The text is UTF-8. What separates the cells (comma, semicolon, tab, blanks), the
-        sign before decimals and whether the first line is a header are found in the
-        text where they are not given. Empty cells, nan and NA are missing samples.
+        sign before decimals, the header and the line of the units are found in the text
+        where they are not given; settings above the table, comments and text below it
+        are skipped. Tables with the same header are told apart by a column "table".
+        Empty cells, nan and NA are missing samples.
 
         Args:
             source: A path, an open text file, or several of them: then each file is a
                 trajectory of its own.
             time: The column of the times: numbers, dates as in ISO 8601
                 ("2021-11-22 09:15:00", with "Z" or "+01:00" where the offset is known),
-                or times of day; None: they are counted by ``step``.
+                or times of day; None: they are counted by ``step``. A list where date,
+                time of day and milliseconds have columns of their own.
             states: Maps names to columns (or lists columns whose names they share); a
                 state mapped to None was not measured. A column is its header, or its
                 position as an integer from 0.
@@ -98,19 +104,24 @@ class TableReaders:
                 "2021-11-22"; None: the first sample of each trajectory. Dates are
                 read in seconds.
             date_format: Dates written otherwise, in the signs of strptime, such as
-                "%d.%m.%Y %H:%M", or "%Y%m%d" for 20210131. "": the times are numbers,
-                even where these look like such dates.
+                "%d.%m.%Y %H:%M", or "%Y%m%d" for 20210131; "excel" for days as
+                spreadsheets count them, "unix", "unix ms" or "unix us" for seconds
+                since 1970 or parts of them. "": the times are numbers, even where
+                these look like dates.
             columns: The names of the columns of a table without a header; None: "0",
                 "1", ...
             separator: The sign between cells, " " for any number of blanks.
-            decimal: The sign before decimals, "." or ",".
+            decimal: The sign before decimals, "." or ","; the other one may mark
+                thousands.
+            skip: The number of lines above the header.
+            units_row: The line of the units; 0: there is none.
 
         Raises:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
         wanted = _layout(words).columns
-        form = TextFormat(columns, separator, decimal)
+        form = TextFormat(columns, separator, decimal, skip, units_row)
         files = opened_files(source, as_text=True)
         tables = [table_of_csv(file, wanted, form) for file in files]
         return cls.from_tables(tables, **words)
@@ -123,6 +134,8 @@ class TableReaders:
         sheet: str | None = None,
         columns: Sequence[str] | None = None,
         decimal: str | None = None,
+        skip: int | None = None,
+        units_row: int | None = None,
         **words: Unpack[TableWords],
     ) -> Self:
         """Read sheets of Excel workbooks (.xlsx); otherwise as `from_csv`.
@@ -133,7 +146,7 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them.
             sheet: The sheet; None: the only one that is not empty.
-            columns, decimal: As in `from_csv`.
+            columns, decimal, skip, units_row: As in `from_csv`.
             **words: time, states, inputs, hold, trajectory, units, noise, step, start
                 and date_format, as in `from_csv`.
 
@@ -141,7 +154,7 @@ class TableReaders:
             DataError: Something cannot be used; with file, sheet, column and row.
         """
         wanted = _layout(words).columns
-        form = TextFormat(columns, None, decimal)
+        form = TextFormat(columns, None, decimal, skip, units_row)
         files = opened_files(source, as_text=False)
         tables = [table_of_excel(file, wanted, sheet, form) for file in files]
         return cls.from_tables(tables, **words)
@@ -285,7 +298,14 @@ class Layout:
     @property
     def columns(self) -> list[Any]:
         """The columns that are asked for."""
-        return [column for column in self.parts.values() if column is not None]
+        return list(itertools.chain(*map(columns_in, self.parts.values())))
+
+
+def columns_in(column: Any) -> list[Any]:
+    """The columns of one part: none, one, or those that date and time have."""
+    if isinstance(column, list | tuple):
+        return list(column)
+    return [] if column is None else [column]
 
 
 def _layout(words: TableWords) -> Layout:
@@ -307,7 +327,8 @@ def _runs_in(
     columns: dict[str, list[np.ndarray]] = {"states": [none], "inputs": [none]}
     for part, column in layout.parts.items():
         try:
-            _check_column(table, column, layout)
+            for one in columns_in(column):
+                _check_column(table, one, layout)
             if part == RUN_PART:
                 rows = _rows_by_name(table, column)
             elif part == TIME_PART:
@@ -361,8 +382,6 @@ def _with_seconds(units: Any, are_dates: bool) -> Any:
 
 
 def _check_column(table: Table, column: Any, layout: Layout) -> None:
-    if column is None:
-        return
     found = table.frame.columns.tolist()
     said = f"{table.title} has no column {column!r}"
     require_known(column, found, said, DataError)
@@ -375,7 +394,7 @@ def _check_column(table: Table, column: Any, layout: Layout) -> None:
     if layout.columns.count(column) > 1:
         raise DataError(
             f"{table.title}: the column {column!r} is used twice; expected one column "
-            "per name. Choose another one."
+            "per name."
         )
 
 

@@ -5,13 +5,15 @@ are read is in `text_tables`, which column is what in `table_readers`.
 """
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phsi_opt.arguments import short_number
 from phsi_opt.data.checks import check_values
-from phsi_opt.errors import DataError, shown
+from phsi_opt.errors import DataError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,7 +21,32 @@ if TYPE_CHECKING:
 MISSING_CELLS = frozenset({"", "nan", "na", "n/a"})  # in lower case
 DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
 DECIMAL_POINT = re.compile(r"\s*[+-]?(\d*\.\d+|\d+\.)([eE][+-]?\d+)?\s*")
+# Digits in groups of three: 1,234.5 or 1.234,5 or 1 234.
+THOUSANDS = re.compile(
+    r"[+-]?[1-9]\d{0,2}(?:(?P<mark>[,.' \u00a0\u2009\u202f\u2019])\d{3})"
+    r"(?:(?P=mark)\d{3})*(?:(?!(?P=mark))(?P<sign>[,.])\d*)?"
+)
 POINTS_FOR_COMMAS = str.maketrans(",.", ".,")  # and commas, which are no numbers
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Where a table stands, in rows of its file, counted from 1."""
+
+    header: int | None  # the row of the names; None: there is none
+    units: int | None  # the row of the units
+    parts: tuple[tuple[int, ...], ...]  # the rows of values, of each part
+    names: tuple[Any, ...] = ()  # the cells of the header
+    unit_of: tuple[str, ...] = ()  # what the row of the units says; "" where it is none
+    above: int = 0  # the last row above the table
+    comments: int = 0  # rows of comments between values
+    below: tuple[int, ...] = ()  # rows below the table that are not read
+    others: tuple[int, ...] = ()  # where other tables begin
+
+    @property
+    def rows(self) -> list[int]:
+        """All rows of values."""
+        return [row for part in self.parts for row in part]
 
 
 @dataclass(frozen=True)
@@ -40,13 +67,24 @@ class Table:
     # the cells; the index holds the line numbers or the user's row labels
     frame: "pd.DataFrame"
     run: str  # the name of the trajectory where no column gives it
-    # the sign before decimals in cells of text; None where they show two
-    decimal: str | None = "."
+    # the sign before decimals in cells of text; None where they show two, or where a
+    # comma may be either
+    decimal: str | None = None
     remark: str = ""  # what was guessed of the file's encoding; "" where nothing was
-    sheets: tuple[str, ...] = ()  # those of a workbook that have content
+    # sheets of a workbook, or groups of channels, that have content
+    sheets: tuple[str, ...] = ()
+    separator: str = ""  # between the cells of a text
+    extent: Extent | None = None  # the rows of a text or a sheet
+    # those of a row of units, or of a file's channels, by column
+    units: Mapping[str, str] = field(default_factory=dict)
     # what a MATLAB file holds besides the table, where nobody said which columns are
     # looked for
     further: tuple[Variable, ...] = ()
+
+    @property
+    def part_word(self) -> str:
+        """The key by which one of its sheets is chosen."""
+        return "sheet" if self.row_word == "row" else "group"
 
     def place(self, column: Any, i: int) -> str:
         """The words for the i-th cell of a column."""
@@ -90,7 +128,7 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
                 values[i] = _number(cell, table.decimal)
             except (TypeError, ValueError, OverflowError):
                 raise DataError(
-                    f"{table.place(column, i)} {shown(cell)} is not a real "
+                    f"{table.place(column, i)} {short_number(cell)} is not a real "
                     f"number. {_repair(cell, table)}"
                 ) from None
     check_values(
@@ -126,13 +164,23 @@ def is_missing(cell: Any) -> bool:
     return cell is None or bool(pd.isna(cell))
 
 
+def plain_number(cell: str, decimal: str | None) -> str:
+    """A number with a decimal point and without marks of thousands; else the cell."""
+    grouped = THOUSANDS.fullmatch(cell)
+    if grouped is not None and decimal not in (None, grouped["mark"]):
+        cell = cell.replace(grouped["mark"], "")
+    has_sign = DECIMAL_COMMA.fullmatch(cell) or DECIMAL_POINT.fullmatch(cell)
+    is_with_comma = decimal == "," and has_sign is not None
+    return cell.translate(POINTS_FOR_COMMAS) if is_with_comma else cell
+
+
 def _number(cell: Any, decimal: str | None) -> float:
     if is_missing(cell):
         return float("nan")
     if isinstance(cell, str):
+        cell = plain_number(cell, decimal)
         if "_" in cell:  # which Python takes for a sign between digits
             raise ValueError
-        cell = cell.translate(POINTS_FOR_COMMAS) if decimal == "," else cell
     elif np.iscomplexobj(cell):  # of which NumPy would drop a part
         raise TypeError
     return float(cell)

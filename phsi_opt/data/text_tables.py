@@ -16,19 +16,22 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.file_opening import OpenedFile
-from phsi_opt.data.tables import DECIMAL_COMMA, DECIMAL_POINT, MISSING_CELLS, Table
+from phsi_opt.data.table_extent import (
+    WORD,
+    Rows,
+    check_only_table,
+    extent_of,
+    kind,
+    n_filled,
+)
+from phsi_opt.data.tables import DECIMAL_COMMA, DECIMAL_POINT, THOUSANDS, Extent, Table
 from phsi_opt.errors import DataError
 from phsi_opt.presentation.numbers import number_of
 
 BLANKS = " "  # one blank or several, tabs among them
 SEPARATORS = (",", ";", "\t", BLANKS)
-NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
-MOMENT = re.compile(
-    r"\d{1,4}[-./:]\d{1,2}[-./:]\d[\d:.,]*([T ][\d:.,]+)?(Z|[+-][\d:]+)?"
-)
+PART = "table"  # the column that counts tables with the same header in one file
 SEPARATOR = re.compile(r"[^\"\r\n]")
-
-Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its number
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class TextFormat:
     # the sign between cells; a blank stands for any number of blanks
     separator: str | None = None
     decimal: str | None = None  # the sign before the decimals, a point or a comma
+    skip: int | None = None  # the number of rows above the table
+    units_row: int | None = None  # the row of the units; 0: there is none
 
     def __post_init__(self) -> None:
         columns: Any = self.columns
@@ -72,27 +77,42 @@ class TextFormat:
                 "the comma cannot be both the column separator and the decimal "
                 "separator; expected two different characters."
             )
+        for name in ("skip", "units_row"):
+            row: Any = getattr(self, name)
+            if row is not None and (type(row) is not int or row < 0):
+                raise DataError(
+                    f"{name}={row!r} is not a number of rows; expected a whole number "
+                    "of at least 0, such as 12."
+                )
 
 
-def table_of_csv(file: OpenedFile, wanted: Iterable[Any], form: TextFormat) -> Table:
+def table_of_csv(
+    file: OpenedFile,
+    wanted: Iterable[Any],
+    form: TextFormat,
+    may_be_several: bool = False,
+) -> Table:
     """The cells of a text table, as text; empty lines are skipped.
 
     The columns that are looked for, by name or by number from 0, help to find the
-    separator.
+    separator. Where there may be several tables, the largest is taken.
 
     Raises:
         DataError: the table is empty, or a line has too few or too many cells.
     """
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}
-    separator = form.separator or _separator_of(file, names)
+    separator = form.separator or _separator_of(file, names, form)
     rows = dict(_filled_lines(file, separator))
     if not rows:
         raise DataError(
             f"{file.title} is empty; "
             "expected a header line and at least 2 lines of numbers."
         )
-    return table_of_rows(file, file.title, "line", rows, columns, form, separator)
+    title = file.title
+    return table_of_rows(
+        file, title, "line", rows, columns, form, separator, may_be_several
+    )
 
 
 def table_of_rows(
@@ -103,8 +123,9 @@ def table_of_rows(
     wanted: Iterable[Any],
     form: TextFormat,
     separator: str,
+    may_be_several: bool,
 ) -> Table:
-    """A table of cells whose first row may be a header.
+    """The table in some rows of cells.
 
     Args:
         file: From which they are.
@@ -115,43 +136,50 @@ def table_of_rows(
         wanted: The columns that are looked for, by name or by number from 0.
         form: What the user said of the table.
         separator: The sign between the cells.
+        may_be_several: Whether the largest of several tables is taken.
 
     Raises:
-        DataError: a row or the number of columns is not as the others say.
+        DataError: a row or the number of columns is not as the others say, or there
+            are several tables.
     """
     import pandas as pd
 
-    number, first = next(iter(rows.items()))
-    widths = {i: n_filled(cells) for i, cells in rows.items()}
-    widest = max(widths, key=widths.__getitem__)
-    width = widths[widest]
+    extent = _extent(rows, form, separator, title)
+    if not may_be_several:
+        check_only_table(extent, title, row_word)
+    cells_of = {i: rows[i] for i in extent.rows}
+    head = extent.names
+    widths = {i: n_filled(cells) for i, cells in cells_of.items()}
+    widest = max(widths, key=widths.__getitem__, default=0)
+    width = widths.get(widest, 0)
     reference = f"in {row_word} {widest}"
-    names = form.columns
-    if names is None and _is_header(first):
+    names: Sequence[str] | None = form.columns
+    if names is None and head:
         if row_word == "line":
-            width = widths[number]
+            width = _width_of_header(head, width)
             reference = "in the header"
-        names = list(map(str, first[:width]))
-        rows = {i: cells for i, cells in rows.items() if i != number}
+        else:
+            width = max(width, n_filled(head))
+        names = list(map(str, head[:width]))
     elif names is None:
         names = list(map(str, range(width)))
-    elif not any(map(_looks_like_a_value, first)):
+    elif head:
         raise DataError(
-            f"{title}, {row_word} {number} contains names, {first}, and columns=... "
-            "gives names, too. Omit columns=..., or remove the line."
+            f"{title}, {row_word} {extent.header} contains names, {list(head)}, and "
+            "columns=... gives names, too. Omit columns=..., or remove the line."
         )
     if len(names) != width:
         raise DataError(
             f"{title} has {width} columns; columns={list(names)} names {len(names)}. "
             "Give the names of all columns, in their order."
         )
-    for i, cells in rows.items():
+    for i, cells in cells_of.items():
         if len(cells) < width or widths[i] > width:
             raise DataError(
                 f"{title}, {row_word} {i} has {number_of(len(cells), 'cell')}; "
-                f"expected {width}, as {reference}. Complete or remove the line; "
-                "remove lines of text above the table. If numbers have decimal "
-                "commas, use decimal points or another separator."
+                f"expected {width}, as {reference}. Complete or remove the line; set "
+                "skip to the number of lines of text above the table. If numbers have "
+                "decimal commas, use decimal points or another separator."
             )
     labels: list[Any] = list(names)
     for column in wanted:  # those asked for by number are called so
@@ -163,22 +191,47 @@ def table_of_rows(
                 f"counted from 0: {list(names)}."
             )
         labels[column] = int(column)
-    decimal = form.decimal or _decimal_of(itertools.chain(*rows.values()), separator)
+    all_cells = itertools.chain(*cells_of.values())
     frame = pd.DataFrame(
-        [cells[:width] for cells in rows.values()],
-        index=list(rows),
+        [cells[:width] for cells in cells_of.values()],
+        index=list(cells_of),
         columns=pd.Index(labels, dtype=object),
         dtype=object,
     )
-    return Table(title, row_word, frame, file.run, decimal, file.remark)
+    if len(extent.parts) > 1 and PART not in labels:
+        numbers = [[str(n)] * len(part) for n, part in enumerate(extent.parts, 1)]
+        frame[PART] = list(itertools.chain(*numbers))
+    return Table(
+        title,
+        row_word,
+        frame,
+        file.run,
+        form.decimal or _decimal_of(all_cells, separator),
+        file.remark,
+        separator=separator,
+        extent=extent,
+        units=dict(zip(labels, extent.unit_of, strict=False)),
+    )
 
 
-def n_filled(cells: Sequence[Any]) -> int:
-    """The number of cells up to the last that is not empty."""
-    n_cells = len(cells)
-    while n_cells and cells[n_cells - 1] == "":
-        n_cells -= 1
-    return n_cells
+def _extent(rows: Rows, form: TextFormat, separator: str, title: str) -> Extent:
+    for name in ("skip", "units_row"):
+        row = getattr(form, name) or 0
+        is_last = row >= max(rows) if name == "skip" else row and row not in rows
+        if is_last:
+            raise DataError(
+                f"{title}: {name}={row}, and there is no such row of the table; the "
+                f"file has rows {min(rows)} to {max(rows)}."
+            )
+    return extent_of(rows, form.skip, form.units_row, separator == BLANKS)
+
+
+def _width_of_header(head: Sequence[Any], width: int) -> int:
+    """The number of names; a last one for comments that no line has is left out."""
+    n_names = n_filled(head)
+    if width < n_names and str(head[n_names - 1]).lower() == "comment":
+        return n_names - 1
+    return n_names
 
 
 def _filled_lines(file: OpenedFile, separator: str) -> Iterator[tuple[int, list[str]]]:
@@ -199,63 +252,59 @@ def _filled_lines(file: OpenedFile, separator: str) -> Iterator[tuple[int, list[
         ) from error
 
 
-def _separator_of(file: OpenedFile, wanted_names: set[str]) -> str:
+def _separator_of(file: OpenedFile, wanted: set[str], form: TextFormat) -> str:
     """The separator under which a text looks most like a table.
 
-    First comes the one with which the first line shows most of the wanted columns;
-    then that with most cells that look like numbers in lines as wide as the first; then
-    that with most columns; then the first in `SEPARATORS`.
+    First comes the one with which a line shows most of the wanted columns; then that
+    with most values among the cells of lines as wide as the header; then that with most
+    columns; then the first in `SEPARATORS`.
     """
 
     def score(separator: str) -> tuple[int, float, int]:
-        lines = []
+        rows: Rows = {}
         with suppress(DataError):  # told when the table is read with what is chosen
-            for _, line in itertools.islice(_filled_lines(file, separator), 50):
-                lines.append(line)  # more lines tell nothing else
-        first = lines[0][: n_filled(lines[0])] if lines else []
-        n_wanted = len(set(first) & wanted_names)
-        width = len(first)
+            for number, line in itertools.islice(_filled_lines(file, separator), 500):
+                rows[number] = line  # more lines tell nothing else
+        rows = {i: one for i, one in rows.items() if i > (form.skip or 0)}
+        if not rows:
+            return 0, 0.0, 0
+        n_wanted = max(len(wanted.intersection(line)) for line in rows.values())
+        extent = extent_of(rows, form.skip, form.units_row, separator == BLANKS)
+        lines = [rows[i] for i in extent.rows]
+        width = n_filled(extent.names) or max(map(n_filled, lines), default=0)
         if width < 2:  # a sign that separates nothing
             return n_wanted, 0.0, 0
         n_cells = n_readable = 0
-        for line in lines[1:]:
+        for line in lines:
             filled = line[: n_filled(line)]
             n_cells += len(filled)
             if len(line) >= width >= len(filled):
-                n_readable += sum(map(_looks_like_a_value, filled))
+                n_readable += sum(kind(cell) != WORD for cell in filled)
         return n_wanted, n_readable / max(n_cells, 1), width
 
     return max(SEPARATORS, key=score)
 
 
-def _looks_like_a_value(cell: Any) -> bool:
-    """Whether a cell could be a number, a moment or a missing value."""
-    if not isinstance(cell, str):
-        return True
-    is_value = NUMBER.fullmatch(cell) or MOMENT.fullmatch(cell)
-    return cell.lower() in MISSING_CELLS or is_value is not None
-
-
-def _is_header(cells: Sequence[Any]) -> bool:
-    """Whether the cells of a first line are names rather than values.
-
-    They are values where each could be a number, a moment or missing; but the line
-    ",0,1,2" is what pandas writes above columns without names.
-    """
-    if not all(map(_looks_like_a_value, cells)):
-        return True
-    filled = [str(cell) for cell in cells if cell != ""]
-    return cells[0] == "" and filled == list(map(str, range(len(filled))))
-
-
 def _decimal_of(cells: Iterable[Any], separator: str) -> str | None:
-    """The sign before the decimals; None where the cells show both.
+    """The sign before the decimals; None where the cells show both, or may do so.
 
-    Beside a comma as separator, a quoted "1,234" could as well be a thousand, and is
-    not taken for a decimal comma.
+    Digits behind a comma may be decimals, or a group of three behind a thousand, and
+    another cell has to tell. Tables between semicolons are of countries that write a
+    comma. Beside a comma as separator, a quoted "1,5" is not taken for a number.
     """
-    texts = [cell for cell in cells if isinstance(cell, str)]
-    if not any(map(DECIMAL_COMMA.fullmatch, texts)):
+    signs: set[str] = set()
+    for cell in cells:
+        if not isinstance(cell, str):
+            continue
+        grouped = THOUSANDS.fullmatch(cell)
+        if grouped is not None and grouped["mark"] in ",.":
+            signs.add(grouped["sign"] or f"{grouped['mark']}000")
+        elif DECIMAL_COMMA.fullmatch(cell):
+            signs.add(",")
+        elif DECIMAL_POINT.fullmatch(cell):
+            signs.add(".")
+    if "," in signs:
+        return None if "." in signs or separator == "," else ","
+    if "." in signs or ",000" not in signs:
         return "."
-    has_point = any(map(DECIMAL_POINT.fullmatch, texts))
-    return None if has_point or separator == "," else ","
+    return "," if separator == ";" and ".000" not in signs else None

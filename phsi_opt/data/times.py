@@ -5,6 +5,9 @@ Dates become seconds, exact to the microsecond. A moment with an offset ("Z" or
 column that is partly without offset, a day and month in an unknown order and a clock
 that was set back are refused with their row.
 
+Date, time of day and milliseconds may stand in columns of their own, and a date may be
+a number of days or seconds since another one.
+
 A date may be written as one number, such as 20210131. As numbers the differences of
 these are no times: from the 31st to the next day it is 70. Numbers of 8, 10, 12 or 14
 digits are taken for dates where each of them has a year, month, day, hour, minute and
@@ -16,22 +19,33 @@ import datetime as dt
 import re
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.checks import LARGEST_EXACT, from_first
+from phsi_opt.data.table_extent import NUMBER
 from phsi_opt.data.tables import (
     DECIMAL_COMMA,
     Table,
     holds_real_numbers,
     is_missing,
     numbers_in,
+    plain_number,
 )
-from phsi_opt.data.text_tables import NUMBER
 from phsi_opt.errors import DataError
 
 SECOND = dt.timedelta(seconds=1)
+UNIX = dt.datetime(1970, 1, 1)
+# Numbers that are dates, by the name of their format: when they count from, in what.
+CLOCKS = {
+    "excel": (dt.datetime(1899, 12, 30), dt.timedelta(days=1)),
+    "unix": (UNIX, SECOND),
+    "unix ms": (UNIX, SECOND / 1000),
+    "unix us": (UNIX, SECOND / 1_000_000),
+}
+MILLISECONDS = re.compile(r"(?i).*\b(ms|msec|millis\w*)\b.*")
 TIME_OF_DAY = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
 NUMBERS = (NUMBER, DECIMAL_COMMA, re.compile(r"[+-]?inf(inity)?", re.IGNORECASE))
 # The signs of strptime, with the numbers that each may stand for.
@@ -59,10 +73,12 @@ def times_in(
 
     Args:
         table: As it was read.
-        column: Of the times.
+        column: Of the times; or a list of the columns of date, time of day and
+            milliseconds.
         runs: The row numbers of each trajectory, (n_samples,).
         start: The moment at which t is 0; None: the first sample of each trajectory.
-        date_format: In the signs of strptime; None: ISO 8601; "": these are numbers.
+        date_format: In the signs of strptime, or one of `CLOCKS`; None: ISO 8601; "":
+            these are numbers.
 
     Returns:
         Those of all rows, (n_rows,), and the moments at which t is 0 in each
@@ -71,9 +87,12 @@ def times_in(
     Raises:
         DataError: a cell is no time, or not after the one before it in its run.
     """
+    further = dt.timedelta(0)
+    if isinstance(column, list | tuple):
+        table, column, further = _joined(table, column)
     cells = table.frame[column]
     if _are_moments(cells, date_format):
-        moments = _moments(table, column, date_format)
+        moments = (np.array(_moments(table, column, date_format)) + further).tolist()
         begin = None if start is None else _start(start, date_format, moments[0])
         t = np.empty(len(moments))
         origins = []
@@ -104,6 +123,43 @@ def times_in(
             t = np.asarray(from_first([int(str(cell)) for cell in cells]), float)
     _check_increasing(table, column, t, t.tolist(), runs)
     return t, []
+
+
+def clock_of(values: np.ndarray) -> str:
+    """The clock by which numbers are dates from 2000 to 2050; "": none."""
+    for name, (origin, unit) in CLOCKS.items():
+        first = (dt.datetime(2000, 1, 1) - origin) / unit
+        last = (dt.datetime(2050, 1, 1) - origin) / unit
+        if values.size and np.all((values > first) & (values < last)):
+            return name
+    return ""
+
+
+def is_milliseconds(column: Any) -> bool:
+    """Whether a header says that a column has milliseconds."""
+    return MILLISECONDS.fullmatch(str(column).replace("_", " ")) is not None
+
+
+def _joined(table: Table, columns: Sequence[Any]) -> tuple[Table, Any, Any]:
+    """The table with date and time of day as one text, its name, the milliseconds."""
+    further: Any = dt.timedelta(0)
+    texts: list[Any] = []
+    for column in columns:
+        if texts and is_milliseconds(column):
+            milliseconds = numbers_in(table, column, may_be_missing=False).tolist()
+            further = np.array([one * SECOND / 1000 for one in milliseconds])
+        else:
+            texts.append(table.frame[column].map(_date_text))
+    name = " + ".join(map(str, columns))
+    joined = texts[0].str.cat(texts[1:], sep=" ") if texts[1:] else texts[0]
+    frame = table.frame.assign(**{name: joined})
+    return replace(table, frame=frame), name, further
+
+
+def _date_text(cell: Any) -> str:
+    """A date of a spreadsheet without its midnight; else the cell as text."""
+    is_day = isinstance(cell, dt.datetime) and cell.time() == dt.time()
+    return str(cell.date() if is_day else cell)
 
 
 def format_of_dates(values: np.ndarray) -> str:
@@ -146,6 +202,8 @@ def _moments(table: Table, column: Any, date_format: str | None) -> list[Moment]
     moments: list[Moment] = []
     for i, cell in enumerate(table.frame[column]):
         place = table.place(column, i)
+        if date_format in CLOCKS and isinstance(cell, str):
+            cell = plain_number(cell, table.decimal)
         moment = _moment(cell, date_format)
         if moment is None:
             raise DataError(f"{place} {_refused(cell, date_format)}")
@@ -186,6 +244,10 @@ def _date_in(cell: Any, form: str) -> dt.datetime | None:
     Spreadsheets write 20210131 as 20210131.0.
     """
     text = str(cell).strip()
+    if form in CLOCKS:
+        origin, unit = CLOCKS[form]
+        with suppress(ValueError, OverflowError):
+            return origin + float(text) * unit
     whole = WHOLE_NUMBER.fullmatch(text)
     if whole is not None:
         text = f"{whole[1]}.0" if form.endswith("%f") else whole[1]

@@ -170,6 +170,4 @@ def _content(path: str | Path, what: str) -> Any:
         reason = "its lists or mappings are nested too deeply"
     except (TypeError, ValueError) as error:
         reason = str(error)
-    raise DataError(
-        f"{path} cannot be read as {what}: {reason}. Write one with save(path)."
-    )
+    raise DataError(f"{path} cannot be read as {what}: {reason}.")

@@ -116,7 +116,8 @@ def _without(table: Mapping[str, Any], *keys: str) -> Content:
 class ColumnDraft:
     """One column of the table and what it is."""
 
-    column: str | int  # its header, or its position where there is no header
+    # its header, its position where there is none, or those of date and time of day
+    column: str | int | tuple[str, ...]
     role: str = NOT_USED  # one of ``ROLES``
     # That of the study file without the column, and with the name.
     table: Content = field(default_factory=dict)
@@ -262,7 +263,10 @@ def _told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Conten
     """What a section [data] says of columns: role, name, and table of each."""
     if "trajectory" in content:
         yield RUN, "", {"column": content["trajectory"]}
-    yield TIME, "", content["time"]
+    time = dict(content["time"])
+    if isinstance(time.get("column"), list):  # date and time of day
+        time["column"] = tuple(time["column"])
+    yield TIME, "", time
     for role, section in CHANNELS.items():
         for name, table in content.get(section, {}).items():
             yield role, name, table
@@ -295,7 +299,7 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
     for column in seen[0].columns:  # parts have the same words here except for one
         role = NOT_USED if column.part == UNUSED else column.part
         found = ColumnDraft(
-            column.column,
+            column.source,
             table={"unit": column.unit},
             examples=tuple(column.cells[:3]),
             is_numeric=column.is_numeric,
@@ -459,12 +463,6 @@ class StudyDraft:
     def places(self) -> dict[str, Path]:
         """Where each file of the data lies, by its name."""
         return {} if self.data is None else dict(self.data.places)
-
-    @property
-    def data_as_it_is(self) -> Drafted:
-        """The files and columns alone."""
-        content = {"data": self.data.content([])} if self.data else {}
-        return Drafted(text_of(content), self.places)
 
     def as_it_is(self) -> Drafted:
         """What is filled in now."""

@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.data.tables import MISSING_CELLS, Table, rows_of_runs
-from phsi_opt.data.times import format_of_dates
+from phsi_opt.data.table_extent import unit_in
+from phsi_opt.data.tables import MISSING_CELLS, Table, plain_number, rows_of_runs
+from phsi_opt.data.text_tables import PART
+from phsi_opt.data.times import clock_of, format_of_dates
 from phsi_opt.data.trajectory import is_stepped
 from phsi_opt.model.kinds import VOLTS, kind_of_unit
 from phsi_opt.presentation.numbers import number_of, shortened
@@ -25,7 +27,8 @@ from phsi_opt.presentation.numbers import number_of, shortened
 # ---- headers -------------------------------------------------------------------------
 
 IN_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-AFTER_STROKE = re.compile(r"^(.*?\S)\s+(?:/|in)\s+(\S+)$")
+AFTER_STROKE = re.compile(r"^(.*?\S)(?:\s+(?:/|in)|,)\s+(\S+)$")
+SERIAL = re.compile(r"\s*\([^)]*:[^)]*\)$")  # of a logger: "Temp, °C (S/N: 1234)"
 OF_MATRIX = re.compile(r"([\w.]+)\((?::,\s*)?(\d+)(?:,\s*:)?\)")
 TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
 SPELLED = {"sec": "s", "seconds": "s"}
@@ -34,10 +37,18 @@ INDICES = frozenset({"l", "C", "d"})
 WORD = re.compile(r"[^\W\d_]+\d*")
 
 TIME_WORDS = frozenset(
-    {"t", "time", "times", "timestamp", "datetime", "date", "tempo", "zeit", "temps"}
+    {
+        *("t", "time", "times", "timestamp", "datetime", "date", "tempo", "zeit"),
+        *("temps", "datum", "uhrzeit", "zeitstempel"),
+    }
 )
 STEP_WORDS = frozenset({"ts", "dt", "step"})
-RUN_WORDS = frozenset({"run", "trajectory", "trial", "experiment", "versuch", "record"})
+RUN_WORDS = frozenset(
+    {"run", "trajectory", "trial", "experiment", "versuch", "record", PART}
+)
+COUNTER_WORDS = frozenset(
+    {"no", "nr", "number", "sample", "index", "count", "scan", "row", "line", "point"}
+)
 INPUT_WORDS = frozenset(
     {
         *("u", "in", "input", "command", "cmd", "controle", "control", "pwm", "duty"),
@@ -72,20 +83,23 @@ class Header:
         of_matrix = OF_MATRIX.fullmatch(text)
         if of_matrix is not None:
             return Header(text, f"{of_matrix[1]}_{of_matrix[2]}")
+        column = text
+        text = SERIAL.sub("", column)
         for form in (IN_BRACKETS, AFTER_STROKE):
             found = form.match(text)
-            if found and found[1]:
-                return Header(text, found[1], SPELLED.get(found[2], found[2]))
+            is_after_comma = form is AFTER_STROKE and "," in text
+            if found and found[1] and (not is_after_comma or unit_in(found[2])):
+                return Header(column, found[1], SPELLED.get(found[2], found[2]))
         label, _, last = text.rpartition("_")
         name, _, numerator = label.rpartition("_")
         time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
         is_rate = time in TIMES and kind_of_unit(f"{numerator}/{time}") != ""
         if name and is_rate and not _any_of(_words(text)[:1], TIME_WORDS):
-            return Header(text, name, f"{numerator}/{last}")
+            return Header(column, name, f"{numerator}/{last}")
         is_unit = last in TIMES | VOLTS or kind_of_unit(last) != ""
         if label and last not in INDICES and is_unit:
-            return Header(text, label, SPELLED.get(last, last))
-        return Header(text, text)
+            return Header(column, label, SPELLED.get(last, last))
+        return Header(column, text)
 
     @property
     def is_time(self) -> bool:
@@ -143,12 +157,13 @@ UNUSED = "left out"
 PERHAPS_INPUT = "perhaps an input"
 DATES = "dates"
 MOSTLY = 0.5  # share of the filled cells above which a column is of numbers, or dates
-DATE_FORMATS = tuple(  # day and month before the year, which ISO 8601 does not have
-    f"{day}{clock}"
-    for day in ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
-    for clock in ("", " %H:%M", " %H:%M:%S", " %H:%M:%S.%f")
+DAYS = (  # which ISO 8601 does not have
+    *("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y", "%Y/%m/%d", "%d-%b-%Y"),
+    *("%d.%m.%y", "%d/%m/%y", "%m/%d/%y"),
 )
-OF_UNITS = "if that line has units, write them into the header: q [m]"
+CLOCK_FORMATS = ("", " %H:%M", " %H:%M:%S", " %H:%M:%S.%f", " %I:%M:%S %p", " %I:%M %p")
+DATE_FORMATS = tuple(f"{day}{clock}" for day in DAYS for clock in CLOCK_FORMATS)
+DATE_WORDS = frozenset({"date", "datum", "datetime", "timestamp", "zeitstempel"})
 
 
 @dataclass(eq=False, kw_only=True)
@@ -171,6 +186,8 @@ class Column(Header):
     wrong: str = ""
     part: str = UNUSED  # `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`
     name: str = ""  # what it could be called in formulas; "" where it is in none
+    # columns of the time of day and of milliseconds, beside one of dates
+    further: tuple[str, ...] = ()
     # "zero" where it is constant between jumps, as an input that is held; else ""
     hold: str = ""
 
@@ -178,6 +195,29 @@ class Column(Header):
     def remark(self) -> str:
         """Everything that was seen, what is wrong first."""
         return _joined(self.wrong, self.said)
+
+    @property
+    def source(self) -> str | tuple[str, ...]:
+        """The column, or those from which it is put together."""
+        return (self.column, *self.further) if self.further else self.column
+
+    @property
+    def title(self) -> str:
+        """Its header with its unit."""
+        title = " ".join(self.column.split())
+        is_told = not self.unit or self.unit in title
+        return title if is_told else f"{title} [{self.unit}]"
+
+    @property
+    def is_counter(self) -> bool:
+        """Whether it counts the lines, and says so."""
+        is_named = self.label == "#" or self.has_one_of(COUNTER_WORDS)
+        return is_named and self.rises_by_one
+
+    @property
+    def rises_by_one(self) -> bool:
+        """Whether each cell is one more than the cell above it."""
+        return self.values is not None and bool(np.all(np.diff(self.values) == 1))
 
     @property
     def content(self) -> dict[str, Any]:
@@ -222,7 +262,7 @@ class Column(Header):
         """Whether nothing speaks against a time, if the column increases."""
         if self.values is None or self.unit not in ("", *TIMES):
             return self.is_dates
-        return not np.all(np.diff(self.values) == 1)  # a counter of lines
+        return not self.rises_by_one
 
     def rows_of(self, run: "Column | None") -> list[np.ndarray]:
         """The rows of each run."""
@@ -270,10 +310,10 @@ def columns_of(table: Table) -> list[Column]:
             lambda cell: "" if cell is None else str(cell)
         )
         cells = cells.str.strip()
-        if table.decimal == ",":
-            cells = cells.str.replace(",", ".", regex=False)
+        cells = cells.map(lambda cell: plain_number(cell, table.decimal))
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
         words = vars(Header.of(header))
+        words["unit"] = table.units.get(header) or words["unit"]
         column = Column(**words, cells=cells, lines=lines, is_missing=is_missing)
         column.said = _look_at(column, headers.count(header))
         columns.append(column)
@@ -296,7 +336,7 @@ def _look_at(column: Column, n_of_this_name: int) -> str:
         return _look_at_texts(column)
     values = np.where(is_number, numbers, np.nan)
     column.wrong = _wrong_cells(column, np.flatnonzero(~is_number & filled))
-    column.date_format = "" if column.wrong else format_of_dates(values)
+    column.date_format = "" if column.wrong else _format_of_numbers(column, values)
     if column.date_format:
         return DATES
     low, high = np.nanmin(values), np.nanmax(values)
@@ -307,6 +347,14 @@ def _look_at(column: Column, n_of_this_name: int) -> str:
     return f"{low:.4g} to {high:.4g}{missing if column.n_missing else ''}"
 
 
+def _format_of_numbers(column: Column, values: np.ndarray) -> str:
+    """How numbers are dates; days are, where the header says so."""
+    clock = clock_of(values) if column.is_time and not column.unit else ""
+    if clock == "excel" and not _any_of(_words(column.label), DATE_WORDS):
+        clock = ""
+    return format_of_dates(values) or clock
+
+
 def _wrong_cells(column: Column, places: np.ndarray) -> str:
     """The first cell that is no finite number, and how many more there are."""
     if not places.size:
@@ -314,8 +362,6 @@ def _wrong_cells(column: Column, places: np.ndarray) -> str:
     first = int(places[0])
     cell = _shown(column.cells.iloc[first])
     said = f"{column.lines[first]} contains {cell}, which is not a finite number"
-    if places.size == 1 and first == 0:
-        return f"{said}; {OF_UNITS}"
     return _and_more(said, places.size, "more such cell")
 
 
@@ -335,16 +381,22 @@ def _shown(cell: str) -> str:
 def _look_at_texts(column: Column) -> str:
     """What is in a column of dates, or of texts, which are left out."""
     cells = column.cells[~column.is_missing]
-    shares = {form: _share_of_dates(cells, form) for form in DATE_FORMATS}
-    best = max(shares, key=shares.__getitem__)
-    is_clear = list(shares.values()).count(shares[best]) == 1
-    column.date_format = best if is_clear and shares[best] > MOSTLY else ""
+    column.date_format = format_of_texts(cells)
     some = cells[:50]  # more would tell nothing else
     if column.date_format or _share_of_dates(some, "mixed") > MOSTLY:
         return DATES
     different = some.unique()
     more = ", ..." if len(different) > 3 else ""
     return f"text: {', '.join(map(_shown, different[:3]))}{more}"
+
+
+def format_of_texts(cells: pd.Series) -> str:
+    """How texts are dates, in the signs of strptime; "" where they do not tell."""
+    some = [form for form in DATE_FORMATS if _share_of_dates(cells[:50], form) > MOSTLY]
+    shares = {form: _share_of_dates(cells, form) for form in some}
+    best = max(shares, key=shares.__getitem__, default="")
+    is_clear = list(shares.values()).count(shares.get(best, 0.0)) == 1
+    return best if is_clear and shares[best] > MOSTLY else ""
 
 
 def _share_of_dates(cells: pd.Series, form: str) -> float:

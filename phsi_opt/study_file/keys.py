@@ -39,13 +39,15 @@ data.sheet | text | sheet of the workbook (.xlsx); default: the only one
 data.columns | list of texts | names of the columns, if the file has no header
 data.separator | text | separator of the cells in a text file; default: detected
 data.decimal | text | decimal separator; default: detected
+data.skip | line number | lines above the header; default: detected
+data.units_row | line number | line of the units, 0: there is none; default: detected
 data.states | table | a table for each state
 data.inputs | table | a table for each measured input; default: none
-data.time.column | text or position | column of numbers, dates or times of day
+data.time.column | column or columns | numbers or dates; ["Date", "Time"] if apart
 data.time.unit | text | unit, such as "s"; dates become seconds
 data.time.step | positive number | instead of a column: time step between lines
 data.time.start | text | date at which t is 0; default: first sample of each run
-data.time.date_format | text | format of dates: "%d.%m.%Y %H:%M"; "": not dates
+data.time.date_format | text | "%d.%m.%Y %H:%M", "excel", "unix"; "": not dates
 data.states.* | table | a state; its name is the one in the formulas
 data.states.*.column | text or position | its header, or its position, counted from 0
 data.states.*.unit | text | its unit, such as "m"; default: unknown
@@ -197,10 +199,15 @@ FORMS = {
     ),
     "number from 0 to 1": Form(_between(0, 1), "a number between 0 and 1, such as 0.3"),
     "whole number": Form(IS_COUNT, "a whole number of at least 1"),
+    "line number": Form(IS_POSITION, "a number of lines, such as 12"),
     "true or false": Form(_is(bool), "true or false, without quotes"),
     "text or position": Form(
         lambda value: IS_TEXT(value) or IS_POSITION(value),
         'a header, such as "q", or a position from 0',
+    ),
+    "column or columns": Form(
+        lambda value: ARE_TEXTS(value) or IS_POSITION(value),
+        'a header, such as "t", a position from 0, or a list of headers',
     ),
     "list of texts": Form(ARE_TEXTS, 'a list of texts, such as ["q", "p"]'),
     "list of files": Form(ARE_TEXTS, 'the data file(s), such as ["bench.csv"]'),

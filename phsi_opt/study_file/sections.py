@@ -16,6 +16,7 @@ from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import DataFile, NamedFile, opened_files, run_names
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.table_readers import columns_in
 from phsi_opt.data.tables import Table
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.errors import DataError
@@ -26,7 +27,8 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
 READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
-OF_FILES = ("sheet", "columns", "separator", "decimal")  # which tables no longer need
+OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
+OF_FILES = ("sheet", *OF_TEXTS)  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 
 
@@ -64,15 +66,16 @@ class Times:
     """The column of the times.
 
     Attributes:
-        column: its header, or its position counted from 0; None: there is a step.
+        column: its header, or its position counted from 0; the headers of date, time of
+            day and milliseconds; None: there is a step.
         unit: such as "s".
         step: the time between neighbouring lines, if no column has the times.
         start: the date at which t is 0.
-        date_format: format of dates other than 2021-11-22 09:15:00, see strptime; "":
-            the times are numbers, even if they look like dates.
+        date_format: format of dates other than 2021-11-22 09:15:00, see strptime, or
+            "excel" or "unix"; "": the times are numbers, even if they look like dates.
     """
 
-    column: str | int | None = None
+    column: str | int | tuple[str, ...] | None = None
     unit: str = ""
     step: float | None = None
     start: str | None = None
@@ -97,6 +100,8 @@ class DataSection:
         columns: the names of the columns of a table without a header.
         separator: the separator of the cells of a text file.
         decimal: the decimal separator.
+        skip: the number of lines above the table.
+        units_row: the line of the units; 0: there is none.
         between: first and last time that are used, of every run; None: all.
         thinned: number of neighbouring samples that are averaged; None: no averaging.
         places: paths of files that are in another place than their names say.
@@ -112,6 +117,8 @@ class DataSection:
     columns: tuple[str, ...] | None = None
     separator: str | None = None
     decimal: str | None = None
+    skip: int | None = None
+    units_row: int | None = None
     between: tuple[float, float] | None = None
     thinned: int | None = None
     places: Mapping[str, Path] = field(default_factory=dict)
@@ -178,7 +185,7 @@ class DataSection:
     @property
     def wanted(self) -> list[Any]:
         """The columns that are asked for."""
-        columns: list[Any] = [self.trajectory, self.time.column]
+        columns: list[Any] = [self.trajectory, *columns_in(self.time.column)]
         for channel in (*self.states.values(), *self.inputs.values()):
             columns.append(channel.column)
         return [column for column in columns if column is not None]
@@ -220,15 +227,14 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
     MATLAB file, and of a workbook the first sheet with content.
     """
     given = section or DataSection()
+    is_unknown = section is None
     reader = reader_of(path)
     (file,) = opened_files(path, as_text=reader == TEXT_READER)
     if reader == "from_mat":
         return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
+    form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
-        form = TextFormat(given.columns, given.separator, given.decimal)
-        return table_of_csv(file, given.wanted, form)
-    form = TextFormat(given.columns, None, given.decimal)
-    is_unknown = section is None
+        return table_of_csv(file, given.wanted, form, is_unknown)
     return table_of_excel(file, given.wanted, given.sheet, form, is_unknown)
 
 

@@ -12,15 +12,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phsi_opt.data.checks import RESERVED_NAMES, checked_names
 from phsi_opt.data.file_opening import DataFile
+from phsi_opt.data.table_extent import NUMBER
 from phsi_opt.data.tables import Table
-from phsi_opt.data.text_tables import NUMBER
+from phsi_opt.data.times import clock_of, is_milliseconds
 from phsi_opt.errors import DataError
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
+from phsi_opt.presentation.numbers import listed
 from phsi_opt.study_file.columns import (
     INPUT,
     INPUT_WORDS,
@@ -34,20 +37,33 @@ from phsi_opt.study_file.columns import (
     Column,
     Header,
     columns_of,
+    format_of_texts,
 )
 from phsi_opt.study_file.gallery import BaseModel, give_parts
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
 from phsi_opt.study_file.sections import DataSection, table_at
 from phsi_opt.study_file.study_text import COMMENTS, text_of
-from phsi_opt.study_file.toml_text import tables_of, text_template
+from phsi_opt.study_file.toml_text import tables_of, text_template, toml_value
 
-# From 2000 to 2050 as clocks count it: the unit, with its first and last number.
-CLOCKS = (
-    ("days, as spreadsheets count them", "d", 36526, 54789),
-    ("seconds since 1970", "s", 946684800, 2524608000),
-    ("milliseconds since 1970", "ms", 946684800e3, 2524608000e3),
-    ("microseconds since 1970", "us", 946684800e6, 2524608000e6),
-)
+OTHER_CLOCK = "another clock"
+PART_OF_TIME = "belongs to the times in"
+
+
+class ReadKey(NamedTuple):
+    """How a file was read, and the key of [data] that says otherwise."""
+
+    key: str
+    content: Any
+    said: str
+    is_set: bool = False  # whether the study file has to say it
+
+    @property
+    def value(self) -> str:
+        """What stands behind the key."""
+        return toml_value(self.content)
+
+    def __str__(self) -> str:
+        return f"{self.key + ' = ' + self.value:<17} {self.said}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +84,41 @@ class TableSurvey:
         return [column for column in self.columns if column.part == part]
 
     @property
-    def sheets(self) -> tuple[str, ...]:
-        """Those of a workbook with content; the first was looked at."""
-        return self.table.sheets
+    def read(self) -> list[ReadKey]:
+        """How the file was read."""
+        table = self.table
+        extent = table.extent
+        keys = []
+        if len(table.sheets) > 1:
+            said = f"others: {listed(table.sheets[1:])}"
+            keys.append(ReadKey(table.part_word, table.sheets[0], said, is_set=True))
+        if extent is None:
+            return keys
+        word = table.row_word
+        header = extent.header
+        units = extent.units
+        said = f"header in {word} {header}" if header else "no header"
+        said += f", samples in {word}s {extent.rows[0]} to {extent.rows[-1]}"
+        if extent.comments:
+            said += f"; comments: {extent.comments}"
+        if extent.below:
+            said += f"; not read: {word}s from {extent.below[0]} on"
+        if extent.others:
+            begins = listed(list(map(str, extent.others)))
+            said += f"; other tables: from {word} {begins} on"
+        keys.append(ReadKey("skip", extent.above, said, bool(extent.others)))
+        if header is None:
+            names = list(map(str, table.frame.columns))
+            keys.append(ReadKey("columns", names, "no names in the file"))
+        said = f"units in {word} {units}" if units else f"no {word} of units"
+        keys.append(ReadKey("units_row", units or 0, said))
+        if table.separator:
+            keys.append(ReadKey("separator", table.separator, "between cells"))
+        if table.decimal:
+            other = "comma" if table.decimal == "." else "point"
+            said = f"before decimals; a {other} marks thousands"
+            keys.append(ReadKey("decimal", table.decimal, said))
+        return keys
 
     @property
     def n_lines(self) -> int:
@@ -96,6 +144,12 @@ class TableSurvey:
         if time is None or time.values is None or time.wrong:
             return None
         return float(time.values.min()), float(time.values.max())
+
+    @property
+    def clock(self) -> str:
+        """The clock by which the times may be dates; "" where they are not."""
+        time = self.time
+        return "" if time is None or time.values is None else clock_of(time.values)
 
     @cached_property
     def thinning(self) -> int:
@@ -158,8 +212,12 @@ def survey(path: DataFile) -> TableSurvey:
     values += [one.value for one in table.further if Header.of(one.name).is_step]
     step = next((value for value in values if value and value > 0), None)
     time = _time(others, run, step)
+    if time is not None:
+        _put_together(time, others)
+        _leave_out_other_clocks(time, others, run)
     for one in columns:
-        _take_part(one, time, run, of_step)
+        if not one.said.startswith((OTHER_CLOCK, PART_OF_TIME)):
+            _take_part(one, time, run, of_step)
     step = step if time is None else None
     seen = TableSurvey(path, table, columns, run, time, step)
     if not seen.of_part(STATE):
@@ -229,6 +287,47 @@ def _time(
     return next((one for one in others if one.may_be_time and increases(one)), None)
 
 
+def _put_together(time: Column, others: list[Column]) -> None:
+    """Add the columns of the time of day and of milliseconds to one of dates."""
+    if not time.is_dates or len(time.cells.unique()) == len(time.cells):
+        return
+    for one in others:
+        is_clock = one.is_dates and one.is_time
+        if one is not time and (is_clock or is_milliseconds(one.column)):
+            time.further += (one.column,)
+            one.said = f"{PART_OF_TIME} {time.column}"
+            if is_clock:
+                time.cells = time.cells.str.cat(one.cells, sep=" ")
+                time.date_format = format_of_texts(time.cells)
+
+
+def _leave_out_other_clocks(
+    time: Column, others: list[Column], run: Column | None
+) -> None:
+    """Leave out the channels that follow another clock than the times."""
+    clock = ""
+    for one in others:
+        if one is time:
+            clock = ""
+        elif one.is_time and one.values is not None and not one.is_counter:
+            is_same = _runs_alike(time, one)
+            clock = "" if is_same else one.column
+            said = f"as regular as {time.column}" if is_same else "has its own times"
+            one.said = f"{OTHER_CLOCK}: {said}"
+        elif clock and one.values is not None:
+            one.said = f"{OTHER_CLOCK}, {clock}: resample it to {time.column} to use it"
+
+
+def _runs_alike(time: Column, other: Column) -> bool:
+    """Whether another clock counts the same moments, from elsewhere, in its unit."""
+    if other.n_missing or time.values is None or other.values is None:
+        return not other.n_missing
+    steps = np.diff(time.values)
+    own = np.diff(other.values)
+    scale = np.median(own) / np.median(steps)
+    return bool(np.all(np.abs(own - scale * steps) <= 0.01 * np.abs(own)))
+
+
 def _take_part(
     one: Column, time: Column | None, run: Column | None, of_step: Column | None
 ) -> None:
@@ -242,6 +341,8 @@ def _take_part(
         one.said = "the time between samples"
     elif one.values is None:
         pass  # its remark says why
+    elif one.is_counter:
+        one.becomes(UNUSED, "counts the lines")
     elif one.unit in TIMES:
         one.becomes(UNUSED, "in a unit of time, and another column has the times")
     elif one.is_set_point:
@@ -311,9 +412,7 @@ def first_text(
         is_outside = place.parts[0] == os.pardir
         places.append((file if is_outside and file.is_absolute() else place).as_posix())
     template = text_template("first_study.toml.jinja")
-    return template.render(
-        table=table, files=places, clocks=CLOCKS, physics=physics, lacking=lacking
-    )
+    return template.render(table=table, files=places, physics=physics, lacking=lacking)
 
 
 def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:

@@ -1,0 +1,339 @@
+"""Where in a file its table stands: its header, a row of units, its rows of values.
+
+Loggers write settings above the table, comments into it, statistics below it, and
+several tables into a file. A section of a file is rows of text and the rows of values
+below them. The table is the section with most values; sections with the same header
+continue it. Another table is never left out in silence. Rows that begin with different
+words are settings or statistics, not samples.
+"""
+
+import datetime as dt
+import itertools
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+
+from phsi_opt.data.tables import MISSING_CELLS, THOUSANDS, Extent
+from phsi_opt.errors import DataError
+
+Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its number
+
+NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
+MOMENT = re.compile(
+    r"\d{1,4}[-./: ](\d{1,2}|[A-Za-z]{3})[-./: ]\d[\d:.,]*([T ][\d:.,]+)?"
+    r"(Z|[+-][\d:]+)?( ?[AaPp]\.?[Mm]\.?)?|\d{1,2}:\d\d( ?[AaPp][Mm])?"
+)
+COMMENT = re.compile(r"(#|%|//)\s*(?=\S)")
+COMMENT_MARKS = ("#", "%", "//")
+UNIT_IN_BRACKETS = re.compile(r"\[(.*)\]|\((.*)\)|<(.*)>")
+SYMBOL = (
+    r"(([numkMGcdh\u00b5\u03bc]?(m|s|g|A|K|N|Nm|Pa|J|W|Wh|V|Hz|Ohm|\u03a9|bar|L|l|rad|"
+    r"C|F|H|T|mol)|sec|min|h|hr|d|rpm|rev|deg|degC|degF|\u00b0[CF]?|psi|ft|in|lb|lbf|"
+    r"lbs|mph|kph)(\u00b2|\u00b3|(\^|\*\*)?-?\d)?)"
+)
+UNIT = re.compile(rf"{SYMBOL}([ /*\u00b7.]\(?{SYMBOL}\)?)*|1/{SYMBOL}|%|-|1")
+# Kinds of a cell, a sign each; a row of cells is a text of them.
+VALUE, DATE, WORD, GAP = "nmt "
+
+
+def kind(cell: Any) -> str:
+    """Whether a cell is a number, a moment, a missing value or something else."""
+    if not isinstance(cell, str):
+        return DATE if isinstance(cell, dt.date | dt.time | dt.timedelta) else VALUE
+    if cell.lower() in MISSING_CELLS:
+        return GAP
+    if NUMBER.fullmatch(cell) or THOUSANDS.fullmatch(cell):
+        return VALUE
+    return DATE if MOMENT.fullmatch(cell) else WORD
+
+
+def unit_in(cell: Any) -> str:
+    """The unit that a cell of a row of units says; "" where it is none."""
+    text = str(cell).strip()
+    bracketed = UNIT_IN_BRACKETS.fullmatch(text)
+    if bracketed is not None:
+        return next(filter(None, bracketed.groups()), "").strip()
+    return text if UNIT.fullmatch(text) else ""
+
+
+def n_filled(cells: Sequence[Any]) -> int:
+    """The number of cells up to the last that is not empty."""
+    n_cells = len(cells)
+    while n_cells and cells[n_cells - 1] == "":
+        n_cells -= 1
+    return n_cells
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A row that is not empty."""
+
+    number: int  # in the file, from 1
+    cells: Sequence[Any]  # without a comment mark
+    kinds: str  # of the cells
+    is_comment: bool = False
+
+    @property
+    def n_values(self) -> int:
+        """The number of numbers and moments."""
+        return self.kinds.count(VALUE) + self.kinds.count(DATE)
+
+    @property
+    def width(self) -> int:
+        """The number of cells up to the last that is not empty."""
+        return n_filled(self.cells)
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it has words, and no value."""
+        return self.is_comment or (WORD in self.kinds and not self.n_values)
+
+    @property
+    def n_units(self) -> int:
+        """The number of its cells that are units."""
+        return sum(map(bool, map(unit_in, self.cells)))
+
+    def fits(self, typical: str) -> bool:
+        """Whether more than half of the filled cells are as in most rows.
+
+        A name where these have none is that of a setting.
+        """
+        if self.kinds.startswith(WORD) and typical.startswith(GAP):
+            return False
+        n_alike = 0
+        for own, other in zip(self.kinds, typical, strict=False):
+            n_alike += own == other != GAP
+        n_cells = len(self.kinds) - self.kinds.count(GAP)
+        return 2 * n_alike > n_cells or not n_cells
+
+    def has_words_for_values(self, typical: str) -> bool:
+        """Whether a cell is a word where others are values."""
+        columns = zip(self.kinds, typical, strict=False)
+        return any(own == WORD and other in (VALUE, DATE) for own, other in columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Rows of text, and the rows of values below them."""
+
+    texts: Sequence[Row]
+    values: Sequence[Row]
+    typical: str = ""  # the kinds of most rows of values
+
+    @property
+    def size(self) -> int:
+        """The number of its values, nearly."""
+        return len(self.values) * (self.typical.count(VALUE) + self.typical.count(DATE))
+
+    @property
+    def begin(self) -> int:
+        """Its first row."""
+        return [*self.texts, *self.values][0].number
+
+    @property
+    def is_list(self) -> bool:
+        """Whether its rows begin with different words: settings, or statistics."""
+        firsts = {row.cells[0] for row in self.values if row.kinds.startswith(WORD)}
+        return 1 < len(firsts) == len(self.values)
+
+    @property
+    def is_table(self) -> bool:
+        """Whether it may be a table of samples."""
+        if len(self.values) == 1:
+            is_wide = self.values[0].width > 1
+            return is_wide and bool(self.texts) and WORD not in self.typical
+        return bool(self.values) and not self.is_list
+
+    def head(
+        self, is_first: bool, units_row: int | None
+    ) -> tuple[Row | None, Row | None]:
+        """The rows of the names and of the units.
+
+        Args:
+            is_first: Whether the names are in its first row, not near the values.
+            units_row: The row of the units; 0: there is none; None: it is looked for.
+        """
+        is_wide = len(self.typical.rstrip()) > 1
+        titled = [row for row in self.texts if not is_wide or row.width > 1]
+        plain = list(itertools.filterfalse(attrgetter("is_comment"), titled)) or titled
+        near = plain[:3] if is_first else plain[-3:]
+        units = None
+        if units_row is not None:
+            units = next((row for row in near if row.number == units_row), None)
+        elif len(near) > 1:
+            # The lowest of equals: names such as V and A are units, too.
+            best = max(reversed(near), key=attrgetter("n_units"))
+            is_clear = 2 * best.n_units > max(self.typical.count(VALUE), 1)
+            units = best if is_clear else None
+        names = [row for row in near if row is not units]
+        if units is not None and not is_first and names:
+            above = [row for row in names if row.number < units.number]
+            names = above or names
+        if not names:
+            return None, units
+        return names[0 if is_first else -1], units
+
+
+def extent_of(
+    rows: Rows,
+    skip: int | None = None,
+    units_row: int | None = None,
+    by_blanks: bool = False,
+) -> Extent:
+    """Find the table.
+
+    Args:
+        rows: The cells of each row that is not empty.
+        skip: The number of rows above the table; None: it is looked for.
+        units_row: The row of the units; 0: there is none; None: it is looked for.
+        by_blanks: Whether blanks separate the cells, those behind a comment mark too.
+    """
+    looked_at = _rows(rows, skip or 0, units_row, by_blanks)
+    sections = list(_sections(looked_at))
+    tables = list(filter(attrgetter("is_table"), sections))
+    main = sections[0]
+    if skip is None:
+        main = max(tables or sections, key=attrgetter("size"))
+    head, units = main.head(skip is not None, units_row)
+    parts: list[list[Row]] = []
+    below: list[Row] = []
+    others = tables[: tables.index(main)] if main in tables else []
+    for section in sections[sections.index(main) :]:
+        own, _ = section.head(skip is not None, units_row)
+        is_same = own and head and own.cells == head.cells
+        if section is main or is_same:
+            parts.append(list(section.values))
+        elif not section.values or (section.is_list and main.typical[:1] != WORD):
+            below += [*section.texts, *section.values]
+        elif section not in tables:  # its rows are refused where they are wrong
+            parts[-1] += [*section.texts, *section.values]
+        elif skip is not None:
+            break
+        else:
+            others.append(section)
+    samples = list(itertools.chain(*parts))
+    first = head.number if head else [*samples, *main.texts][0].number
+    last = samples[-1].number if samples else first
+    n_comments = 0
+    for row in looked_at:
+        is_inside = first < row.number < last and row not in (head, units)
+        n_comments += row.is_comment and is_inside
+    return Extent(
+        head.number if head else None,
+        units.number if units else None,
+        tuple(map(_numbers, parts)),
+        names=tuple(head.cells) if head else (),
+        unit_of=tuple(map(unit_in, units.cells)) if units else (),
+        above=first - 1,
+        comments=n_comments,
+        below=_numbers(below),
+        others=tuple(map(attrgetter("begin"), others)),
+    )
+
+
+def _numbers(rows: Iterable[Row]) -> tuple[int, ...]:
+    return tuple(map(attrgetter("number"), rows))
+
+
+def check_only_table(extent: Extent, title: str, row_word: str) -> None:
+    """Refuse a file with several tables, of which none was chosen.
+
+    Raises:
+        DataError: there are others.
+    """
+    if extent.others:
+        begins = sorted([extent.above + 1, *extent.others])
+        skips = " or ".join(f"skip = {begin - 1}" for begin in begins)
+        raise DataError(
+            f"{title} has {len(begins)} tables, from {row_word} "
+            f"{', '.join(map(str, begins))} on. Choose one by the number of "
+            f"{row_word}s above it: {skips}."
+        )
+
+
+def _rows(rows: Rows, skip: int, units_row: int | None, by_blanks: bool) -> list[Row]:
+    """The rows behind those that are skipped.
+
+    Below a row as wide as most, "#REF!" before values is no comment mark: it is a wrong
+    cell of a sample.
+    """
+    found = []
+    for number, cells in rows.items():
+        if number > skip:
+            kinds = "".join(map(kind, cells))
+            found.append(Row(number, cells, WORD if number == units_row else kinds))
+    typical = _typical(found)
+    values = re.sub(f"[{VALUE}{DATE}]", f"[{VALUE}{DATE}]", typical[1:])
+    sample = re.compile(f".{values.replace(GAP, '.').replace(WORD, '.')}.*")
+    has_begun = False
+    for i, row in enumerate(found):
+        plain = _without_mark(row.cells, by_blanks)
+        is_sample = has_begun and row.n_values and sample.fullmatch(row.kinds)
+        if plain is not None and not is_sample:
+            found[i] = Row(row.number, plain, WORD, is_comment=True)
+        elif row.width >= len(typical.rstrip(GAP)):
+            has_begun = True
+    return found
+
+
+def _without_mark(cells: Sequence[Any], by_blanks: bool) -> list[Any] | None:
+    """The cells of a row of comment without its mark; None of another row."""
+    first = cells[0]
+    if by_blanks and first in COMMENT_MARKS:
+        return list(cells[1:])
+    if isinstance(first, str) and COMMENT.match(first):
+        return [COMMENT.sub("", first, count=1), *cells[1:]]
+    return None
+
+
+def _typical(rows: Sequence[Row]) -> str:
+    """The kinds of the cells of most rows."""
+    weights: Counter[str] = Counter()
+    for row in rows:
+        weights[row.kinds] += row.n_values
+    return max(weights, key=weights.__getitem__, default="")
+
+
+def _sections(rows: Iterable[Row]) -> Iterator[Section]:
+    """The sections of a file, at least one."""
+    texts: list[Row] = []
+    values: list[Row] = []
+    for row in rows:
+        if row.is_text and values:
+            if row.is_comment:
+                continue
+            yield _section(texts, values)
+            texts = []
+            values = []
+        (texts if row.is_text else values).append(row)
+    yield _section(texts, values)
+
+
+def _section(texts: list[Row], values: list[Row]) -> Section:
+    """The section, from the first row on that has the kinds of most rows."""
+    typical = _typical(values)
+    n_before = 0
+    while n_before < len(values) and not values[n_before].fits(typical):
+        n_before += 1
+    is_named = bool(texts) and texts[-1].width >= len(typical.rstrip(GAP))
+    if n_before and is_named and not typical.startswith(GAP):
+        n_before = 0  # samples with wrong cells, which are refused
+    elif n_before and (n_before > 1 or texts):
+        texts = []
+    elif n_before:
+        texts = values[:1]  # a header with numbers in it
+    elif values and not texts:
+        first = values[0]
+        is_head = first.has_words_for_values(typical) or _are_positions(first.cells)
+        n_before = int(is_head)
+        texts = values[:n_before]
+    return Section(texts, values[n_before:], typical)
+
+
+def _are_positions(cells: Sequence[Any]) -> bool:
+    """Whether these are ",0,1,2", as pandas calls columns without names."""
+    n_names = n_filled(cells) - 1
+    return cells[0] == "" and [*map(str, cells[1:])] == [*map(str, range(n_names))]

@@ -1,0 +1,273 @@
+"""Files as loggers write them: where the table stands, its units, its clock."""
+
+import datetime as dt
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openpyxl
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.study_file.survey import TableSurvey, survey
+
+T = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
+Q = [20.5, 1.25, -3.5, 4.0, 1234.5, -7.75]
+U = [1.5, 1.25, 2.0, 2.5, 1.0, 0.5]
+
+
+def body(form: str, rows: Any = None) -> str:
+    """The samples, each by a format of t, q, u and its number n."""
+    samples = zip(T, Q, U, strict=True) if rows is None else rows
+    return "".join(
+        form.format(t=t, q=q, u=u, n=n) + "\n" for n, (t, q, u) in enumerate(samples)
+    )
+
+
+def german(text: str) -> str:
+    return text.replace(".", ",")
+
+
+def looked_at(text: str, tmp_path: Path, encoding: str = "utf-8") -> TableSurvey:
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode(encoding))
+    return survey(path)
+
+
+def read(text: str, **options: Any) -> ph.Measurements:
+    return ph.Measurements.from_csv(io.StringIO(text), **options)
+
+
+# By logger: the text, the columns of t, q and u, and their units.
+FILES: dict[str, tuple[str, tuple[str, str, str], tuple[str, str, str]]] = {
+    "settings and a comment column that no line has": (
+        "LabVIEW Measurement\t\nSeparator\tTab\nDate\t2024/03/05\n***End_of_Header***\n\n"
+        "Channels\t2\t\nSamples\t6\t6\t\nDate\t2024/03/05\t2024/03/05\t\nY_Unit_Label\tmm\tN\t\n"
+        "X_Dimension\tTime\tTime\t\nX0\t0.0E+0\t0.0E+0\t\nDelta_X\t0.5\t0.5\t\n***End_of_Header***\n"
+        "X_Value\tPosition\tForce\tComment\n" + body("{t}\t{q}\t{u}"),
+        ("X_Value", "Position", "Force"), ("", "", ""),
+    ),
+    "units in brackets and an empty line": (
+        "Time,Channel A,Channel B\n(s),(V),(mV)\n\n" + body("{t},{q},{u}"),
+        ("Time", "Channel A", "Channel B"), ("s", "V", "mV"),
+    ),
+    "units of some columns": (
+        'Vendor,"GRAPHTEC","GL820"\nTotal points,6\nNumber,Clock,CH1,CH2,Alarm\n'
+        'NO.,"s","mm","N","A1234"\n' + body('{n},"{t}","{q:+}","{u:+}","LLLL"'),
+        ("Clock", "CH1", "CH2"), ("s", "mm", "N"),
+    ),
+    "units above the names": ("s,mm,N\nt,V,A\n" + body("{t},{q},{u}"), ("t", "V", "A"), ("s", "mm", "N")),
+    "commas, points for thousands, trailing separators": (
+        'Trace;Trace_1;\nSample;Time [ms];"Drive.Position" [mm];"Drive.Torque" [Nm];\n'
+        + german(body("{n};{t};{q};{u};")).replace("1234,5", "1.234,5"),
+        ("Time [ms]", "Drive.Position [mm]", "Drive.Torque [Nm]"), ("ms", "mm", "Nm"),
+    ),
+    "commas for thousands": (
+        "Time (s),Flow (l/min),Level\n" + body('{t},"{q:,}",{u}'),
+        ("Time (s)", "Flow (l/min)", "Level"), ("s", "l/min", ""),
+    ),
+    "comments above and between, a footer": (
+        "# bench 3, run 12\n# gain, 2.5\nt,q,u\n" + body("{t},{q},{u}").replace("1.5,4.0", "# step\n1.5,4.0")
+        + "End of data\n",
+        ("t", "q", "u"), ("", "", ""),
+    ),
+    "names in a comment": ("# t q u\n# s mm N\n" + body("{t} {q} {u}"), ("t", "q", "u"), ("s", "mm", "N")),
+    "statistics below": (
+        "t,q,u\n" + body("{t},{q},{u}") + "\nchannel,mean,std\nq,0.5,1.5\nu,1.2,2\n", ("t", "q", "u"), ("", "", "")
+    ),
+    "settings without a blank line": (
+        '"Model","DL850"\n"Name","CH1","CH2"\n"Size","6","6"\n"Rate","2","2"\nt,q,u\n' + body("{t},{q},{u}"),
+        ("t", "q", "u"), ("", "", ""),
+    ),
+    "serial numbers of sensors": (
+        '"Plot: 102"\n"#","Time, s","Temp, °C (S/N: 102, S/N: 7)","RH, % (S/N: 1)"\n' + body("{n},{t},{q},{u}"),
+        ("Time, s", "Temp, °C (S/N: 102, S/N: 7)", "RH, % (S/N: 1)"), ("s", "°C", "%"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_logger_file_is_read_as_its_author_meant_it(
+    name: str, tmp_path: Path
+) -> None:
+    text, columns, units = FILES[name]
+    time, q, u = columns
+    data = read(text, time=time, states={"q": q}, inputs={"u": u})
+    (run,) = data.trajectories
+    np.testing.assert_array_equal(run.t, T)
+    np.testing.assert_array_equal(run.x[:, 0], Q)
+    np.testing.assert_array_equal(run.u[:, 0], U)
+    seen = {one.column: one.unit for one in looked_at(text, tmp_path).columns}
+    assert tuple(map(seen.get, columns)) == units
+    if ";" not in text:
+        rows = [line.split("\t" if "\t" in text else None) for line in text.split("\n")]
+        book = openpyxl.Workbook()
+        for row in rows if "\t" in text else []:
+            book.active.append(row)
+        if book.active.max_row > 1:
+            book.save(tmp_path / "log.xlsx")
+            again = ph.Measurements.from_excel(
+                tmp_path / "log.xlsx", time=time, states={"q": q}, inputs={"u": u}
+            )
+            assert again.trajectories[0].x.tolist() == run.x.tolist()
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_a_row_of_units_is_read_in_any_encoding(encoding: str, tmp_path: Path) -> None:
+    text = "Zeit\tWeg\tWärme\ns\tµm\t°C\n" + body("{t}\t{q}\t{u}")
+    seen = looked_at(text, tmp_path, encoding)
+    assert [one.unit for one in seen.columns] == ["s", "µm", "°C"]
+    assert seen.columns[0].part == "time"
+
+
+def test_what_was_understood_is_told_with_its_keys(tmp_path: Path) -> None:
+    text = "Bench 3\n\nt;q\ns;mm\n# begin\n0;1,5\n# step\n1;2,5\n2;3,5\nEnd\n"
+    seen = looked_at(text, tmp_path)
+    assert [str(one) for one in seen.read] == [
+        "skip = 2          header in line 3, samples in lines 6 to 9; comments: 2; "
+        "not read: lines from 10 on",
+        "units_row = 4     units in line 4",
+        'separator = ";"   between cells',
+        'decimal = ","     before decimals; a point marks thousands',
+    ]
+
+
+def test_keys_say_otherwise() -> None:
+    text = "t,q\nV,A\n0,1\n1,2\n"
+    options: dict[str, Any] = {"time": 0, "states": {"q": 1}}
+    assert read(text, time="t", states=["q"]).n_samples == 2
+    for key in ({"units_row": 0}, {"skip": 1}):  # these are names
+        assert read(text, time="V", states={"q": "A"}, **key).n_samples == 2
+    assert read("t,q\nkm,counts\n0,1\n1,2\n", units_row=2, **options).n_samples == 2
+    for wrong, said in (
+        ({"skip": 4}, "skip=4, and there is no such"),
+        ({"skip": -1}, "skip=-1 is not a number of"),
+    ):
+        with pytest.raises(ph.DataError, match=said):
+            read(text, **wrong, **options)
+
+
+def test_one_of_several_tables_is_chosen_and_none_in_silence(tmp_path: Path) -> None:
+    text = "a,b\n0,1\n1,2\n\nt,q,u\n" + body("{t},{q},{u}")
+    options: dict[str, Any] = {"time": 0, "states": {"q": 1}}
+    with pytest.raises(
+        ph.DataError, match=r"has 2 tables, from line 1, 5 on.*skip = 0 or skip = 4"
+    ):
+        read(text, **options)
+    assert [read(text, skip=n, **options).n_samples for n in (0, 4)] == [2, 6]
+    (skip, *_) = looked_at(text, tmp_path).read
+    assert (skip.key, skip.content, skip.is_set) == ("skip", 4, True)
+
+
+def test_tables_with_the_same_header_are_runs(tmp_path: Path) -> None:
+    table = "t,q,u\ns,mm,N\n" + body("{t},{q},{u}")
+    text = f"Run 1\n{table}\nRun 2\n{table}"
+    data = read(text, time="t", states=["q"], inputs=["u"], trajectory="table")
+    assert [run.name for run in data] == ["1", "2"]
+    assert [run.x[:, 0].tolist() for run in data] == [Q, Q]
+    seen = looked_at(text, tmp_path)
+    assert seen.run is not None and seen.run.column == "table"
+    with pytest.raises(ph.DataError, match=r"times must increase.*\(trajectory\)"):
+        read(text, time="t", states=["q"])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,q\n0,1\nOL,OL\n1,2\n2,3\n", "has 2 tables"),
+        ("t,q\n#REF!,1\n1,2\n2,3\n", "line 2: '#REF!' is neither a number nor a date"),
+        ("t,q\n0,1\n#VALUE!,2\n2,3\n", "line 3: '#VALUE!'"),
+        ("t,q\n0,1\n1,2\nMean,0.5\n", "line 4: 'Mean'"),
+        ("t,q\n0,1\n1,1_000\n2,3\n", "line 3: '1_000'"),
+        ("t\tq\n0\t1,000\n1\t1,500\n", "'1,000' is not a real number.*decimal = "),
+        ("t,q\n0,1\n1,2\n\n3\n4\n", "line 5 has 1 cell"),
+    ],
+)
+def test_no_sample_and_no_sign_is_dropped_or_read_otherwise(
+    text: str, said: str
+) -> None:
+    with pytest.raises(ph.DataError, match=said):
+        read(text, time="t", states=["q"])
+
+
+@pytest.mark.parametrize(
+    ("decimal", "values"), [(None, [1234.0, 1.0]), (".", [1234.0, 1.0]), (",", None)]
+)
+def test_digits_behind_a_comma_are_what_other_cells_say(
+    decimal: str | None, values: list[float] | None
+) -> None:
+    text = "t;q\n0.5;1,234\n1.5;1\n"
+    if values is None:
+        with pytest.raises(ph.DataError, match=r"'0\.5' is not a real number"):
+            read(text, time="t", states=["q"], decimal=decimal)
+    else:
+        data = read(text, time="t", states=["q"], decimal=decimal)
+        assert data.trajectories[0].x[:, 0].tolist() == values
+
+
+# ---- clocks ----
+
+BEGIN = dt.datetime(2024, 3, 5, 14, 30)
+SERIAL = (BEGIN - dt.datetime(1899, 12, 30)) / dt.timedelta(days=1)
+UNIX = (BEGIN - dt.datetime(1970, 1, 1)) / dt.timedelta(seconds=1)
+
+
+@pytest.mark.parametrize(
+    ("header", "form", "column", "date_format"),
+    [
+        ("Date,Time", "2024-03-05,14:30:{0:06.3f}", ("Date", "Time"), ""),
+        ("Datum,Uhrzeit", "05.03.2024,14:30:{0:06.3f}", ("Datum", "Uhrzeit"), "%d.%m.%Y %H:%M:%S.%f"),
+        ("Time,Millis", "2024-03-05 14:30:{1:02d},{2}", ("Time", "Millis"), ""),
+        ("Date&Time,ms", "2024/03/05 14:30:{1:02d},{2:03d}", ("Date&Time", "ms"), "%Y/%m/%d %H:%M:%S"),
+        ("time", "03/15/24 02:30:{1:02d} PM", "time", "%m/%d/%y %I:%M:%S %p"),
+        ("timestamp", "{unix:.1f}", "timestamp", "unix"),
+        ("timestamp", "{unix_ms:.0f}", "timestamp", "unix ms"),
+        ("Date", "{serial:.9f}", "Date", "excel"),
+    ],
+)  # fmt: skip
+def test_clocks_of_loggers_become_seconds(
+    header: str, form: str, column: Any, date_format: str, tmp_path: Path
+) -> None:
+    seconds = [0.0, 1.0, 2.0] if "PM" in form else [0.0, 0.25, 1.5]
+    lines = []
+    for s, q in zip(seconds, (3.0, 4.5, 2.0), strict=True):
+        unix, serial = UNIX + s, SERIAL + s / 86400
+        clock = form.format(
+            s,
+            int(s),
+            round(1000 * (s % 1)),
+            unix=unix,
+            unix_ms=1000 * unix,
+            serial=serial,
+        )
+        lines.append(f"{clock},{q}\n")
+    seen = looked_at(f"{header},q\n{''.join(lines)}", tmp_path)
+    assert seen.time is not None
+    assert seen.time.source == column
+    assert seen.time.date_format == date_format
+    data = ph.Measurements.from_csv(
+        seen.path, time=column, states=["q"], date_format=date_format or None
+    )
+    rounding = 0.1 if "unix:" in form else 1e-4  # of what the file has
+    np.testing.assert_allclose(data.trajectories[0].t, seconds, atol=rounding)
+    assert data.trajectories[0].origin is not None
+
+
+def test_channels_of_another_clock_are_left_out_and_told(tmp_path: Path) -> None:
+    t = np.arange(40) / 2
+    q, u = np.sin(t), np.cos(2 * t)
+    rows = [
+        f"{t[n]},{q[n]},{2 * t[n] if n < 20 else ''},{u[n] if n < 20 else ''}\n"
+        for n in range(40)
+    ]
+    seen = looked_at("Time A,Position,Time B,Force\n" + "".join(rows), tmp_path)
+    said = {one.column: (one.part, one.said) for one in seen.columns}
+    assert said["Time B"] == ("left out", "another clock: has its own times")
+    assert said["Force"] == (
+        "left out",
+        "another clock, Time B: resample it to Time A to use it",
+    )
+    same = [f"{t[n]},{q[n]},{1000 * t[n] + 5},{u[n]}\n" for n in range(40)]
+    seen = looked_at("Time,Position,Time_ms,Force\n" + "".join(same), tmp_path)
+    assert [one.part for one in seen.columns] == ["time", "state", "left out", "input"]
