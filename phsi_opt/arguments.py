@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, PhsiOptError, did_you_mean
+from phsi_opt.errors import ModelError, PhsiOptError, did_you_mean, shown, some_of
 
 
 def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
@@ -16,13 +16,13 @@ def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") ->
     """
     if not fine:
         raise ModelError(
-            f"{name}={short_number(value)} is not possible; expected {expected}.{hint}"
+            f"{name}={shown(value)} is not possible; expected {expected}.{hint}"
         )
 
 
 def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
     """Check that the value is one of the choices, or name the closest of them."""
-    require_known(value, choices, f"{name}={short_number(value)} is not possible")
+    require_known(value, choices, f"{name}={shown(value)} is not possible")
 
 
 def require_known(
@@ -45,8 +45,8 @@ def require_known(
     listed = list(known)
     if name not in listed:
         are_words = all(str(one).isidentifier() for one in listed)
-        shown = map(str if are_words else repr, listed)  # blanks, commas, numbers
-        expected = ", ".join(shown) or "none: there are no names"
+        words = map(str if are_words else repr, listed)  # blanks, commas, numbers
+        expected = some_of(list(words)) or "none: there are no names"
         hint = did_you_mean(name, listed)
         raise error(f"{said}; expected one of {expected}.{hint}")
 
@@ -79,9 +79,3 @@ def is_size(value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return False
     return bool(0 <= value < np.inf)
-
-
-def short_number(value: Any) -> str:
-    """A value as Python writes it, but for whole numbers of very many digits."""
-    is_long = isinstance(value, int) and abs(value) > 10**12
-    return "a number beyond 10**12" if is_long else repr(value)

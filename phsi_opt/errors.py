@@ -10,6 +10,8 @@ import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+MOST_LETTERS = 60  # of a value in a message
+
 
 class PhsiOptError(Exception):
     """Base class of the errors of this package."""
@@ -80,6 +82,29 @@ class StudyFileError(DataError):
 
     def __reduce__(self) -> tuple[object, ...]:  # Exception has one argument
         return StudyFileError, (self.path, self.complaints, self.measurements)
+
+
+def shown(value: object) -> str:
+    """A value as a message names it: as Python writes it, or its type if that is long.
+
+    A table, an array or a model is not printed into a message.
+    """
+    if isinstance(value, int) and abs(value) > 10**12:
+        return "a number beyond 10**12"
+    if isinstance(value, str) and len(value) > MOST_LETTERS:
+        return repr(f"{value[: MOST_LETTERS - 5]}...")
+    written = value.__name__ if isinstance(value, type) else repr(value)
+    is_short = len(written) <= MOST_LETTERS and "\n" not in written
+    return written if is_short else f"{type(value).__name__}(...)"
+
+
+def some_of(names: Sequence[str]) -> str:
+    """Names with commas, as many as a message has room for."""
+    most = len(names)
+    while most > 1 and len(", ".join(names[:most])) > 2 * MOST_LETTERS:
+        most -= 1
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more else "")
 
 
 def did_you_mean(name: object, options: Iterable[object]) -> str:

@@ -164,7 +164,7 @@ ONLY_Q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
             ph.ModelError,
             "model='spring' is not a model; expected a PseudoHamiltonian or a FirstOrder",
         ),
-        (bare(), 7, ph.DataError, r"data=7 is not a Measurements object; create one with Measurements\.from_arrays or"),
+        (bare(), 7, ph.DataError, r"data=7 is not a Measurements object; create one with Measurements\.from_arrays\("),
     ],
 )  # fmt: skip
 def test_what_does_not_match_is_named(

@@ -277,11 +277,11 @@ def test_a_trajectory_is_chosen_by_name_number_or_slice() -> None:
     ("key", "message"),
     [
         ("run 9", r"there is no trajectory 'run 9'; expected one of 'run 1', 'run 2'\. Did you mean 'run"),
-        (2, r"no trajectory 2; there are 2, counted from 0: \['run 1', 'run 2'\]"),
+        (2, r"no trajectory 2; there are 2, counted from 0: run 1, run 2"),
         (slice(5, 9), r"data\[5:9\] selects trajectories; there are 2"),
         (slice(None, None, 10), r"data\[::10\] selects.*data.thinned\(n\)"),
         (slice(0.0, 2.5), r"data\[0.0:2.5\] selects.*between"),
-        (1.5, r"trajectory 1.5 is unknown; expected a name of \['run 1', 'run 2'\]"),
+        (1.5, r"trajectory 1.5 is unknown; expected a name \(run 1, run 2\)"),
     ],
 )  # fmt: skip
 def test_a_trajectory_that_does_not_exist_is_refused(key: Any, message: str) -> None:

@@ -320,7 +320,7 @@ def test_a_parameter_starts_at_its_value_or_where_its_bounds_are_nearest_to_zero
     [
         ({"value": np.nan}, "value=nan is not finite"),
         ({"value": np.inf}, "value=inf is not finite"),
-        ({"value": "two"}, "value=two is not a number"),
+        ({"value": "two"}, "value='two' is not a number"),
         ({"value": 10**400}, "is not a number"),
         ({"lower": np.nan}, "lower=nan is not finite"),
         ({"lower": 2.0, "upper": 1.0}, "bounds are crossed: lower=2 is above upper=1"),

@@ -80,7 +80,7 @@ def prepare(page: Page, content: bytes) -> None:
     drop(page, "spring.csv", content)
     expect(page.get_by_label("unit of position_m")).to_have_value("m")
     page.get_by_role("tab", name="2 Model").click()
-    page.get_by_role("button", name="Spring A mass").click()
+    page.get_by_role("button", name="Mass with forces A mass").click()
     page.get_by_label("known value of m").fill("2.5")
     expect(page.get_by_text("is an assumption: enter your")).to_have_count(0)
     expect(page.get_by_text("Model and data are valid.")).to_be_visible()
@@ -188,7 +188,7 @@ def test_a_bad_file_is_refused_with_row_and_column(page: Page) -> None:
     expect(alert).to_be_hidden()
     page.get_by_label("unit of t_s").fill("s")
     page.get_by_role("tab", name="2 Model").click()
-    page.get_by_role("button", name="Spring A mass").click()
+    page.get_by_role("button", name="Mass with forces A mass").click()
     energy = page.get_by_label("energy H")
     expect(energy).to_have_value("k*q**2/2 + p**2/(2*m)")
     energy.fill("kk*q**2/2 + p**2/(2*m)")
@@ -258,6 +258,40 @@ def upload_tables_that_run(page: Page, address: str, marker: Path) -> None:
         answer = page.request.post(address + found[0], multipart={"f": file})  # type: ignore[dict-item]
         assert answer.ok
     expect(page.get_by_role("button", name="Remove innocent.csv")).to_be_visible()
+
+
+def test_an_example_is_worked_through_by_the_keyboard_alone(page: Page) -> None:
+    press(page, "Motor with steps of voltage")
+    expect(page.get_by_text("What was measured").last).to_be_visible()
+    region = page.get_by_role("region", name="Verdict")
+    region.get_by_text("What is wrong").wait_for(timeout=SOLVED_WITHIN)
+    nothing_is_solved(page)
+    press(page, "Add Coulomb friction on w")
+    expect(page.get_by_text("Nothing is missing", exact=False).first).to_be_visible(
+        timeout=SOLVED_WITHIN
+    )
+    nothing_is_solved(page)
+    expect(page.get_by_text("Side by side")).to_be_visible()
+    assert page.get_by_label("run", exact=True).input_value() == "run 3 (held out)"
+    press(page, "Undo")
+    expect(region.get_by_text("Coulomb friction on w is missing.")).to_be_visible()
+    press(page, "Redo")
+    expect(region.get_by_text("What was added")).to_be_visible()
+    press(page, "Show model 1: base model")
+    expect(region.get_by_text("What to add")).to_be_visible()
+
+
+def press(page: Page, name: str) -> None:
+    """Go to a button by the Tab key and press Enter; its focus must be visible."""
+    button = page.get_by_role("button", name=name, exact=True)
+    expect(button).to_be_enabled(timeout=SOLVED_WITHIN)
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        if button.evaluate("one => one === document.activeElement"):
+            break
+    look = button.evaluate("one => getComputedStyle(one).boxShadow")
+    assert "5px" in look, "nobody sees where the focus is"
+    page.keyboard.press("Enter")
 
 
 def test_a_link_of_another_site_leads_to_the_session_that_is_there(

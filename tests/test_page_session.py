@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,6 +22,7 @@ from phsi_opt.page.draft_views import EXAMPLES, unknown_names
 from phsi_opt.page.drafts import (
     INPUT,
     MOST_UPLOADED,
+    NOT_USED,
     RUN,
     STATE,
     TIME,
@@ -29,17 +31,19 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.guards import UploadLimit
-from phsi_opt.page.parts import complaint_words
+from phsi_opt.page.parts import complaint_words, words
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
-from phsi_opt.page.study_view import beside, rows_of, words
+from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Order, Shown, WorkerHandle
 from phsi_opt.presentation.content import (
     ErrorStep,
     Glance,
 )
 from phsi_opt.study_file.gallery import GALLERY
+from phsi_opt.study_file.kept_fits import KeptFits
+from phsi_opt.writing import write_whole
 from tests.page_tools import bad_table, contrast, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
@@ -298,6 +302,41 @@ def test_a_study_file_becomes_drafts_and_comes_back(text: str, tmp_path: Path) -
     (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     again = ph.StudyFile.read(tmp_path / "again.toml")
     assert again.text() == ph.StudyFile.read(path).text()
+
+
+def test_an_opened_study_file_has_the_fits_that_commands_kept(tmp_path: Path) -> None:
+    shipped = files("phsi_opt.study_file") / "examples" / "spring"
+    for name in ("study.toml", "friction_spring.csv"):
+        (tmp_path / name).write_bytes((shipped / name).read_bytes())
+    path = tmp_path / "study.toml"
+    session = Session(tmp_path / "session", path)
+    draft = session.draft.as_it_is()
+    copy = write_whole(tmp_path / "copy.toml", draft.text)
+    keys = set()
+    for file in (ph.StudyFile.read(path), ph.StudyFile.read(copy, draft.places)):
+        keys.add(KeptFits.of(path, file, file.split()[0]).key)
+    assert len(keys) == 1
+    session.close()
+
+
+def test_the_measurements_are_drawn_before_there_is_a_model(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    assert session.seen_data.chart is None
+    session.upload("spring.csv", spring_table())
+    seen = session.seen_data
+    assert seen.chart is not None
+    assert [panel.label for panel in seen.chart.panels] == ["position (m)"]
+    assert [row["channel"] for row in seen.rows] == ["t", "position"]
+    session.check()
+    assert session.seen_data is seen, "nothing has changed"
+    assert session.draft.data is not None
+    session.draft.data.columns[2].table["unit"] = "mm"
+    session.check()
+    assert session.seen_data.rows[1]["unit"] == "mm"
+    session.draft.data.columns[1].becomes(NOT_USED)
+    session.check()
+    assert session.seen_data.chart is None
+    session.close()
 
 
 # ---- the work ------------------------------------------------------------------------

@@ -49,6 +49,18 @@ def test_long_names_of_effects_cost_lines_and_no_column() -> None:
         assert text.count(word.rstrip(",")) >= 2
 
 
+def test_no_word_is_broken_where_columns_are_narrow() -> None:
+    frame = pd.DataFrame(
+        {"effect": [LONG], "parameter": ["position-dependent_damping_p"]}
+    )
+    for number in range(6):
+        frame[f"a_number_{number}"] = 0.123456
+    for width in (50, 60, 70, 80):
+        words = text_of_table(frame, width).split()
+        assert set(LONG.split()) <= set(words)
+        assert "position-dependent_damping_p" in words
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_no_cell_of_any_table_is_lost_and_no_number_is_broken(seed: int) -> None:
     rng = np.random.default_rng(seed)

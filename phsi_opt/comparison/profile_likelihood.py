@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.optimize import brentq
 
-from phsi_opt.arguments import require_known
+from phsi_opt.arguments import require, require_known
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
@@ -181,6 +181,7 @@ def check_likelihood(fit: Fit, what: str) -> None:
     Raises:
         ModelError: it is one.
     """
+    require(isinstance(fit, Fit), "fit", fit, "a Fit, as identify returns")
     if fit.loss != "MaximumLikelihood":
         raise ModelError(
             f"the fit was made with {fit.loss}, which has no likelihood and therefore "

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.arguments import require_known
-from phsi_opt.errors import DataError, PhsiOptError, did_you_mean
+from phsi_opt.errors import DataError, PhsiOptError, did_you_mean, shown
 
 # what inputs do between samples: a straight line to the next, the sample's value until
 # the next, or a cubic spline through all of them
@@ -63,9 +63,10 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
             "every row must have the same length."
         ) from error
     if array.dtype.kind not in "biuf":
+        kind = "text" if array.dtype.kind in "US" else array.dtype
         raise DataError(
-            f"{title} has the type {array.dtype}; expected real numbers, and NaN for "
-            "missing values."
+            f"{title} has the type {kind}; expected real numbers, and NaN for missing "
+            "values. Convert it by astype(float); dates are read by from_dataframe."
         )
     if n_axes == 2 and array.ndim == 1:  # a single channel
         array = array[:, np.newaxis]
@@ -172,7 +173,8 @@ def checked_names(
     """
     if isinstance(names, str | set) or not isinstance(names, Iterable):
         raise error(
-            f"{what}={names!r} is not a list of names; expected e.g. {what}=['a', 'b']."
+            f"{what}={shown(names)} is not a list of names; expected e.g. "
+            f"{what}=['a', 'b']."
         )
     listed = tuple(names)
     if what == "states" and not listed:
@@ -181,8 +183,8 @@ def checked_names(
         is_identifier = isinstance(name, str) and name.isidentifier()
         if not is_identifier or keyword.iskeyword(name):
             raise error(
-                f"{what}: {name!r} cannot be used in a formula; "
-                "expected letters, digits, _ as in 'q_1'."
+                f"{what}: {shown(name)} cannot be used in a formula; "
+                "expected letters, digits, _ as in 'q_1'; several names as a list."
             )
         if name in reserved or name.startswith(RESERVED_PREFIXES):
             raise error(
@@ -202,7 +204,8 @@ def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, An
     if not isinstance(given, Mapping):
         example = names[-1] if names else "u"
         raise DataError(
-            f"{what}={given!r} is not a mapping; expected e.g. {{{example!r}: ...}}."
+            f"{what}={shown(given)} is not a mapping; expected e.g. "
+            f"{{{example!r}: ...}}."
         )
     noun, kept_as, fits, expected = BY_NAME[what]
     for name, value in given.items():
@@ -210,7 +213,8 @@ def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, An
         if not fits(value):
             hint = did_you_mean(value, HOLDS) if what == "hold" else ""
             raise DataError(
-                f"{what}: {name!r} has the {noun} {value!r}; expected {expected}.{hint}"
+                f"{what}: {name!r} has the {noun} {shown(value)}; "
+                f"expected {expected}.{hint}"
             )
     return {name: kept_as(value) for name, value in given.items()}
 
@@ -227,7 +231,7 @@ def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
         by_input = dict.fromkeys(inputs, "linear")
         by_input |= checked_by_name(hold, inputs, "hold")
         return np.array(list(by_input.values()), dtype=str)
-    require_known(hold, HOLDS, f"hold={hold!r} is unknown", DataError)
+    require_known(hold, HOLDS, f"hold={shown(hold)} is unknown", DataError)
     return np.array([hold] * len(inputs), dtype=str)
 
 

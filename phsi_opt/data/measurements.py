@@ -40,7 +40,7 @@ from phsi_opt.data.trajectory import (
     part_of,
     trajectories_in_arrays,
 )
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown, some_of
 from phsi_opt.presentation.numbers import LINE_WIDTH, number_of
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 
@@ -304,15 +304,15 @@ class Measurements(TableReaders, Summarised):
             return names.index(trajectory)
         if not hasattr(trajectory, "__index__"):
             raise DataError(
-                f"trajectory {trajectory!r} is unknown; expected a name of {names} "
-                "or a number, counted from 0. Samples are chosen by "
-                "data.between(begin, end)."
+                f"trajectory {shown(trajectory)} is unknown; expected a name "
+                f"({some_of(names)}) or a number, counted from 0. Samples are chosen "
+                "by data.between(begin, end)."
             )
         number = operator.index(trajectory)
         if number not in range(-len(names), len(names)):
             raise DataError(
                 f"there is no trajectory {number}; there are {len(names)}, "
-                f"counted from 0: {names}."
+                f"counted from 0: {some_of(names)}."
             )
         return number % len(names)
 
@@ -534,7 +534,7 @@ def _check_slice(names: Sequence[str], key: slice) -> None:
     written = ":".join("" if bound is None else repr(bound) for bound in bounds)
     raise DataError(
         f"data[{written}] selects trajectories; there are {len(names)}: "
-        f"{list(names)}. To select a time span, use data.between(begin, end); to "
+        f"{some_of(names)}. To select a time span, use data.between(begin, end); to "
         "reduce the number of samples, data.thinned(n)."
     )
 

@@ -394,7 +394,7 @@ def _check_column(table: Table, column: Any, layout: Layout) -> None:
     if layout.columns.count(column) > 1:
         raise DataError(
             f"{table.title}: the column {column!r} is used twice; expected one column "
-            "per name."
+            "per name. Choose another one."
         )
 
 

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phsi_opt.arguments import short_number
 from phsi_opt.data.checks import check_values
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -128,7 +127,7 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
                 values[i] = _number(cell, table.decimal)
             except (TypeError, ValueError, OverflowError):
                 raise DataError(
-                    f"{table.place(column, i)} {short_number(cell)} is not a real "
+                    f"{table.place(column, i)} {shown(cell)} is not a real "
                     f"number. {_repair(cell, table)}"
                 ) from None
     check_values(

@@ -23,7 +23,7 @@ from phsi_opt.data.checks import (
     numbered_names,
     read_only_floats,
 )
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 from phsi_opt.presentation.numbers import number_of
 
 
@@ -119,7 +119,7 @@ def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
     is_sequence = isinstance(trajectories, Sequence)
     if not is_sequence or isinstance(trajectories, str) or not trajectories:
         raise DataError(
-            f"trajectories={trajectories!r}; "
+            f"trajectories={shown(trajectories)}; "
             "expected a list or tuple of at least one Trajectory."
         )
     for i, run in enumerate(trajectories):

@@ -28,7 +28,7 @@ from phsi_opt.model.catalogue import EffectChoice, Given, catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.sweeps.sweep import check_executor
-from phsi_opt.transcription.grid import aligned_once
+from phsi_opt.transcription.grid import aligned_once, check_problem
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
@@ -86,6 +86,7 @@ def diagnose(
     say = progress or silent
     say("estimating the missing force")
     fit = fit_of(fit, data, "diagnose")
+    check_problem(fit.model, data)
     choice = EffectChoice(effects, without).checked(fit.model, data.units)
     trained = compare(fit, data)
     judged = None

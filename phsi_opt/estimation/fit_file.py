@@ -170,4 +170,6 @@ def _content(path: str | Path, what: str) -> Any:
         reason = "its lists or mappings are nested too deeply"
     except (TypeError, ValueError) as error:
         reason = str(error)
-    raise DataError(f"{path} cannot be read as {what}: {reason}.")
+    raise DataError(
+        f"{path} cannot be read as {what}: {reason}. Write one with save(path)."
+    )

@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.errors import ModelError, SolveError, shown
 from phsi_opt.estimation.estimate import Estimate, Loss, Progress, Task, silent
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import with_model_error
@@ -136,7 +136,7 @@ def estimate_by(loss: Loss, task: Task, start: Fit | None) -> Estimate:
         return by_defects(task, loss, start)
     if not isinstance(loss, MaximumLikelihood):
         raise ModelError(
-            f"loss={loss!r} is not a loss of identify; expected PHSILoss() or "
+            f"loss={shown(loss)} is not a loss of identify; expected PHSILoss() or "
             "MaximumLikelihood()."
         )
     is_debiased = task.pruning is not None and task.pruning.debias

@@ -201,7 +201,6 @@ def _told(model: Model, grid: Grid, placed: PlacedTerm, where: str, node: int) -
     if values:
         text += f", with {', '.join(values[:8])}"
     return (
-        f"{text}. It divides by zero there, overflows, or takes a root or logarithm "
-        "of a negative number; change the formula so that it is finite at all "
-        "measured states, or change the values."
+        f"{text}. It divides by zero, overflows, or takes a root or logarithm of a "
+        "negative number; change the formula or the values."
     )

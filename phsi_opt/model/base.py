@@ -17,7 +17,7 @@ import numpy as np
 
 from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import check_unique, checked_names
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.errors import ModelError, did_you_mean, shown
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.model.kinds import checked_kinds
@@ -84,7 +84,7 @@ class BaseModel:
         """What is given per equation, in the order of the states."""
         if not isinstance(terms, Mapping):
             raise ModelError(
-                f"{slot}={terms!r} must map a state to its terms, "
+                f"{slot}={shown(terms)} must map a state to its terms, "
                 "such as {'p': formula('u')}."
             )
         for name in terms:
@@ -363,7 +363,7 @@ def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:
         matrix = np.zeros((n, n)) if S is None else np.array(S, dtype=float)
     except (TypeError, ValueError):
         raise ModelError(
-            f"S={S!r} is not a matrix of numbers; expected {n} x {n}."
+            f"S={shown(S)} is not a matrix of numbers; expected {n} x {n}."
         ) from None
     if matrix.shape != (n, n):
         raise ModelError(
@@ -389,7 +389,7 @@ def checked_dictionary(terms: Any, where: str) -> Dictionary:
     """
     if not isinstance(terms, Dictionary):
         raise ModelError(
-            f"{where}={terms!r} is not a dictionary of terms; "
+            f"{where}={shown(terms)} is not a dictionary of terms; "
             "write a formula as text, formula('...') or polynomials([...], n)."
         )
     return terms

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.arguments import require
+from phsi_opt.errors import ModelError, did_you_mean, shown, some_of
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, EffectList, is_scanned
 from phsi_opt.model.expressions import names_of
@@ -85,6 +86,7 @@ def effects_told(
     model: BaseModel, units: Mapping[str, str] | None = None
 ) -> Iterator[tuple[Effect, str]]:
     """The effects of the catalogue, each with what it adds, in the model's names."""
+    require(isinstance(model, BaseModel), "model", model, "a model")
     units = units or {}
     known = with_kinds_of_units(model, units)
     for laws, names in _places(known, units):
@@ -153,7 +155,7 @@ def effect_named(
         equations = ", ".join(effect.equation for effect in found)
         raise ModelError(
             f"effect {name!r} can act in several equations: {equations}; "
-            f"say which, such as ({name!r}, {found[0].equation!r})."
+            f"say which, such as {str(found[0])!r}."
         )
     return found[0]
 
@@ -178,8 +180,10 @@ def _not_in_catalogue(
             "choose another effect."
         )
     there = [one for one in own if equation in (None, one.equation)]
+    elsewhere = [one.equation for one in _called(name, None, own)]
+    hint = f" It can act on {some_of(elsewhere)}." if elsewhere else _hint(name, there)
     return (
-        f"there is no effect {name!r}{place} in the catalogue.{_hint(name, there)} "
+        f"there is no effect {name!r}{place} in the catalogue.{hint} "
         "ph.catalogue(model), or phsi-opt effects, lists all."
     )
 
@@ -271,6 +275,7 @@ def _names_of_input(
         "u": u,
         "of_u": "" if len(model.inputs) == 1 else f" of {u}",
         "input_size": f"{size}'s force" if names["source"] == "force" else size,
+        "dF": f"dF/d{u} " if is_used else "",
         **({"slope": f"dF_d{u}"} if is_used else {"new": u}),
     }
 
@@ -424,14 +429,14 @@ def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
     """The effects and names as a tuple, if they are a list of such."""
     if isinstance(given, str | Effect) or not isinstance(given, Iterable):
         raise ModelError(
-            f"{what}={given!r} must be a list of effects or of their names, "
+            f"{what}={shown(given)} must be a list of effects or of their names, "
             "such as ['coulomb friction', 'gap on p']."
         )
     listed = tuple(given)
     for one in listed:
         if not isinstance(one, str | Effect):
             raise ModelError(
-                f"{one!r} in {what} is neither an Effect nor the name of one."
+                f"{shown(one)} in {what} is neither an Effect nor the name of one."
             )
     return listed
 
@@ -490,7 +495,7 @@ def _as_offered(
     raise ModelError(
         f"effect {str(one)!r} in {what} is not in the catalogue of this model "
         "(or the model has it already); "
-        f"available are {', '.join(names)}.{hint}"
+        f"available are {some_of(names)}.{hint}"
     )
 
 

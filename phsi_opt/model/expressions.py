@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.errors import ModelError, did_you_mean, shown
 from phsi_opt.presentation.numbers import shortened
 
 # Names that have a value of their own in a formula.
@@ -67,6 +67,13 @@ OPERATORS: Mapping[type, Callable[[Any, Any], Any]] = {
     ast.Pow: operator.pow,
 }
 # A formula is written by a person; a longer one is a mistake or an attack.
+# What to do about a formula that cannot be read, by what it or Python's message holds.
+HINTS = {
+    "^": "Write a power as **.",
+    "=": "Give the right-hand side alone, without =.",
+    "decimal literal": "Write a product with *, as in 2*q.",
+    "never closed": "Close the bracket.",
+}
 MAX_CHARACTERS = 10_000
 # Beyond any law of physics, and short of what fills the memory as a whole number.
 MAX_EXPONENT = 64
@@ -91,7 +98,8 @@ def parse(text: str) -> ast.expr:
     """
     if not isinstance(text, str) or not text.strip():
         raise ModelError(
-            f"formula {text!r} is not text; expected an expression such as 'k*q**2/2'."
+            f"formula {shown(text)} is not text; expected an expression such as "
+            "'k*q**2/2'."
         )
     if len(text) > MAX_CHARACTERS:
         raise ModelError(
@@ -107,10 +115,10 @@ def parse(text: str) -> ast.expr:
                 "when powers are expanded; write decimal numbers, or lower powers."
             )
     except SyntaxError as error:
-        hint = " Write a power as **." if "^" in text else ""
+        told = f"{error.msg} at column {error.offset}."
+        hints = [hint for sign, hint in HINTS.items() if sign in f"{text} {told}"]
         raise ModelError(
-            f"formula {_shortened(text)!r} cannot be read: "
-            f"{error.msg} at column {error.offset}.{hint}"
+            " ".join([f"formula {_shortened(text)!r} cannot be read: {told}", *hints])
         ) from None
     except UnicodeError:
         raise ModelError(
@@ -141,10 +149,11 @@ def _check(node: ast.AST, text: str, depth: int = 0) -> None:
         case ast.Name():
             below = []
         case _:
+            hint = " Decimals have a point: 0.5." if isinstance(node, ast.Tuple) else ""
             raise ModelError(
                 f"{_place(node, text)} is not allowed; a formula may contain numbers, "
                 "names, + - * / **, brackets and the functions "
-                f"{', '.join(FUNCTIONS)}."
+                f"{', '.join(FUNCTIONS)}.{hint}"
             )
     for part in below:
         _check(part, text, depth + 1)
@@ -163,11 +172,8 @@ def _is_finite(value: Any) -> bool:
 
 def _check_operator(node: ast.BinOp, text: str) -> None:
     if type(node.op) not in OPERATORS:
-        hint = " Write a power as **." if isinstance(node.op, ast.BitXor) else ""
-        raise ModelError(
-            f"the operator in {_source(node, text)!r} of formula {_shortened(text)!r} "
-            f"is not allowed.{hint}"
-        )
+        hint = f" {HINTS['^']}" if isinstance(node.op, ast.BitXor) else ""
+        raise ModelError(f"the operator in {_place(node, text)} is not allowed.{hint}")
     if isinstance(node.op, ast.Pow):
         exponent = _number(node.right, text) or 0.0
         if abs(exponent) > MAX_EXPONENT:

@@ -186,11 +186,11 @@ constant | c | bias, offset, load, tilt, gravity, disturbance, supply
 drifting | c t | drift, trend, ramp
 harmonic | a sin({omega} t) + b cos({omega} t) | unbalance, vibration, ripple, hum
 quadratic input | c {u}^2 | nonlinear actuator
-input gain | c dF/d{u} {u} | actuator gain, calibration, scale error
-input dead zone | -dF/d{u} min(max({u}, -width), width) | dead band, threshold
-input saturation | -dF/d{u} ({u} - min(max({u}, -limit), limit)) | saturation
-input lag | dF/d{u} (z - {u}), lag dz/dt = {u} - z | actuator lag, slow actuator
-input delay | dF/d{u} ({u}(t - delay) - {u}) | dead time, transport delay, latency
+input gain | c {dF}{u} | actuator gain, calibration, scale error
+input dead zone | -{dF}min(max({u}, -width), width) | dead band, threshold
+input saturation | -{dF}({u} - min(max({u}, -limit), limit)) | saturation
+input lag | {dF}(z - {u}), lag dz/dt = {u} - z | actuator lag, slow actuator
+input delay | {dF}({u}(t - delay) - {u}) | dead time, transport delay, latency
 linear stiffness | energy c {q}^2/2 | spring
 quadratic stiffness | energy c {q}^3/3 | asymmetric spring
 cubic stiffness | energy c {q}^4/4 | hardening, softening, duffing spring
@@ -470,7 +470,7 @@ TABLES = (LOSSES, ENERGIES, FORCES, INPUTS, LASTING, OVERFLOWS, HEAT_EXCHANGES, 
 # Names that stand for those of any model.
 ANY_MODEL = {"e": "e", "q": "q", "angle": "q", "x": "x", "u": "u", "omega": "omega"}
 ANY_MODEL |= {"s": "x2", "s_e": "e2", "q1": "q1", "q2": "q2"}
-ANY_MODEL |= {"source": "force", "of_u": ""}
+ANY_MODEL |= {"source": "force", "of_u": "", "dF": "dF/du "}
 
 
 def laws_told() -> dict[str, str]:

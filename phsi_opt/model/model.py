@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar, cast
 import casadi as ca
 import numpy as np
 
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import ModelError, shown
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
@@ -104,8 +104,8 @@ class Model(BaseModel, Summarised):
             return super().add(effect_named(self, effect, equation))
         if not isinstance(effect, Effect):
             raise ModelError(
-                f"{effect!r} is not an effect; give an Effect, or the name and the "
-                "equation of an effect, such as model.add('coulomb friction', 'p')."
+                f"{shown(effect)} is not an effect; give an Effect, or the name and "
+                "the equation of an effect, such as model.add('coulomb friction', 'p')."
             )
         if equation not in (None, effect.equation):
             raise ModelError(

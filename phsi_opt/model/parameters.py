@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import ModelError, shown
 from phsi_opt.presentation.numbers import short_repr
 
 
@@ -114,7 +114,7 @@ class Parameter:
         if not self.lower <= self.upper:
             raise ModelError(
                 f"parameter bounds are crossed: lower={self.lower:g} is above "
-                f"upper={self.upper:g}."
+                f"upper={self.upper:g}; swap them."
             )
         if self.value is not None and not self.lower <= self.value <= self.upper:
             raise ModelError(
@@ -166,10 +166,11 @@ def with_value(parameter: Parameter, value: float) -> Parameter:
 
 def _number(value: Any, name: str) -> float:
     try:
-        if isinstance(value, complex):  # NumPy would drop the imaginary part
+        if isinstance(value, complex | str):  # the imaginary part would be dropped
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):
         raise ModelError(
-            f"parameter {name}={str(value)[:60]} is not a number."
+            f"parameter {name}={shown(value)} is not a number; write one such as 1.0, "
+            "without quotes."
         ) from None

@@ -14,8 +14,8 @@ from math import comb
 from types import MappingProxyType
 from typing import Any
 
-from phsi_opt.arguments import require_count, short_number
-from phsi_opt.errors import ModelError
+from phsi_opt.arguments import require_count
+from phsi_opt.errors import ModelError, shown
 from phsi_opt.model.expressions import FUNCTIONS, MAX_EXPONENT, names_of
 from phsi_opt.model.parameters import Parameter, Scan
 from phsi_opt.presentation.numbers import short_repr
@@ -199,7 +199,7 @@ def polynomials(
     require_count("polynomials: degree", degree)
     if degree > MAX_EXPONENT:
         raise ModelError(
-            f"degree={short_number(degree)} of polynomials exceeds {MAX_EXPONENT}; "
+            f"degree={shown(degree)} of polynomials exceeds {MAX_EXPONENT}; "
             "rescale the variables and choose a lower degree."
         )
     n_terms = comb(len(names) + degree, degree)
@@ -246,7 +246,7 @@ def trigonometric(
     require_count("trigonometric: n", n)
     n_terms = 2 * n * len(names)
     _check_number_of_terms(
-        n_terms, f"trigonometric of n={short_number(n)} for {len(names)} variables"
+        n_terms, f"trigonometric of n={shown(n)} for {len(names)} variables"
     )
     terms: list[Term] = []
     for name in names:
@@ -261,7 +261,7 @@ def trigonometric(
 def _check_number_of_terms(n_terms: int, what: str = "a dictionary") -> None:
     if n_terms > LARGEST_DICTIONARY:
         raise ModelError(
-            f"{what} would have {short_number(n_terms)} terms; at most "
+            f"{what} would have {shown(n_terms)} terms; at most "
             f"{LARGEST_DICTIONARY} are allowed. Choose a smaller dictionary."
         )
 

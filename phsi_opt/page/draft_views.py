@@ -49,6 +49,8 @@ from phsi_opt.page.parts import (
     complaints,
     field_row,
     heading,
+    plotted_data,
+    said_by,
     text_fields,
 )
 from phsi_opt.page.session import Session
@@ -89,6 +91,11 @@ STEP_FIELD = Field(
 THINNED_FIELD = Field(
     "thinned", "number of samples to average", "17em", "each by itself", WHOLE
 )
+HOLD_OPTIONS = {
+    "linear": "linear",
+    "zero": "constant until the next",
+    "cubic": "smooth",
+}
 HELD_OUT_FIELDS = {
     SHARE: (Field("share", "share", "8em", "0.3", REAL),),
     AFTER: (Field("after", "from the time", "8em", "10", REAL),),
@@ -122,6 +129,7 @@ class DataView:
                 button("Choose files", lambda: upload.run_method("pickFiles"))
             self.error()
         self.examples()
+        self.seen()
         self.table()
         self.wrong()
 
@@ -154,6 +162,15 @@ class DataView:
     async def _open_example(self, name: str) -> None:
         await run.io_bound(self.session.open_example, name)
         self.go(STUDY_PART)
+
+    @ui.refreshable_method
+    def seen(self) -> None:
+        """The measurements over time, and what was noticed of them."""
+        chart = self.session.seen_data.chart
+        if chart is not None:
+            with card():
+                plotted_data(chart)
+                said_by("noticed", self.session.seen_data.rows)
 
     @ui.refreshable_method
     def error(self) -> None:
@@ -215,6 +232,24 @@ class DataView:
             choice(f"{column.column} is", roles, column.role, set_role, width="10em")
             fields = FIELDS_OF_ROLE.get(column.role, ())
             text_fields(column.table, fields, self.checked, str(column.column))
+            if column.role == INPUT:
+                self._hold(column)
+
+    def _hold(self, column: ColumnDraft) -> None:
+        """What an input does between samples."""
+
+        async def set_hold(hold: str) -> None:
+            column.table["hold"] = hold
+            await self.checked()
+
+        now = column.table.get("hold", "linear")
+        choice(
+            f"{column.column} between samples",
+            HOLD_OPTIONS,
+            now,
+            set_hold,
+            width="16em",
+        )
 
     @ui.refreshable_method
     def held_out(self) -> None:
@@ -322,7 +357,8 @@ class ModelView:
         tile.props["id"] = tile_id
         tile.classes("chosen" if is_chosen else "")
         with tile:
-            ui.html(base.picture, sanitize=False).classes("picture")
+            drawing = ui.html(base.picture, sanitize=False).classes("picture")
+            drawing.props('aria-hidden="true"')
             title = ui.label(base.title + (" (chosen)" if is_chosen else ""))
             title.style("font-weight: 600; line-height: 1.35")
             ui.label(base.about).classes("faint")

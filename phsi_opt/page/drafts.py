@@ -464,6 +464,12 @@ class StudyDraft:
         """Where each file of the data lies, by its name."""
         return {} if self.data is None else dict(self.data.places)
 
+    @property
+    def data_as_it_is(self) -> Drafted:
+        """The files and columns alone."""
+        content = {"data": self.data.content([])} if self.data else {}
+        return Drafted(text_of(content), self.places)
+
     def as_it_is(self) -> Drafted:
         """What is filled in now."""
         return Drafted(text_of(self.content()), self.places)

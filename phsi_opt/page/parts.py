@@ -1,7 +1,9 @@
 """Small parts that all views are made of."""
 
+import json
 import re
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 from nicegui import events, ui
@@ -9,6 +11,8 @@ from nicegui.elements.mixins.text_element import TextElement
 
 from phsi_opt.errors import Complaint
 from phsi_opt.page.drafts import NAMES, PAIRS, TERMS, TEXT, Content, Kind
+from phsi_opt.presentation.charts import Chart, figure
+from phsi_opt.presentation.sentences import environment
 
 DEBOUNCE = "debounce=400"  # ms without a key before a text is checked
 FORMULAS = (NAMES, PAIRS, TERMS)  # kinds that are set in the type of formulas
@@ -118,6 +122,37 @@ def button(label: str, then: Callable[[], Any], quiet: bool = False) -> ui.butto
     """A button: filled, or quiet beside one that is."""
     made = ui.button(label, on_click=then)
     return made.props("outline" if quiet else "text-color=onprimary")
+
+
+@cache
+def _texts() -> Any:
+    templates = environment("phsi_opt.page", autoescape=True)
+    return templates.get_template("study.html.jinja").module
+
+
+def words(name: str, *facts: Any) -> str:
+    """What a macro of ``study.html.jinja`` says; names in it mean nothing in HTML."""
+    return str(getattr(_texts(), name)(*facts))
+
+
+def said_by(name: str, *facts: Any) -> None:
+    """Show the `words` of a macro."""
+    ui.html(words(name, *facts), sanitize=False).classes("told w-full")
+
+
+def plotted(chart: Chart, told: str, height: int) -> ui.element:
+    """A chart; ``told`` to screen readers, ``height`` in pixels."""
+    plot = ui.element("div").classes("live w-full").style(f"height: {height}px")
+    plot.props["data-label"] = told
+    plot.props["data-figure"] = json.dumps(figure(chart), allow_nan=False)
+    return plot
+
+
+def plotted_data(chart: Chart) -> None:
+    """The measurements over time."""
+    heading("What was measured")
+    height = 90 + 120 * len(chart.panels)
+    plotted(chart, "Chart: all channels over time", height)
 
 
 # ---- complaints in the words of the fields -------------------------------------------

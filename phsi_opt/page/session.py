@@ -28,13 +28,15 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.gallery import draft_of, left_over, match_states
 from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
+from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
-from phsi_opt.study_file.keys import listed
+from phsi_opt.study_file.keys import Complaints, listed, usable
+from phsi_opt.study_file.sections import DataSection
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.study_file.toml_text import tables_of
+from phsi_opt.study_file.toml_text import tables_of, toml_tables
 from phsi_opt.writing import write_whole
 
 WORKING_FILE = "working_study.toml"
@@ -68,6 +70,28 @@ class Look:
         glance = content.glance
         is_told = bool(content.present.forces)
         return cls(glance.run, glance.channel, glance.t) if is_told else None
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The measurements as they are seen before there is a model."""
+
+    drafted: Drafted  # of which they are
+    chart: Chart | None = None  # None where they cannot be read yet
+    rows: tuple[dict[str, Any], ...] = ()  # what was noticed of each channel
+
+    @classmethod
+    def of(cls, drafted: Drafted) -> "Seen":
+        """The files and columns of a draft, as far as they can be used."""
+        content = toml_tables(drafted.text)
+        told = usable(content, Complaints(content)).get("data", {})
+        if not all(map(told.get, ("files", "time", "states"))):
+            return cls(drafted)
+        try:
+            data = DataSection.of(told, drafted.places).measurements(Path())
+        except PhsiOptError:
+            return cls(drafted)
+        return cls(drafted, data.chart(), tuple(data.look.rows()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +185,11 @@ class Session:
         self._waiting = ""  # the name of a study file whose tables are not there yet
         self._checking = threading.Lock()
         self._taking = threading.Lock()
+        self._origin = study_file
         if study_file is not None:
             self._open(study_file)
         self.complaints = self._checked()
+        self.seen_data = Seen.of(self.draft.data_as_it_is)
         self._begun = self.draft.as_it_is()
 
     # ---- drafts ----------------------------------------------------------------------
@@ -332,6 +358,9 @@ class Session:
         self.failure = ""  # what is checked is not what failed any more
         with self._checking:  # checks run beside each other, and write one file
             self.complaints = self._checked()
+            seen = self.draft.data_as_it_is
+            if seen != self.seen_data.drafted:
+                self.seen_data = Seen.of(seen)
         self.version += 1
         return self.complaints
 
@@ -372,9 +401,11 @@ class Session:
         return self.draft.as_it_is() == self._begun
 
     def show_up(self) -> None:
-        """Note that a page shows it."""
+        """Note that a page shows it; the worker starts before it is needed."""
         self.seen = time.monotonic()
-        self.is_shown = True
+        if not self.is_shown:
+            self.is_shown = True
+            self._ready_worker()
 
     # ---- work ------------------------------------------------------------------------
 
@@ -387,7 +418,7 @@ class Session:
             return
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
-        order = Order(Verb.FIT, str(path), self._fitting.places)
+        order = Order(Verb.FIT, str(path), self._fitting.places, self._origin)
         self._order("Fitting the base model", order, "Fitted")
 
     def average(self, n: int) -> None:

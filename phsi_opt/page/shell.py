@@ -66,9 +66,11 @@ class Shell:
         self._shape = session.shape
         self._version = session.version
         self._drawn = self._to_draw()
+        self._seen = session.seen_data
 
     def build(self) -> None:
         """Draw everything and keep up with the session."""
+        self._client = ui.context.client  # what was pressed may be gone by then
         ui.colors(primary=PRIMARY, onprimary=ON_PRIMARY)
         ui.add_css(Path(str(files("phsi_opt.page") / "page.css")))
         ui.add_css(ours("chart.css"))
@@ -100,7 +102,7 @@ class Shell:
                     build()
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
-        self._asking = ui.timer(0.25, self._keep_up)  # s: no reader waits
+        self._asking = ui.timer(0.1, self._keep_up)  # s: no reader waits
 
     def _menu(self) -> None:
         with ui.button("Menu").props("flat color=primary"), ui.menu() as menu:
@@ -126,7 +128,7 @@ class Shell:
     def _go(self, part: str) -> None:
         """Show a part from its top, with the focus there."""
         self._tabs.set_value(part)
-        ui.run_javascript(FOCUS_CONTENT)
+        self._client.run_javascript(FOCUS_CONTENT)
 
     async def _checked(self) -> None:
         await run.io_bound(self._session.check)
@@ -195,6 +197,9 @@ class Shell:
     def _show_changes(self) -> None:
         self._show_status()
         self._data.wrong.refresh()
+        if self._session.seen_data is not self._seen:
+            self._seen = self._session.seen_data
+            self._data.seen.refresh()
         self._model.wrong.refresh()
         self._study.show_job()
         now = self._to_draw()

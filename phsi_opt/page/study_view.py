@@ -5,10 +5,9 @@ All of it is drawn from the content of the study; texts are those of
 is told. The field for the time does the same for those who use no mouse.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +16,26 @@ from nicegui import events, ui
 
 from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.page.parts import alert, button, card, choice, heading
+from phsi_opt.page.parts import (
+    alert,
+    button,
+    card,
+    choice,
+    heading,
+    plotted,
+    plotted_data,
+    said_by,
+)
 from phsi_opt.page.session import Look, Model, Session
 from phsi_opt.presentation.charts import (
     Chart,
     errors_chart,
-    figure,
     follows_chart,
     force_chart,
     run_chart,
 )
 from phsi_opt.presentation.content import Diagnosed, Ranked, Run, StudyContent
 from phsi_opt.presentation.numbers import number, proper_names, with_error
-from phsi_opt.presentation.sentences import environment
 
 N_SHOWN = 5  # candidates that are shown at once
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
@@ -130,6 +136,10 @@ class StudyView:
             if self._session.message:
                 alert(self._session.message)
             ui.label(said)
+        seen = self._session.seen_data.chart
+        if seen is not None:
+            with card():
+                plotted_data(seen)
 
     def _verdict(self, content: StudyContent) -> None:
         diagnosed = content.present
@@ -448,27 +458,3 @@ def rows_of(models: Sequence[StudyContent]) -> dict[str, list[str]]:
         for name, text in said.items():
             rows.setdefault(name, [""] * len(models))[k] = text
     return rows
-
-
-@cache
-def _texts() -> Any:
-    templates = environment("phsi_opt.page", autoescape=True)
-    return templates.get_template("study.html.jinja").module
-
-
-def words(name: str, *facts: Any) -> str:
-    """What a macro of ``study.html.jinja`` says; names in it mean nothing in HTML."""
-    return str(getattr(_texts(), name)(*facts))
-
-
-def said_by(name: str, *facts: Any) -> None:
-    """Show the `words` of a macro."""
-    ui.html(words(name, *facts), sanitize=False).classes("told w-full")
-
-
-def plotted(chart: Chart, told: str, height: int) -> ui.element:
-    """A chart; ``told`` to screen readers, ``height`` in pixels."""
-    plot = ui.element("div").classes("live w-full").style(f"height: {height}px")
-    plot.props["data-label"] = told
-    plot.props["data-figure"] = json.dumps(figure(chart), allow_nan=False)
-    return plot

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from importlib import import_module
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -22,6 +23,7 @@ from typing import Any
 from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study import Study
+from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
 
@@ -48,6 +50,8 @@ class Order:
     what: str = ""
     # For ``FIT``: where the data files lie, by their names.
     places: Mapping[str, Path] = field(default_factory=dict)
+    # For ``FIT``: the study file beside which commands have kept fits, if any.
+    origin: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -169,6 +173,7 @@ def work(connection: Connection) -> None:
         connection: studies to go on from and orders come in; messages go out.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
+    import_module("scipy.optimize")  # takes a while, and each fit needs it
     _Pipe.connection = connection
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
@@ -181,7 +186,7 @@ def work(connection: Connection) -> None:
             continue
         try:
             if order.verb == Verb.FIT:
-                study = StudyFile.read(order.what, order.places).study(tell)
+                study = _fitted(order)
             if study is None:
                 answer: Any = Refused("Nothing has been fitted yet; press Fit first.")
             else:
@@ -194,6 +199,15 @@ def work(connection: Connection) -> None:
             answer = Refused(f"This is a bug in phsi_opt: {error!r}")
         connection.send(answer)
         connection.send(Done())
+
+
+def _fitted(order: Order) -> Study:
+    """The study of a file, with the fits that commands have kept; none is added."""
+    file = StudyFile.read(order.what, order.places)
+    if order.origin is None:
+        return file.study(tell)
+    kept = KeptFits.of(order.origin, file, file.split()[0])
+    return file.study(tell, kept=kept)
 
 
 def _listen(connection: Connection, orders: "SimpleQueue[Any]") -> None:

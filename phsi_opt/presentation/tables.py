@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 COLUMN_GAP = 2  # characters between columns
+LONGEST_WORD = 30  # characters of a word that is not broken
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
 
 
@@ -67,8 +68,9 @@ class Column:
     def least_width(self) -> int:
         """Characters that it takes where all is broken that may be, with the gap."""
         longest = max(map(len, self.cells), default=1)
-        if not self.is_number:
-            longest = min(longest, 12)  # a word or two
+        if not self.is_number:  # texts are broken at blanks, after a word or two
+            words = map(len, " ".join(self.cells).split())
+            longest = max(min(longest, 12), min(max(words, default=1), LONGEST_WORD))
         return COLUMN_GAP + max(longest, 1, *map(len, self.broken_header.split()))
 
 
@@ -145,11 +147,15 @@ def _laid_out(columns: list[Column], width: int) -> "Table":
     widest = [max(map(len, (one.header, *one.cells))) for one in columns]
     is_wide = sum(widest) + COLUMN_GAP * (len(columns) - 1) > width
     shown = Table(box=None, padding=(0, COLUMN_GAP, 0, 0), pad_edge=False)
-    for one in columns:
+    spare = max(width - _least(columns), 0)
+    for one, most in zip(columns, widest, strict=True):
+        least = min(one.least_width - COLUMN_GAP, width)
+        more = min(max(most - least, 0), spare)
+        spare -= more
         shown.add_column(
             Text(one.broken_header if is_wide else one.header),
             justify="right" if one.is_number else "left",
-            min_width=min(one.least_width - COLUMN_GAP, width),
+            width=least + more,  # rich itself would break words
             overflow="fold",
         )
     for cells in zip(*(one.cells for one in columns), strict=True):

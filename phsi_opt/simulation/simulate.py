@@ -23,7 +23,7 @@ import scipy
 
 from phsi_opt.data.checks import LARGEST_VALUE, Hold, hold_of_each
 from phsi_opt.data.trajectory import SmoothInputs
-from phsi_opt.errors import DataError, SolveError
+from phsi_opt.errors import DataError, SolveError, shown
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
@@ -280,7 +280,7 @@ def _real_numbers(values: Any, name: str) -> np.ndarray:
         array = np.asarray(values)
         if array.dtype.kind in "biuf":
             return array.astype(float)
-    raise DataError(f"{name}={values!r} must be an array of real numbers.")
+    raise DataError(f"{name}={shown(values)} must be an array of real numbers.")
 
 
 def checked_arguments(
@@ -304,7 +304,7 @@ def checked_arguments(
     start = _real_numbers(x0, "x0")
     if start.shape != (model.n_states,) or not np.all(np.isfinite(start)):
         raise DataError(
-            f"x0={x0!r} must be {model.n_states} finite numbers, one per state "
+            f"x0={shown(x0)} must be {model.n_states} finite numbers, one per state "
             f"({', '.join(model.states)})."
         )
     if callable(u):

@@ -34,7 +34,7 @@ from phsi_opt.statistics import TINY, rms
 from phsi_opt.study.record import StudyRecord
 
 NOT_ASKED = "not diagnosed yet"
-ASK = "Call study.diagnose() or study.auto()."
+ASK = "Diagnose it: phsi-opt study --auto, or study.auto()."
 SEVERITIES = {
     str(Verdict.NOTHING_MISSING): GOOD,
     str(Verdict.NAMED): LOOK,

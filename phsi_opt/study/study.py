@@ -25,6 +25,7 @@ from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary
 from phsi_opt.study.record import Step, StudyRecord
 from phsi_opt.sweeps.sweep import check_executor
+from phsi_opt.transcription.grid import check_problem
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole, written_path
 
@@ -81,6 +82,7 @@ class Study(Summarised):
         progress: Callable[[str], None] | None = None,
         fit: Fit | None = None,
     ) -> None:
+        check_problem(model, train, "train")
         self.base = model
         self._choice = EffectChoice(effects, without).checked(model, train.units)
         self._say = progress or silent

@@ -104,7 +104,7 @@ class ModelReader:
     def model(self) -> Model | None:
         """The base model; None, and what is wrong noted, where it cannot be made."""
         section = self.section
-        if not section:
+        if not section or self.faults.about("model", "states"):
             return None
         kind = section.get("type", WITH_ENERGY)
         parts: dict[str, Any] = {"states": self.states, "kind": section.get("kind", {})}

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
-from phsi_opt.errors import Complaint, DataError, StudyFileError
+from phsi_opt.errors import Complaint, DataError, StudyFileError, shown
 from phsi_opt.reading import file_bytes, file_text, why_not_read
 from phsi_opt.writing import write_whole
 
@@ -38,6 +38,7 @@ LONG_KEY = re.compile(
     rf"(?:^|[{{,])[ \t]*+\[{{0,2}}+[ \t]*+{DOTTED}{{{MOST_NESTED}}}", re.MULTILINE
 )
 ENTRY = re.compile(rf"[ \t]*+(\[{{0,2}})[ \t]*+({DOTTED}*+)[ \t]*+[=\]]")
+LINE_OF_ERROR = re.compile(r"at line (\d+)")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 DELETE = "\x7f"  # the one character that JSON leaves as it is and TOML does not allow
 
@@ -63,9 +64,11 @@ def text_and_tables(path: Path) -> tuple[str, dict[str, Any]]:
         line = error.object[: error.start].count(b"\n") + 1
         said = f"line {line} is not UTF-8 text (byte {byte:#04x}); save it as UTF-8."
     except ValueError as error:
+        place = LINE_OF_ERROR.search(str(error))
+        at = place and text.splitlines()[int(place[1]) - 1].strip()
         said = (
-            f"this is not TOML: {error}. Write texts in quotes and section names "
-            "as [name]."
+            f"this is not TOML: {error}{f': {shown(at)}' if at else ''}. Texts stand "
+            "in quotes, decimals have a point, a section is [name], a key stands once."
         )
     except OSError as error:
         said = f"it cannot be read: {why_not_read(error)}."

@@ -17,7 +17,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from urllib.parse import quote
 
 from phsi_opt.arguments import is_count
-from phsi_opt.errors import DataError, PhsiOptError, SolveError
+from phsi_opt.errors import DataError, PhsiOptError, SolveError, shown
 from phsi_opt.reading import file_text
 from phsi_opt.sweeps.local_workers import local_workers
 from phsi_opt.writing import write_whole
@@ -181,7 +181,7 @@ def check_executor(executor: object) -> None:
     """
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise DataError(
-            f"executor={executor!r} has no method submit; expected an executor of "
+            f"executor={shown(executor)} has no method submit; expected an executor of "
             "concurrent.futures, such as ProcessPoolExecutor(4), or a Dask client's "
             "get_executor()."
         )

@@ -1,0 +1,90 @@
+"""Processor time of commands, and that of importing the libraries they are built on.
+
+    python -m problems.benchmarks.command_line [--quick]
+
+Each command runs several times in a folder with the files of the demonstration; the
+shortest time counts, user and system, with all processes that it starts. A busy machine
+makes all times longer, so that their ratio to the import is what to compare.
+"""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from problems.tools import provenance
+from problems.tools.command_line import flag
+from problems.tools.pages import render
+
+N_TIMES = 5
+DEMO = provenance.ROOT / "phsi_opt" / "study_file" / "examples" / "spring"
+IMPORTS = "importing numpy, scipy, pandas, casadi"
+PHSI_OPT = ("-m", "phsi_opt.command_line")
+COMMANDS = {
+    IMPORTS: ("-c", "import numpy, scipy, pandas, casadi"),
+    "--help": (*PHSI_OPT, "--help"),
+    "fit missing.toml": (*PHSI_OPT, "fit", "missing.toml"),
+    "check broken.toml": (*PHSI_OPT, "check", "broken.toml"),
+    "init missing.csv": (*PHSI_OPT, "init", "missing.csv"),
+    "check": (*PHSI_OPT, "check"),
+    "effects": (*PHSI_OPT, "effects"),
+    "fit": (*PHSI_OPT, "fit"),
+    "compare, after fit": (*PHSI_OPT, "compare"),
+}
+LIMITS = {"--help": 0.5, "fit missing.toml": 0.5, "check broken.toml": 0.5}
+LIMITS |= {"init missing.csv": 0.5, "check": 2.0, "fit": 4.0}
+
+
+def seconds(arguments: Sequence[str], folder: Path) -> float:
+    """Processor time of a Python process and its children."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    environment = {**os.environ, "PYTHONPATH": str(provenance.ROOT)}
+    environment |= {"OMP_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": str(folder / "pyc")}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
+    command = [sys.executable, *arguments]
+    subprocess.run(command, cwd=folder, env=environment, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    user = after.ru_utime - before.ru_utime
+    return user + after.ru_stime - before.ru_stime
+
+
+def shortest(n_times: int) -> dict[str, float]:
+    """The shortest time of each command, all of them in turn."""
+    found = dict.fromkeys(COMMANDS, float("inf"))
+    with TemporaryDirectory() as place:
+        folder = Path(place)
+        for file in DEMO.iterdir():
+            shutil.copy(file, folder)
+        (folder / "broken.toml").write_text("[data")
+        for number in range(n_times + 1):
+            (folder / "study.toml.cache").unlink(missing_ok=True)
+            for name, arguments in COMMANDS.items():
+                taken = seconds(arguments, folder)
+                if number:  # in the first round Python compiles what it imports
+                    found[name] = min(found[name], taken)
+    return found
+
+
+def page(found: dict[str, float]) -> str:
+    """The page as Markdown."""
+    rows = []
+    for name, taken in found.items():
+        times = {"seconds": round(taken, 2), "imports": taken / found[IMPORTS]}
+        rows.append({"command": name, **times, "at most": LIMITS.get(name)})
+    return render("benchmarks/pages/command_line.md", rows=rows, n_times=N_TIMES)
+
+
+def main() -> None:
+    """Measure, and write the page."""
+    if flag("quick"):
+        print(page(shortest(1)))
+        return
+    provenance.write("command_line.md", page(shortest(N_TIMES)))
+
+
+if __name__ == "__main__":
+    main()
