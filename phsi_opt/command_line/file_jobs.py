@@ -172,7 +172,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         model=model,
         kind=type(model).__name__,
         added=file.steps.added,
-        n_effects=len(catalogue(model, file.data.units)),
+        n_effects=len(catalogue(model, train.units)),
         notes=notes,
     )
     content = {

@@ -32,7 +32,7 @@ from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import white_system
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
@@ -149,6 +149,8 @@ class Comparison(Summarised):
         rmse = rms(np.concatenate(residuals))
         spread = float(np.std(_known(self._y[:, number])))
         floor = self.sigma[number]
+        scale = scale_of(self.data.units.get(name, ""))
+        time = scale_of(self.data.units.get("t", ""))
         horizons = []
         for run, of_run in zip(self.data.trajectories, self.residuals, strict=True):
             is_beyond = np.abs(of_run[:, number]) > HORIZON_RESIDUAL * floor
@@ -156,13 +158,13 @@ class Comparison(Summarised):
             horizons.append(float(run.t[beyond[0]] - run.t[0]))
         return {
             "state": name,
-            "unit": self.data.units.get(name, ""),
+            "unit": scale.unit,
             "fit_percent": 100 * (1 - rmse / max(spread, TINY)),
-            "rmse": rmse,
-            "noise_floor": floor,
+            "rmse": rmse / scale.size,
+            "noise_floor": floor / scale.size,
             "chi2_dof": (rmse / floor) ** 2,
             "whiteness": ljung_box(residuals),
-            "horizon": min(horizons),
+            "horizon": min(horizons) / time.size,
             "n_samples": int(self._n_values[number]),
         }
 
@@ -187,11 +189,12 @@ class Comparison(Summarised):
     def weights(self) -> np.ndarray:
         """Scale of each state in `rmse`, (n_states,).
 
-        One where a single channel is measured, else one over its standard deviation.
+        That of its unit where a single channel is measured, else one over its standard
+        deviation.
         """
         is_measured = self._n_values > 0
         if sum(is_measured) == 1:
-            return np.where(is_measured, 1.0, 0.0)
+            return np.where(is_measured, 1 / self._told.size, 0.0)
         spread = np.full(len(is_measured), np.inf)
         spread[is_measured] = np.nanstd(self._y[:, is_measured], axis=0)
         return 1 / np.where(spread > 0, spread, 1.0)
@@ -231,7 +234,12 @@ class Comparison(Summarised):
         """Unit of `rmse`: of the one measured channel, else standard deviations."""
         if len(self.data.measured) != 1:
             return STANDARD_DEVIATIONS
-        return self.data.units.get(self.data.measured[0], "")
+        return self._told.unit
+
+    @property
+    def _told(self) -> Scale:
+        """The scale of the first channel that is measured."""
+        return scale_of(self.data.units.get(self.data.measured[0], ""))
 
     @property
     def noise_floor(self) -> float:
@@ -279,9 +287,13 @@ class Comparison(Summarised):
             f"Free run of {run.name}: rmse {self.rmse:.3g}, "
             f"noise floor {self.noise_floor:.3g} (all runs)"
         )
-        t_unit = self.data.units.get("t", "")
+        time = scale_of(self.data.units.get("t", ""))
         return plot_free_run(
-            run.t, self._channels(number), t_unit=t_unit, title=title, ax=ax
+            time.told(run.t),
+            self._channels(number),
+            t_unit=time.unit,
+            title=title,
+            ax=ax,
         )
 
     def _channels(self, number: int) -> "list[Channel]":
@@ -294,11 +306,11 @@ class Comparison(Summarised):
         channels = []
         for name, noise in self.noise.items():
             k = self.model.states.index(name)
-            unit = self.data.units.get(name, "")
-            std_of_state = None if std is None else std[:, k]
-            channels.append(
-                Channel(name, unit, x[:, k], shown[:, k], std_of_state, noise)
-            )
+            scale = scale_of(self.data.units.get(name, ""))
+            std_of_state = None if std is None else std[:, k] / scale.size
+            both = scale.told(x[:, k]), scale.told(shown[:, k])
+            channel = Channel(name, scale.unit, *both, std_of_state, noise / scale.size)
+            channels.append(channel)
         return channels
 
     def _summary(self) -> Summary:

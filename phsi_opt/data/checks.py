@@ -15,6 +15,7 @@ import numpy as np
 
 from phsi_opt.arguments import require_known
 from phsi_opt.errors import DataError, PhsiOptError, did_you_mean, shown
+from phsi_opt.presentation.units import unit_of
 
 # what inputs do between samples: a straight line to the next, the sample's value until
 # the next, or a cubic spline through all of them
@@ -28,10 +29,10 @@ RESERVED_PREFIXES = ("dH_d", "dF_d")
 # sums of squares of larger values come near the end of the range of float64, 1.8e308
 LARGEST_VALUE = 1e100
 # what may be given by a channel's name: noun, type, test, and what is expected
-BY_NAME: dict[str, tuple[str, type, Callable[[Any], bool], str]] = {
+BY_NAME: dict[str, tuple[str, Callable[[Any], Any], Callable[[Any], bool], str]] = {
     "units": (
         "unit",
-        str,
+        unit_of,
         lambda unit: isinstance(unit, str) and unit.isprintable(),
         "text such as 'm' in one line, or '' when unknown",
     ),

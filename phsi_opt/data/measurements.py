@@ -43,6 +43,7 @@ from phsi_opt.data.trajectory import (
 from phsi_opt.errors import DataError, shown, some_of
 from phsi_opt.presentation.numbers import LINE_WIDTH, number_of
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
+from phsi_opt.presentation.units import Unit, in_si, scale_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -278,6 +279,69 @@ class Measurements(TableReaders, Summarised):
         """
         return replace(self, noise=noise)
 
+    def in_si(self) -> Self:
+        """The same measurements in SI units, for models whose numbers are in SI units.
+
+        Times are in s, angles in rad, temperatures in degC (K where all are), a share
+        is 1 for 100 %. The units that were given are remembered: texts, tables with a
+        unit, charts and reports tell the results in them. Units that are not known
+        stay, and so does everything where the time has no unit.
+
+        Returns:
+            New measurements; these, where all is in SI units already.
+
+        Examples:
+            >>> cart = ph.Measurements.from_arrays(
+            ...     [0, 20, 40], [1.0, 1.5, 1.8], states=["q"],
+            ...     units={"q": "mm", "t": "ms"},
+            ... )
+            >>> cart.in_si().stacked("t").tolist()
+            [0.0, 0.02, 0.04]
+            >>> cart.in_si().units["q"]
+            'm'
+        """
+        units = in_si(self.units)
+        if units == dict(self.units):
+            return self
+        new = {name for name, unit in units.items() if unit is not self.units[name]}
+        scales = {name: scale_of(units[name]) for name in new}
+        return self._converted(units, {name: one.read for name, one in scales.items()})
+
+    def as_written(self) -> Self:
+        """The same measurements in the units that were given; the reverse of `in_si`.
+
+        Examples:
+            >>> data.in_si().as_written().units == data.units
+            True
+        """
+        scales = {name: scale_of(unit) for name, unit in self.units.items()}
+        units = {name: scale.unit for name, scale in scales.items()}
+        if not any(isinstance(unit, Unit) for unit in self.units.values()):
+            return self
+        return self._converted(units, {name: one.told for name, one in scales.items()})
+
+    def _converted(
+        self, units: Mapping[str, str], converted: Mapping[str, Callable[[Any], Any]]
+    ) -> Self:
+        """The same in other units; values are converted by the channel's name."""
+        runs = []
+        for run in self.trajectories:
+            parts: dict[str, Any] = {}
+            names_of = {"t": ("t",), "x": self.states, "u": self.inputs}
+            for part, names in names_of.items():
+                values = np.array(getattr(run, part))
+                columns = values[:, None] if part == "t" else values
+                for k, name in enumerate(names):
+                    if name in converted:
+                        columns[:, k] = converted[name](columns[:, k])
+                parts[part] = values
+            runs.append(replace(run, **parts))
+        noise = dict(self.noise or {})
+        for name in noise.keys() & converted.keys():
+            zero, end = converted[name](0.0), converted[name](noise[name])
+            noise[name] = end - zero
+        return self._of(runs, units=units, noise=noise or None)
+
     def _of(self, runs: Iterable[Trajectory], **changes: Any) -> Self:
         """The same with other trajectories."""
         return replace(self, trajectories=tuple(runs), **changes)
@@ -434,7 +498,8 @@ class Measurements(TableReaders, Summarised):
     @cached_property
     def look(self) -> DataLook:
         """The clock and every channel as they are seen before there is a model."""
-        fields = (self.trajectories, self.states, self.inputs, self.units)
+        data = self.as_written()
+        fields = (data.trajectories, data.states, data.inputs, data.units)
         return DataLook(*fields, tuple(hold_of_each(self.hold, self.inputs)))
 
     @property
@@ -458,7 +523,7 @@ class Measurements(TableReaders, Summarised):
             1 outlier of one sample, at t = 0.4
         """
         table = printed_table(self.look.rows())
-        given = table["channel"].map(dict(self.noise or {}))
+        given = table["channel"].map(dict(self.as_written().noise or {}))
         table["noise"] = given.fillna(table["noise"]).astype(float)
         return table
 
@@ -490,8 +555,9 @@ class Measurements(TableReaders, Summarised):
     def _summary(self) -> Summary:
         """Numbers of trajectories and samples, span of time, and what is noticed."""
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
-        t = self.stacked("t")
-        unit = f" [{self.units['t']}]" if self.units["t"] else ""
+        written = self.as_written()
+        t = written.stacked("t")
+        unit = f" [{written.units['t']}]" if written.units["t"] else ""
         span = f"t = {t.min():g} to {t.max():g}{unit}"
         title = f"Measurements: {runs}, {self.n_samples} samples, {span}"
         table = self.noticed

@@ -25,7 +25,7 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_rows
 from phsi_opt.presentation.summary import printed_table
-from phsi_opt.presentation.units import spaced
+from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.simulation.simulate import Runs, rates
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -226,7 +226,8 @@ class SimulatedRecord:
 
     def words(self, value: float, name: str) -> str:
         """A value with the unit of a state, an input or the time."""
-        return f"{value:.3g}{spaced(self.data.units.get(name, ''))}"
+        scale = scale_of(self.data.units.get(name, ""))
+        return f"{value / scale.size:.3g}{spaced(scale.unit)}"
 
 
 def experiments(record: SimulatedRecord) -> Iterator[Experiment]:
@@ -308,7 +309,7 @@ def _other_inputs(
     high = SINE_FREQUENCIES[-1] * frequency
     rise = (high - low) * t**2 / (2 * t[-1])
     sweep = np.sin(2 * np.pi * (low * t + rise))
-    periods = f"{1 / low:.3g} to {record.words(1 / high, 't')}"
+    periods = f"{record.words(1 / low, 't')} to {record.words(1 / high, 't')}"
     words = f"as a sweep of periods {periods} with the same rms"
     yield driven(words, mean + amplitude * sweep)
 

@@ -13,7 +13,7 @@ from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Progress
 from phsi_opt.model.effect import Effect
-from phsi_opt.screening.effect_size import new_names, size_of, size_unit
+from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
@@ -87,11 +87,13 @@ def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
 
 
 def _expected(base: DiagnosedModel, one: Screened, lost: str) -> Candidate:
+    unit = size_unit(base.fit.model, one.effect, base.record.data.units)
+    size = Size(one.coefficient, one.std_error).told_in(unit)
     return Candidate(
         effect=one.effect,
-        coefficient=one.coefficient,
-        std_error=one.std_error,
-        unit=size_unit(base.fit.model, one.effect, base.record.data.units),
+        coefficient=size.value,
+        std_error=size.std_error,
+        unit=size.unit,
         values=one.values,
         log_bayes=one.gain,
         lost=lost,
@@ -113,6 +115,7 @@ def _candidate(
     places = list(map(weighed.names.index, names))
     covariance = weighed.covariance[np.ix_(places, places)]
     size = size_of(one.effect, weighed.model, names, weighed.model.values, covariance)
+    size = size.told_in(size_unit(model, one.effect, base.record.data.units))
     # What was tried is in the prior: values of inner numbers, and effects.
     tried = float(np.log(one.n_tried * n_effects))
     if one.effect.needs_clock and not model.inputs:

@@ -32,6 +32,7 @@ from phsi_opt.model.terms import Term
 from phsi_opt.presentation.numbers import estimate_text
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.presentation.summary import Part, Summarised, Summary
+from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
@@ -218,19 +219,21 @@ class Fit(FitRecord, Summarised):
         estimated = np.asarray(self.states[number])
         channels = []
         for k, name in enumerate(data.states):
-            unit = data.units.get(name, "")
-            channels.append(Channel(name, unit, run.x[:, k], estimated[:, k], None))
-        t_unit = data.units.get("t", "")
+            scale = scale_of(data.units.get(name, ""))
+            both = scale.told(run.x[:, k]), scale.told(estimated[:, k])
+            channels.append(Channel(name, scale.unit, *both, None))
+        time = scale_of(data.units.get("t", ""))
+        t = time.told(run.t)
         title = f"Measured and estimated states of {run.name}"
         if ax is None:
-            return plot_states(run.t, channels, t_unit=t_unit, title=title).axes[0]
+            return plot_states(t, channels, t_unit=time.unit, title=title).axes[0]
         state = data.measured[0] if state is None else state
         if state not in data.states:
             raise DataError(
                 f"state={state!r} is not one of {', '.join(data.states)}."
                 f"{did_you_mean(state, data.states)}"
             )
-        draw_state(ax, run.t, channels[data.states.index(state)], t_unit)
+        draw_state(ax, t, channels[data.states.index(state)], time.unit)
         ax.set_title(title)
         return ax
 
@@ -255,6 +258,11 @@ class Fit(FitRecord, Summarised):
         parameters = self.parameters.set_index("name")
         table = self.intervals(level)
         table["unit"] = parameters["unit"].reindex(table.index)
+        for entry in self.model.entries.values():
+            scale = scale_of(self.parameter_units[entry.name])
+            rows = table.index.isin(self._values_of(entry))
+            for column in ("value", "ci_lower", "ci_upper"):
+                table.loc[rows, column] = scale.told(table.loc[rows, column])
         table["at_bound"] = table.index.isin(self.outcome.at_bounds)
         return table.rename_axis("name").reset_index()
 
@@ -322,7 +330,8 @@ def equation_lines(fit: FitRecord) -> list[str]:
     rows += dictionary_rows(fit.model, partial(_term, fit))
     own = fit.model.names_in_formulas
     for name, entry in fit.model.entries.items():
-        value = f"{fit.values[name]:.6g} {fit.parameter_units[name]}".rstrip()
+        scale = scale_of(fit.parameter_units[name])
+        value = f"{scale.told(fit.values[name]):.6g} {scale.unit}".rstrip()
         if entry.parameter.fixed:
             rows.append(f"{name} = {value} (fixed)")
         elif name in own:
@@ -365,11 +374,12 @@ def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
 def _estimate(fit: FitRecord, name: str) -> str:
     """Value +- standard error and unit; of a parameter per trajectory only the mean."""
     parameter = fit.model.entries[name].parameter
-    known = fit.parameter_units[name]
-    unit = f" {known}" if known else ""
-    value = fit.values[name]
+    scale = scale_of(fit.parameter_units[name])
+    unit = spaced(scale.unit)
+    value = scale.told(fit.values[name])
     if parameter.per_trajectory and fit.by_trajectory:
         return f"{value:.6g}{unit}, mean over trajectories"
     if name in fit.outcome.at_bounds:
-        return f"{parameter.nearest_bound(value):.6g}{unit}, at its bound"
-    return f"{estimate_text(value, fit.std_errors[name])}{unit}"
+        bound = parameter.nearest_bound(fit.values[name])
+        return f"{scale.told(bound):.6g}{unit}, at its bound"
+    return f"{estimate_text(value, fit.std_errors[name] / scale.size)}{unit}"

@@ -25,6 +25,7 @@ from phsi_opt.model_error.disturbances import Process
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.ipopt import Outcome
 from phsi_opt.presentation.summary import printed_table
+from phsi_opt.presentation.units import scale_of
 from phsi_opt.simulation.simulate import rates, simulate
 from phsi_opt.statistics import TINY, student_limit
 
@@ -85,17 +86,18 @@ class Identified:
 
         Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
         ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the
-        bounds that the solver kept), ``unit``, ``fixed``. A parameter that every
-        trajectory has of its own has a row per trajectory. Limits of confidence are
-        those of `Fit.intervals`.
+        bounds that the solver kept), ``unit`` (of these numbers), ``fixed``. A
+        parameter that every trajectory has of its own has a row per trajectory. Limits
+        of confidence are those of `Fit.intervals`.
         """
         rows = []
         for entry in self.model.entries.values():
             parameter = entry.parameter
-            unit = self.parameter_units[entry.name]
-            after = (parameter.lower, parameter.upper, unit, parameter.fixed)
+            scale = scale_of(self.parameter_units[entry.name])
+            bounds = map(scale.told, (parameter.lower, parameter.upper))
+            after = (*bounds, scale.unit, parameter.fixed)
             for name, value in self._values_of(entry).items():
-                known = (value, self.std_errors[name])
+                known = (scale.told(value), self.std_errors[name] / scale.size)
                 rows.append((name, entry.slot, entry.equation, *known, *after))
         return printed_table(rows, columns=PARAMETER_COLUMNS)
 
@@ -464,7 +466,12 @@ class FitRecord(Identified):
         share (of the typical rate of that equation, or of the channel's spread). Empty
         where nothing but white noise shows.
         """
-        rows = list(map(vars, self.model_error_rows))
+        time = scale_of(self.units.get("t", ""))
+        rows = []
+        for row in self.model_error_rows:
+            scale = scale_of(row.unit)
+            told = {"size": row.size / scale.size, "time": row.time / time.size}
+            rows.append(vars(row) | told | {"unit": scale.unit})
         return printed_table(rows, columns=list(MODEL_ERROR_COLUMNS))
 
     def intervals(self, level: float = 0.95) -> "pd.DataFrame":

@@ -24,7 +24,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.sweeps.sweep import check_executor
-from phsi_opt.transcription.grid import AlignedData
+from phsi_opt.transcription.grid import AlignedData, checked_data
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss, l1_weights
 
 
@@ -87,7 +87,7 @@ def identify(
             "else; use compare or diagnose with the model, or MaximumLikelihood(), "
             "which estimates states and noise."
         )
-    aligned = data if isinstance(data, AlignedData) else AlignedData.of(model, data)
+    aligned = data if isinstance(data, AlignedData) else checked_data(model, data)
     model = with_kinds_of_units(model, aligned.data.units)
     own = aligned.for_model(model)
     if start is None:

@@ -24,6 +24,7 @@ from phsi_opt.data.noise import (
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.optimization.bounded_step import regularized_inverse
+from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
 from phsi_opt.transcription.grid import steps_per_gap
@@ -100,10 +101,11 @@ def residual_warnings(
     for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():
         least = noise.least[k]
         name = estimate.model.states[k]
-        unit = data.units.get(name, "")
-        step = f"{least / DEVIATION_PER_STEP:.3g} {unit}".rstrip()
+        scale = scale_of(data.units.get(name, ""))
+        told = least / scale.size
+        step = f"{told / DEVIATION_PER_STEP:.3g} {scale.unit}".rstrip()
         if estimate.sigma[k] <= (1 + 1e-9) * least:
-            at_least = f"{least:.2g} {unit}".rstrip()
+            at_least = f"{told:.2g} {scale.unit}".rstrip()
             warnings.append(
                 f"the values of {name} are quantised in steps of {step}: the noise is "
                 f"taken as at least {at_least}"

@@ -32,7 +32,7 @@ from phsi_opt.estimation.optimum_checks import finer_steps
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import AlignedData, Grid
+from phsi_opt.transcription.grid import AlignedData, Grid, checked_data
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -67,7 +67,7 @@ class Record:
             DataError: a state or input of the model is not in the measurements.
             SolveError: the missing force could not be estimated.
         """
-        return cls.of_aligned(fit, AlignedData.of(fit.model, data))
+        return cls.of_aligned(fit, checked_data(fit.model, data))
 
     @classmethod
     def of_aligned(cls, fit: Fit, aligned: AlignedData) -> "Record":

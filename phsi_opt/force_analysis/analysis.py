@@ -233,7 +233,8 @@ def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str
     Such as "where q is highest (above 0.7 m)"; "" where no values stand out. Without
     names the variables are those of the force's map.
     """
-    region = strong_region(force, force.map_variables if names is None else names)
+    names = force.map_variables if names is None else names
+    region = strong_region(force, names, force.told)
     return ", and ".join(range_words(force, *found) for found in region.items())
 
 
@@ -243,7 +244,7 @@ def range_words(force: EquationForce, name: str, ranges: Sequence[StrongRange]) 
         force,
         "range",
         called=plain_name(force, name),
-        unit=spaced(force.unit_of(name)),
+        unit=spaced(force.scale_of(name).unit),
         is_velocity=bool(force.position_of(name)),
         ranges=ranges,
     ).lead

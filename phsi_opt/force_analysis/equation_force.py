@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOST_OF_IT
 from phsi_opt.force_analysis.dependence import (
     CONSTANT,
@@ -27,7 +29,7 @@ from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import (
     Scale,
     dates_words,
-    force_unit,
+    scale_of,
     scale_of_rate,
     times_words,
 )
@@ -49,7 +51,7 @@ class EquationForce(Force):
         return {
             "equation": self.equation,
             "trajectory": self.window.trajectory,
-            "time_window": str(self.window),
+            "time_window": self.window.words(scale_of(self.record.units.get("t", ""))),
             "state_region": region_words(self.region) or EVERYWHERE,
             "frequency": self.pace.frequency,
             "strength": rms(self.w),
@@ -76,7 +78,7 @@ class EquationForce(Force):
     @cached_property
     def region(self) -> Region:
         """Where among the states."""
-        return strong_region(self, self.record.model.states)
+        return strong_region(self, self.record.model.states, self.told)
 
     @cached_property
     def wave(self) -> PositionWave | None:
@@ -173,18 +175,25 @@ class EquationForce(Force):
         states = dict(zip(model.efforts, model.states, strict=True))
         return position_of_momentum(model).get(states.get(variable, ""), "")
 
-    def unit_of(self, variable: str) -> str:
-        """Unit of a variable; a velocity has that of its position by time."""
+    def scale_of(self, variable: str) -> Scale:
+        """The scale of a variable; a velocity has that of its position by time."""
         units = self.record.units
         position = self.position_of(variable)
-        return force_unit(position, units) if position else units.get(variable, "")
+        if position:
+            return scale_of_rate(position, units, 0.0)
+        return scale_of(units.get(variable, ""))
+
+    def told(self, variable: str) -> np.ndarray:
+        """Values of a variable in its `scale_of`, (n_intervals,)."""
+        values = self.scale_of(variable).told(self.record.variable(variable))
+        return np.asarray(values)
 
     def variable_label(self, name: str) -> str:
         """Label of an axis for a variable, with its unit."""
         position = self.position_of(name)
         if position:
-            name = f"velocity {name} = d{position}/dt"
-            return label(name, force_unit(position, self.record.units))
+            unit = self.scale_of(name).unit
+            return label(f"velocity {name} = d{position}/dt", unit)
         if name in self.record.model.efforts:
             return f"effort {name}"
-        return label(name, self.unit_of(name))
+        return label(name, self.scale_of(name).unit)

@@ -7,7 +7,7 @@ shakes what is measured, takes a large rate to be seen at all, and hides what be
 motion itself.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_ru
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import spectrum
 from phsi_opt.presentation.numbers import number
-from phsi_opt.presentation.units import frequency_words
+from phsi_opt.presentation.units import Scale, frequency_words
 from phsi_opt.statistics import TINY, rms
 
 # Factor on the size of a force in the whole record from which a part stands out.
@@ -42,9 +42,10 @@ class Window:
     end: float
     is_whole: bool
 
-    def __str__(self) -> str:
-        throughout = " (throughout)" if self.is_whole else ""
-        return f"{self.begin:.3g} to {self.end:.3g}{throughout}"
+    def words(self, time: Scale) -> str:
+        """The times, in the unit in which they are told."""
+        begin, end = time.told(self.begin), time.told(self.end)
+        return f"{begin:.3g} to {end:.3g}{' (throughout)' if self.is_whole else ''}"
 
 
 def strongest_window(force: Force) -> Window:
@@ -113,15 +114,18 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
 Region = Mapping[str, Sequence[StrongRange]]
 
 
-def strong_region(force: Force, names: Sequence[str]) -> Region:
+def strong_region(
+    force: Force, names: Sequence[str], values: Callable[[str], np.ndarray]
+) -> Region:
     """Ranges of variables in which a force is strong; of those where any stands out.
 
-    The states of an effect's memory are left out.
+    The ranges are of ``values``, (n_intervals,) by name. The states of an effect's
+    memory are left out.
     """
     region = {}
     for name in names:
         if name not in force.record.model.memory:
-            region[name] = strong_ranges(force.record.variable(name), force.w)
+            region[name] = strong_ranges(values(name), force.w)
     return {name: ranges for name, ranges in region.items() if ranges}
 
 

@@ -84,7 +84,7 @@ def map_of(force: EquationForce) -> ForceMap | None:
         return None
     from scipy.stats import binned_statistic_2d  # slow to load
 
-    values = map(force.record.variable, names[:2])
+    values = map(force.told, names[:2])
     found = binned_statistic_2d(*values, force.w / force.scale.size, "mean", bins=14)
     return ForceMap(
         force.variable_label(names[0]),
@@ -109,7 +109,7 @@ def follows_of(
     from scipy.stats import binned_statistic  # slow to load
 
     variable = variable or force.single_variable
-    z = force.record.variable(variable)
+    z = force.told(variable)
     x_label = force.variable_label(variable)
     w = force.w
     wave = force.wave
@@ -117,10 +117,11 @@ def follows_of(
     if variable != TIME_NAME:
         w = without_parameters(force, variable, wave)
         if wave is not None and wave.position == variable:
-            period = wave.period
+            period = wave.period / force.scale_of(variable).size
     elif force.share_of(TIME_NAME) >= CLEAR_PATTERN:
         period = period_of(force)
         z = z - z[0] if period else z
+        period = period and period / force.scale_of(variable).size
     if period is not None:
         z = z % period
         x_label = f"{x_label}, folded to the period of {period:.3g}"

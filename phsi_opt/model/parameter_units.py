@@ -3,7 +3,7 @@
 A unit is a product of powers, so that its logarithm is linear: each part of a formula
 has a *form*, the sum of its names' dimensions with their powers. Terms of a sum have
 like forms, each term of an equation has the unit of the state over that of the time,
-and what stands in an exponential has none. `_Equations` collects this while formulas
+and what stands in an exponential has none. `Equations` collects this while formulas
 are evaluated in `_Quantity`, as they are in CasADi's symbols; the powers of each unit
 then solve linear equations. Where these leave a unit open (a momentum that nobody
 measures) there is none. Where they contradict each other (a formula with numbers in
@@ -60,7 +60,7 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         parameter = entry.parameter
         guess = parameter.guess
         told[name] = parameter.unit
-        if _is_stated(parameter):
+        if is_stated(parameter):
             continue
         if isinstance(guess, Tried) and guess.of in ("t", "dt"):
             told[name] = time or parameter.unit
@@ -97,17 +97,14 @@ def _known(units: Mapping[str, str]) -> dict[str, str]:
     return {name: unit for name, unit in units.items() if unit}
 
 
-def _is_stated(parameter: Parameter) -> bool:
+def is_stated(parameter: Parameter) -> bool:
     """Whether a person gave the unit; the catalogue's times are in seconds."""
     return bool(parameter.unit) and parameter.guess is None
 
 
 def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
     """The powers of the units by parameter and state, as far as they are determined."""
-    whole = _Equations(model)
-    whole.say_structure()
-    for placed in model.placed():
-        whole.say_term(placed)
+    whole = Equations.of(model)
     for numbers_are_pure in (True, False):
         for split in (powers_as_written, powers_in_base_units):
             powers = whole.solution(units, split, numbers_are_pure)
@@ -116,14 +113,14 @@ def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
     found: dict[str, Powers] = {}
     for placed in model.placed():
         if placed.slot != "H":
-            alone = _Equations(model)
+            alone = Equations(model)
             alone.say_term(placed)
             found = (alone.solution(units, powers_as_written) or {}) | found
     return found
 
 
 @dataclass(frozen=True)
-class _Likeness:
+class Likeness:
     """A form that has no dimension.
 
     ``is_angle``: it may have the dimension of the radian; ``is_number``: a number
@@ -135,17 +132,36 @@ class _Likeness:
     is_number: bool = False
 
 
-class _Equations:
+class Equations:
     """What a model's structure and terms say of dimensions."""
 
-    def __init__(self, model: BaseModel) -> None:
+    def __init__(self, model: BaseModel, *, may_hide: bool = False) -> None:
         self._model = model
         self._n_numbers = 0
-        self.said: list[_Likeness] = []
+        self.may_hide = may_hide  # constants of physics in terms without a parameter
+        self.said: list[Likeness] = []
+        # The numbers that may have a unit, by their names, and where they stand.
+        self.numbers: dict[str, tuple[float, PlacedTerm]] = {}
+        self._placed: PlacedTerm | None = None
+
+    @classmethod
+    def of(cls, model: BaseModel, *, may_hide: bool = False) -> "Equations":
+        """All that a model says."""
+        whole = cls(model, may_hide=may_hide)
+        whole.say_structure()
+        for placed in model.placed():
+            whole.say_term(placed)
+        return whole
 
     def alike(self, first: Form, second: Form) -> None:
         """Says that two forms have one dimension."""
-        self.said.append(_Likeness(product(first, second, -1.0)))
+        self.said.append(Likeness(self.free(product(first, second, -1.0), first)))
+
+    def free(self, form: Form, *parts: Form) -> Form:
+        """The form; with an unknown factor where a part may hide a constant."""
+        if self.may_hide and not all(map(_has_parameter, parts)):
+            return product(form, self.unknown())
+        return form
 
     def unknown(self) -> Form:
         """A dimension of which nothing is known."""
@@ -158,26 +174,31 @@ class _Equations:
             return
         states = self._model.states
         for state, couplings in zip(states, self._model.S, strict=True):
-            self.alike(self._effort(state), _quotient("H", state))
+            self._are_alike(self._effort(state), _quotient("H", state))
             for other, coupling in zip(states, couplings, strict=True):
                 if abs(coupling) == 1.0:
-                    self.alike(self._effort(other), _quotient(state, "t"))
+                    self._are_alike(self._effort(other), _quotient(state, "t"))
+
+    def _are_alike(self, first: Form, second: Form) -> None:
+        """By the structure of the model, whatever numbers its terms hide."""
+        self.said.append(Likeness(product(first, second, -1.0)))
 
     def say_term(self, placed: PlacedTerm) -> None:
         """A term has the unit of its slot."""
+        self._placed = placed
         slot, equation, term = placed
         place = place_of(slot, equation)
         rate = _quotient(equation, "t")
         names = self._variables(rate)
         for inner in term.inner:
-            names[inner] = {_parameter(term.inner_name(inner, place)): 1.0}
+            names[inner] = {place_of_parameter(term.inner_name(inner, place)): 1.0}
         quantities = {name: _Quantity(self, form) for name, form in names.items()}
         functions = {name: self._function(name) for name in FUNCTIONS}
         constants = dict.fromkeys(CONSTANTS, _Quantity(self, {}))
         backend = Backend(functions, self._number, constants)
         form = evaluate(term.body, quantities, backend).form
         if not term.is_formula:
-            name = _parameter(term.coefficient_name(place))
+            name = place_of_parameter(term.coefficient_name(place))
             form = product(form, {name: 1.0})
         if slot == "R":
             rate = product(rate, self._effort(equation), -1.0)
@@ -200,7 +221,10 @@ class _Equations:
 
     def _number(self, number: float) -> "_Quantity":
         is_simple = float(4 * number).is_integer() and 0 < number <= LARGEST_PURE_NUMBER
-        return _Quantity(self, {} if is_simple else self.unknown(), number)
+        form = {} if is_simple else self.unknown()
+        if self._placed is not None:
+            self.numbers |= dict.fromkeys(form, (number, self._placed))
+        return _Quantity(self, form, number)
 
     def _function(self, name: str) -> Callable[..., "_Quantity"]:
         def called(first: "_Quantity", *others: "_Quantity") -> "_Quantity":
@@ -212,7 +236,8 @@ class _Equations:
                 return _Quantity(self, product({}, first.form, 0.5))
             if name != "sign":
                 is_angle = name in ("sin", "cos", "tan")
-                self.said.append(_Likeness(first.form, is_angle))
+                form = first.form if is_angle else self.free(first.form, first.form)
+                self.said.append(Likeness(form, is_angle))
             return _Quantity(self, {})
 
         return called
@@ -227,20 +252,20 @@ class _Equations:
         entries = self._model.entries
         told = dict(units)
         for name, entry in entries.items():
-            if _is_stated(entry.parameter):
-                told[_parameter(name)] = entry.parameter.unit
+            if is_stated(entry.parameter):
+                told[place_of_parameter(name)] = entry.parameter.unit
         known = {}
         for name, unit in told.items():
             powers = split(unit)
             if powers is not None:
                 known[name] = powers
         said = [one for one in self.said if numbers_are_pure or not one.is_number]
-        found = _solved_dimensions(said, known)
+        found = solved_dimensions(said, known)
         if found is None:
             return None
         solved = {}
         for name in (*self._model.states, *entries):
-            place = _parameter(name) if name in entries else name
+            place = place_of_parameter(name) if name in entries else name
             if place in found:
                 solved[name] = found[place]
         return solved
@@ -253,15 +278,18 @@ class _Quantity:
     ``value`` is that of a number, also of a quotient of two, such as -1/4.
     """
 
-    equations: _Equations
+    equations: Equations
     form: Form
     value: float | None = None
 
     def __add__(self, other: "_Quantity") -> "_Quantity":
         is_number = self.value is not None or other.value is not None
         difference = product(self.form, other.form, -1.0)
-        self.equations.said.append(_Likeness(difference, is_number=is_number))
-        return replace(self if self.value is None else other, value=None)
+        difference = self.equations.free(difference, self.form, other.form)
+        self.equations.said.append(Likeness(difference, is_number=is_number))
+        hides = self.equations.may_hide and not _has_parameter(self.form)
+        is_other = self.value is not None or hides
+        return replace(other if is_other else self, value=None)
 
     __sub__ = __add__
 
@@ -284,8 +312,8 @@ class _Quantity:
         return _Quantity(self.equations, self.equations.unknown() if self.form else {})
 
 
-def _solved_dimensions(
-    said: Sequence[_Likeness], known: Mapping[str, Powers]
+def solved_dimensions(
+    said: Sequence[Likeness], known: Mapping[str, Powers]
 ) -> dict[str, Powers] | None:
     """The powers of the units in each quantity that the likenesses determine.
 
@@ -318,7 +346,7 @@ def _solved_dimensions(
     return found
 
 
-def _rows(said: Sequence[_Likeness], names: Sequence[str]) -> np.ndarray:
+def _rows(said: Sequence[Likeness], names: Sequence[str]) -> np.ndarray:
     """The power of each name in each likeness, (n_likenesses, n_names)."""
     rows = np.zeros((len(said), len(names)))
     for row, likeness in zip(rows, said, strict=True):
@@ -339,5 +367,10 @@ def _quotient(above: str, below: str) -> Form:
     return product({above: 1.0}, {below: 1.0}, -1.0)
 
 
-def _parameter(name: str) -> str:
+def place_of_parameter(name: str) -> str:
+    """What the equations call a parameter."""
     return f"parameter {name}"
+
+
+def _has_parameter(form: Form) -> bool:
+    return any(name.startswith("parameter ") for name in form)

@@ -76,7 +76,8 @@ class Parameter:
             value comes from the data (by ``guess``) or is zero.
         lower: lower bound, which the solver respects.
         upper: upper bound.
-        unit: for tables and reports, such as ``"N/m"``.
+        unit: of its numbers, such as ``"N/m"``; one that contradicts the units of the
+            data is refused.
         fixed: whether the value is known and not estimated.
         guess: rule that takes the starting value from the data.
         per_trajectory: whether every trajectory has its own value, such as a load that

@@ -35,7 +35,7 @@ from phsi_opt.presentation.charts import (
 )
 from phsi_opt.presentation.content import TRAINING, ForceRun
 from phsi_opt.presentation.numbers import label
-from phsi_opt.presentation.units import rate_unit
+from phsi_opt.presentation.units import scale_of, scale_of_rate
 
 BAND = "run, two standard deviations"
 
@@ -132,14 +132,16 @@ def plot_missing_force(
     The table has a row per interval: ``t``, and for each of the equations its force and
     standard deviation in the columns named as the state, ``p``, and ``std_p``.
     """
-    t_unit = units.get("t", "")
+    time = scale_of(units.get("t", ""))
     forces = []
     for state in equations:
-        unit = rate_unit(units.get(state, ""), t_unit)
+        scale = scale_of_rate(state, units, 0.0)
         t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
-        forces.append(ForceRun("", TRAINING, state, unit, t, w, std))
+        sizes = (w / scale.size, std / scale.size)
+        run = ForceRun("", TRAINING, state, scale.unit, time.told(t), *sizes)
+        forces.append(run)
     title = "A force is significantly missing where the band does not include zero"
-    return drawn(force_chart(forces, t_unit), title, ax, (8.0, 3.6))
+    return drawn(force_chart(forces, time.unit), title, ax, (8.0, 3.6))
 
 
 def plot_profile(

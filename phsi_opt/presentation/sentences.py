@@ -24,6 +24,7 @@ from phsi_opt.presentation.numbers import (
 from phsi_opt.presentation.units import (
     date_words,
     frequency_words,
+    scale_of,
     scale_of_errors,
     spaced,
 )
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
 UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
-GLOBALS = (frequency_words, p_value_words, scale_of_errors, spaced)
+GLOBALS = (frequency_words, p_value_words, scale_of, scale_of_errors, spaced)
 FILTERS = {
     "number": number,
     "estimate": with_error,

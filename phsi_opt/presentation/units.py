@@ -1,13 +1,17 @@
 """Units and times as people write them: N in place of kg m/s/s, hours, dates.
 
-Only units without a prefix are put together, as "mm" or "kN" would need a factor. "C"
-stays as it is: it is coulomb to one and degree Celsius to another.
+`in_si` finds the SI units in which channels are computed; a `Unit` remembers how it was
+written, and `scale_of` gives the scale in which its numbers are told. pint knows the
+names that are not plain SI; it is slow to import and asked only for these. "C" stays as
+it is: it is coulomb to one and degree Celsius to another.
 """
 
 import datetime as dt
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple
 
 # Powers of units, by their names.
 Powers = Mapping[str, float]
@@ -33,8 +37,21 @@ NAMED_RATES = (
 OF_MECHANICS = frozenset({"kg", "m", "s", RADIAN})
 # A unit of any name with its power, such as "m", "s^2", "m2" or "s**-1"; between two,
 # blanks, "*", "." or "·".
-FACTOR = re.compile(r"([A-Za-z%\u00b0\u00b5]+)(?:(?:\^|\*\*)?(-?\d))?$")
+FACTOR = re.compile(r"((?:[^\W\d_]|[%‰°])+)(?:(?:\^|\*\*)?(-?\d))?$")
 FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
+PLAIN_POWERS = str.maketrans("²³", "23")
+# ---- of pint
+BASE_OF_PINT = {
+    **{"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K"},
+    "radian": RADIAN,
+}
+CALLED_IN_PINT = {"%": "percent", "‰": "permille", "rev": "turn"}
+# Words of which pint would make a year, an atomic mass or a coulomb.
+OWN_WORDS = frozenset({"C", "a", "u", "dB"})
+WITHOUT_BLANKS = re.compile(r"\b(kg|[kMmµμu]?[NVAW])(m\d?)?(s)?\b")  # Nm, Vs, kgm2
+# Temperatures that do not count from absolute zero, and what is told at 0 degC.
+CELSIUS = ("degC", "°C", "degF", "°F")
+TOLD_AT_ZERO = {"degF": 32.0, "°F": 32.0}
 
 
 def scale_of_errors(unit: str) -> tuple[float, str]:
@@ -77,9 +94,10 @@ def product(first: Powers, second: Powers, power: float = 1.0) -> Powers:
 def powers_as_written(unit: str) -> Powers | None:
     """Powers of the units as they are written, of any name; None: not readable."""
     powers: Powers = {}
-    for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
+    plain = unit.translate(PLAIN_POWERS)
+    for place, part in enumerate(plain.replace("(", "").replace(")", "").split("/")):
         sign = 1 if place == 0 else -1
-        for factor in FACTOR_SEPARATORS.split(part.strip()):
+        for factor in FACTOR_SEPARATORS.split(part.strip(" .·")):
             found = FACTOR.match(factor)
             if factor == "1":
                 continue
@@ -167,17 +185,157 @@ def _factor(name: str, power: float) -> str:
     return name if power == 1 else f"{name}^{power:.4g}"
 
 
-# ---- times: hours and days where seconds would run into thousands -------------------
-
-SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told anew
+# ---- SI, and what it is told in ------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Scale:
-    """A unit in which something is told, and how many of the user's unit it has."""
+    """A unit in which something is told, and how many of the computed unit it has."""
 
     unit: str
     size: float = 1.0
+    zero: float = 0.0  # what is told where 0 is computed, such as 32 degF
+
+    def told(self, values: Any) -> Any:
+        """Computed values as they are told; differences are divided by the size."""
+        if self.size < 1.0:  # 1000 is a float, and 0.001 none
+            return values * (1 / self.size) + self.zero
+        return values / self.size + self.zero
+
+    def read(self, values: Any) -> Any:
+        """The reverse: told values as they are computed."""
+        if self.size < 1.0:
+            return (values - self.zero) / (1 / self.size)
+        return (values - self.zero) * self.size
+
+
+class Unit(str):
+    """A unit in which numbers are computed, and the scale in which they are told."""
+
+    scale: Scale
+
+    def __new__(cls, computed: str, scale: Scale) -> "Unit":
+        unit = super().__new__(cls, computed)
+        unit.scale = scale
+        return unit
+
+    def __reduce__(self) -> tuple[Any, ...]:  # for copies and other processes
+        return Unit, (str(self), self.scale)
+
+
+def unit_of(unit: Any) -> str:
+    """The unit as text, which still knows how it was written."""
+    return unit if isinstance(unit, Unit) else str(unit)
+
+
+def scale_of(unit: str) -> Scale:
+    """The scale in which numbers in a unit are told: its own, or as it was written."""
+    return unit.scale if isinstance(unit, Unit) else Scale(unit)
+
+
+class Measure(NamedTuple):
+    """A unit as powers of SI's base units (or words of its own), times a size."""
+
+    powers: Powers
+    size: float
+
+
+@cache
+def measure_of(unit: str) -> Measure | None:
+    """What a unit is in SI; degrees of every temperature are K. None: not readable."""
+    written = powers_as_written(WITHOUT_BLANKS.sub(_apart, unit))
+    if written is None:  # such as mmH2O
+        found = _in_pint(unit)
+        return None if unit in found.powers or not unit.isalnum() else found
+    powers: Powers = {}
+    size = 1.0
+    for name, n in written.items():
+        one = Measure(KNOWN[name], 1.0) if name in KNOWN else _in_pint(name)
+        powers = product(powers, one.powers, n)
+        size *= one.size**n
+    return Measure(powers, float(f"{size:.15g}"))
+
+
+def words_of(unit: str) -> set[str]:
+    """The words of a unit that SI does not know, such as "counts"."""
+    measure = measure_of(unit) if unit else Measure({}, 1.0)
+    return {unit} if measure is None else set(measure.powers) - set(BASE_UNITS)
+
+
+def _apart(found: re.Match[str]) -> str:
+    return " ".join(filter(None, found.groups()))
+
+
+def _in_pint(name: str) -> Measure:
+    """A name by pint; one that pint does not know, or has no size of, is its own."""
+    own = Measure({name: 1.0}, 1.0)
+    if name in OWN_WORDS:
+        return own
+    from pint.errors import PintError  # slow to import
+
+    try:
+        registry = _registry()
+        called = CALLED_IN_PINT.get(name, name.replace("Ohm", "ohm"))
+        size, units = registry.get_base_units(registry.parse_units(called))
+    except (PintError, AttributeError, ValueError, TypeError, AssertionError):
+        return own
+    by_name = dict(units._units)
+    if not by_name.keys() <= BASE_OF_PINT.keys():
+        return own
+    powers = {BASE_OF_PINT[one]: float(n) for one, n in by_name.items()}
+    return Measure(powers, float(f"{size:.15g}"))
+
+
+@cache
+def _registry() -> Any:
+    from pint import UnitRegistry  # slow to import
+
+    return UnitRegistry(cache_folder=None)
+
+
+def in_si(units: Mapping[str, str]) -> dict[str, str]:
+    """The units in which channels are computed; those that are SI already stay.
+
+    Angles are in rad. Degrees of Celsius stay a scale of their own: degF are converted
+    to it, and K where others are in it. Without a unit of the time nothing is
+    converted; a unit that is not known is none of SI's, and stays.
+
+    Args:
+        units: by state, input and time, as `Measurements.units`.
+    """
+    if not units.get("t"):
+        return dict(units)
+    are_celsius = not set(units.values()).isdisjoint(CELSIUS)
+    found = {}
+    for name, unit in units.items():
+        found[name] = computed_unit(unit)
+        if unit == "K" and are_celsius:
+            found[name] = Unit("degC", Scale(unit, zero=273.15))
+    return found
+
+
+def computed_unit(unit: str) -> str:
+    """The SI unit of one that is not SI, which it remembers; others as they are."""
+    measure = measure_of(unit) if unit and not isinstance(unit, Unit) else None
+    zero = TOLD_AT_ZERO.get(unit, 0.0)
+    if measure is None or (measure.size == 1.0 and not zero):
+        return unit
+    scale = Scale(unit, measure.size, zero)
+    return Unit("degC" if zero else si_name(measure.powers, unit), scale)
+
+
+def si_name(powers: Powers, written: str = "") -> str:
+    """The name of SI's unit of these powers; a torque was written with N."""
+    for name in ("N", "Pa", "J", "W", "V", "Wb", "Ohm", "W/K", "J/K"):
+        is_torque = name == "J" and "N" in written
+        if powers == powers_in_base_units(name) and not is_torque:
+            return name
+    return coefficient_unit(powers) or "1"
+
+
+# ---- times: hours and days where seconds would run into thousands -------------------
+
+SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told anew
 
 
 # Seconds from which on times are told in a unit, the largest first.
@@ -194,10 +352,11 @@ def scale_of_time(longest: float, unit: str) -> Scale:
     None smaller than the user's; other units than s, min and h stay.
     """
     size = SECONDS.get(unit, 0.0)
+    own = scale_of(unit)
     for least, scale in LEAST_SECONDS:
-        if size and abs(longest) * size >= least and scale.size > size:
+        if size and abs(longest) * size >= least and scale.size > size * own.size:
             return Scale(scale.unit, scale.size / size)
-    return Scale(unit)
+    return own
 
 
 def time_words(t: float, unit: str, longest: float = 0.0) -> str:
@@ -278,10 +437,16 @@ def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Sc
     the last time of the record.
     """
     unit = force_unit(equation, units)
-    in_seconds = scale_of_time(longest, units.get("t", "")).size >= SECONDS["h"]
-    if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED_RATES:
+    of_state, of_time = (scale_of(units.get(name, "")) for name in (equation, "t"))
+    time = scale_of_time(longest, units.get("t", ""))
+    if time.size * SECONDS.get(units.get("t", ""), 0.0) >= SECONDS["h"]:
+        of_time = Scale("h", SECONDS["h"] / SECONDS[units["t"]])
+    size = of_state.size / of_time.size
+    is_told = of_state.size != 1.0 and of_state.unit.isalpha()
+    is_named = unit in NAMED_RATES and not is_told
+    if is_named or rate_unit(units.get(equation, ""), "s") != unit or size == 1.0:
         return Scale(unit)
-    return Scale(rate_unit(units[equation], "h"), 1 / SECONDS["h"])
+    return Scale(rate_unit(of_state.unit, of_time.unit), size)
 
 
 def spaced(unit: str) -> str:

@@ -1,7 +1,7 @@
 """Size of an effect: its coefficient, or the amplitude of a wave, and how certain."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
 
 
@@ -19,6 +20,11 @@ class Size:
     value: float
     std_error: float
     unit: str = ""
+
+    def told_in(self, unit: str) -> "Size":
+        """The same in a unit, as `scale_of` tells it."""
+        scale = scale_of(unit)
+        return Size(self.value / scale.size, self.std_error / scale.size, scale.unit)
 
     @property
     def z(self) -> float:
@@ -87,7 +93,7 @@ def fitted_size(base: Model, fit: Fit, effect: Effect) -> Size:
     places = list(map(fit.names.index, names))
     covariance = fit.covariance[np.ix_(places, places)]
     size = size_of(effect, fit.model, names, fit.estimates, covariance)
-    return replace(size, unit=size_unit(base, effect, fit.units))
+    return size.told_in(size_unit(base, effect, fit.units))
 
 
 def size_unit(base: Model, effect: Effect, units: Mapping[str, str]) -> str:

@@ -51,6 +51,7 @@ from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
     Scale,
+    scale_of,
     scale_of_errors,
     scale_of_time,
     spaced,
@@ -183,17 +184,21 @@ def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRo
     name = str(row["name"])
     value = float(row["value"])
     std_error = float(row["std_error"])
-    parameter = fit.entry(name).parameter
+    entry = fit.entry(name)
+    parameter = entry.parameter
+    scale = scale_of(fit.parameter_units[entry.name])
     ends: Ends = (None, None)
     cut = ""
     if name in intervals.index:
         lower, upper = map(float, intervals.loc[name, ["ci_lower", "ci_upper"]])
         ends = ends_within(parameter, lower, upper)
         cut = "" if ends == (lower, upper) else "cut at its bound"
+        if ends[0] is not None and ends[1] is not None:
+            ends = (scale.told(ends[0]), scale.told(ends[1]))
     remark = cut if None not in ends else "no standard error"
     if name in fit.outcome.at_bounds:
         remark = "at its bound"
-        value = parameter.nearest_bound(value)
+        value = scale.told(parameter.nearest_bound(scale.read(value)))
         std_error = np.nan
     elif row["fixed"]:
         remark = "fixed"
@@ -241,14 +246,15 @@ def _run(
     for name, noise in comparisons[-1].noise.items():
         # A state with a memory comes behind those of the base model.
         k = data.states.index(name)
-        measured = run.x[:, k]
-        shown = [one.shown[place][:, k] for one in comparisons]
+        scale = scale_of(data.units.get(name, ""))
+        measured = scale.told(run.x[:, k])
+        shown = [scale.told(one.shown[place][:, k]) for one in comparisons]
         kept = thinned([measured, *shown], most)
         residuals = [pd.Series(measured - one).dropna() for one in shown]
         channel = Channel(
             name,
-            data.units.get(name, ""),
-            noise,
+            scale.unit,
+            noise / scale.size,
             run.t[kept] / time.size,
             measured[kept],
             tuple(one[kept] for one in shown),
@@ -440,7 +446,7 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
     floor = float(row["noise_floor"])
     ratio = float(row["rmse"]) / floor if floor > 0 else np.nan
     shortest = min(float(run.t[-1] - run.t[0]) for run in judged.data.trajectories)
-    horizon = float(row["horizon"])
+    horizon = float(row["horizon"]) * scale_of(unit_of_time).size
     whiteness = float(row["whiteness"])
     is_small = ratio <= FAILING_ERROR
     is_far = ratio > WHITE_ERROR
@@ -467,6 +473,7 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
             row=row,
             ratio=ratio,
             shortest=shortest,
+            horizon=horizon,
             scale=scale_of_time(shortest, unit_of_time),
             is_from_start=horizon < 0.01 * shortest,  # it never was good
             severity=severity,
@@ -481,7 +488,11 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
 
 def _settings(study: StudyRecord) -> tuple[Answer, ...]:
     held_out = "none" if study.held_out is None else _data(study.held_out)
-    units = [f"{name}: {unit}" for name, unit in study.train.units.items() if unit]
+    units = []
+    for name, unit in study.train.units.items():
+        scale = scale_of(unit)
+        computed = f" (computed in {unit})" if scale.unit != unit else ""
+        units += [f"{name}: {scale.unit}{computed}"] if unit else []
     versions = [f"{name} {version(name)}" for name in LIBRARIES]
     hold = study.train.hold
     if not isinstance(hold, str):

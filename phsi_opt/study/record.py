@@ -27,7 +27,7 @@ from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.presentation.summary import Part, Summary, printed_table
 from phsi_opt.screening.effect_size import Size, fitted_size
 from phsi_opt.screening.weighing import EvidenceRecord
-from phsi_opt.transcription.grid import AlignedData
+from phsi_opt.transcription.grid import AlignedData, checked_data
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
@@ -84,10 +84,10 @@ class StudyRecord:
             DataError: a state or input of the model is not in the measurements, or a
                 run is in both.
         """
-        training = AlignedData.of(base, train)
+        training = checked_data(base, train)
         if held_out is None:
             return cls(base, training, None, loss)
-        judging = AlignedData.of(base, held_out)
+        judging = checked_data(base, held_out)
         check_can_judge(training.data, judging.data)
         return cls(base, training, judging, loss)
 

@@ -21,6 +21,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION, Variables
 from phsi_opt.model.terms import Dictionary, Term, polynomials, trigonometric
+from phsi_opt.presentation.units import computed_unit, scale_of
 from phsi_opt.study_file.keys import Complaints, Place, is_number, listed, shown
 from phsi_opt.study_file.sections import DataSection
 
@@ -80,6 +81,11 @@ class ModelReader:
                 )
                 self.faults.add(said, *place, "value")
         settings.setdefault("value", start)
+        settings["unit"] = computed_unit(settings.get("unit", ""))
+        scale = scale_of(settings["unit"])
+        for key in ("value", "lower", "upper"):
+            if settings.get(key) is not None:
+                settings[key] = scale.read(settings[key])
         with self.faults.noting(*place):
             return Parameter(**settings)
         return None

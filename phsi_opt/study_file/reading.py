@@ -19,7 +19,15 @@ from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.model.catalogue import EffectChoice, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.study_file.keys import Complaints, Place, TooManyComplaintsError, usable
+from phsi_opt.model.unit_checks import UnitCheck
+from phsi_opt.presentation.units import in_si
+from phsi_opt.study_file.keys import (
+    Complaints,
+    Place,
+    TooManyComplaintsError,
+    is_number,
+    usable,
+)
 from phsi_opt.study_file.model_reading import ModelReader, check_channels
 from phsi_opt.study_file.sections import (
     DataSection,
@@ -90,9 +98,12 @@ def _sections(
     loss = _loss(file.get("loss", {}), faults)
     if model is not None:
         check_channels(model, data, faults)
-        if not faults.about("effects"):
-            _check_effects(steps, model, own, data.units, faults)
     measured = None if faults.about("data") else _measurements(data, folder, faults)
+    if model is not None and not faults.about("effects"):
+        units = data.units if measured is None else measured.units
+        _check_effects(steps, model, own, units, faults)
+    if measured is not None and model is not None:
+        _check_units(model, measured, faults)
     if measured is not None and held_out is not None and not faults.about("held_out"):
         for run in held_out.runs or ():
             with faults.noting("held_out", "runs", value=run):
@@ -191,6 +202,31 @@ def _loss(settings: Mapping[str, Any], faults: Complaints) -> MaximumLikelihood:
         with faults.noting("loss"):  # settings that do not go together
             return MaximumLikelihood(**settings)
     return MaximumLikelihood()
+
+
+def _check_units(model: Model, data: Measurements, faults: Complaints) -> None:
+    """Note units that contradict each other, and numbers whose unit is not clear."""
+    units = dict(data.units)
+    if not units["t"] and in_si({**units, "t": "s"}) != {**units, "t": "s"}:
+        said = (
+            'expected the unit of the times, such as unit = "s": without it values in '
+            "other units than those of SI cannot be converted."
+        )
+        faults.need(said, units["t"], "data", "time", "unit")
+    check = UnitCheck(model, units, as_told=True)
+    parameters = faults.content.get("parameters", {})
+    found = [check.contradiction] if check.contradiction else check.numbers_without_unit
+    for fault in found:
+        place: Place = ("model", *filter(None, (fault.slot, fault.equation)))
+        unit = () if fault.value is None or is_number(fault.value) else ("unit",)
+        if fault.name == "t":
+            place = ("data", "time", *unit)
+        elif fault.name in parameters:
+            place = ("parameters", fault.name, *unit)
+        elif fault.name:
+            part = "states" if fault.name in data.states else "inputs"
+            place = ("data", part, fault.name, *unit)
+        faults.add(fault.said, *place, value="" if fault.slot else fault.value)
 
 
 def _check_effects(

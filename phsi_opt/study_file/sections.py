@@ -23,6 +23,7 @@ from phsi_opt.errors import DataError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.numbers import chosen_fields
+from phsi_opt.presentation.units import scale_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
@@ -177,7 +178,7 @@ class DataSection:
             "step": self.time.step,
             "start": self.time.start or None,
             "date_format": self.time.date_format,
-            "units": self.units,
+            "units": self.units,  # as they are written
             "noise": {name: one.noise for name, one in states if one.noise},
         }
         return without(arguments, None, {})
@@ -191,7 +192,7 @@ class DataSection:
         return [column for column in columns if column is not None]
 
     def measured(self, tables: Sequence[Table]) -> Measurements:
-        """The measurements of tables that have been read.
+        """The measurements of tables that have been read, in SI units.
 
         Raises:
             DataError: the data are not valid; with file, column and line.
@@ -202,7 +203,9 @@ class DataSection:
         data = Measurements.from_tables(tables, **arguments)
         if self.between is not None:
             data = data.between(*self.between)
-        return data if self.thinned is None else data.thinned(self.thinned)
+        if self.thinned is not None:
+            data = data.thinned(self.thinned)
+        return data.in_si()
 
     def measurements(self, folder: Path) -> Measurements:
         """Read the files.
@@ -267,9 +270,9 @@ class HeldOut:
         if self.runs is not None:
             train, held_out = _by_runs(data, self.runs)
         elif self.after is not None:
-            before = float(np.nextafter(self.after, -np.inf))
-            train = data.between(None, before)
-            held_out = data.between(self.after, None)
+            after = float(scale_of(data.units["t"]).read(self.after))
+            train = data.between(None, float(np.nextafter(after, -np.inf)))
+            held_out = data.between(after, None)
         else:
             train, held_out = data.split(self.training_share)
         check_can_judge(train, held_out)

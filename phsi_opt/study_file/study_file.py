@@ -119,7 +119,7 @@ class StudyFile(Sections):
         unwritten = None
         if isinstance(data, Measurements):
             if isinstance(held_out, HeldOut):
-                unwritten = data
+                unwritten = in_written_units(data)
             else:
                 unwritten, held_out = joined(data, held_out)
             data = section_of(unwritten, UNWRITTEN)
@@ -193,7 +193,7 @@ class StudyFile(Sections):
     @cached_property
     def _measured(self) -> Measurements:
         if self.unwritten is not None:
-            return self.unwritten
+            return self.unwritten.in_si()
         return self.data.measurements(self.folder)
 
     def measurements(self) -> Measurements:
@@ -244,7 +244,7 @@ class StudyFile(Sections):
             ModelError: there is no such effect.
         """
         own = own_effect(name, self.own_effects)
-        return own or effect_named(model, name, units=self.data.units)
+        return own or effect_named(model, name, units=self.measurements().units)
 
     def effects(self) -> list[Effect | str] | None:
         """The effects to consider, as `Study` takes them; None: the catalogue."""
@@ -252,7 +252,7 @@ class StudyFile(Sections):
         if names is None:
             if not self.own_effects:
                 return None
-            offered = catalogue(self.base, self.data.units)
+            offered = catalogue(self.base, self.measurements().units)
             return [*map(str, offered), *self.own_effects]
         return [own_effect(name, self.own_effects) or name for name in names]
 
@@ -344,6 +344,21 @@ def write_table(data: Measurements, path: Path) -> None:
     write_whole(path, text)
 
 
+def in_written_units(data: Measurements) -> Measurements:
+    """Measurements for a study file, which computes in SI units.
+
+    Raises:
+        DataError: these are in other units, and so may be the model.
+    """
+    if data.in_si() is not data:
+        units = ", ".join(filter(None, data.units.values()))
+        raise DataError(
+            f"the data are in {units}, and a study file computes in SI units. Give "
+            "data.in_si(), and a model whose numbers are in SI units."
+        )
+    return data.as_written()
+
+
 def joined(
     train: Measurements, held_out: Measurements | None
 ) -> tuple[Measurements, HeldOut | None]:
@@ -352,8 +367,10 @@ def joined(
     Raises:
         DataError: they have other channels, or runs that cannot be told apart.
     """
+    train = in_written_units(train)
     if held_out is None:
         return train, None
+    held_out = in_written_units(held_out)
     for what in ("states", "inputs", "units", "hold", "noise"):
         one = getattr(train, what)
         other = getattr(held_out, what)

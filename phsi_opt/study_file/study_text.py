@@ -23,6 +23,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import LINE_WIDTH
+from phsi_opt.presentation.units import in_si, scale_of
 from phsi_opt.study_file.sections import Sections, own_effect, told, without
 from phsi_opt.study_file.toml_text import key_text, text_template, toml_value
 
@@ -132,7 +133,12 @@ def _plain(value: Any) -> Any:
 
 def _parameter(parameter: Parameter) -> Content | float:
     """A parameter: a plain number where it is known and nothing else is told of it."""
+    scale = scale_of(parameter.unit)
     content = told(parameter)
+    for key in ("value", "lower", "upper"):
+        if key in content and scale.unit != parameter.unit:
+            content[key] = float(f"{scale.told(content[key]):.15g}")
+    content |= {"unit": scale.unit} if parameter.unit else {}
     guess = content.get("guess")
     if guess is not None:
         content["guess"] = {"kind": type(guess).__name__, **_plain(guess)}
@@ -293,9 +299,11 @@ def study_script(study: Sections) -> str:
         "progress": Code("print"),
     }
     shared = shared_parameters(model, study.own_effects)
+    units = study.data.units
     files: Any = [Code(f"FOLDER / {source.of(one)}") for one in study.data.files]
     body = text_template("study_script.py.jinja").render(
         data=study.data,
+        is_converted=in_si(units) != units,
         files=files[0] if len(files) == 1 else files,
         held_out=study.held_out,
         parameters={name: _short(one) for name, one in shared.items()},

@@ -25,6 +25,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import SmoothInputs, is_stepped
 from phsi_opt.errors import DataError, ModelError, shown, some_of
 from phsi_opt.model.model import Model
+from phsi_opt.model.unit_checks import UnitCheck
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,6 +299,18 @@ def _notes_on_jumps(data: Measurements) -> Iterator[str]:
                 f'each value until the next sample, give hold={{"{name}": "zero"}} '
                 f'(in a study file: {name} = {{ ..., hold = "zero" }})'
             )
+
+
+def checked_data(model: Model, data: Measurements) -> AlignedData:
+    """`AlignedData.of`, where the units of data and parameters fit together.
+
+    Raises:
+        DataError: as there.
+        ModelError: as there, or units contradict each other in a formula.
+    """
+    found = AlignedData.of(model, data)
+    UnitCheck(model, data.units).refuse()
+    return found
 
 
 def aligned_once(model: Model, data: Measurements) -> Measurements:

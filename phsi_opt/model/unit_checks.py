@@ -1,0 +1,274 @@
+"""Whether the declared units of a model and its measurements fit together.
+
+The equations of `parameter_units` are solved for dimensions, and then for the logarithm
+of the size in SI, which is one more power: mm/ms^2 and N/kg are of one dimension and
+differ by 1000. A term without a parameter may hide a constant of physics (p**2/2 of a
+mass of 1 kg), so that only what contradicts itself whatever is hidden is a fault.
+"""
+
+import itertools
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import log
+
+import numpy as np
+
+from phsi_opt.errors import ModelError
+from phsi_opt.model.base import BaseModel
+from phsi_opt.model.parameter_units import (
+    Equations,
+    is_stated,
+    place_of_parameter,
+    solved_dimensions,
+)
+from phsi_opt.presentation.numbers import shortened
+from phsi_opt.presentation.units import (
+    RADIAN,
+    Measure,
+    Powers,
+    in_si,
+    measure_of,
+    product,
+    scale_of,
+    si_name,
+    words_of,
+)
+
+SIZE = "size"  # the power that stands for the logarithm of the size in SI
+LARGEST_LIST = 4  # of units, in a message
+
+
+@dataclass(frozen=True)
+class UnitFault:
+    """What is wrong with a unit, or with a number that has none.
+
+    ``name``: of the parameter or the channel; "": of a number in a formula, which
+    stands in ``slot`` and ``equation``.
+    """
+
+    name: str
+    said: str
+    value: float | str | None = None
+    slot: str = ""
+    equation: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class UnitCheck:
+    """A model with the units of its channels, and of its parameters, as written."""
+
+    model: BaseModel
+    units: Mapping[str, str]  # by state, input and time
+    as_told: bool = False  # whether units count as people wrote them, not as computed
+
+    @cached_property
+    def _stated(self) -> dict[str, str]:
+        """The units that can be read, by the quantities' names in the equations."""
+        stated = dict(self.units)
+        for name, entry in self.model.entries.items():
+            if is_stated(entry.parameter):
+                stated[place_of_parameter(name)] = entry.parameter.unit
+        found = {}
+        for place, unit in stated.items():
+            written = scale_of(unit).unit if self.as_told else str(unit)
+            if written and measure_of(written) is not None:
+                found[place] = written
+        return found
+
+    def _measure(self, place: str) -> Measure:
+        return measure_of(self._stated[place]) or Measure({}, 1.0)
+
+    @property
+    def _of_parameters(self) -> list[str]:
+        return list(filter(_is_parameter, self._stated))
+
+    def _others(self, places: Iterable[str]) -> list[str]:
+        """All quantities with a unit but these."""
+        return list(itertools.filterfalse(set(places).__contains__, self._stated))
+
+    def _in_other_units(self, places: Iterable[str]) -> list[str]:
+        """Those whose units are not SI's."""
+        return [place for place in places if self._measure(place).size != 1.0]
+
+    @cached_property
+    def _equations(self) -> tuple[Equations, Equations]:
+        """With pure numbers alone in terms without a parameter, and with constants."""
+        return Equations.of(self.model), Equations.of(self.model, may_hide=True)
+
+    def _solved(
+        self, powers: Callable[[Measure], Powers], without: Iterable[str] = ()
+    ) -> dict[str, Powers] | None:
+        """Powers of what has no unit, by its name; None for a contradiction."""
+        known = {}
+        for place in self._others(without):
+            known[place] = powers(self._measure(place))
+        for equations in self._equations:
+            said = itertools.filterfalse(lambda one: one.is_number, equations.said)
+            found = solved_dimensions(list(said), known)
+            if found is not None:
+                return found
+        return None
+
+    # ---- faults ----------------------------------------------------------------------
+
+    @property
+    def contradiction(self) -> UnitFault | None:
+        """Units of different dimensions in one place; None where there are none."""
+        if self._solved(_dimension) is not None:
+            return None
+        expected = {}
+        for place in sorted(self._stated, key=_is_parameter, reverse=True):
+            found = self._solved(_dimension, without=(place,))
+            if found is not None:
+                expected[place] = _expected(found.get(place))
+        first, *others = expected or self._stated
+        said = (
+            f"the formulas ask for {expected.get(first, 'another unit')}, with "
+            f"{self._listed(others or self._others([first]))}; correct the "
+            "unit of one of them, or the formula."
+        )
+        return UnitFault(_name(first), said, self._stated[first])
+
+    @property
+    def numbers_without_unit(self) -> list[UnitFault]:
+        """Numbers that mean one thing in SI and another in the units of the data.
+
+        One whose unit is not known is among them: it cannot be converted.
+        """
+        foreign = self._in_other_units(self._others(self._of_parameters))
+        found = self._solved(_dimension) if foreign else None
+        if found is None:
+            return []
+        faults = []
+        known = set().union(*map(words_of, self.units.values()))
+        for place in self._of_parameters:
+            unit = self._stated[place]
+            if words_of(unit) - known:
+                of_others = self._solved(_dimension, without=(place,)) or {}
+                said = (
+                    "this unit is not known, so that the number cannot be converted; "
+                    f"expected {_expected(of_others.get(place))} or a multiple of it."
+                )
+                faults.append(UnitFault(_name(place), said, unit))
+        # None: units of SI stand beside the data's; what has to do with these may be
+        # in either.
+        sizes = self._solved(_size) or self._solved(_size, without=self._of_parameters)
+        bases = set().union(*(self._measure(place).powers for place in foreign))
+        data = self._listed(foreign)
+        for place, number in self._numbers.items():
+            powers = _without_angle(found.get(place, {}))
+            differs = not bases.isdisjoint(powers)
+            if sizes and place in sizes:
+                differs = sizes[place] != {}
+            if place in found and differs:
+                faults.append(self._ambiguous(place, number, powers, data))
+        return faults
+
+    def _ambiguous(
+        self, place: str, number: float, powers: Powers, data: str
+    ) -> UnitFault:
+        unit = si_name(powers)
+        name = _name(place)
+        key = "start" if name in self.model.free else "value"
+        said = (
+            f"it has no unit, and the data have {data}. If it is in {unit}: "
+            f'{{}} = {{{{ {key} = {number:g}, unit = "{unit}" }}}}'
+        )
+        if _is_parameter(place):
+            return UnitFault(name, f"{said.format(name)}.", number)
+        _, at = self._equations[0].numbers[place]
+        said = f"{said.format('g')} in [parameters], and g in the formula"
+        if not powers:
+            said = f"values are converted from {data}; leave out what converts them"
+        where = f"{number:g} in {shortened(at.term.body, 40)!r}: "
+        return UnitFault("", f"{where}{said}.", "", at.slot, at.equation)
+
+    @property
+    def _numbers(self) -> dict[str, float]:
+        """The numbers without a unit, zeros left out, by their quantities' names."""
+        numbers = {}
+        for name, entry in self.model.entries.items():
+            one = entry.parameter
+            for number in (one.upper, one.lower, one.value):
+                if number and np.isfinite(number) and not one.unit:
+                    numbers[place_of_parameter(name)] = number
+        for place, (number, _) in self._equations[0].numbers.items():
+            numbers[place] = number
+        return numbers
+
+    def _listed(self, places: Iterable[str]) -> str:
+        """Such as "q in mm, t in ms"."""
+        told = [f"{_name(one)} in {self._stated[one]}" for one in places]
+        return ", ".join(told[:LARGEST_LIST])
+
+    # ---- measurements as they are given ----------------------------------------------
+
+    def refuse(self) -> None:
+        """Refuse units that do not fit together as they are.
+
+        Raises:
+            ModelError: units contradict each other, or a fixed number has no unit where
+                units of SI stand beside others.
+        """
+        wrong = self.contradiction
+        if wrong is not None:
+            raise ModelError(f"{wrong.name} is in {wrong.value}: {wrong.said}")
+        foreign = self._in_other_units(self._stated)
+        if not foreign:
+            return
+        sizes = self._solved(_size)
+        said = "units of different size meet in the formulas" if sizes is None else ""
+        of_data = self._solved(_size, without=self._of_parameters) or {}
+        powers = self._solved(_dimension) or {}
+        for place, number in self._numbers.items():
+            is_known = _name(place) not in self.model.free and powers.get(place)
+            if sizes and is_known and sizes.get(place) and place not in of_data:
+                name = _name(place) if _is_parameter(place) else "a number"
+                said = f"{name} = {number:g} has no unit, and would not be in SI units"
+        if said:
+            beside = self._listed(self._others(foreign))
+            told = f"{self._listed(foreign)}; {beside}".rstrip("; ")
+            raise ModelError(f"{said} ({told}). {self._repair()}")
+
+    def _repair(self) -> str:
+        if in_si(self.units) != dict(self.units):
+            return (
+                "Convert the data: data = data.in_si(); results are still told in the "
+                "units that were written."
+            )
+        values = []
+        for place in self._in_other_units(self._of_parameters):
+            number = self.model.values[_name(place)] * self._measure(place).size
+            unit = si_name(self._measure(place).powers, self._stated[place])
+            values.append(f'{_name(place)}=ph.Parameter({number:g}, unit="{unit}")')
+        return f"Give parameters in SI units: {', '.join(values[:2])}."
+
+
+def _dimension(measure: Measure) -> Powers:
+    return measure.powers
+
+
+def _size(measure: Measure) -> Powers:
+    return {SIZE: log(measure.size)}
+
+
+def _expected(powers: Powers | None) -> str:
+    if powers is None:
+        return "a unit of SI"
+    return si_name(_without_angle(powers)) if powers else "no unit"
+
+
+def _without_angle(powers: Powers) -> Powers:
+    """Without radians, which come and go, but in an angle or its rates."""
+    if powers.keys() <= {RADIAN, "s"}:
+        return powers
+    return product(powers, {RADIAN: -powers.get(RADIAN, 0.0)})
+
+
+def _is_parameter(place: str) -> bool:
+    return place.startswith("parameter ")
+
+
+def _name(place: str) -> str:
+    return place.removeprefix("parameter ")

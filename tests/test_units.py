@@ -1,0 +1,446 @@
+"""Units: what is written is converted to SI once, checked, and told as it was written."""
+
+import copy
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.model.unit_checks import UnitCheck
+from phsi_opt.presentation.units import (
+    in_si,
+    measure_of,
+    scale_of,
+    scale_of_rate,
+    time_words,
+)
+
+CARTESIAN: dict[str, Any] = {
+    "states": ["q", "p"],
+    "S": ph.canonical(1),
+    "R": ph.damping("p"),
+}
+ENERGY = "k*q**2/2 + p**2/(2*m)"
+
+
+def cart(**parameters: ph.Parameter | float) -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(**CARTESIAN, H=ph.formula(ENERGY, **parameters))
+
+
+def known(value: float, unit: str = "") -> ph.Parameter:
+    return ph.Parameter(value, fixed=True, unit=unit)
+
+
+def swings(
+    units: dict[str, str], size: float = 1.0, per_s: float = 1.0
+) -> ph.Measurements:
+    """Three runs of a cart of 2.5 kg on 52 N/m, its position in sizes of a metre."""
+    truth = cart(k=52.0, m=2.5).with_fixed({"R_p": 0.8})
+    rng = np.random.default_rng(1)
+    t = np.arange(200) * 0.02
+    runs = []
+    for start in (0.1, -0.07, 0.05):
+        q = ph.simulate(truth, t, [start, 0.0])[:, 0] + rng.normal(0, 5e-4, len(t))
+        runs.append(np.column_stack([q / size, np.full(len(t), np.nan)]))
+    return ph.Measurements.from_arrays(
+        [t * per_s] * 3, runs, states=["q", "p"], units=units
+    )
+
+
+MM = {"q": "mm", "t": "ms"}
+
+
+def written(
+    folder: Path, data: ph.Measurements, units: dict[str, str], text: str
+) -> Path:
+    """A study file of a cart beside its table."""
+    table = data.to_dataframe().drop(columns="p")
+    table.to_csv(folder / "cart.csv", index=False)
+    path = folder / "study.toml"
+    path.write_text(f"""
+[data]
+files = ["cart.csv"]
+trajectory = "trajectory"
+time = {{ column = "t", unit = "{units["t"]}" }}
+[data.states]
+q = {{ column = "q", unit = "{units["q"]}" }}
+p = {{ measured = false }}
+[held_out]
+share = 0.3
+[model]
+states = ["q", "p"]
+pairs = [["q", "p"]]
+H = "{ENERGY}"
+R = {{ p = "c" }}
+[parameters]
+c = {{ lower = 0 }}
+{text}
+""")
+    return path
+
+
+def complaints(path: Path) -> dict[str, str]:
+    with pytest.raises(ph.StudyFileError) as caught:
+        ph.StudyFile.read(path)
+    return {one.key: str(one) for one in caught.value.complaints}
+
+
+# ---- one unit ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("unit", "powers", "size"),
+    [
+        ("rpm", {"rad": 1, "s": -1}, 2 * np.pi / 60),
+        ("deg", {"rad": 1}, np.pi / 180),
+        ("°", {"rad": 1}, np.pi / 180),
+        ("%", {}, 0.01),
+        ("bar", {"kg": 1, "m": -1, "s": -2}, 1e5),
+        ("kWh", {"kg": 1, "m": 2, "s": -2}, 3.6e6),
+        ("km/h", {"m": 1, "s": -1}, 1 / 3.6),
+        ("min", {"s": 1}, 60.0),
+        ("mA", {"A": 1}, 1e-3),
+        ("l/min", {"m": 3, "s": -1}, 1e-3 / 60),
+        ("Nm", {"kg": 1, "m": 2, "s": -2}, 1.0),
+        ("mNm", {"kg": 1, "m": 2, "s": -2}, 1e-3),
+        ("N*s", {"kg": 1, "m": 1, "s": -1}, 1.0),
+        ("Vs", {"kg": 1, "m": 2, "s": -2, "A": -1}, 1.0),
+        ("kgm2/s", {"kg": 1, "m": 2, "s": -1}, 1.0),
+        ("m2", {"m": 2}, 1.0),
+        ("m^2", {"m": 2}, 1.0),
+        ("cm³", {"m": 3}, 1e-6),
+        ("µm", {"m": 1}, 1e-6),
+        ("W/degF", {"kg": 1, "m": 2, "s": -3, "K": -1}, 1.8),
+        ("mmH2O", {"kg": 1, "m": -1, "s": -2}, 9.80665),
+        ("kOhm", {"kg": 1, "m": 2, "s": -3, "A": -2}, 1e3),
+        ("counts", {"counts": 1}, 1.0),
+        ("a.u.", {"a": 1, "u": 1}, 1.0),
+        ("C", {"C": 1}, 1.0),
+        ("foo", {"foo": 1}, 1.0),
+    ],
+)
+def test_a_unit_is_powers_of_si_and_a_size(
+    unit: str, powers: dict[str, float], size: float
+) -> None:
+    found = measure_of(unit)
+    assert found is not None
+    assert found.powers == powers
+    assert found.size == pytest.approx(size, rel=1e-14)
+
+
+def test_what_is_no_unit_stays_as_it_is() -> None:
+    assert measure_of('deg "C"') is None
+    assert in_si({"t": "s", "x": 'deg "C"'}) == {"t": "s", "x": 'deg "C"'}
+
+
+def test_temperatures_are_in_degrees_of_celsius_unless_all_are_in_kelvin() -> None:
+    units = in_si({"t": "h", "T": "degF", "To": "K", "P": "kW"})
+    assert units == {"t": "s", "T": "degC", "To": "degC", "P": "W"}
+    assert scale_of(units["T"]).read(68.0) == pytest.approx(20.0)
+    assert scale_of(units["T"]).told(20.0) == pytest.approx(68.0)
+    assert scale_of(units["To"]).read(293.15) == pytest.approx(20.0)
+    assert in_si({"t": "s", "T": "K"}) == {"t": "s", "T": "K"}
+
+
+def test_a_unit_keeps_how_it_was_written_in_copies_and_other_processes() -> None:
+    unit = in_si({"t": "ms"})["t"]
+    for one in (pickle.loads(pickle.dumps(unit)), copy.deepcopy(unit)):
+        assert one == "s"
+        assert scale_of(one).unit == "ms"
+
+
+def test_times_and_rates_are_told_in_the_units_that_were_written() -> None:
+    units = in_si({"t": "ms", "q": "mm"})
+    assert time_words(0.25, units["t"]) == "250 ms"
+    assert time_words(7200.0, units["t"]) == "120 min"
+    house = in_si({"t": "min", "T": "degF", "V": "l"})
+    assert scale_of_rate("T", house, 600.0).unit == "degF/min"
+    assert scale_of_rate("V", house, 600.0).unit == "l/min"
+    assert time_words(100.0, in_si({"t": "h"})["t"]) == "0.0278 h"
+
+
+# ---- measurements --------------------------------------------------------------------
+
+
+def test_measurements_in_si_are_computed_in_si_and_told_as_written() -> None:
+    data = ph.Measurements.from_arrays(
+        [0, 20, 40],
+        [[1.0], [2.0], [3.0]],
+        [[600.0], [0.0], [1.0]],
+        states=["q"],
+        inputs=["n"],
+        units={"q": "mm", "t": "ms", "n": "rpm"},
+        noise={"q": 0.5},
+    )
+    converted = data.in_si()
+    assert dict(converted.units) == {"q": "m", "t": "s", "n": "rad/s"}
+    np.testing.assert_allclose(converted.stacked("t"), [0, 0.02, 0.04])
+    np.testing.assert_allclose(converted.stacked("x")[:, 0], [0.001, 0.002, 0.003])
+    np.testing.assert_allclose(converted.stacked("u")[0], 20 * np.pi)
+    assert converted.noise is not None
+    assert converted.noise["q"] == pytest.approx(5e-4)
+    assert str(converted) == str(data)
+    assert converted.in_si() is converted
+    assert data.units["q"] == "mm"
+    assert data.stacked("t").tolist() == [0, 20, 40]
+
+
+def test_what_is_in_si_or_has_no_time_stays_the_same_object() -> None:
+    for units in ({"q": "m", "t": "s"}, {"q": "mm"}, {}, {"q": "counts", "t": "s"}):
+        data = swings(units)
+        assert data.in_si() is data
+
+
+# ---- formulas ------------------------------------------------------------------------
+
+
+def fault(model: ph.PseudoHamiltonian | ph.FirstOrder, units: dict[str, str]) -> str:
+    with pytest.raises(ph.ModelError) as caught:
+        UnitCheck(model, units).refuse()
+    assert len(str(caught.value)) <= 300
+    return str(caught.value)
+
+
+def test_a_unit_of_the_wrong_dimension_is_told_with_the_expected_one() -> None:
+    wrong = cart(k=ph.Parameter(50.0, unit="N"), m=known(2.5, "kg"))
+    for units in ({"q": "m", "t": "s"}, MM):
+        said = fault(wrong, units)
+        assert said.startswith("k is in N: the formulas ask for N/m, with m in kg")
+
+
+def test_a_mass_of_one_that_is_left_out_is_no_contradiction() -> None:
+    energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(50.0, unit="N/m"))
+    model = ph.PseudoHamiltonian(**CARTESIAN, H=energy)
+    UnitCheck(model, {"q": "m", "t": "s"}).refuse()
+
+
+def test_units_of_different_size_are_refused_with_the_repair() -> None:
+    stiff = ph.Parameter(50.0, unit="N/m")
+    both = fault(cart(k=stiff, m=known(2.5, "kg")), MM)
+    assert "q in mm, t in ms; k in N/m, m in kg" in both
+    assert "data.in_si()" in both
+    number = fault(cart(k=stiff, m=2.5), MM)
+    assert number.startswith("m = 2.5 has no unit")
+    parameter = fault(
+        cart(k=ph.Parameter(50.0, unit="N/mm"), m=known(2.5, "kg")),
+        {"q": "m", "t": "s"},
+    )
+    assert 'k=ph.Parameter(50000, unit="N/m")' in parameter
+
+
+def test_an_angle_in_degrees_does_not_stand_in_a_cosine() -> None:
+    energy = ph.formula(
+        "-m*9.81*l*cos(q) + p**2/(2*m*l**2)", m=known(1, "kg"), l=known(0.5, "m")
+    )
+    pendulum = ph.PseudoHamiltonian(**CARTESIAN, H=energy)
+    UnitCheck(pendulum, {"q": "rad", "t": "s"}).refuse()
+    assert "q in deg" in fault(pendulum, {"q": "deg", "t": "s"})
+    assert "q is in m" in fault(pendulum, {"q": "m", "t": "s"})
+
+
+def test_what_fits_together_as_written_is_left_alone() -> None:
+    UnitCheck(cart(k=50.0, m=2.5), MM).refuse()
+    rate = ph.formula("a*(To - T) + 1000*P/C", a=ph.Parameter(0.1), C=known(1e6, "J/K"))
+    house = ph.FirstOrder(["T"], {"T": rate}, inputs=["To", "P"])
+    UnitCheck(house, {"T": "degC", "To": "degC", "P": "kW", "t": "s"}).refuse()
+    rate = ph.formula("a*(To - T) + P/C", a=ph.Parameter(0.1), C=1000.0)
+    house = ph.FirstOrder(["T"], {"T": rate}, inputs=["To", "P"])
+    UnitCheck(house, {"T": "degC", "To": "degC", "P": "W", "t": "h"}).refuse()
+
+
+def test_every_public_call_refuses_units_that_do_not_fit() -> None:
+    data = swings(MM, 1e-3, 1e3)
+    wrong = cart(k=ph.Parameter(50.0, unit="N/m"), m=2.5)
+    for call in (ph.identify, ph.Study):
+        with pytest.raises(ph.ModelError, match="in_si"):
+            call(wrong, data)
+    frozen = cart(k=known(50.0, "N/m"), m=2.5).with_fixed({"R_p": 0.8})
+    for judge in (ph.compare, ph.diagnose):
+        with pytest.raises(ph.ModelError, match="in_si"):
+            judge(frozen, data)
+
+
+def test_a_fit_of_converted_data_is_that_of_data_in_si() -> None:
+    model = cart(k=ph.Parameter(50.0, unit="N/m"), m=2.5)
+    converted = ph.identify(model, swings(MM, 1e-3, 1e3).in_si())
+    in_metres = ph.identify(model, swings({"q": "m", "t": "s"}))
+    assert converted.values == pytest.approx(in_metres.values, rel=1e-6)
+    assert abs(converted.values["k"] - 52) < 4 * converted.std_errors["k"]
+    assert re.search(r"noise: q 0\.[45]\d* mm", str(converted))
+
+
+# ---- study files ---------------------------------------------------------------------
+
+
+def test_a_number_without_a_unit_is_asked_for_where_the_data_are_not_in_si(
+    tmp_path: Path,
+) -> None:
+    data = swings(MM, 1e-3, 1e3)
+    text = 'k = { start = 50, unit = "N/m" }\nm = 2.5'
+    found = complaints(written(tmp_path, data, MM, text))
+    assert list(found) == ["parameters.m"]
+    assert 'm = { value = 2.5, unit = "kg" }' in found["parameters.m"]
+
+
+def test_a_study_in_mm_and_ms_finds_the_stiffness_and_tells_mm_and_ms(
+    tmp_path: Path,
+) -> None:
+    data = swings(MM, 1e-3, 1e3)
+    text = 'k = { start = 0.05, unit = "N/mm" }\nm = { value = 2500, unit = "g" }'
+    file = ph.StudyFile.read(written(tmp_path, data, MM, text))
+    study = file.study()
+    row = study.fit.parameters.set_index("name").loc["k"]
+    assert row["unit"] == "N/mm"
+    assert abs(row["value"] - 0.052) < 4 * row["std_error"]
+    assert study.fit.values["k"] == pytest.approx(1000 * row["value"])
+    assert study.unit == "mm"
+    assert 0.4 < study.history["train_rmse"][0] < 0.6
+    content = study.content()
+    assert content.time.unit == "ms"
+    channel = content.runs[0].channels[0]
+    assert channel.unit == "mm"
+    np.testing.assert_allclose(channel.t, data.trajectories[2].t, rtol=1e-12)
+    np.testing.assert_allclose(channel.measured, data.trajectories[2].x[:, 0])
+    rows = {one.name: one for one in content.models[0].parameters}
+    assert rows["m"].value == pytest.approx(2500)
+    ends = (rows["k"].lower, rows["k"].upper)
+    assert ends[0] is not None and ends[1] is not None
+    assert ends[0] < 0.052 < ends[1]
+    for said in (str(study.fit), str(study.compare()), *map(str, content.checks)):
+        assert not re.search(r"\d m\b", said)
+    # What is written is what was read, and the script computes the same.
+    again = ph.StudyFile.read(file.write(tmp_path / "again.toml"))
+    assert again.base == file.base
+    assert 'k = { start = 0.05, unit = "N/mm" }' in file.text()
+    assert "data = data.in_si()" in file.script()
+
+
+def test_times_of_a_study_file_are_in_the_unit_of_the_times(tmp_path: Path) -> None:
+    text = 'k = { start = 50, unit = "N/m" }\nm = { value = 2.5, unit = "kg" }'
+    path = written(tmp_path, swings(MM, 1e-3, 1e3), MM, text)
+    path.write_text(path.read_text().replace("share = 0.3", "after = 3000"))
+    train, held_out = ph.StudyFile.read(path).split()
+    assert held_out is not None
+    assert train.stacked("t").max() == pytest.approx(2.98)
+    assert held_out.stacked("t").min() == pytest.approx(3.0)
+
+
+def test_without_a_unit_of_the_time_nothing_is_converted_in_silence(
+    tmp_path: Path,
+) -> None:
+    units = {"q": "mm", "t": ""}
+    found = complaints(written(tmp_path, swings(MM, 1e-3), units, "k = 50\nm = 2.5"))
+    assert list(found) == ["data.time.unit"]
+
+
+def test_a_unit_that_is_not_known_cannot_be_converted(tmp_path: Path) -> None:
+    data = swings(MM, 1e-3, 1e3)
+    text = 'k = { start = 50, unit = "N/foo" }\nm = { start = 2.5 }'
+    found = complaints(written(tmp_path, data, MM, text))
+    assert 'parameters.k.unit = "N/foo"' in found["parameters.k.unit"]
+    text = 'k = { start = 50, unit = "N" }\nm = { value = 2.5, unit = "kg" }'
+    found = complaints(written(tmp_path, data, MM, text))
+    assert "N/m" in found["parameters.k.unit"]
+
+
+def test_a_study_in_si_is_read_as_before(tmp_path: Path) -> None:
+    units = {"q": "m", "t": "s"}
+    text = 'k = { start = 50, unit = "N/m" }\nm = 2.5'
+    data = swings(units)
+    file = ph.StudyFile.read(written(tmp_path, data, units, text))
+    np.testing.assert_array_equal(file.measurements().stacked("x"), data.stacked("x"))
+    assert file.base.entries["k"].parameter == ph.Parameter(50.0, unit="N/m")
+
+
+# ---- machines in the units of their loggers ------------------------------------------
+
+
+def of_logger(
+    model: ph.PseudoHamiltonian | ph.FirstOrder,
+    x0: list[float],
+    u: np.ndarray | None,
+    t: np.ndarray,
+    units: dict[str, str],
+    noise: float,
+) -> ph.Measurements:
+    """A simulated record in other units than SI, one state measured."""
+    x = ph.simulate(model, t, x0, u)
+    x[:, 0] += np.random.default_rng(0).normal(0, noise, len(t))
+    x[:, 1:] = np.nan
+    scales = {name: scale_of(unit) for name, unit in in_si(units).items()}
+    x[:, 0] = scales[model.states[0]].told(x[:, 0])
+    for k, name in enumerate(model.inputs):
+        assert u is not None
+        u[:, k] = scales[name].told(u[:, k])
+    return ph.Measurements.from_arrays(
+        scales["t"].told(t), x, u, states=model.states, inputs=model.inputs, units=units
+    )
+
+
+def test_a_pendulum_in_degrees() -> None:
+    energy = "-m*g*l*cos(q) + p**2/(2*m*l**2)"
+    g = known(9.81, "m/s^2")
+    fixed = {"m": known(1.2, "kg"), "g": g}
+    parts = CARTESIAN
+    truth = ph.PseudoHamiltonian(**parts, H=ph.formula(energy, l=0.4, m=1.2, g=9.81))
+    units = {"q": "deg", "t": "ms"}
+    t = np.arange(300) * 0.02
+    swing = of_logger(truth.with_fixed({"R_p": 0.02}), [1.2, 0], None, t, units, 0.01)
+    length = ph.Parameter(0.5, lower=0.1, unit="m")
+    model = ph.PseudoHamiltonian(**parts, H=ph.formula(energy, l=length, **fixed))
+    fit = ph.identify(model, swing.in_si())
+    assert abs(fit.values["l"] - 0.4) < 4 * fit.std_errors["l"]
+    assert re.search(r"noise: q 0\.[56]\d* deg", str(fit))
+
+
+def test_a_motor_in_rpm_and_milliamperes() -> None:
+    rate = "(k*i - c*w)/J"
+    values = {"k": 0.05, "c": 1e-3, "J": 2e-4}
+    truth = ph.FirstOrder(["w"], {"w": ph.formula(rate, **values)}, inputs=["i"])
+    units = {"w": "rpm", "i": "mA", "t": "ms"}
+    t = np.arange(300) * 0.01
+    u = np.sign(np.sin(3 * t))[:, None] * 2.0
+    data = of_logger(truth, [0.0], u, t, units, 0.3)
+    free = {
+        "k": ph.Parameter(0.01, unit="N m/A"),
+        "c": ph.Parameter(0.01, unit="N m s/rad"),
+        "J": known(2e-4, "kg m^2"),
+    }
+    model = ph.FirstOrder(["w"], {"w": ph.formula(rate, **free)}, inputs=["i"])
+    fit = ph.identify(model, data.in_si())
+    for name in ("k", "c"):
+        assert abs(fit.values[name] - values[name]) < 5 * fit.std_errors[name]
+    assert "rpm" in str(ph.compare(fit, data.in_si()))
+
+
+def test_a_house_in_hours_kilowatts_and_degrees_fahrenheit() -> None:
+    rate = "(a*(To - T) + P)/C"
+    truth = ph.FirstOrder(
+        ["T"], {"T": ph.formula(rate, a=150.0, C=6e6)}, inputs=["To", "P"]
+    )
+    units = {"T": "degF", "To": "°F", "P": "kW", "t": "h"}
+    t = np.arange(240) * 900.0
+    outside = 5 + 4 * np.sin(2 * np.pi * t / 86400)
+    u = np.column_stack([outside, 2000.0 * (np.sin(t / 9000) > 0)])
+    data = of_logger(truth, [20.0], u, t, units, 0.1)
+    model = ph.FirstOrder(
+        ["T"],
+        {
+            "T": ph.formula(
+                rate,
+                a=ph.Parameter(100.0, unit="W/K"),
+                C=ph.Parameter(1e6, unit="J/K"),
+            )
+        },
+        inputs=["To", "P"],
+    )
+    fit = ph.identify(model, data.in_si())
+    assert abs(fit.values["a"] - 150) < 4 * fit.std_errors["a"]
+    assert abs(fit.values["C"] - 6e6) < 4 * fit.std_errors["C"]
+    table = ph.compare(fit, data.in_si()).table
+    assert table["unit"][0] == "degF"
+    assert 0.15 < table["rmse"][0] < 0.22  # 0.1 degC
