@@ -219,7 +219,7 @@ def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     assert "'kk' is not known here" in words["model.H"]
     assert "Did you mean 'k'?" in words["model.H"]
     assert words["model.R.p"].startswith("Loss R of p")
-    assert words["parameters.k.lower"].startswith("Parameter k, lower")
+    assert words["parameters.k.lower"].startswith("Least k")
     assert unknown_names(session.draft.model) == ["kk"]
     session.fit()
     assert session.job is None
@@ -520,7 +520,7 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     assert "Parameter m: enter the known value, such as 2.5." in said
     del session.draft.model.table["states"]
     said = [complaint_words(one) for one in session.check()]
-    assert "Field states: expected the names of the states, such as q, p." in said
+    assert "States: expected the names of the states, such as q, p." in said
     advice = 'the model has this name: give { column = "..." }, or { measured = false }. Other'
     words = complaint_words(ph.Complaint("data.states.x", "", advice))
     assert words.startswith("Column of x: it is in the model: choose its column")

@@ -12,27 +12,21 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.slots import Variables
 from phsi_opt.page.drafts import (
-    AFTER,
     ENERGY,
     FIRST_ORDER,
+    HELD_OUT_KEYS,
     HELD_OUT_WAYS,
     INPUT,
     MOST_FILES,
     MOST_UPLOADED,
-    NAMES,
     NOT_USED,
-    PAIRS,
-    REAL,
     ROLES,
     RUN,
     RUNS,
-    SHARE,
     STATE,
     STUDY_KIND,
     TABLE_KINDS,
-    TERMS,
     TIME,
-    WHOLE,
     ColumnDraft,
     DataDraft,
     ModelDraft,
@@ -40,7 +34,6 @@ from phsi_opt.page.drafts import (
     in_megabytes,
 )
 from phsi_opt.page.parts import (
-    Field,
     Then,
     alert,
     button,
@@ -48,10 +41,10 @@ from phsi_opt.page.parts import (
     choice,
     complaints,
     field_row,
+    fields,
     heading,
     plotted_data,
     said_by,
-    text_fields,
 )
 from phsi_opt.page.session import Session
 from phsi_opt.presentation.numbers import number_of
@@ -77,28 +70,10 @@ STUDY_PART = "3 Study"
 TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
 DATA_SECTIONS = ("data", "held_out")
-UNIT_FIELD = Field("unit", "unit of {name}", "8em", "m")
-NAME_FIELD = Field("name", "name of {name}", "9em", "as in formulas")
-NOISE_FIELD = Field("noise", "noise of {name}", "14em", "estimated", REAL)
 FIELDS_OF_ROLE = {
-    TIME: (UNIT_FIELD,),
-    STATE: (NAME_FIELD, UNIT_FIELD, NOISE_FIELD),
-    INPUT: (NAME_FIELD, UNIT_FIELD),
-}
-STEP_FIELD = Field(
-    "step", "time between lines", "14em", "no column has the times", REAL
-)
-THINNED_FIELD = Field(
-    "thinned", "number of samples to average", "17em", "each by itself", WHOLE
-)
-HOLD_OPTIONS = {
-    "linear": "linear",
-    "zero": "constant until the next",
-    "cubic": "smooth",
-}
-HELD_OUT_FIELDS = {
-    SHARE: (Field("share", "share", "8em", "0.3", REAL),),
-    AFTER: (Field("after", "from the time", "8em", "10", REAL),),
+    TIME: ("data.time", "unit"),
+    STATE: ("data.states.*", "name unit noise"),
+    INPUT: ("data.inputs.*", "name unit hold"),
 }
 
 
@@ -208,8 +183,8 @@ class DataView:
             for column in data.columns:
                 self._column(data, column)
             if not data.with_role(TIME):
-                text_fields(data.time, [STEP_FIELD], self.checked)
-            text_fields(data.settings, [THINNED_FIELD], self.checked)
+                fields(data.time, "data.time", "step", self.checked)
+            fields(data.settings, "data", "thinned", self.checked)
         with card():
             heading("Held out")
             ui.label("Held-out data: used for tests, not for fitting.").classes("faint")
@@ -230,26 +205,9 @@ class DataView:
                 ui.label(", ".join(column.examples)).classes("faint formula")
             roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
             choice(f"{column.column} is", roles, column.role, set_role, width="10em")
-            fields = FIELDS_OF_ROLE.get(column.role, ())
-            text_fields(column.table, fields, self.checked, str(column.column))
-            if column.role == INPUT:
-                self._hold(column)
-
-    def _hold(self, column: ColumnDraft) -> None:
-        """What an input does between samples."""
-
-        async def set_hold(hold: str) -> None:
-            column.table["hold"] = hold
-            await self.checked()
-
-        now = column.table.get("hold", "linear")
-        choice(
-            f"{column.column} between samples",
-            HOLD_OPTIONS,
-            now,
-            set_hold,
-            width="16em",
-        )
+            if column.role in FIELDS_OF_ROLE:
+                of_role = FIELDS_OF_ROLE[column.role]
+                fields(column.table, *of_role, self.checked, str(column.column))
 
     @ui.refreshable_method
     def held_out(self) -> None:
@@ -279,8 +237,9 @@ class DataView:
                     on_change=set_runs,
                 )
                 field.props("dense outlined use-chips").style("min-width: 14em")
-            fields = HELD_OUT_FIELDS.get(data.way, ())
-            text_fields(data.held_out, fields, self.checked)
+            elif data.way in HELD_OUT_KEYS:
+                key = HELD_OUT_KEYS[data.way]
+                fields(data.held_out, "held_out", key, self.checked)
 
 
 # ---- part 2: the base model, picked or written, with a live check --------------------
@@ -290,24 +249,7 @@ NOT_MEASURED = "not measured"
 FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 # A remark that goes leaves its place, so that no button moves from under a click.
 STAYING_PLACE = "min-height: 1.5em"
-NAME_FIELDS = (
-    Field("states", "states", hint="q, p", kind=NAMES),
-    Field("inputs", "inputs", hint="u", kind=NAMES),
-)
-ENERGY_FIELDS = (
-    Field("pairs", "pairs: dq/dt = dH/dp", hint="q-p", kind=PAIRS),
-    Field("H", "energy H", "100%", "k*q**2/2 + p**2/(2*m)", TERMS),
-)
-LOSS_FIELD = Field("", "loss R of {name}", "15em", "c", TERMS)
-FORCE_FIELD = Field("", "force F on {name}", "15em", "u", TERMS)
-PARAMETER_NAME_FIELD = Field("name", "name", "8em", "k")
-START_FIELD = Field("start", "start of {name}", "10em", "found in data", REAL)
-KNOWN_FIELD = Field("value", "known value of {name}", "10em", "found in data", REAL)
-LIMIT_FIELDS = (
-    Field("lower", "least {name}", "8em", "none", REAL),
-    Field("upper", "largest {name}", "8em", "none", REAL),
-    Field("unit", "unit of {name}", "8em", "N/m"),
-)
+PARAMETER = "parameters.*"
 MODEL_TYPES = {
     ENERGY: "energy: dx/dt = (S - R) grad H + F",
     FIRST_ORDER: "first order: dx/dt = F",
@@ -388,9 +330,9 @@ class ModelView:
             with ui.element("div").classes("fields"):
                 kinds = (MODEL_TYPES, draft.type, self._set_type)
                 choice("kind of model", *kinds, width="20em")
-                text_fields(draft.table, NAME_FIELDS, self._named)
+                fields(draft.table, "model", "states inputs", self._named)
                 if draft.type == ENERGY:
-                    text_fields(draft.table, ENERGY_FIELDS, self.checked)
+                    fields(draft.table, "model", "pairs H", self.checked)
             self.by_state()
         with card():
             heading("Parameters")
@@ -414,8 +356,8 @@ class ModelView:
             with field_row():
                 ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
                 if draft.type == ENERGY:
-                    text_fields(draft.table["R"], [LOSS_FIELD], self.checked, name)
-                text_fields(draft.table["F"], [FORCE_FIELD], self.checked, name)
+                    fields(draft.table["R"], "model.R", "*", self.checked, name)
+                fields(draft.table["F"], "model.F", "*", self.checked, name)
                 self._column(STATE, name)
         for name in draft.names("inputs"):
             with field_row():
@@ -465,10 +407,10 @@ class ModelView:
             return self._redraw_parameters()
 
         with field_row():
-            value = KNOWN_FIELD if one.is_known else START_FIELD
-            text_fields(one.table, [PARAMETER_NAME_FIELD], self.checked)
-            text_fields(one.table, [value], given, name)
-            text_fields(one.table, LIMIT_FIELDS, self.checked, name)
+            key = "value" if one.is_known else "start"
+            fields(one.table, PARAMETER, "name", self.checked, name)
+            fields(one.table, PARAMETER, key, given, name)
+            fields(one.table, PARAMETER, "lower upper unit", self.checked, name)
             ui.checkbox("known", value=one.is_known).on_value_change(set_known)
             removing = ui.button("Remove", on_click=remove).props("flat")
             removing.props["aria-label"] = f"Remove {name}"

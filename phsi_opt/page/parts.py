@@ -4,15 +4,16 @@ import json
 import re
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
-from nicegui import events, ui
+from nicegui import ui
 from nicegui.elements.mixins.text_element import TextElement
 
 from phsi_opt.errors import Complaint
-from phsi_opt.page.drafts import NAMES, PAIRS, TERMS, TEXT, Content, Kind
+from phsi_opt.page.drafts import NAMES, PAIRS, REAL, TERMS, TEXT, WHOLE, Content
 from phsi_opt.presentation.charts import Chart, figure
 from phsi_opt.presentation.sentences import environment
+from phsi_opt.study_file.keys import KEYS, KEYS_OF, Key
 
 DEBOUNCE = "debounce=400"  # ms without a key before a text is checked
 FORMULAS = (NAMES, PAIRS, TERMS)  # kinds that are set in the type of formulas
@@ -34,51 +35,87 @@ def field_row() -> ui.element:
     return ui.element("div").classes("fields candidate")
 
 
-class Field(NamedTuple):
-    """A text of a table of a draft: its key, its label, its width, what shows it empty.
+# What fields of keys are called, where not by the key alone.
+LABELS = {
+    "data": "measurements",
+    "data.trajectory": "column of runs",
+    "data.time": "time column",
+    "data.time.column": "time column",
+    "data.time.step": "time between lines",
+    "data.thinned": "number of samples to average",
+    "data.states.*": "column of {name}",
+    "data.inputs.*": "column of {name}",
+    "data.inputs.*.hold": "{name} between samples",
+    "held_out": "held out",
+    "held_out.after": "from the time",
+    "model.pairs": "pairs: dq/dt = dH/dp",
+    "model.H": "energy H",
+    "model.R.*": "loss R of {name}",
+    "model.F.*": "force F on {name}",
+    "parameters.*": "parameter {name}",
+    "parameters.*.value": "known value of {name}",
+    "parameters.*.lower": "least {name}",
+    "parameters.*.upper": "largest {name}",
+}
+OPTION_LABELS = {"zero": "constant until the next", "cubic": "smooth"}
+# How the text of a field is written in a study file, by the form of its key.
+KIND_OF = {
+    "number": REAL,
+    "positive number": REAL,
+    "number from 0 to 1": REAL,
+    "whole number": WHOLE,
+    "list of texts": NAMES,
+    "list of pairs": PAIRS,
+    "formula, term, or list of these": TERMS,
+}
+NO_KEY = Key("", "text", "")  # of a name, which a study file has as a key
 
-    The label may have ``{name}`` in it, for what the table is of; where there is no
-    key, the name is the key.
-    """
 
-    key: str
-    label: str
-    width: str = "14em"
-    hint: str = ""
-    kind: Kind = TEXT
+def label_of(path: str, name: str = "") -> str:
+    """What the field of a key is called."""
+    key = path.rpartition(".")[2]
+    found = LABELS.get(path, f"{key} of {{name}}" if name else key)
+    return found.format(name=name)
 
 
-def text_fields(
-    table: Content, fields: Iterable[Field], then: Then, name: str = ""
-) -> None:
-    """Texts of a table, told while they are typed.
+def fields(table: Content, section: str, keys: str, then: Then, name: str = "") -> None:
+    """Fields of keys, as the table of keys describes them, told while they are typed.
 
     Args:
         table: of a draft; a key that is empty is taken out.
-        fields: which ones.
+        section: whose keys they are, such as ``"data.states.*"``.
+        keys: with blanks between; "*" stands for the name.
         then: called after every change.
         name: of what the table is of.
     """
-    for field in fields:
-        _text_field(table, field, then, name)
+    for key in keys.split():
+        entry = KEYS_OF[section].get(key, NO_KEY)
+        label = label_of(f"{section}.{key}", name)
+        _field(table, name if key == "*" else key, entry, label, then)
 
 
-def _text_field(table: Content, field: Field, then: Then, name: str) -> None:
-    key = field.key or name
+def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> None:
+    kind = KIND_OF.get(entry.form, TEXT)
 
-    async def changed(e: events.ValueChangeEventArguments) -> None:
-        text = (e.value or "").strip()
-        if text:
-            table[key] = field.kind.value(text)
+    async def changed(text: str | None) -> None:
+        if text and text.strip():
+            table[key] = kind.value(text.strip())
         else:
             table.pop(key, None)
         await then()
 
-    value = field.kind.text(table[key]) if key in table else ""
-    made = ui.input(field.label.format(name=name), value=value, on_change=changed)
-    made.props("dense outlined").props(DEBOUNCE).props["placeholder"] = field.hint
-    made.style(f"width: {field.width}; max-width: 100%")
-    made.classes("formula" if field.kind in FORMULAS else "")
+    if entry.options:
+        options = {one: OPTION_LABELS.get(one, one) for one in entry.options}
+        now = table.get(key, entry.options[0])
+        choice(label, options, now, changed, width="16em")
+        return
+    value = kind.text(table[key]) if key in table else ""
+    made = ui.input(label, value=value, on_change=lambda e: changed(e.value))
+    made.props("dense outlined").props(DEBOUNCE)
+    made.props["placeholder"] = entry.meaning.rpartition("default: ")[2]
+    width = "100%" if key == "H" else f"{max(8.0, 2 + 0.6 * len(label)):.0f}em"
+    made.style(f"width: {width}; max-width: 100%")
+    made.classes("formula" if kind in FORMULAS else "")
 
 
 def choice(
@@ -157,21 +194,6 @@ def plotted_data(chart: Chart) -> None:
 
 # ---- complaints in the words of the fields -------------------------------------------
 
-# Keys of a study file, as patterns, and what the page calls their fields.
-FIELD_NAMES = (
-    (r"data\.time.*", "Time column"),
-    (r"data\.(states|inputs)\.([^.]+).*", r"Column of \2"),
-    (r"data\.trajectory", "Column of runs"),
-    (r"data.*", "Measurements"),
-    (r"held_out.*", "Held out"),
-    (r"model\.H.*", "Energy H"),
-    (r"model\.R\.([^.\[]+).*", r"Loss R of \1"),
-    (r"model\.F\.([^.\[]+).*", r"Force F on \1"),
-    (r"model\.(states|inputs|pairs)", r"Field \1"),
-    (r"model.*", "Model"),
-    (r"parameters\.([^.]+)\.(.+)", r"Parameter \1, \2"),
-    (r"parameters\.([^.]+)", r"Parameter \1"),
-)
 # Advice of the study file's reader that names its sections, and the page's own.
 ADVICE = (
     (
@@ -179,18 +201,10 @@ ADVICE = (
         "Correct the name, or make it a parameter below.",
     ),
     (
-        r"the model has this name: give \{ column = \"\.\.\.\" \}"
-        r".*?measured = false \}\.",
-        "it is in the model: choose its column, or mark it as not measured.",
+        r"the model has this name: give \{ column = .*?\}\.",
+        "it is in the model: choose its column, or that it was not measured.",
     ),
-    (
-        r"the model has this name: give \{ column = \"\.\.\.\" \}\.",
-        "it is in the model: choose its column.",
-    ),
-    (
-        r"a fixed parameter needs a value: .*",
-        "enter the known value, such as 2.5.",
-    ),
+    (r"a fixed parameter needs a value: .*", "enter the known value, such as 2.5."),
     (
         r"the names of the (states|inputs), such as \[\"(.+?)\", \"(.+?)\"\]\.",
         r"the names of the \1, such as \2, \3.",
@@ -212,8 +226,12 @@ def complaint_words(complaint: Complaint) -> str:
 
 
 def _place_words(key: str) -> str:
-    """What the page calls the field of a key."""
-    for pattern, words in FIELD_NAMES:
-        if re.fullmatch(pattern, key):
-            return re.sub(f"^{pattern}$", words, key)
+    """What the page calls the field of a key, or else that of what it is a part of."""
+    for entry in reversed(KEYS):  # parts stand behind what they are a part of
+        pattern = re.escape(entry.path).replace(r"\*", r"([^.\[]+)")
+        found = re.fullmatch(f"{pattern}(\\[.*|\\..*)?", key)
+        if found is not None:
+            name = found[1] if "*" in entry.path else ""
+            label = label_of(entry.path, name or "")
+            return label[:1].upper() + label[1:]
     return key
