@@ -27,7 +27,13 @@ from phsi_opt.force_analysis.analysis import (
 from phsi_opt.force_analysis.dependence import Causes
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import Pace
-from phsi_opt.presentation.charts import glance_chart, rounded, svg
+from phsi_opt.presentation.charts import (
+    follows_chart,
+    glance_chart,
+    rounded,
+    run_chart,
+    svg,
+)
 from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
@@ -608,6 +614,30 @@ def test_verdict_table_and_picture_use_the_same_words(
     assert all(SEVERITY_WORDS[severity] == word for severity, word in items)
     again = html_report(study_content(study.record, study.record.laws()))
     assert again == page
+
+
+def test_the_law_that_was_found_is_drawn_as_sharp_as_it_is(study: ph.Study) -> None:
+    (law,) = study.record.laws()
+    assert law.law is not None and law.law.shape == law.x.shape
+    size = study.record.size(study.added[0]).value
+    is_moving = np.abs(law.x) > 0.1
+    assert np.allclose(law.law[is_moving], -size * np.sign(law.x[is_moving]), rtol=0.01)
+    names = [curve.name for curve in follows_chart(law).panels[0].curves]
+    assert names == ["force", "the law that was found"]
+
+
+def test_the_run_is_shown_in_which_the_models_differ_most(
+    content: StudyContent,
+) -> None:
+    judged = [run for run in content.runs if run.part == "held out"]
+    shown = content.runs[content.shown].channels[content.shown_channel]
+    assert shown.change == max(one.change for run in judged for one in run.channels)
+    above, below = run_chart(content, content.runs[content.shown], 0).panels
+    assert above.height > below.height
+    close = replace(shown, models=(shown.models[0], shown.models[0] + 1e-3))
+    run = replace(content.runs[content.shown], channels=(close,))
+    above, below = run_chart(content, run, 0).panels
+    assert above.height < below.height
 
 
 def test_the_file_is_small_and_loads_nothing(page: str) -> None:

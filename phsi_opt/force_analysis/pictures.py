@@ -98,13 +98,17 @@ def map_of(force: EquationForce) -> ForceMap | None:
 
 
 def follows_of(
-    force: EquationForce, variable: str = "", heading: str = "", said: str = ""
+    force: EquationForce,
+    variable: str = "",
+    heading: str = "",
+    said: str = "",
+    law: np.ndarray | None = None,
 ) -> Follows:
     """A force against a variable, the one that predicts it best unless one is given.
 
     Where the force repeats along the variable, this is folded to the period. What other
     values of the parameters explain is taken off (see `without_parameters`), but not
-    against time.
+    against time. A law (n_intervals,) is drawn through it.
     """
     from scipy.stats import binned_statistic  # slow to load
 
@@ -133,7 +137,9 @@ def follows_of(
     step = max(1, len(z) // MOST_PER_CURVE)
     said = said or dependence_title(force, variable)
     labels = (x_label, force.force_label())
-    return Follows(heading, *labels, z[::step], w[::step], centre, mean, std, said)
+    points = (z[::step], w[::step])
+    shown = None if law is None else law[::step] / force.scale.size
+    return Follows(heading, *labels, *points, centre, mean, std, said, shown)
 
 
 # ---- on axes -------------------------------------------------------------------------

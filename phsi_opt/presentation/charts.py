@@ -226,10 +226,16 @@ def _force_panel(
 
 
 def follows_chart(found: Follows) -> Chart:
-    """A missing force against what it follows."""
+    """A missing force against what it follows, with the law that was found.
+
+    Before a law is found, with its mean in bins: these would smear the step of a law.
+    """
     dots = Curve("force", found.x, found.force, MEASURED, POINTS)
     binned = (found.centre, found.mean, MODEL, STEPS, found.std, DEVIATION)
-    curves = (dots, Curve("mean in bins", *binned))
+    through = Curve("mean in bins", *binned)
+    if found.law is not None:
+        through = Curve("the law that was found", found.x, found.law, ATTENTION, POINTS)
+    curves = (dots, through)
     return Chart(found.x_label, (Panel(found.y_label, curves),))
 
 

@@ -251,6 +251,7 @@ class Follows:
     mean: np.ndarray
     std: np.ndarray
     sentence: str
+    law: np.ndarray | None = None  # the force by the law that was found, (n,)
 
 
 @dataclass(frozen=True, eq=False)

@@ -248,16 +248,24 @@ class StudyRecord:
         frozen = self.model_with(others).frozen()
         fit = identify(frozen, self.training, MaximumLikelihood())
         analysis = ForceAnalysis.of(Record.of_aligned(fit, self.training))
-        effort = frozen.efforts[frozen.states.index(effect.equation)]
+        row = frozen.states.index(effect.equation)
+        effort = frozen.efforts[row]
+        force = analysis.force_in(effect.equation)
+        law = None  # a memory is not known beside the smaller model
+        if not effect.memory:
+            points = force.record.points
+            larger = self.model_with(self.last.added).frozen()
+            law = (points.values(larger.rhs()) - points.values(frozen.rhs()))[:, row]
         said = (
             f"The added law: the force missing in d{effect.equation}/dt if {effect} "
             "is removed from the present model and all other values are kept"
         )
         return follows_of(
-            analysis.force_in(effect.equation),
+            force,
             effort if effect.slot == "R" else "",
             proper_names(f"Force that is missing without {effect}"),
             proper_names(said),
+            law,
         )
 
     def laws(self) -> tuple[Follows, ...]:
