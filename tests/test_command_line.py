@@ -896,7 +896,8 @@ def test_a_study_that_breaks_off_says_so_in_its_report(
     kept = [one for one in told if isinstance(one, Finished)][-1]
     assert kept.files == (short.with_name("report.html"),)
     report = kept.files[0].read_text(encoding="utf-8")
-    assert "the study failed: a mistake on the way. So far: held-out error" in report
+    assert "the study failed: a mistake on the way.</h1>" in report
+    assert "So far: held-out error" in report
     assert "base model" in kept.text
 
 

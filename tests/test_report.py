@@ -612,8 +612,11 @@ def test_verdict_table_and_picture_use_the_same_words(
     items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)
     assert len(items) == len(content.checks) > 0
     assert all(SEVERITY_WORDS[severity] == word for severity, word in items)
-    again = html_report(study_content(study.record, study.record.laws()))
-    assert again == page
+    (day,) = re.findall(r"2 runs to fit and 2 to test; report of ([\d-]+)<", page)
+    again = study_content(study.record, study.record.laws(), written=day)
+    assert html_report(again) == page
+    titled = replace(study.record, title="Drive <7>")
+    assert "<title>Drive &lt;7&gt;: " in html_report(study_content(titled))
 
 
 def test_the_law_that_was_found_is_drawn_as_sharp_as_it_is(study: ph.Study) -> None:

@@ -340,6 +340,7 @@ class StudyContent:
     """A study as it stands, in the order in which it is read."""
 
     title: str  # such as "Study of q"
+    subtitle: str  # what was measured, and when
     headline: Headline  # the verdict on the present model
     steps: tuple[ErrorStep, ...]  # the errors step by step, in ``unit``
     unit: str

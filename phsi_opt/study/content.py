@@ -82,7 +82,11 @@ LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 
 
 def study_content(
-    study: StudyRecord, laws: tuple[Follows, ...] = (), *, forces: bool = False
+    study: StudyRecord,
+    laws: tuple[Follows, ...] = (),
+    *,
+    forces: bool = False,
+    written: str = "",
 ) -> StudyContent:
     """What is told of a study.
 
@@ -91,6 +95,7 @@ def study_content(
         laws: of the effects that were added.
         forces: whether the missing force of the present model is told along all runs,
             those held out included.
+        written: the day of the report.
     """
     data = filter(None, (study.train, study.held_out))
     longest = max(float(run.t[-1]) for part in data for run in part)
@@ -110,13 +115,15 @@ def study_content(
         heading = f"Present model: with {added}" if added else "Present model"
         models.append(_model(heading, study.last.fit))
     shown, shown_channel = _most_changed(runs)
+    described = said_of(study, "subtitle", origin=runs[0].origin, written=written)
     place = telling_step(study)
     glance = None  # where what the verdict tells of is seen best
     if place is not None:
         model = -1 if place == last else 0
         glance = glance_of(study.diagnoses[place], runs, time, model)
     return StudyContent(
-        title=f"Study of {', '.join(study.train.measured)}",
+        title=study.title or f"Study of {', '.join(study.train.measured)}",
+        subtitle=described.lead,
         headline=headline_of(study),
         steps=study.errors(size),
         unit=unit,

@@ -69,6 +69,7 @@ class StudyRecord:
     # By the number of the step whose model they look at.
     diagnoses: Mapping[int, Diagnosis] = field(default_factory=dict)
     stopped: str = ""  # why it stopped last; "" where it was not asked to go on
+    title: str = ""  # of reports; "": what was measured
 
     @classmethod
     def of(

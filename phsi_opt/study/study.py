@@ -3,6 +3,7 @@
 It stops when no further effect is decisive, and says why.
 """
 
+import datetime as dt
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -55,6 +56,7 @@ class Study(Summarised):
             ``"coulomb friction on p"``; default: `catalogue` of the model.
         without: effects to exclude, in the same form.
         loss: how to fit; default `MaximumLikelihood`.
+        title: of reports, such as the machine; default: what was measured.
         progress: called with a line of text about the progress, such as ``print``.
         fit: a fit of the base model to the training data; default: a new one.
 
@@ -79,6 +81,7 @@ class Study(Summarised):
         effects: Given | None = None,
         without: Given = (),
         loss: MaximumLikelihood | None = None,
+        title: str = "",
         progress: Callable[[str], None] | None = None,
         fit: Fit | None = None,
     ) -> None:
@@ -88,9 +91,8 @@ class Study(Summarised):
         self._say = progress or silent
         # The effects that each diagnosis considered, by the number of the step.
         self._considered: dict[int, EffectChoice] = {}
-        self.record = StudyRecord.of(
-            model, train, held_out, loss or MaximumLikelihood()
-        )
+        record = StudyRecord.of(model, train, held_out, loss or MaximumLikelihood())
+        self.record = replace(record, title=title)
         for note in self.record.notes:
             self._say(note)
         if fit is None:
@@ -439,7 +441,8 @@ class Study(Summarised):
             )
         if place.suffix != ".html":
             return write_whole(place, markdown_report(self.content()))
-        content = study_content(self.record, self.record.laws())
+        today = f"{dt.date.today()}"
+        content = study_content(self.record, self.record.laws(), written=today)
         return write_whole(place, html_report(content))
 
     def content(self, *, forces: bool = False) -> StudyContent:

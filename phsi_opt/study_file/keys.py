@@ -110,6 +110,7 @@ effects.family | text | name of its class; default: none
 study.added | list of effects | effects added, such as "coulomb friction on p"
 study.effects | list of effects | effects to consider; default: the catalogue
 study.without | list of effects | effects to exclude; default: none
+study.title | text | title of reports, such as the machine; default: the files
 study.max_steps | whole number | largest number of effects that --auto adds; default 4
 loss.integrator | "euler", "midpoint", "rk4" or "srk4" | scheme; default srk4
 loss.steps | whole number | steps between samples; default: chosen by accuracy

@@ -302,6 +302,7 @@ class StudySection:
     effects: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()  # names of those never to consider
     max_steps: int = DEFAULT_MAX_STEPS  # how many ``--auto`` adds at most
+    title: str = ""  # of reports
 
 
 @dataclass(frozen=True, kw_only=True)

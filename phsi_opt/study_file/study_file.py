@@ -284,6 +284,7 @@ class StudyFile(Sections):
             effects=self.effects(),
             without=self.steps.without,
             loss=self.loss,
+            title=self.steps.title or f"Study of {', '.join(self.data.files)}",
             progress=progress,
             fit=None if kept is None else kept.with_effects(),
         )
