@@ -290,9 +290,9 @@ class Ranked:
     def error_with(self, unit: str) -> str:
         """The error with it, on the data that judge where that is known."""
         if self.held_out is not None:
-            return f"{number(self.held_out)} {unit}".rstrip()
+            return f"{number(self.held_out, 3)} {unit}".rstrip()
         if self.train is not None:
-            return f"{number(self.train)} {unit}".rstrip() + " on training data"
+            return f"{number(self.train, 3)} {unit}".rstrip() + " on training data"
         return ""
 
 

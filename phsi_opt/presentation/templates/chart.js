@@ -136,7 +136,7 @@ function phsiChart(host, chart) {
       top += high + GAP;
     });
     if (chart.mark) svg += `<text x="${x(chart.mark[0])}" y="12" text-anchor="middle">${plain(chart.mark[1])}</text>`;
-    const below = chart.ticks.length ? chart.ticks.map((lines, k) => [k, lines]).filter(([k]) => k >= range[0] && k <= range[1]) : ticks(...range, Math.max((width - LEFT) / 90, 2)).map((value) => [value, [said(value)]]);
+    const below = chart.ticks.length ? chart.ticks.map((lines, k) => [k, lines]).filter(([k]) => k >= range[0] && k <= range[1]) : ticks(...range, Math.max((width - LEFT) / 80, 4)).map((value) => [value, [said(value)]]);
     below.forEach(([value, lines]) => lines.forEach((line, row) => { svg += `<text x="${x(value)}" y="${bottom + 16 + 17 * row}" text-anchor="middle">${plain(line)}</text>`; }));
     svg += `<text x="${(LEFT + width - RIGHT) / 2}" y="${height - 5}" text-anchor="middle" class="name">${plain(chart.x_label)}</text><line class="cursor" x1="-9" x2="-9" y1="18" y2="${bottom}"/><rect class="drag" y="18" height="${bottom - 18}"/>`;
     box.setAttribute("height", height);
