@@ -136,7 +136,7 @@ def curves_of(chart: Chart, panel: int = 0) -> dict[str, Curve]:
 def test_runs_stand_one_after_another_on_one_scale_of_time() -> None:
     runs: Any = ([T[:1000], T[:500]], [NOISY[:1000], NOISY[:500]])
     chart = data_of(runs[1], runs[0]).chart()
-    assert chart.ticks == (["run", "1"], ["run", "2"])
+    assert chart.ticks == (["run 1"], ["run 2"])
     (line,) = chart.panels[0].curves
     (gap,) = np.flatnonzero(np.isnan(line.y))
     first, second = line.x[:gap], line.x[gap + 1 :]

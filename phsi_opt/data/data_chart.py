@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from os.path import commonprefix
+from textwrap import wrap
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from phsi_opt.presentation.units import scale_of_time, time_words
 
 MOST_POINTS = 4000  # of a channel that are drawn
 MOST_NAMES = 10  # of runs that have room below the axis
+AXIS_LETTERS = 38  # of names side by side, on a narrow screen
 MOST_TICKS = 200  # runs of which any is named
 CELL = 0.94  # of a cell's width that the longest run takes
 
@@ -68,11 +71,13 @@ def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
     if len(runs) > MOST_TICKS:
         return x + 1, f"number of the run; {x_label}", ()
     every = -(-len(runs) // MOST_NAMES)
-    ticks = [run.name.split()[:3] for run in runs]  # narrow: a word in a line
-    for k in range(len(runs)):
-        if k % every:
-            ticks[k] = []
-    return x, x_label, tuple(ticks)
+    room = max(AXIS_LETTERS // min(len(runs), MOST_NAMES), 4)
+    names = [run.name for run in runs]
+    if max(map(len, names)) > 2 * room:  # without what all names begin with
+        begin = commonprefix(names)  # noqa: RUF071 -- these are no paths
+        names = [name.removeprefix(begin) for name in names]
+    shown = [name if k % every == 0 else "" for k, name in enumerate(names)]
+    return x, x_label, tuple(wrap(name, room)[:3] for name in shown)
 
 
 def _line(look: DataLook, one: ChannelLook, x: np.ndarray) -> Curve:

@@ -30,27 +30,16 @@ NO_SAMPLES = np.array([], dtype=int)
 
 @dataclass(frozen=True, eq=False)
 class ChannelLook:
-    """One channel, with the numbers of its samples in the stacked trajectories.
-
-    Attributes:
-        name: Of the channel.
-        unit: "" where it is unknown.
-        hold: Of an input between samples; "" for a state.
-        values: (n_samples,), NaN where not measured.
-        resolution: The step in which it is quantised; 0 if it is not.
-        noise: Standard deviation by differences of neighbours; NaN where not known.
-        outliers: Single samples far from both neighbours.
-        at_limit: Samples that stay at the largest or the smallest value.
-    """
+    """One channel; samples are numbered through all trajectories."""
 
     name: str
     unit: str
-    hold: str
-    values: np.ndarray
-    resolution: float
-    noise: float
-    outliers: np.ndarray
-    at_limit: np.ndarray
+    hold: str  # of an input between samples; "" for a state
+    values: np.ndarray  # (n_samples,), NaN where not measured
+    resolution: float  # the step in which it is quantised; 0 if it is not
+    noise: float  # standard deviation by differences of neighbours; NaN: not known
+    outliers: np.ndarray  # single samples far from both neighbours
+    at_limit: np.ndarray  # samples that stay at the largest or the smallest value
 
     @cached_property
     def known(self) -> np.ndarray:
@@ -119,21 +108,19 @@ class DataLook:
 
     def clock_words(self) -> str:
         """How regular the samples are, and where there are gaps."""
-        unit = spaced(self.units["t"])
-        typical = self.steps / self.relative_steps
-        if self.is_uneven:
-            typical = self.steps
-        low = np.nanmin(typical)
-        high = np.nanmax(typical)
+        steps = self.steps if self.is_uneven else self.steps / self.relative_steps
+        low = np.nanmin(steps)
+        high = np.nanmax(steps)
         is_one = high - low <= REGULAR_STEPS * high
-        every = f"{high:.4g}" if is_one else f"{low:.4g} to {high:.4g}"
+        every = f"every {high:.4g}" if is_one else f"every {low:.4g} to {high:.4g}"
+        every += spaced(self.units["t"])
         if self.is_uneven:
-            return f"uneven, every {every}{unit}"
+            return f"uneven, {every}"
         relative = np.delete(self.relative_steps, self.gaps)
         relative = relative[np.isfinite(relative)]
         is_regular = np.max(np.abs(relative - 1), initial=0.0) <= REGULAR_STEPS
         jitter = f"jitter {100 * np.std(relative):.2g} %"
-        words = [f"every {every}{unit}", "regular" if is_regular else jitter]
+        words = [every, "regular" if is_regular else jitter]
         if len(self.gaps):
             longest = int(self.gaps[np.argmax(self.steps[self.gaps])])
             size = time_words(self.steps[longest], self.units["t"])
@@ -155,13 +142,9 @@ class DataLook:
     @cached_property
     def channels(self) -> tuple[ChannelLook, ...]:
         """The states and then the inputs, in their order."""
-        looks = []
-        for name, values in zip(self.states, self._stacked("x").T, strict=True):
-            looks.append(self._look(name, values, ""))
-        inputs = zip(self.inputs, self._stacked("u").T, self.hold, strict=True)
-        for name, values, hold in inputs:
-            looks.append(self._look(name, values, hold))
-        return tuple(looks)
+        values = (*self._stacked("x").T, *self._stacked("u").T)
+        holds = ("",) * len(self.states) + self.hold
+        return tuple(map(self._look, self.states + self.inputs, values, holds))
 
     def _look(self, name: str, values: np.ndarray, hold: str) -> ChannelLook:
         step = resolution(np.split(values, self.ends))
@@ -196,7 +179,7 @@ class DataLook:
             side = "highest" if limit == values.max() else "lowest"
             percent = 100 * np.mean(values == limit)
             yield f"at its {side} value in {percent:.2g} % of the samples"
-        if one.resolution and np.ptp(values) < MANY * one.resolution:
+        if not one.hold and np.ptp(values) < MANY * one.resolution:
             yield "moves by few steps of its resolution"
         if not one.hold and one.noise > np.std(values) / 2:
             yield "changes mostly between neighbours: noise, or sampled too slowly"
@@ -222,27 +205,16 @@ class DataLook:
 
     def rows(self) -> Iterator[dict[str, object]]:
         """A row for the clock, and one for each channel; NaN for what is not known."""
-        yield {
-            "channel": "t",
-            "part": "time",
-            "unit": self.units["t"],
-            "lowest": self.t.min(),
-            "highest": self.t.max(),
-            "resolution": np.nan,
-            "noise": np.nan,
-            "noticed": self.clock_words(),
-        }
+        told = ("channel", "part", "unit", "lowest", "highest", "resolution", "noise")
+        ends = (self.t.min(), self.t.max())
+        clock = ("t", "time", self.units["t"], *ends, np.nan, np.nan)
+        yield dict(zip(told, clock, strict=True)) | {"noticed": self.clock_words()}
         for one in self.channels:
-            yield {
-                "channel": one.name,
-                "part": "input" if one.hold else "state",
-                "unit": one.unit,
-                "lowest": np.fmin.reduce(one.values),
-                "highest": np.fmax.reduce(one.values),
-                "resolution": one.resolution or np.nan,
-                "noise": one.noise,
-                "noticed": "; ".join(self.remarks(one)),
-            }
+            ends = (np.fmin.reduce(one.values), np.fmax.reduce(one.values))
+            part = "input" if one.hold else "state"
+            sizes = (*ends, one.resolution or np.nan, one.noise)
+            row = dict(zip(told, (one.name, part, one.unit, *sizes), strict=True))
+            yield row | {"noticed": "; ".join(self.remarks(one))}
 
 
 def lone_peaks(

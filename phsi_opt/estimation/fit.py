@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, get_type_hints
 
 import numpy as np
 
+from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, did_you_mean
@@ -210,7 +211,7 @@ class Fit(FitRecord, Summarised):
             DataError: The data are not those of the fit, the fit was loaded from a
                 file, which has no states, or a name is unknown.
         """
-        from phsi_opt.presentation.pictures import Channel, draw_state, plot_states
+        from phsi_opt.presentation.pictures import Channel, plot_states
 
         data = aligned_once(self.model, data)
         self._check_states(data)
@@ -225,17 +226,11 @@ class Fit(FitRecord, Summarised):
         time = scale_of(data.units.get("t", ""))
         t = time.told(run.t)
         title = f"Measured and estimated states of {run.name}"
-        if ax is None:
-            return plot_states(t, channels, t_unit=time.unit, title=title).axes[0]
-        state = data.measured[0] if state is None else state
-        if state not in data.states:
-            raise DataError(
-                f"state={state!r} is not one of {', '.join(data.states)}."
-                f"{did_you_mean(state, data.states)}"
-            )
-        draw_state(ax, t, channels[data.states.index(state)], time.unit)
-        ax.set_title(title)
-        return ax
+        if ax is not None:
+            state = data.measured[0] if state is None else state
+            require_known(state, data.states, f"state={state!r} is unknown", DataError)
+            channels = [channels[data.states.index(state)]]
+        return plot_states(t, channels, t_unit=time.unit, title=title, ax=ax)
 
     def _check_states(self, data: Measurements) -> None:
         """The states of the fit belong to these data."""

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from textwrap import fill
 from typing import Any, NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.charts import (
@@ -65,7 +63,6 @@ def plot_free_run(
     A band covers two standard deviations of the run where they are known. Residuals
     stand in a panel below, with the band that noise alone leaves.
     """
-    ax = axes_of(ax, (8.0, 4.8))
     curves: list[Curve] = []
     residuals: list[Curve] = []
     is_alone = len(channels) == 1
@@ -83,14 +80,11 @@ def plot_free_run(
     above = Panel(label(names, unit), curves)
     noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
     told = label("residual", unit if is_alone else "noise std.")
-    below = Panel(told, residuals, noise=noise)
-    chart = Chart(label("t", t_unit), (above, below))
-    draw(ax, chart)
+    below = Panel(told, residuals, noise=noise, height=0.5)
+    has_noise = all(channel.noise for channel in channels)
+    chart = Chart(label("t", t_unit), (above, below) if has_noise else (above,))
+    ax = plot_panels(chart, axes_of(ax, (8.0, 4.8)))
     ax.set_title(title)
-    if all(channel.noise for channel in channels):
-        draw(_rows_of(ax, (2, 1))[1], chart, place=1)
-        ax.tick_params(axis="x", labelbottom=False)
-        ax.xaxis.label.set_visible(False)  # it stands below the residuals
     return ax
 
 
@@ -186,33 +180,29 @@ def plot_profile(
 
 
 def plot_states(
-    t: np.ndarray, channels: Sequence[Channel], *, t_unit: str, title: str
-) -> Figure:
+    t: np.ndarray,
+    channels: Sequence[Channel],
+    *,
+    t_unit: str,
+    title: str,
+    ax: Axes | None = None,
+) -> Axes:
     """Measured and estimated states over (n_samples,) times, a panel each.
 
     A state that nobody measured has NaN for its measurements; ``simulated`` is the
     estimate.
     """
-    size = (8.0, 0.8 + 1.8 * len(channels))
-    figure, axes = plt.subplots(
-        len(channels), 1, sharex=True, figsize=size, layout="constrained", squeeze=False
-    )
-    for ax, channel in zip(axes[:, 0], channels, strict=True):
-        draw_state(ax, t, channel, t_unit)
-        ax.label_outer()
-    figure.suptitle(title)
-    return figure
-
-
-def draw_state(ax: Axes, t: np.ndarray, channel: Channel, t_unit: str) -> None:
-    """Measurements and estimate of one state over (n_samples,) times on axes."""
-    curves = [Curve("measured", t, channel.measured, MEASURED, POINTS)]
-    name = "estimated"
-    if not np.isfinite(channel.measured).any():
-        curves, name = [], "estimated (not measured)"
-    curves.append(Curve(name, t, channel.simulated, MODEL))
-    panel = Panel(label(channel.name, channel.unit), curves)
-    draw(ax, Chart(label("t", t_unit), (panel,)))
+    panels = []
+    for one in channels:
+        curves = [Curve("measured", t, one.measured, MEASURED, POINTS)]
+        name = "estimated"
+        if not np.isfinite(one.measured).any():
+            curves, name = [], "estimated (not measured)"
+        curves.append(Curve(name, t, one.simulated, MODEL))
+        panels.append(Panel(label(one.name, one.unit), curves, height=0.75))
+    ax = plot_panels(Chart(label("t", t_unit), tuple(panels)), ax)
+    ax.set_title(title)
+    return ax
 
 
 # ---- how well every parameter is known -----------------------------------------------
