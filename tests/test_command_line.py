@@ -484,9 +484,9 @@ def test_init_and_check_draw_the_data_once_and_replace_no_other_picture(
     before = picture.stat().st_mtime_ns
     said("check", demo)
     assert picture.stat().st_mtime_ns == before
-    demo.write_text(demo.read_text().replace('unit = "m"', 'unit = "cm"'))
+    demo.write_text(demo.read_text().replace("[data]", "[data]\nbetween = [0, 4]"))
     said("check", demo)
-    assert b"q (cm)" in picture.read_bytes()
+    assert b"each 4 s" in picture.read_bytes()
     picture.write_text("mine")
     result = said("init", CSV, "-o", demo, "--force")
     assert "Picture: none: " in result.out

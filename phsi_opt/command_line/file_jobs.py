@@ -114,7 +114,7 @@ def _draw(data: Measurements, path: Path) -> None:
     Raises:
         DataError: another file is there, or it cannot be written.
     """
-    drawn = repr((data.digest, sorted(data.units.items()), data.look.hold))
+    drawn = repr((data.digest, sorted(data.look.units.items()), data.look.hold))
     mark = PICTURE_MARK + sha256(drawn.encode()).hexdigest().encode() + b" -->\n"
     try:
         there = file_bytes(path) if path.exists() else b""
