@@ -1,7 +1,8 @@
 """How Sphinx makes the site: `make docs` writes it into docs/_build/html.
 
 The pages of the rooms are written by ``room_pages`` from the packages' files, so that
-no module is forgotten, those of measured machines by ``result_pages`` from results/. A
+no module is forgotten, those of measured machines by ``result_pages`` from results/, that of the base models by
+``model_pages``. A
 public name is documented once, on its user's page; links to it and to the module that
 defines it lead there. Nothing is read from the network.
 """
@@ -23,6 +24,7 @@ import phsi_opt
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
+import model_pages  # noqa: E402
 import result_pages  # noqa: E402  (found only with docs/ on the path)
 import room_pages  # noqa: E402
 
@@ -212,6 +214,7 @@ def setup(app: Sphinx) -> None:
     """Connect the functions above with Sphinx."""
     room_pages.write(DOCS)
     result_pages.write(DOCS)
+    model_pages.write(DOCS)
     for field in PyObject.doc_field_types:
         if field.name == "variable":
             field.label = "Attributes"

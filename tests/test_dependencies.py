@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
-OWN = {"phsi_opt", "problems", "tests", "result_pages", "room_pages"}
+OWN = {"phsi_opt", "problems", "tests", "model_pages", "result_pages", "room_pages"}
 
 # Nothing imports these: a program of the Makefile, or what another tool loads by name.
 TOOLS = {

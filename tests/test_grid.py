@@ -142,6 +142,13 @@ def test_the_memory_of_an_effect_is_added_as_never_measured() -> None:
     assert aligned(larger, extended) is extended
 
 
+def test_a_momentum_is_added_as_never_measured_where_its_position_is() -> None:
+    extended = aligned(bare(), record("q"))
+    assert extended.states == ("q", "p") and extended.measured == ("q",)
+    with pytest.raises(ph.DataError, match="state 'v' of the measurements is not"):
+        aligned(bare(), record("qv"))
+
+
 ONLY_Q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
 
 
@@ -150,10 +157,10 @@ ONLY_Q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
     [
         (
             bare(),
-            record("q"),
+            record("p"),
             ph.DataError,
-            r"state 'p' of the model is not in the measurements \(q\); declare it as "
-            r"not measured: states=\{\.\.\., 'p': None\}",
+            r"state 'q' of the model is not in the measurements \(p\); declare it as "
+            r"not measured: states=\{\.\.\., 'q': None\}",
         ),
         (bare(), record("pz"), ph.DataError, r"state 'q' .* measurements \(p, z\)"),
         (bare("u"), record("qp", "vw"), ph.DataError, r"input 'u' of the model is not in the measurements \(v, w\)"),

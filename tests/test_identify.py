@@ -204,8 +204,8 @@ def test_options_that_mean_nothing_are_refused(
 
 
 def test_a_state_that_is_not_in_the_data_is_refused() -> None:
-    data = ph.Measurements.from_arrays([T], [np.cos(T)[:, None]], states=["q"])
-    said = r"state 'p' of the model is not in the measurements \(q\); declare it"
+    data = ph.Measurements.from_arrays([T], [np.cos(T)[:, None]], states=["p"])
+    said = r"state 'q' of the model is not in the measurements \(p\); declare it"
     with pytest.raises(ph.DataError, match=said):
         ph.identify(spring(), data)
 

@@ -265,7 +265,7 @@ def dictionary_rows(
             written(term, place, number)
             for number, term in enumerate(model.terms_at(slot, equation), start=1)
         ]
-        rows.append(f"{place} = {' + '.join(terms)}")
+        rows.append(f"{place} = {' + '.join(terms).replace('+ -', '- ')}")
     return rows
 
 

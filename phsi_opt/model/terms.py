@@ -169,11 +169,12 @@ def formula(expression: str, **parameters: Parameter | float) -> Dictionary:
         >>> spring.terms[0].inner["k"].start
         1.0
     """
-    inner = {name: _parameter(value) for name, value in parameters.items()}
+    inner = {name: parameter_of(value) for name, value in parameters.items()}
     return Dictionary((Term(expression, None, inner),))
 
 
-def _parameter(value: Parameter | float) -> Parameter:
+def parameter_of(value: Parameter | float) -> Parameter:
+    """A parameter as it is; a number as a known one."""
     return value if isinstance(value, Parameter) else Parameter(value, fixed=True)
 
 

@@ -25,6 +25,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import SmoothInputs, is_stepped
 from phsi_opt.errors import DataError, ModelError, shown, some_of
 from phsi_opt.model.model import Model
+from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.model.unit_checks import UnitCheck
 
 
@@ -322,15 +323,19 @@ def aligned_once(model: Model, data: Measurements) -> Measurements:
 def aligned(model: Model, data: Measurements) -> Measurements:
     """The measurements with their states and inputs in the model's order.
 
-    States that are the memory of an effect need not be in the measurements: nobody
-    measures them. They are added as columns of NaN. Measurements that are in the
-    model's order already are returned as they are.
+    States that are the memory of an effect, and momenta of measured positions, need not
+    be in the measurements: nobody measures them. They are added as columns of NaN.
+    Measurements that are in the model's order already are returned as they are.
 
     Raises:
         DataError: a state or an input of the model is not in the measurements, or the
             measurements have a state that the model has not.
     """
     lacking = [name for name in model.memory if name not in data.states]
+    if not set(model.states) <= {*data.states, *lacking}:
+        for momentum, position in position_of_momentum(model).items():
+            if position in data.states and momentum not in data.states:
+                lacking.append(momentum)
     known = (*data.states, *lacking)
     _check_names(model, known, data.inputs)
     if known == model.states and data.inputs == model.inputs and not lacking:

@@ -1,0 +1,279 @@
+"""m a = F, written as a pseudo-Hamiltonian model.
+
+Positions x_i have momenta p_i = m_i v_i. The forces are multiplied out, and each term
+goes where its physics belongs: what depends on positions alone and has a potential into
+H, what brakes into R, and the rest into F. SymPy integrates and differentiates.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from phsi_opt.data.checks import check_unique, checked_names
+from phsi_opt.errors import ModelError
+from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, evaluate, names_of, parse
+from phsi_opt.model.model import PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.slots import Variables
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Dictionary, parameter_of
+
+if TYPE_CHECKING:
+    import sympy as sp
+
+    Terms = list[sp.Expr]
+
+USUAL_INPUT = re.compile(r"u\d*")
+LIKE_VELOCITY = re.compile(r"v$|v_|dH_d|dF_d")
+MOST_EXPANDED = 200  # terms that a force is multiplied out to
+
+
+def mechanical(
+    coordinates: Sequence[str],
+    mass: Any,
+    forces: str | Sequence[str],
+    *,
+    inputs: Sequence[str] | None = None,
+    **parameters: Parameter | float,
+) -> PseudoHamiltonian:
+    """The model m a = F of one or several masses, as a `PseudoHamiltonian`.
+
+    Its equations are ``m_i x_i'' = F_i(x, v, t, u)``. The states of the model are the
+    positions and, behind them, the momenta: ``p`` of one coordinate, ``p_x1`` and so on
+    of several. Momenta need not be in the measurements.
+
+    Every force is a sum. Terms of positions alone that have a potential become part of
+    the energy H, terms such as ``-c*v`` or ``-d*v*abs(v)`` become losses R, and all
+    others stay forces F, where a velocity is the effort ``dH_dp``; ``print(model)``
+    shows them.
+
+    Args:
+        coordinates: names of the positions, such as ``["x"]``.
+        mass: for all coordinates or for each of them: a number, a name, or a formula of
+            parameters such as ``"m1 + m2"``; an inertia where a position is an angle. A
+            number is called ``m``, or ``m_x1`` and so on.
+        forces: a formula for each coordinate, in positions, velocities (``v`` of one
+            coordinate, ``v_x1`` and so on of several), the time ``t``, inputs and
+            parameters. Names that are not given are free parameters.
+        inputs: names of the measured inputs; default: ``u``, ``u1``, ``u2`` and so on,
+            where they are in the forces.
+        **parameters: values or bounds of parameters by name; a number is a fixed value.
+
+    Raises:
+        ModelError: a formula cannot be read, or has an unknown velocity; a mass is not
+            above zero or depends on the motion; there is not one force for each
+            coordinate; a parameter is in no formula.
+
+    Examples:
+        >>> stiffness = ph.Parameter(50, lower=0, unit="N/m")
+        >>> cart = ph.mechanical(["x"], mass=2.5, forces="-k*x - c*v + u", k=stiffness)
+        >>> print(cart)
+        PseudoHamiltonian: states x, p; inputs u
+        <BLANKLINE>
+        dx/dt = dH_dp
+        dp/dt = - dH_dx - R_p*dH_dp + F_p
+        H = p**2/(2*m) + k*x**2/2
+        R_p = c
+        F_p = u
+        <BLANKLINE>
+        parameters
+        name  value  known  lower  upper  unit
+        m       2.5  yes     -inf    inf
+        k        50  no         0    inf  N/m
+        c         0  no         0    inf
+    """
+    positions = checked_names(
+        coordinates, "coordinates", RESERVED_IN_FORMULAS, ModelError
+    )
+    endings = [f"_{name}" if len(positions) > 1 else "" for name in positions]
+    velocities = [f"v{ending}" for ending in endings]
+    momenta = [f"p{ending}" for ending in endings]
+    laws = _one_each(forces, "forces", positions)
+    names = frozenset().union(*map(names_of, laws))
+    known = {name: parameter_of(one) for name, one in parameters.items()}
+    if inputs is None:
+        inputs = sorted(filter(USUAL_INPUT.fullmatch, names - known.keys()))
+    variables = Variables((*positions, *momenta), tuple(inputs))
+    moving = {*variables.of_slot("R"), *velocities}
+    check_unique((*variables.states, *velocities, *inputs), "name", ModelError)
+    for name in sorted(names - {*positions, *velocities, *inputs, *known}):
+        if name in momenta or LIKE_VELOCITY.match(name):
+            raise ModelError(
+                f"{name!r} in forces={forces!r} is unknown; velocities are called "
+                f"{', '.join(velocities)}. If it is a parameter, give it: "
+                f"{name}=Parameter(...)."
+            )
+    masses = []
+    for one, ending in zip(_one_each(mass, "mass", positions), endings, strict=True):
+        if not isinstance(one, str):
+            known[f"m{ending}"] = parameter_of(one)
+            one = f"m{ending}"
+        _check_mass(one, moving, known)
+        if one.isidentifier():
+            known.setdefault(one, Parameter(1.0, lower=0.0))
+        masses.append(one if one.isidentifier() else f"({one})")
+    sums = _sums_of(laws, positions, velocities, (*inputs, "t"))
+    efforts = dict(zip(velocities, variables.efforts[len(positions) :], strict=True))
+    R: dict[str, Dictionary] = {}
+    H = Dictionary()
+    F: dict[str, Dictionary] = {}
+    for momentum, loss in zip(momenta, sums.losses, strict=True):
+        if loss:
+            R[momentum] = variables.formula(_text(loss, efforts), "R", known)
+    for momentum, one in zip(momenta, masses, strict=True):
+        H += variables.formula(f"{momentum}**2/(2*{one})", "H", known)
+    for potential in filter(None, sums.potentials):
+        H += variables.formula(_text([potential]), "H", known)
+    for momentum, force in zip(momenta, sums.forces, strict=True):
+        if force:
+            F[momentum] = variables.formula(_text(force, efforts), "F", known)
+    S = canonical(len(positions))
+    model = PseudoHamiltonian(
+        states=variables.states, inputs=inputs, S=S, H=H, R=R, F=F
+    )
+    for name in sorted(known.keys() - model.entries.keys()):
+        raise ModelError(
+            f"parameter {name!r} is in none of the formulas; they have "
+            f"{', '.join(model.entries)}. Correct the name, or remove it."
+        )
+    return model
+
+
+def _one_each(given: Any, what: str, positions: Sequence[str]) -> list[Any]:
+    """What is given of each coordinate; a single mass is that of all of them."""
+    is_list = isinstance(given, list | tuple)
+    each = list(given) if is_list else [given]
+    if what == "mass" and not is_list:
+        each *= len(positions)
+    if len(each) != len(positions):
+        raise ModelError(
+            f"{what}={given!r} is one of {len(each)} for the {len(positions)} "
+            f"coordinates {', '.join(positions)}; give a list with one for each."
+        )
+    return each
+
+
+def _check_mass(text: str, moving: set[str], known: Mapping[str, Parameter]) -> None:
+    """Refuse a mass that is not above zero, or that changes during the motion."""
+    names = names_of(text)
+    if names & moving:
+        raise ModelError(
+            f"mass {text!r} depends on {min(names & moving)!r}; expected a constant. "
+            "Write the energy of a changing mass with PseudoHamiltonian."
+        )
+    values = {name: known[name].value for name in names & known.keys()}
+    if len(values) < len(names) or None in values.values():
+        return
+    value = float(evaluate(text, values))
+    if not value > 0:
+        raise ModelError(f"mass {text!r} is {value:g}; expected a number above zero.")
+
+
+# ---- where each term of a force belongs ----------------------------------------------
+
+
+class _Sums(NamedTuple):
+    """The terms of the forces by their place."""
+
+    losses: "list[Terms]"  # per coordinate
+    forces: "list[Terms]"  # per coordinate
+    potentials: "Terms"  # of different parameters
+
+
+def _sums_of(
+    laws: Sequence[str],
+    positions: Sequence[str],
+    velocities: Sequence[str],
+    others: Sequence[str],
+) -> _Sums:
+    """The terms sorted; ``others`` are inputs and the time."""
+    import sympy as sp
+
+    from phsi_opt.model.sympy_backend import SYMPY, n_expanded
+
+    variables = (*positions, *velocities, *others)
+    symbols = {}
+    for name in sorted(frozenset(variables).union(*map(names_of, laws))):
+        # A parameter that may be zero would need cases in an integral.
+        is_parameter = name not in variables or None
+        symbols[name] = sp.Symbol(name, real=True, nonzero=is_parameter)
+    positive = {}
+    for name in symbols.keys() - variables:
+        positive[symbols[name]] = sp.Dummy(positive=True)
+    outside = set(map(symbols.__getitem__, (*velocities, *others)))
+    x = list(map(symbols.__getitem__, positions))
+    sums = _Sums([], [], [])
+    fields: dict[frozenset[sp.Symbol], list[Terms]] = {}  # by their parameters
+    for k, text in enumerate(laws):
+        law = sp.sympify(evaluate(text, symbols, SYMPY))
+        if n_expanded(law) <= MOST_EXPANDED:
+            law = law.expand(power_exp=False, power_base=False, log=False)
+        sums.losses.append([])
+        sums.forces.append([])
+        for term in sp.Add.make_args(law):
+            loss = -term / symbols[velocities[k]]
+            if term.free_symbols.isdisjoint(outside):
+                own = frozenset(term.free_symbols & positive.keys())
+                field = fields.setdefault(own, list(map(list, [()] * len(x))))
+                field[k].append(term)
+            elif loss.xreplace(positive).is_nonnegative:
+                sums.losses[k].append(loss)
+            else:
+                sums.forces[k].append(term)
+    for field in fields.values():
+        potential = _potential(field, x)
+        if potential is None:  # only of those that depend on their own position
+            potential = sp.Integer(0)
+            for force, terms, position in zip(sums.forces, field, x, strict=True):
+                for term in terms:
+                    energy = None
+                    if term.free_symbols.isdisjoint({*x} - {position}):
+                        energy = _integral(term, position)
+                    potential -= energy or 0
+                    force.extend([term] if energy is None else [])
+        forms = (potential, sp.expand(potential), sp.factor(potential))
+        sums.potentials.append(min(forms, key=lambda form: len(str(form))))
+    return sums
+
+
+def _integral(term: "sp.Expr", x: "sp.Symbol") -> "sp.Expr | None":
+    """The integral over a position; None where no formula can hold it."""
+    import sympy as sp
+    from sympy.integrals.manualintegrate import manualintegrate
+
+    energy = manualintegrate(term, x).replace(sp.log, lambda g: sp.log(sp.Abs(g)))
+    try:
+        parse(_text([energy]))
+    except ModelError:
+        return None
+    return energy
+
+
+def _potential(fields: "Sequence[Terms]", x: "list[sp.Symbol]") -> "sp.Expr | None":
+    """The V of forces F_i = -dV/dx_i; None where these have none."""
+    import sympy as sp
+
+    V = sp.Integer(0)
+    for terms, position in zip(fields, x, strict=True):
+        energy = _integral(sp.expand(sp.Add(*terms) + V.diff(position)), position)
+        if energy is None:
+            return None
+        V -= energy
+    for terms, position in zip(fields, x, strict=True):
+        if sp.simplify(sp.Add(*terms) + V.diff(position)) != 0:
+            return None
+    return V
+
+
+def _text(terms: "Terms", efforts: Mapping[str, str] = MappingProxyType({})) -> str:
+    """The sum of the terms as a formula, with efforts in place of velocities."""
+    import sympy as sp
+
+    from phsi_opt.model.sympy_backend import formula_text
+
+    total = sp.Add(*terms)
+    for symbol in total.free_symbols & set(map(partial(sp.Symbol, real=True), efforts)):
+        total = total.xreplace({symbol: sp.Symbol(efforts[symbol.name])})
+    return formula_text(total)
