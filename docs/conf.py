@@ -1,10 +1,10 @@
 """How Sphinx makes the site: `make docs` writes it into docs/_build/html.
 
 The pages of the rooms are written by ``room_pages`` from the packages' files, so that
-no module is forgotten, those of measured machines by ``result_pages`` from results/, that of the base models by
-``model_pages``. A
-public name is documented once, on its user's page; links to it and to the module that
-defines it lead there. Nothing is read from the network.
+no module is forgotten, those of measured machines by ``result_pages`` from results/,
+that of the base models by ``model_pages``. A public name is documented once, on its
+user's page; links to it and to the module that defines it lead there. Nothing is read
+from the network.
 """
 
 import re
