@@ -9,8 +9,10 @@ FOLDER = "models/"
 HEAD = """\
 # Base models to begin with
 
-`phsi-opt init data.csv --model NAME` writes a study file with one of these models. Columns of the table become its states and inputs by
-name, unit and order. The page offers the same models. Values such as a mass are assumptions; replace them by those of your machine.
+`phsi-opt init data.csv --model NAME` writes a study file with one of these models.
+Columns of the table become its states and inputs by name, unit and order. The page
+offers the same models. Values such as a mass are assumptions; replace them by those of
+your machine.
 
 """
 ENTRY = """\

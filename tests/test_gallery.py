@@ -25,8 +25,8 @@ RECORDS: dict[str, tuple[float, list[float], list[float], dict[str, float]]] = {
     "two-masses": (10, [0.3, 0, 0, 0], [3], {"c1": 0.3, "c2": 0.5}),
     "motor": (2, [0], [12], {}),
     "motor-circuit": (0.5, [0, 0], [12], {}),
-    "pump-tank": (60, [1], [0.1], {}),
-    "two-tanks": (60, [1, 1], [0.1], {}),
+    "pump-tank": (60, [1], [0.1], {"a": 0.1, "g": 1.5}),
+    "two-tanks": (60, [1, 1], [0.1], {"a1": 0.1, "a2": 0.1, "a3": 0.08, "g": 1.2}),
     "rlc": (20, [0, 0], [5], {}),
     "room": (1e5, [18], [1000, 10], {"b": 2e-5}),
     "room-walls": (1e5, [18, 15], [1000, 10], {"b": 1e-4}),
@@ -62,7 +62,7 @@ def record_of(base: BaseModel) -> tuple[pd.DataFrame, dict[str, float]]:
             noise = 1e-3 * np.ptp(shown) * rng.normal(size=N)
             table[f"{state} [{unit}]"] = shown + noise
     for k, (name, unit) in enumerate(base.input_units.items()):
-        table[f"{name} [{unit}]" if unit else name] = u[:, k]
+        table[f"{name} [{unit.removesuffix(' or any')}]"] = u[:, k]
     return pd.DataFrame(table), truth
 
 
@@ -106,15 +106,19 @@ def test_a_base_model_stands_without_inputs_and_has_a_drawing(base: BaseModel) -
 @pytest.mark.parametrize(
     ("name", "header", "states", "inputs"),
     [
-        ("mass", "t,v [m/s],Weg [mm],F [N]", {"q": "Weg [mm]"}, {"u": "F [N]"}),
-        ("mass", "t,x", {"q": "x"}, {}),
-        ("two-masses", "t,x1,x2,u", {"q1": "x1", "q2": "x2"}, {"u": "u"}),
-        ("pendulum", "t,angle [deg]", {"q": "angle [deg]"}, {}),
-        ("room", "t,outdoor [degC],Ti [degC],heater [W]", {"Ti": "Ti [degC]"},
+        ("mass", "t [s],v [m/s],Weg [mm],F [N]", {"q": "Weg [mm]"}, {"u": "F [N]"}),
+        ("mass", "t [s],x", {"q": "x"}, {}),
+        ("two-masses", "t [s],x1,x2,u", {"q1": "x1", "q2": "x2"}, {"u": "u"}),
+        ("pendulum", "t [s],angle [deg]", {"q": "angle [deg]"}, {}),
+        ("room", "t [s],outdoor [degC],Ti [degC],heater [W]", {"Ti": "Ti [degC]"},
          {"P": "heater [W]", "Ta": "outdoor [degC]"}),
-        ("rlc", "t,u_in [V],u_C [V],i [A]", {"uC": "u_C [V]", "i": "i [A]"},
+        ("rlc", "t [s],u_in [V],u_C [V],i [A]", {"uC": "u_C [V]", "i": "i [A]"},
          {"u": "u_in [V]"}),
-        ("cell", "t,I [A],U [V]", {"U": "U [V]"}, {"I": "I [A]"}),
+        ("motor", "t [s],U [mV],speed [rpm]", {"w": "speed [rpm]"}, {"u": "U [mV]"}),
+        ("pump-tank", "t [min],level [cm],flow [l/min]", {"h": "level [cm]"},
+         {"u": "flow [l/min]"}),
+        ("pump-tank", "t [s],level [m],pump [V]", {"h": "level [m]"}, {"u": "pump [V]"}),
+        ("cell", "t [s],I [A],U [V]", {"U": "U [V]"}, {"I": "I [A]"}),
     ],
 )  # fmt: skip
 def test_columns_are_states_and_inputs_by_name_unit_and_order(

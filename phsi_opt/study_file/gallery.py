@@ -15,12 +15,11 @@ from typing import Any, Protocol, TypeVar
 
 from phsi_opt.arguments import require_known
 from phsi_opt.errors import DataError
-from phsi_opt.model.kinds import LENGTHS, TEMPERATURES, TURN, VOLTS, plain_unit
 from phsi_opt.model.slots import BY_EQUATION
-from phsi_opt.presentation.units import powers_in_base_units
+from phsi_opt.presentation.units import measure_of
 from phsi_opt.study_file.columns import INPUT, STATE, UNUSED, Column
 
-ALIKE = (LENGTHS, VOLTS, frozenset(TURN), TEMPERATURES)  # units of one quantity each
+OR_ANY = " or any"  # behind the unit of an input whose coefficient takes up its unit
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,7 @@ def matched(
     """Columns with the names that they have in a model.
 
     First where names and quantities agree, then where quantities do, then in order
-    where a unit is unknown.
+    where a unit is unknown or may be any.
 
     Args:
         columns: of a table.
@@ -179,13 +178,9 @@ def _is_same(column: Named, wanted: tuple[str, str]) -> bool:
 
 def _is_same_quantity(column: Named, wanted: tuple[str, str]) -> bool:
     """Whether two units are of one quantity: m and mm are."""
-    units = {plain_unit(column.unit), plain_unit(wanted[1])}
-    if "" in units:
-        return False
-    first, *others = map(powers_in_base_units, units)
-    is_one = first is not None and others in ([], [first])
-    return is_one or any(map(units.issubset, ALIKE))
+    first, second = map(measure_of, (column.unit, wanted[1].removesuffix(OR_ANY)))
+    return first is not None and second is not None and first.powers == second.powers
 
 
 def _is_perhaps_same(column: Named, wanted: tuple[str, str]) -> bool:
-    return not column.unit or not wanted[1]
+    return not column.unit or wanted[1].endswith(OR_ANY)
