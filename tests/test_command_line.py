@@ -153,6 +153,15 @@ def test_a_refusal_loads_nothing_slow(
     assert not {"numpy", "casadi", "pandas", "scipy"} & imported
 
 
+def test_the_working_process_loads_nothing_that_reads_options() -> None:
+    script = "import sys, phsi_opt.command_line.worker, phsi_opt.command_line.__main__"
+    command = [sys.executable, "-c", f"{script}; print(*sys.modules)"]
+    told = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True)
+    imported = told.stdout.split()
+    assert "phsi_opt.command_line.worker" in imported
+    assert not {"typer", "rich", "tomlkit", "numpy"} & set(imported)
+
+
 def test_checking_a_study_file_loads_nothing_that_only_solving_needs() -> None:
     script = "import sys, phsi_opt.command_line.file_jobs; print(*sys.modules)"
     imported = subprocess.run(

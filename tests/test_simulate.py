@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import RK45
 
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.simulation import simulate as simulating
-from phsi_opt.simulation.simulate import Runs, free_run, rates
+from phsi_opt.simulation.simulate import ERROR, NODES, WEIGHTS, Runs, free_run, rates
 
 K, M, D = 40.0, 2.5, 0.8
 # Local errors of 1e-8, gathered over some hundred steps.
@@ -218,3 +219,10 @@ def test_what_explicit_steps_cannot_do_is_left_to_scipy() -> None:
     assert Runs(rates(model)).run(t, np.zeros(1), u, np.array(["linear"])) is None
     expected = ph.simulate(model, t, [0.0], u)
     np.testing.assert_array_equal(free_run(model, t, [0.0], u), expected)
+
+
+def test_the_coefficients_of_the_scheme_are_those_of_scipy() -> None:
+    rows = [*RK45.A, RK45.B]
+    for row, weights in zip(rows, WEIGHTS, strict=True):
+        assert tuple(row[: len(weights)]) == weights and not np.any(row[len(weights) :])
+    assert tuple(RK45.C) == NODES[:-1] and tuple(RK45.E) == ERROR

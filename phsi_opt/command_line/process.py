@@ -10,13 +10,11 @@ import contextlib
 import glob
 import json
 import multiprocessing
-import os
 import shutil
 import signal
 import sys
 import textwrap
 import threading
-import traceback
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -33,10 +31,10 @@ from phsi_opt.command_line.job import (
     Job,
     answer_to,
 )
+from phsi_opt.command_line.worker import work
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.study_file.toml_text import add_effects, tables_of
-from phsi_opt.sweeps.local_workers import begin_worker
 
 Show = Callable[[str | None], None]
 
@@ -235,27 +233,3 @@ def _ignored_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-# ---- the working process -------------------------------------------------------------
-
-
-def work(pipe: Connection, job: Job) -> None:
-    """Do a job and send what it tells, the answer last."""
-    begin_worker(pipe)
-    # Standard output belongs to the answer; what libraries print goes to the errors.
-    sys.stdout = sys.stderr
-    os.dup2(2, 1)
-    try:
-        from phsi_opt.command_line.jobs import run  # the solver's libraries
-
-        pipe.send(run(job, pipe.send))
-    except PhsiOptError as error:
-        pipe.send(answer_to(error))
-    except BrokenPipeError:
-        pass  # nobody is waiting any more
-    except Exception as error:  # a mistake of the package: its trace helps
-        trace = "".join(traceback.format_exception(error))
-        told = f"{trace}\nThis is a bug in phsi_opt; please report it with this text."
-        content = {"error": repr(error), "trace": trace}
-        pipe.send(Answer(told, content, ExitCode.FAILED))

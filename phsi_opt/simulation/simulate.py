@@ -9,7 +9,7 @@ the steps change it by less than `TOLERANCE`. What cannot be made accurate in th
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
@@ -392,14 +392,28 @@ def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
     return Runs(_rates(rhs, np.array(theta)))
 
 
+# Dormand and Prince's coefficients, those of `scipy.integrate.RK45`, whose import takes
+# longer than a small fit.
+NODES = (0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1, 1)
+WEIGHTS = (
+    (),
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+ERROR = (-71 / 57600, 0, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40)
+
+
 def _step(rhs: ca.Function) -> ca.Function:
     """One step of Dormand and Prince's scheme of order five, with its error estimate.
 
     A CasADi function (x, column) -> x after the step, size of the estimated error. The
     column holds the time, the length of the step, the inputs, which change linearly,
-    and their slopes. The coefficients are SciPy's (J. R. Dormand and P. J. Prince 1980,
-    "A family of embedded Runge-Kutta formulae", Journal of Computational and Applied
-    Mathematics 6, 19-26).
+    and their slopes (J. R. Dormand and P. J. Prince 1980, "A family of embedded
+    Runge-Kutta formulae", Journal of Computational and Applied Mathematics 6, 19-26).
     """
     n_inputs = rhs.size1_in(1)
     x = ca.SX.sym("x", rhs.size1_in(0))
@@ -408,18 +422,17 @@ def _step(rhs: ca.Function) -> ca.Function:
     u, slope = column[2 : 2 + n_inputs], column[2 + n_inputs :]
     rates: list[ca.SX] = []
 
-    def change(weights: np.ndarray) -> ca.SX:
+    def change(weights: Sequence[float]) -> ca.SX:
         """Length times the sum of weight * rate, without the weights that are zero."""
         total = ca.SX.zeros(x.numel())
-        for weight, rate in zip(weights.tolist(), rates, strict=False):
+        for weight, rate in zip(weights, rates, strict=False):
             total = total + weight * rate if weight else total
         return h * total
 
-    scheme = scipy.integrate.RK45
-    for weights, c in zip([*scheme.A, scheme.B], [*scheme.C, 1.0], strict=True):
+    for weights, c in zip(WEIGHTS, NODES, strict=True):
         after = x + change(weights)
         rates.append(rhs(after, u + c * h * slope, t + c * h))
-    error = ca.fabs(change(scheme.E))
+    error = ca.fabs(change(ERROR))
     return ca.Function("step", [x, column], [after, error], {"cse": True})
 
 
