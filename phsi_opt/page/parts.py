@@ -113,7 +113,8 @@ def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> None
     made = ui.input(label, value=value, on_change=lambda e: changed(e.value))
     made.props("dense outlined").props(DEBOUNCE)
     made.props["placeholder"] = entry.meaning.rpartition("default: ")[2]
-    width = "100%" if key == "H" else f"{max(8.0, 2 + 0.6 * len(label)):.0f}em"
+    least = 15 if kind is TERMS else 8
+    width = "100%" if key == "H" else f"{max(least, 2 + 0.6 * len(label)):.0f}em"
     made.style(f"width: {width}; max-width: 100%")
     made.classes("formula" if kind in FORMULAS else "")
 

@@ -458,7 +458,7 @@ class Session:
             return
         self.now = number
         self._compare_with_base()
-        self.message = f"Now at model {number + 1}: {self.models[number].name}."
+        self.message = ""
         self.version += 1
 
     def _compare_with_base(self) -> None:

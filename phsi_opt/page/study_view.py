@@ -229,7 +229,7 @@ class StudyView:
         missed = [one for one in content.diagnoses if one.forces]
         for force in missed[-1].forces[:2] if missed else ():
             found = force.follows
-            ui.label(found.sentence)
+            ui.label(f"{missed[-1].heading}: {found.sentence}")
             told = f"Chart: {found.y_label} against {found.x_label}"
             plotted(follows_chart(found), told, 260)
 
