@@ -29,7 +29,7 @@ from phsi_opt.page.drafts import (
 from phsi_opt.page.gallery import draft_of, left_over, match_states
 from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
 from phsi_opt.presentation.charts import Chart
-from phsi_opt.presentation.content import StudyContent
+from phsi_opt.presentation.content import Follows, StudyContent
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
@@ -102,6 +102,7 @@ class Model:
     study: bytes  # as the worker sent it, to go on from
     drafted: Drafted  # what was fitted
     before: int | None = None  # number of the model that was shown before it
+    laws: tuple[Follows, ...] = ()  # of the effects added, once they are known
 
     @property
     def name(self) -> str:
@@ -546,6 +547,8 @@ class Session:
             if self.job is not None:
                 self.job.show()
             self._show(message)
+        elif isinstance(message, tuple) and self.model and self.now is not None:
+            self.models[self.now] = replace(self.model, laws=message)
         elif isinstance(message, Path):
             self.report_path = message
         elif isinstance(message, Refused):

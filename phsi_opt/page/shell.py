@@ -67,6 +67,7 @@ class Shell:
         self._version = session.version
         self._drawn = self._to_draw()
         self._seen = session.seen_data
+        self._laws = session.model.laws if session.model else ()
 
     def build(self) -> None:
         """Draw everything and keep up with the session."""
@@ -197,11 +198,16 @@ class Shell:
     def _show_changes(self) -> None:
         self._show_status()
         self._data.wrong.refresh()
-        if self._session.seen_data is not self._seen:
-            self._seen = self._session.seen_data
+        session = self._session
+        if session.seen_data is not self._seen:
+            self._seen = session.seen_data
             self._data.seen.refresh()
         self._model.wrong.refresh()
         self._study.show_job()
+        laws = session.model.laws if session.model else ()
+        if laws is not self._laws:
+            self._laws = laws
+            self._study.follows.refresh()
         now = self._to_draw()
         if now != self._drawn:
             self._drawn = now

@@ -200,7 +200,7 @@ class StudyView:
             ui.label(HOW_TO_LOOK).classes("faint")
         with card():
             heading("The missing force")
-            self._follows(content)
+            self.follows()
             self.force()
 
         def show(run: int, t: float) -> None:
@@ -224,12 +224,16 @@ class StudyView:
             now = session.compared
             choice("compare with", others, now, compare, width="15em")
 
-    def _follows(self, content: StudyContent) -> None:
-        """What is missing, or was before it was added, against what it follows."""
-        missed = [one for one in content.diagnoses if one.forces]
-        for force in missed[-1].forces[:2] if missed else ():
-            found = force.follows
-            ui.label(f"{missed[-1].heading}: {found.sentence}")
+    @ui.refreshable_method
+    def follows(self) -> None:
+        """What is missing, or the laws that were added, against what it follows."""
+        model = self._session.model
+        if model is None:
+            return
+        present = model.content.present
+        missing = present.forces[:2] if present is not None else ()
+        for found in tuple(one.follows for one in missing) or model.laws:
+            ui.label(found.sentence)
             told = f"Chart: {found.y_label} against {found.x_label}"
             plotted(follows_chart(found), told, 260)
 

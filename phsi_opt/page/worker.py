@@ -83,7 +83,8 @@ class WorkerHandle:
 
     Args:
         on_message: called from the listening thread with every message (a line of
-            progress, `Shown`, the `Path` of a report, `Refused`, `Done`), and with None
+            progress, `Shown`, the laws of effects that were added, the `Path` of a
+            report, `Refused`, `Done`), and with None
             when the process has ended.
     """
 
@@ -234,7 +235,10 @@ def _carried_out(study: Study, order: Order, send: Callable[[Shown], None]) -> A
             send(_shown(study))
     send(_shown(study))
     study.diagnose()
-    return _shown(study)
+    if not study.added:
+        return _shown(study)
+    send(_shown(study))
+    return study.record.laws()  # the verdict does not wait for these
 
 
 def _shown(study: Study) -> Shown:
