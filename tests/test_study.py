@@ -238,7 +238,7 @@ def test_the_history_is_drawn_with_its_values_and_a_log_axis_over_decades(
 def test_the_law_of_the_added_friction_is_a_step_of_its_size(hidden: ph.Study) -> None:
     _, ax = plt.subplots()
     assert hidden.plot_effect("coulomb friction", ax=ax) is ax
-    assert ax.get_xlabel() == "velocity dH_dp = dq/dt (m/s)"
+    assert ax.get_xlabel() == "velocity of q (m/s)"
     curve = next(line for line in ax.lines if "mean" in str(line.get_label()))
     velocity = np.asarray(curve.get_xdata())
     force = np.asarray(curve.get_ydata())

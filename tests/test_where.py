@@ -422,7 +422,7 @@ def test_the_four_panels_name_what_they_show(cases: dict[str, ForceAnalysis]) ->
     assert 0 < np.ma.count_masked(values) < values.size
     low, high = mesh.get_clim()
     assert low == -high == -np.ma.max(np.ma.abs(values))
-    assert ax.get_ylabel() == "velocity dH_dp = dq/dt (m/s)"
+    assert ax.get_ylabel() == "velocity of q (m/s)"
     with pytest.raises(
         ph.ModelError, match=r"equation=.q. has no missing force.*of p\."
     ):

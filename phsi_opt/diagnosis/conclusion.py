@@ -380,8 +380,8 @@ class _Judge:
         where = "held-out" if self.base.is_held_out else "training"
         unit = spaced(after.error_unit)
         return (
-            f"the {where} error falls from {self.base.judged.rmse:.4g} to "
-            f"{after.rmse:.4g}{unit} (noise floor {after.noise_floor:.4g}{unit})"
+            f"the {where} error falls from {self.base.judged.rmse:.3g} to "
+            f"{after.rmse:.3g}{unit} (noise floor {after.noise_floor:.3g}{unit})"
         )
 
 
@@ -390,8 +390,8 @@ def _errors(base: DiagnosedModel) -> str:
     where = "held-out" if base.is_held_out else "training"
     unit = spaced(base.judged.error_unit)
     return (
-        f"{where} error {base.judged.rmse:.4g}{unit}, "
-        f"noise floor {base.judged.noise_floor:.4g}{unit}"
+        f"{where} error {base.judged.rmse:.3g}{unit}, "
+        f"noise floor {base.judged.noise_floor:.3g}{unit}"
     )
 
 

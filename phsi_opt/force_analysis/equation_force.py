@@ -193,7 +193,7 @@ class EquationForce(Force):
         position = self.position_of(name)
         if position:
             unit = self.scale_of(name).unit
-            return label(f"velocity {name} = d{position}/dt", unit)
+            return label(f"velocity of {position}", unit)
         if name in self.record.model.efforts:
             return f"effort {name}"
         return label(name, self.scale_of(name).unit)
