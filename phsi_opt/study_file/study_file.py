@@ -70,6 +70,7 @@ class StudyFile(Sections):
                 names in it; messages and runs keep these names.
 
         Raises:
+            DataError: this is no path.
             StudyFileError: something cannot be used; with all that is wrong.
         """
         if not isinstance(path, str | Path):
