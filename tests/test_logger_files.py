@@ -2,6 +2,7 @@
 
 import datetime as dt
 import io
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -271,3 +272,75 @@ def test_channels_of_another_clock_are_left_out_and_told(tmp_path: Path) -> None
     same = [f"{t[n]},{q[n]},{1000 * t[n] + 5},{u[n]}\n" for n in range(40)]
     seen = looked_at("Time,Position,Time_ms,Force\n" + "".join(same), tmp_path)
     assert [one.part for one in seen.columns] == ["time", "state", "left out", "input"]
+
+
+# ---- binary files ----
+
+
+def mdf_file(path: Path) -> Path:
+    asammdf = pytest.importorskip("asammdf")
+    t = np.array(T)
+    slow = t[::2]
+    with asammdf.MDF(version="4.10") as mdf:
+        signal = asammdf.Signal
+        fast = [
+            signal(np.array(Q), t, name="q", unit="mm"),
+            signal(np.array(U), t, name="u", unit="N"),
+        ]
+        mdf.append(fast, acq_name="fast")
+        mdf.append([signal(slow**2, slow, name="oil", unit="degC")], acq_name="slow")
+        return Path(mdf.save(path, overwrite=True))
+
+
+def tdms_file(path: Path) -> Path:
+    nptdms = pytest.importorskip("nptdms")
+    told = {"wf_increment": 0.5, "wf_start_offset": 0.0, "wf_samples": len(T)}
+    channels = [
+        nptdms.ChannelObject("fast", "q", np.array(Q), told | {"unit_string": "mm"}),
+        nptdms.ChannelObject("fast", "u", np.array(U), told | {"unit_string": "N"}),
+        nptdms.ChannelObject("slow", "oil", np.array([1.0, 2.5, 1.5])),
+    ]
+    with nptdms.TdmsWriter(path) as writer:
+        writer.write_segment(channels)
+    return path
+
+
+@pytest.mark.parametrize("make", [mdf_file, tdms_file])
+def test_a_group_of_channels_is_a_table_and_groups_are_never_mixed(
+    make: Any, tmp_path: Path
+) -> None:
+    path = make(tmp_path / ("log.mf4" if make is mdf_file else "log.tdms"))
+    is_mdf = make is mdf_file
+    reader: Any = ph.Measurements.from_mdf if is_mdf else ph.Measurements.from_tdms
+    columns: dict[str, Any] = {"time": "time", "states": ["q"], "inputs": ["u"]}
+    (run,) = reader(path, group="fast", **columns)
+    assert run.t.tolist() == T
+    assert run.x[:, 0].tolist() == Q
+    assert run.u[:, 0].tolist() == U
+    with pytest.raises(
+        ph.DataError, match=r"several groups.*\['fast', 'slow'\].*group = "
+    ):
+        reader(path, **columns)
+    with pytest.raises(ph.DataError, match=r"no group 'fst'.*Did you mean 'fast'"):
+        reader(path, group="fst", **columns)
+    seen = survey(path)
+    assert [(one.column, one.unit) for one in seen.columns] == [
+        ("time", "s"),
+        ("q", "mm"),
+        ("u", "N"),
+    ]
+    assert seen.read[0].is_set and str(seen.read[0]) == 'group = "fast"    others: slow'
+
+
+def test_what_is_no_tdms_file_is_refused() -> None:
+    pytest.importorskip("nptdms")
+    with pytest.raises(ph.DataError, match="cannot be read by nptdms"):
+        ph.Measurements.from_tdms(io.BytesIO(b"t,q\n0,1\n" * 9), step=1, states=["q"])
+
+
+def test_a_library_that_is_not_installed_is_named_with_its_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    with pytest.raises(ph.DataError, match=r'needs asammdf.*"phsi_opt\[loggers\]"'):
+        ph.Measurements.from_mdf(io.BytesIO(b"MDF"), time="time", states=["q"])

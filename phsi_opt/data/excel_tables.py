@@ -14,10 +14,9 @@ from dataclasses import replace
 from typing import Any
 
 from phsi_opt import reading
-from phsi_opt.arguments import require_known
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.table_extent import Rows, n_filled
-from phsi_opt.data.tables import Table
+from phsi_opt.data.tables import Table, chosen_part
 from phsi_opt.data.text_tables import TextFormat, table_of_rows
 from phsi_opt.errors import DataError
 
@@ -54,22 +53,9 @@ def table_of_excel(
     """
     sheets = _sheets(file)
     filled = [name for name, rows in sheets.items() if rows]
-    if sheet is not None:
-        said = f"{file.title} has no sheet {sheet!r}"
-        require_known(sheet, sheets, said, DataError)
-    elif len(filled) > 1 and not may_be_several:
-        raise DataError(
-            f"{file.title} has several sheets with content: {filled}. Choose one: "
-            f'sheet = "{filled[0]}".'
-        )
-    elif filled:
-        sheet = filled[0]
-    if sheet not in filled:
-        what = "is empty" if sheet is None else f"has an empty sheet {sheet!r}"
-        raise DataError(
-            f"{file.title} {what}; "
-            "expected a header row and at least 2 rows of numbers."
-        )
+    sheet = chosen_part(
+        sheet, list(sheets), filled, "sheet", file.title, may_be_several
+    )
     title = f"{file.title}, sheet {sheet!r}"
     rows = sheets[sheet]
     table = table_of_rows(file, title, "row", rows, wanted, form, ",", may_be_several)

@@ -23,6 +23,9 @@ NO_TEXT_TABLES = {  # what to do with files that are no text, by their suffix
     ".xlsx": "read it with Measurements.from_excel",
     ".xlsm": "read it with Measurements.from_excel",
     ".mat": "read it with Measurements.from_mat",
+    ".mf4": "read it with Measurements.from_mdf",
+    ".mdf": "read it with Measurements.from_mdf",
+    ".tdms": "read it with Measurements.from_tdms",
     ".xls": "save it as .xlsx or CSV",
     ".ods": "save it as .xlsx or CSV",
 }

@@ -17,6 +17,7 @@ from phsi_opt.arguments import is_size, require_known
 from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
+from phsi_opt.data.logger_tables import table_of_mdf, table_of_tdms
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
@@ -185,6 +186,56 @@ class TableReaders:
         files = opened_files(source, as_text=False)
         tables = [table_of_mat(file, wanted) for file in files]
         return cls.from_tables(tables, **words)
+
+    @classmethod
+    def from_mdf(
+        cls,
+        source: BinarySource | Iterable[BinarySource],
+        *,
+        group: str | None = None,
+        **words: Unpack[TableWords],
+    ) -> Self:
+        """Read MDF files (.mf4, .mdf); this needs the extra ``loggers``.
+
+        A column is a channel; "time" has the times of its group, in s. Groups with
+        other times are not resampled: one of them is read.
+
+        Args:
+            source: A path, a file opened for reading bytes, or several of them.
+            group: The group of channels; None: the only one.
+            **words: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
+
+        Raises:
+            DataError: Something cannot be used; with file, channel and row.
+        """
+        files = opened_files(source, as_text=False)
+        return cls.from_tables([table_of_mdf(file, group) for file in files], **words)
+
+    @classmethod
+    def from_tdms(
+        cls,
+        source: BinarySource | Iterable[BinarySource],
+        *,
+        group: str | None = None,
+        **words: Unpack[TableWords],
+    ) -> Self:
+        """Read TDMS files; otherwise as `from_mdf`.
+
+        "time" has the times of waveforms, in s; other channels have a channel of times,
+        or ``step``.
+
+        Args:
+            source: A path, a file opened for reading bytes, or several of them.
+            group: The group of channels; None: the only one.
+            **words: time, states, inputs, hold, trajectory, units, noise, step, start
+                and date_format, as in `from_csv`.
+
+        Raises:
+            DataError: Something cannot be used; with file, channel and row.
+        """
+        files = opened_files(source, as_text=False)
+        return cls.from_tables([table_of_tdms(file, group) for file in files], **words)
 
     @classmethod
     def from_dataframe(cls, frame: "pd.DataFrame", **words: Unpack[TableWords]) -> Self:

@@ -5,12 +5,13 @@ are read is in `text_tables`, which column is what in `table_readers`.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phsi_opt.arguments import require_known
 from phsi_opt.data.checks import check_values
 from phsi_opt.errors import DataError, shown
 
@@ -83,7 +84,7 @@ class Table:
     @property
     def part_word(self) -> str:
         """The key by which one of its sheets is chosen."""
-        return "sheet" if self.row_word == "row" else "group"
+        return "group" if self.extent is None else "sheet"
 
     def place(self, column: Any, i: int) -> str:
         """The words for the i-th cell of a column."""
@@ -93,6 +94,36 @@ class Table:
         """The words for the i-th row, such as "line 3"."""
         (label,) = self.frame.index[[i]].tolist()  # as a list: 3, not np.int64(3)
         return f"{self.row_word} {label!r}"
+
+
+def chosen_part(
+    name: str | None,
+    known: Sequence[str],
+    filled: Sequence[str],
+    word: str,
+    title: str,
+    may_be_several: bool,
+) -> str:
+    """The sheet or group that is the table: the only one with content, or that named.
+
+    Raises:
+        DataError: there is no such one, or it is empty, or there are several.
+    """
+    if name is not None:
+        require_known(name, known, f"{title} has no {word} {name!r}", DataError)
+    elif len(filled) > 1 and not may_be_several:
+        raise DataError(
+            f"{title} has several {word}s with content: {filled}. Choose one: "
+            f'{word} = "{filled[0]}".'
+        )
+    elif filled:
+        name = filled[0]
+    if name is None or name not in filled:
+        what = "is empty" if name is None else f"has an empty {word} {name!r}"
+        raise DataError(
+            f"{title} {what}; expected a header row and at least 2 rows of numbers."
+        )
+    return name
 
 
 def table_of_frame(frame: Any) -> Table:

@@ -14,6 +14,7 @@ import numpy as np
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import DataFile, NamedFile, opened_files, run_names
+from phsi_opt.data.logger_tables import table_of_mdf, table_of_tdms
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.table_readers import columns_in
@@ -27,9 +28,14 @@ from phsi_opt.presentation.units import scale_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
-READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
+READERS = {
+    **dict.fromkeys((".xlsx", ".xlsm"), "from_excel"),
+    **dict.fromkeys((".mf4", ".mdf"), "from_mdf"),
+    ".mat": "from_mat",
+    ".tdms": "from_tdms",
+}
 OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
-OF_FILES = ("sheet", *OF_TEXTS)  # which tables no longer need
+OF_FILES = ("sheet", "group", *OF_TEXTS)  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 
 
@@ -98,6 +104,7 @@ class DataSection:
         trajectory: the column with the name of the run; None: one run per file.
         hold: what inputs do between samples, "linear", "zero" or "cubic".
         sheet: of an Excel workbook.
+        group: of channels, in an MDF or TDMS file.
         columns: the names of the columns of a table without a header.
         separator: the separator of the cells of a text file.
         decimal: the decimal separator.
@@ -115,6 +122,7 @@ class DataSection:
     trajectory: str | None = None
     hold: str = "linear"
     sheet: str | None = None
+    group: str | None = None
     columns: tuple[str, ...] | None = None
     separator: str | None = None
     decimal: str | None = None
@@ -235,6 +243,10 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
     (file,) = opened_files(path, as_text=reader == TEXT_READER)
     if reader == "from_mat":
         return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
+    if reader == "from_mdf":
+        return table_of_mdf(file, given.group, is_unknown)
+    if reader == "from_tdms":
+        return table_of_tdms(file, given.group, is_unknown)
     form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
         return table_of_csv(file, given.wanted, form, is_unknown)
