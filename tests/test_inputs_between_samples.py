@@ -274,6 +274,8 @@ SMOOTH = {
     "a wave of 3 samples": np.sin(2 * np.pi / 3 * np.arange(1200)),
     "noise": np.random.default_rng(0).normal(size=1200),
     "new values at every sample": np.random.default_rng(0).choice([-1.0, 1.0], 1200),
+    "ramps that begin again": np.arange(1200) % 7.0,
+    "a wave with one step": np.sin(CLOCK) + 3 * (CLOCK > 3),
     "ramps": np.abs(np.arange(1200) % 80 - 40.0),
     "a quantised wave": np.round(10 * np.sin(CLOCK)) / 10,
     "a constant": np.ones(1200),

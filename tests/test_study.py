@@ -3,6 +3,7 @@ effects, pictures.
 """
 
 import io
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,49 @@ def test_the_diagnosis_tells_where_and_ranks_candidates(hidden: ph.Study) -> Non
     assert base.undo() is before
     with pytest.raises(ph.ModelError, match="nothing to undo"):
         base.undo()
+
+
+def ended_by(final: ph.Measurements) -> ph.Study:
+    data = measurements(2.0, seed=3).thinned(2, by="picking")
+    effects = ["coulomb friction"]
+    study = ph.Study(spring(), data[:1], data[1:2], final=final, effects=effects)
+    assert "chose nothing" not in study.content().headline.sentence
+    study.auto(max_steps=1)
+    return study
+
+
+def test_data_for_the_end_choose_nothing_and_tell_the_error() -> None:
+    final = measurements(2.0, seed=3)[4:].thinned(2, by="picking")
+    (run,) = final
+    other = replace(final, trajectories=(replace(run, x=1.3 * run.x[::-1]),))
+    study, changed = ended_by(final), ended_by(other)
+    pd.testing.assert_frame_equal(study.history, changed.history, check_exact=True)
+    assert study.fit.values == changed.fit.values
+    for of_study, of_changed in zip(
+        study.record.diagnoses.values(), changed.record.diagnoses.values(), strict=True
+    ):
+        found, same = of_study.candidates, of_changed.candidates
+        pd.testing.assert_frame_equal(found, same, check_exact=True)
+        assert of_study.reason == of_changed.reason
+    base, last = (ph.compare(step.fit, final).rmse for step in study.steps)
+    assert base > 1.2 * last
+    told = f"On data that chose nothing (run 5), the error fell from {base:.3g} to {last:.3g} m."
+    content = study.content()
+    assert told in content.headline.sentence and told in content.errors
+    assert told in str(study)
+    assert told not in changed.content().headline.sentence
+    settings = {one.question: str(one) for one in content.settings}
+    assert "help to choose effects" in settings["Data held out"]
+    assert "looked at once" in settings["Final data"]
+    assert "final=final" in content.code
+
+
+def test_data_for_the_end_are_no_copies_of_others() -> None:
+    data = measurements(2.0, seed=3)
+    with pytest.raises(
+        ph.DataError, match="final: 'run 2' is an exact copy of 'run 2'"
+    ):
+        ph.Study(spring(), data[:1], data[1:2], final=data[1:2])
 
 
 def test_the_noise_given_to_a_study_holds_for_the_candidates_too(

@@ -97,19 +97,61 @@ def test_a_study_file_is_the_data_and_the_model_that_a_user_would_write(
     )
     assert file.measurements().digest == data.digest
     assert dict(file.measurements().units) == dict(data.units)
-    train, held_out = file.split()
-    assert held_out is not None
-    assert [train.digest, held_out.digest] == [part.digest for part in data.split(0.6)]
+    train, held_out, final = file.parts()
+    assert held_out is not None and final is not None
+    first, others = data.split(0.6)
+    parts = (first, others[:-1], others[-1:])
+    assert [one.digest for one in (train, held_out, final)] == [p.digest for p in parts]
 
 
 def test_a_part_of_the_time_can_be_held_out(spring: Path) -> None:
     file = ph.StudyFile.read(changed(spring, ("share = 0.4", "after = 3.0")))
-    train, held_out = file.split()
-    assert held_out is not None
-    assert train.n_trajectories == held_out.n_trajectories == 8
+    train, held_out, final = file.parts()
+    assert held_out is not None and final is not None
+    assert (len(train), len(held_out), len(final)) == (8, 7, 1)
     assert max(run.t[-1] for run in train) < 3.0
-    assert min(run.t[0] for run in held_out) == 3.0
-    assert train.n_samples + held_out.n_samples == file.measurements().n_samples
+    assert min(run.t[0] for run in [*held_out, *final]) == 3.0
+    n_samples = train.n_samples + held_out.n_samples + final.n_samples
+    assert n_samples == file.measurements().n_samples
+
+
+@pytest.mark.parametrize(
+    ("n_runs", "section", "numbers"),
+    [
+        (8, "share = 0.4", ([0, 1, 2, 3, 4], [5, 6], [7])),
+        (3, "share = 0.4", ([0], [1], [2])),
+        (3, 'runs = ["run 2"]', ([0], [1], [2])),
+        (2, "share = 0.4", ([0], [1], None)),
+        (8, 'runs = ["run 2", "run 4"]', ([0, 2, 4, 5, 6, 7], [1], [3])),
+        (8, "share = 0.4\n[final]\nruns = []", ([0, 1, 2, 3, 4], [5, 6, 7], None)),
+        (8, "share = 0.5\n[final]\nshare = 0.25", ([0, 1, 2], [3, 4, 5], [6, 7])),
+        (8, 'share = 0.5\n[final]\nruns = ["run 1"]', ([1, 2, 3, 4], [5, 6, 7], [0])),
+    ],
+)
+def test_of_three_runs_one_is_kept_for_the_end(
+    spring: Path, n_runs: int, section: str, numbers: tuple[list[int] | None, ...]
+) -> None:
+    table = pd.read_csv(CSV)
+    runs = list(dict.fromkeys(table["run"]))
+    table[table["run"].isin(runs[:n_runs])].to_csv(
+        spring.parent / "spring.csv", index=False
+    )
+    file = ph.StudyFile.read(changed(spring, ("share = 0.4", section)))
+    told = []
+    for part in file.parts():
+        told.append(part and [runs.index(run.name) for run in part])
+    assert tuple(told) == numbers
+    names = [
+        None if part is None else [*map(runs.__getitem__, part)] for part in numbers
+    ]
+    again = ph.StudyFile.read(file.write(spring.parent / "again.toml"))
+    assert [part and [run.name for run in part] for part in again.parts()] == names
+
+
+def test_a_run_for_the_end_that_is_unknown_is_refused(spring: Path) -> None:
+    unknown = changed(spring, ("[model]", '[final]\nruns = ["run 9"]\n\n[model]'))
+    with pytest.raises(ph.StudyFileError, match=r"final\.runs.*'run 9'"):
+        ph.StudyFile.read(unknown)
 
 
 def test_times_may_be_cut_counted_or_dates(spring: Path) -> None:

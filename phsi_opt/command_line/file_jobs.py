@@ -157,7 +157,7 @@ def checked(path: Path, draws: bool = True) -> Answer:
 
 def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
     """What a study file that can be used holds, and what is shown of its data."""
-    train, held_out = file.split()
+    train, held_out, final = file.parts()
     model = file.model()
     notes = AlignedData.of(model, train).notes
     text = lines(
@@ -168,6 +168,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         picture=shown.get("picture"),
         train=train,
         held_out=held_out,
+        final=final,
         runs=_runs,
         model=model,
         kind=type(model).__name__,

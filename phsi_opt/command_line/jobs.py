@@ -190,6 +190,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         "next": advice,
         "stopped": study.stopped,
         "history": study.history,
+        "final_rmse": [one.rmse for one in study.record.final_comparisons],
         "added": content.added,
         "unestablished": content.unestablished,
         "verdict": content.headline.status if job.is_auto else None,

@@ -42,8 +42,13 @@ def sentence_about(copies: Mapping[str, str]) -> str:
     )
 
 
-def check_can_judge(train: Measurements, held_out: Measurements) -> None:
-    """Refuse runs held out that are fitted too.
+def check_can_judge(
+    train: Measurements,
+    held_out: Measurements,
+    what: str = "held out",
+    known: str = "training data",
+) -> None:
+    """Refuse runs held out, or kept for the end, that are used before.
 
     Raises:
         DataError: there are such runs.
@@ -51,7 +56,7 @@ def check_can_judge(train: Measurements, held_out: Measurements) -> None:
     copies = _copies(held_out.trajectories, train.trajectories)
     if copies:
         raise DataError(
-            f"held out: {_told(copies)} of the training data, so they are not an "
+            f"{what}: {_told(copies)} of the {known}, so they are not an "
             "independent test; expected runs that are not used for fitting. Remove "
             "them from one of the two."
         )

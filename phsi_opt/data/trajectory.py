@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.data.checks import (
     Hold,
     check_same_length,
@@ -166,32 +165,35 @@ def check_channels(
 
 # Samples before and after a jump in which the input changes by less than in the jump.
 SAMPLES_AROUND_JUMP = 2
+# Share of the variance, at least, that constant stretches between jumps explain: of
+# steps measured with a noise of a tenth 0.99, of a wave of a third beside a step 0.9.
+STEPPED_SHARE = 0.97
 
 
 def is_stepped(runs: Sequence[np.ndarray]) -> bool:
-    """Whether most of the change of a signal (sum of squares) is in isolated jumps.
+    """Whether a signal is constant between isolated jumps.
 
     A jump is a change from one sample to the next by more than half of the standard
     deviation, and by more than the two changes before it and the two after it together.
-    Waves, ramps and noise have hardly any, and the steps of a quantised sensor are too
-    small.
+    The constant stretches between jumps explain 97 % of the variance of the runs: not
+    so in waves, ramps and noise. The steps of a quantised sensor are no jumps.
 
     Args:
         runs: its samples in each run, (n_samples,); short ones tell nothing.
     """
-    least = np.std(np.concatenate(runs)) / 2
-    total = in_jumps = 0.0
-    for run in runs:
+    long = [run for run in runs if len(run) > 2 * SAMPLES_AROUND_JUMP + 1]
+    total = sum(len(run) * float(np.var(run)) for run in long)
+    least = np.sqrt(total / max(sum(map(len, long)), 1)) / 2
+    within = 0.0
+    for run in long:
         size = np.abs(np.diff(run))
-        if len(size) <= 2 * SAMPLES_AROUND_JUMP:
-            continue
         around = np.ones(2 * SAMPLES_AROUND_JUMP + 1)
         others = np.convolve(size, around)[SAMPLES_AROUND_JUMP:][: len(size)] - size
         # Rounding of the sums is no change.
         is_jump = (size > least) & (size > others * (1 + 1e-9))
-        in_jumps += float(np.sum(size[is_jump] ** 2))
-        total += float(np.sum(size**2))
-    return in_jumps > MOST_OF_IT * total
+        for stretch in np.split(run, np.flatnonzero(is_jump) + 1):
+            within += len(stretch) * float(np.var(stretch))
+    return within < (1 - STEPPED_SHARE) * total
 
 
 class SmoothInputs:

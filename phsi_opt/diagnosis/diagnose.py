@@ -134,7 +134,8 @@ def diagnose_comparison(
     found = concluded(base, record, listed)
     held = held_base(base, record, found.established)
     if held is not None:
-        base, record = held, held.evidence_record()
+        base = held
+        record = base.evidence_record()
         found = concluded(base, record, listed)
         found = replace(found, reason=f"{base.record.aligned.notes[0]}; {found.reason}")
     if found.findings or base.is_noise:

@@ -43,7 +43,7 @@ HELD_OUT_WAYS = (*HELD_OUT_KEYS, NOTHING)
 
 ENERGY = "PseudoHamiltonian"
 FIRST_ORDER = "FirstOrder"
-KEPT = ("effects", "study", "loss")  # sections that the page does not show
+KEPT = ("final", "effects", "study", "loss")  # sections that the page does not show
 
 # Bytes of one uploaded file. A table of a million numbers takes about 10 MB.
 MOST_UPLOADED = 20_000_000

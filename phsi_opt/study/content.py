@@ -494,7 +494,6 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
 
 
 def _settings(study: StudyRecord) -> tuple[Answer, ...]:
-    held_out = "none" if study.held_out is None else _data(study.held_out)
     units = []
     for name, unit in study.train.units.items():
         scale = scale_of(unit)
@@ -509,8 +508,9 @@ def _settings(study: StudyRecord) -> tuple[Answer, ...]:
     starts = "estimated from each whole run, also of held-out data"
     seeds = "fixed in the package: the same data and settings "
     told = {
-        "Training data": _data(study.train),
-        "Data held out": held_out,
+        "Training data": f"{_data(study.train)}; all parameters are fitted to them",
+        "Data held out": _data_of_part(study.held_out, "they help to choose effects"),
+        "Final data": _data_of_part(study.final, "looked at once, at the end"),
         "Starting states": starts,
         "Units": ", ".join(units) or "not given",
         "Inputs between samples": hold if study.train.inputs else "",
@@ -521,6 +521,10 @@ def _settings(study: StudyRecord) -> tuple[Answer, ...]:
         "Versions": ", ".join([*versions, f"Python {platform.python_version()}"]),
     }
     return tuple(Answer(said, question=name) for name, said in told.items() if said)
+
+
+def _data_of_part(data: Measurements | None, use: str) -> str:
+    return "none" if data is None else f"{_data(data)}; {use}"
 
 
 def _data(data: Measurements) -> str:
@@ -536,7 +540,8 @@ def _data(data: Measurements) -> str:
 def _code(study: StudyRecord) -> str:
     """The calls that repeat the steps, beside the user's data and base model."""
     held_out = ", held_out" if study.held_out is not None else ""
-    lines = [f"study = ph.Study(model, train{held_out})"]
+    final = ", final=final" if study.final is not None else ""
+    lines = [f"study = ph.Study(model, train{held_out}{final})"]
     for effect in study.last.added:
         lines.append(f"study.add({effect.name!r}, {effect.equation!r})")
     lines.append('study.report("report.html")')

@@ -6,6 +6,7 @@ next one.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from phsi_opt.comparison.compare import Comparison, compare_record
@@ -14,7 +15,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import thorough_fit
-from phsi_opt.errors import ModelError, PhsiOptError
+from phsi_opt.errors import ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
@@ -23,8 +24,9 @@ from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
-from phsi_opt.presentation.numbers import proper_names
+from phsi_opt.presentation.numbers import number, number_of, proper_names
 from phsi_opt.presentation.summary import Part, Summary, printed_table
+from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.screening.effect_size import Size, fitted_size
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import AlignedData, checked_data
@@ -70,6 +72,7 @@ class StudyRecord:
     diagnoses: Mapping[int, Diagnosis] = field(default_factory=dict)
     stopped: str = ""  # why it stopped last; "" where it was not asked to go on
     title: str = ""  # of reports; "": what was measured
+    ending: AlignedData | None = None  # data that choose nothing, for the end
 
     @classmethod
     def of(
@@ -78,19 +81,24 @@ class StudyRecord:
         train: Measurements,
         held_out: Measurements | None,
         loss: MaximumLikelihood,
+        final: Measurements | None = None,
     ) -> "StudyRecord":
         """Before its first step, with the measurements in the model's order.
 
         Raises:
             DataError: a state or input of the model is not in the measurements, or a
-                run is in both.
+                run is in two parts.
         """
         training = checked_data(base, train)
-        if held_out is None:
-            return cls(base, training, None, loss)
-        judging = checked_data(base, held_out)
-        check_can_judge(training.data, judging.data)
-        return cls(base, training, judging, loss)
+        judging = ending = None
+        if held_out is not None:
+            judging = checked_data(base, held_out)
+            check_can_judge(training.data, judging.data)
+        if final is not None:
+            ending = checked_data(base, final)
+            for known in filter(None, (training, judging)):
+                check_can_judge(known.data, ending.data, "final", "data used before")
+        return cls(base, training, judging, loss, ending=ending)
 
     @property
     def train(self) -> Measurements:
@@ -101,6 +109,46 @@ class StudyRecord:
     def held_out(self) -> Measurements | None:
         """The measurements that judge; None where none are held out."""
         return None if self.judging is None else self.judging.data
+
+    @property
+    def final(self) -> Measurements | None:
+        """The measurements for the end; None where there are none."""
+        return None if self.ending is None else self.ending.data
+
+    @cached_property
+    def final_comparisons(self) -> tuple[Comparison, ...]:
+        """Base and present model on the data for the end, once nothing is to be added.
+
+        Empty before, and without such data. Nothing else looks at them.
+        """
+        present = self.present
+        is_open = present is None or present.proposed
+        if self.ending is None or (is_open and not self.stopped):
+            return ()
+        fits = (self.steps[0].fit, self.last.fit)
+        try:
+            records = [Record.of_aligned(fit, self.ending) for fit in fits]
+            return tuple(map(compare_record, records))
+        except SolveError:
+            return ()
+
+    @property
+    def final_words(self) -> str:
+        """What the data for the end say; "" as long as there are no comparisons."""
+        if not self.final_comparisons or self.final is None:
+            return ""
+        base, last = self.final_comparisons
+        size, unit = scale_of_errors(self.unit)
+        told = number(size * last.rmse, 3)
+        if len(self.steps) == 1:
+            told = f"is {told}"
+        else:
+            verb = "fell" if last.rmse < base.rmse else "went"
+            told = f"{verb} from {number(size * base.rmse, 3)} to {told}"
+        which = number_of(len(self.final), "run")
+        if len(self.final) == 1:
+            which = self.final.trajectories[0].name
+        return f"On data that chose nothing ({which}), the error {told}{spaced(unit)}."
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -137,10 +185,12 @@ class StudyRecord:
 
     def held_as(self, diagnosis: Diagnosis) -> "StudyRecord":
         """With inputs that do between their samples what a diagnosis found."""
-        hold, notes = diagnosis.data.hold, diagnosis.record.aligned.notes
+        hold = diagnosis.data.hold
+        notes = diagnosis.record.aligned.notes
         training = self.training.held_as(hold, notes)
         judging = self.judging and self.judging.held_as(hold, notes)
-        return replace(self, training=training, judging=judging)
+        ending = self.ending and self.ending.held_as(hold, notes)
+        return replace(self, training=training, judging=judging, ending=ending)
 
     # ---- what is said of it ----------------------------------------------------------
 
@@ -175,7 +225,8 @@ class StudyRecord:
         unit = f", {self.unit}" if self.unit else ""
         parts = [Part(f"errors of free runs{unit}", table=self.history)]
         names = tuple(one.name for one in self.unestablished)
-        said = "\n".join(filter(None, (self.stopped, unestablished_words(names))))
+        words = (self.final_words, self.stopped, unestablished_words(names))
+        said = "\n".join(filter(None, words))
         if said:
             parts.append(Part(text=said))
         return Summary(title, tuple(parts))

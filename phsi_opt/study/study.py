@@ -50,7 +50,10 @@ class Study(Summarised):
     Args:
         model: the base model.
         train: measurements to fit.
-        held_out: measurements for tests, not used for fitting (recommended).
+        held_out: measurements for tests, not used for fitting (recommended). They help
+            to choose effects.
+        final: measurements that choose nothing: base and present model are compared
+            with them at the end, when nothing more is to be added.
         effects: the effects that diagnoses consider, each an `Effect`, a name such as
             ``"coulomb friction"`` (in every equation that can have it) or
             ``"coulomb friction on p"``; default: `catalogue` of the model.
@@ -65,8 +68,8 @@ class Study(Summarised):
         record: the present state of the study, from which reports are made.
 
     Raises:
-        DataError: a state or input of the model is not in the measurements, a run that
-            is held out is fitted too, or ``fit`` is of other measurements.
+        DataError: a state or input of the model is not in the measurements, a run is in
+            two parts of the data, or ``fit`` is of other measurements.
         ModelError: one of the ``effects``, or of those to leave out, is unknown.
         SolveError: the base model could not be fitted.
     """
@@ -78,6 +81,7 @@ class Study(Summarised):
         train: Measurements,
         held_out: Measurements | None = None,
         *,
+        final: Measurements | None = None,
         effects: Given | None = None,
         without: Given = (),
         loss: MaximumLikelihood | None = None,
@@ -91,7 +95,8 @@ class Study(Summarised):
         self._say = progress or silent
         # The effects that each diagnosis considered, by the number of the step.
         self._considered: dict[int, EffectChoice] = {}
-        record = StudyRecord.of(model, train, held_out, loss or MaximumLikelihood())
+        loss = loss or MaximumLikelihood()
+        record = StudyRecord.of(model, train, held_out, loss, final)
         self.record = replace(record, title=title)
         for note in self.record.notes:
             self._say(note)
@@ -125,6 +130,11 @@ class Study(Summarised):
     def held_out(self) -> Measurements | None:
         """The held-out measurements, in the order of the model."""
         return self.record.held_out
+
+    @property
+    def final(self) -> Measurements | None:
+        """The measurements for the end, in the order of the model."""
+        return self.record.final
 
     @property
     def fit(self) -> Fit:

@@ -35,6 +35,7 @@ from phsi_opt.study_file.sections import (
     Sections,
     StudySection,
     own_effect,
+    parts_of,
     reader_of,
     table_at,
 )
@@ -50,6 +51,7 @@ NEEDED = {
     ("model",): "the section [model] is missing; it contains the equations.",
     ("model", "states"): 'expected the names of the states, such as ["q", "p"].',
 }
+KEPT_APART = ("held_out", "final")  # sections of data that are not fitted
 KEEP_ONE = "a column is given, too; keep one of the two."
 MORE = "There are too many mistakes; the rest of the file was not checked."
 
@@ -89,9 +91,10 @@ def _sections(
     reader = ModelReader.of(file, faults)
     _check_data(file.get("data", {}), faults)
     data = DataSection.of(file.get("data", {}), places)
-    held_out = HeldOut(**file.get("held_out", {})) if "held_out" in file else None
-    if held_out is not None:
-        faults.exactly_one(file["held_out"], ("runs", "share", "after"), "held_out")
+    kept: dict[str, HeldOut | None] = dict.fromkeys(KEPT_APART)
+    for part in filter(file.__contains__, KEPT_APART):
+        kept[part] = HeldOut(**file[part])
+        faults.exactly_one(file[part], ("runs", "share", "after"), part)
     own = reader.effects()
     model = reader.model()
     steps = StudySection(**file.get("study", {}))
@@ -104,16 +107,11 @@ def _sections(
         _check_effects(steps, model, own, units, faults)
     if measured is not None and model is not None:
         _check_units(model, measured, faults)
-    if measured is not None and held_out is not None and not faults.about("held_out"):
-        for run in held_out.runs or ():
-            with faults.noting("held_out", "runs", value=run):
-                measured.trajectory_number(run)
-        if not faults.about("held_out"):
-            with faults.noting("held_out"):
-                held_out.split(measured)
+    if measured is not None and not any(map(faults.about, KEPT_APART)):
+        _check_parts(measured, kept, faults)
     if model is None:
         return None, measured
-    parts: dict[str, Any] = {"base": model, "data": data, "held_out": held_out}
+    parts: dict[str, Any] = {"base": model, "data": data, **kept}
     return Sections(**parts, steps=steps, own_effects=own, loss=loss), measured
 
 
@@ -165,6 +163,20 @@ def _in_order(faults: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
 
 
 # ---- rules that need more than one key -----------------------------------------------
+
+
+def _check_parts(
+    data: Measurements, kept: Mapping[str, HeldOut | None], faults: Complaints
+) -> None:
+    """Note runs that are unknown, and parts of the data that cannot be."""
+    known = {part: one for part, one in kept.items() if one is not None}
+    for part, one in known.items():
+        for run in one.runs or ():
+            with faults.noting(part, "runs", value=run):
+                data.trajectory_number(run)
+    if known and not any(map(faults.about, known)):
+        with faults.noting(next(iter(known))):
+            parts_of(data, kept["held_out"], kept["final"])
 
 
 def _check_data(data: Mapping[str, Any], faults: Complaints) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.copies import check_can_judge
+from phsi_opt.data.copies import check_can_judge, copies_in
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import DataFile, NamedFile, opened_files, run_names
 from phsi_opt.data.logger_tables import table_of_mdf, table_of_tdms
@@ -257,8 +257,10 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
 class HeldOut:
     """The held-out data, selected in one of three ways; the other two are None.
 
+    Also the data for the end, which choose nothing.
+
     Attributes:
-        runs: names of the runs held out.
+        runs: names of the runs held out; empty for no data for the end.
         share: the last share of the runs, or of the samples if there is a single run.
         after: a time; the samples of every run from this time on.
     """
@@ -289,6 +291,34 @@ class HeldOut:
             train, held_out = data.split(self.training_share)
         check_can_judge(train, held_out)
         return train, held_out
+
+
+def parts_of(
+    data: Measurements, held_out: HeldOut | None, final: HeldOut | None
+) -> tuple[Measurements, Measurements | None, Measurements | None]:
+    """Training data, data held out and data for the end; None for a part there is not.
+
+    Without ``final``, the last of three or more runs is kept for the end; of runs held
+    out by their names the last one, or, if that is a single one, the last one to fit.
+
+    Raises:
+        DataError: there is no such run, one of the parts would be empty, or a run is a
+            copy of one of another part.
+    """
+    last = None
+    if final is not None and final.runs != ():
+        data, last = final.split(data)
+    if held_out is None:
+        return data, None, last
+    train, judging = held_out.split(data)
+    if final is None and data.n_trajectories > 2 and not copies_in(data):
+        if len(judging) > 1:
+            judging, last = judging[:-1], judging[-1:]
+        elif len(train) > 1:
+            train, last = train[:-1], train[-1:]
+            if held_out.runs is None:
+                judging, last = last, judging
+    return train, judging, last
 
 
 def _by_runs(
@@ -324,6 +354,7 @@ class Sections:
     base: Model
     data: DataSection
     held_out: HeldOut | None = None
+    final: HeldOut | None = None
     steps: StudySection = StudySection()
     own_effects: tuple[Effect, ...] = ()
     loss: MaximumLikelihood = field(default_factory=MaximumLikelihood)

@@ -29,6 +29,7 @@ from phsi_opt.study_file.sections import (
     StudySection,
     Times,
     own_effect,
+    parts_of,
 )
 from phsi_opt.study_file.study_text import study_script, study_text
 from phsi_opt.transcription.grid import AlignedData
@@ -50,6 +51,7 @@ class StudyFile(Sections):
         base: the base model, without added effects.
         data: the files, their columns, units and noise.
         held_out: the held-out data; None: no data are held out.
+        final: the data for the end; None: one of three or more runs.
         steps: effects added, effects to consider and to exclude.
         own_effects: effects that are not in the catalogue.
         loss: how to fit.
@@ -87,6 +89,7 @@ class StudyFile(Sections):
         data: DataSection | Measurements,
         held_out: HeldOut | Measurements | None = None,
         *,
+        final: HeldOut | Measurements | None = None,
         added: tuple[str, ...] = (),
         effects: tuple[str, ...] | None = None,
         without: tuple[str, ...] = (),
@@ -104,6 +107,8 @@ class StudyFile(Sections):
             data: the files and which column is what; or the measurements to fit.
             held_out: the part of the files that is held out; or, with measurements as
                 ``data``, the held-out measurements.
+            final: likewise the data for the end, as in `Study`; None: with measurements
+                as ``data`` there are none.
             added: names of the effects added, such as ``"coulomb friction on p"``.
             effects: names of effects to consider; None: the catalogue.
             without: names of effects to exclude.
@@ -123,16 +128,20 @@ class StudyFile(Sections):
                 unwritten = in_written_units(data)
             else:
                 unwritten, held_out = joined(data, held_out)
+            if isinstance(final, Measurements):
+                unwritten, final = joined(unwritten.in_si(), final)
+            final = final or HeldOut(runs=())
             data = section_of(unwritten, UNWRITTEN)
-        elif isinstance(held_out, Measurements):
+        elif isinstance(held_out, Measurements) or isinstance(final, Measurements):
             raise DataError(
-                "held_out is Measurements, but data is a DataSection; give a HeldOut "
-                "that says which part of the files is held out."
+                "held_out or final is Measurements, but data is a DataSection; give a "
+                "HeldOut that says which part of the files it is."
             )
         file = cls(
             base=model,
             data=data,
             held_out=held_out,
+            final=final,
             steps=StudySection(added, effects, without),
             own_effects=own_effects,
             loss=loss or MaximumLikelihood(),
@@ -222,10 +231,15 @@ class StudyFile(Sections):
         Raises:
             DataError: the data files are not valid, or a part is empty.
         """
-        data = self.measurements()
-        if self.held_out is None:
-            return data, None
-        return self.held_out.split(data)
+        return self.parts()[:2]
+
+    def parts(self) -> tuple[Measurements, Measurements | None, Measurements | None]:
+        """The data to fit, those held out, and those for the end; None: no such part.
+
+        Raises:
+            DataError: the data files are not valid, or a part is empty.
+        """
+        return parts_of(self.measurements(), self.held_out, self.final)
 
     def model(self) -> Model:
         """The model with all effects added so far.
@@ -277,11 +291,12 @@ class StudyFile(Sections):
         """
         from phsi_opt.study import Study  # what checking a file does not need
 
-        train, held_out = self.split()
+        train, held_out, final = self.parts()
         study = Study(
             self.base,
             train,
             held_out,
+            final=final,
             effects=self.effects(),
             without=self.steps.without,
             loss=self.loss,

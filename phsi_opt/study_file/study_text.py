@@ -24,7 +24,13 @@ from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.numbers import LINE_WIDTH
 from phsi_opt.presentation.units import in_si, scale_of
-from phsi_opt.study_file.sections import Sections, own_effect, told, without
+from phsi_opt.study_file.sections import (
+    Sections,
+    own_effect,
+    parts_of,
+    told,
+    without,
+)
 from phsi_opt.study_file.toml_text import key_text, text_template, toml_value
 
 Content = dict[str, Any]
@@ -38,6 +44,7 @@ COMMENTS = {
     "data.states": "Measured states: column, unit, and the noise if it is known.",
     "data.inputs": "Inputs, known at every sample.",
     "held_out": "Held-out data: used for tests, not for fitting.",
+    "final": "Data for the end: they choose nothing, and tell the error at the end.",
     "model": "dx/dt = (S - R) grad H + F; names in formulas are states, inputs, t,\n"
     "# efforts such as dH_dp, and the parameters below.",
     "model.R": "",
@@ -107,6 +114,7 @@ def _content(study: Sections) -> Content:
     return {
         "data": {"time": {}, **_plain(data)},
         "held_out": _plain(study.held_out) if study.held_out else {},
+        "final": _plain(study.final) if study.final else {},
         "model": _model(study.base),
         "parameters": _plain(parameters),
         "effects": _plain(study.own_effects),
@@ -293,11 +301,14 @@ def study_script(study: Sections) -> str:
     effects: Any = Code("[*catalogue, *own.values()]") if study.own_effects else None
     choices = {
         "held_out": Code("held_out"),
+        "final": Code("final"),
         "effects": effects if steps.effects is None else [*map(named, steps.effects)],
         "without": list(steps.without) or None,
         "loss": study.loss if told(study.loss) else None,
         "progress": Code("print"),
     }
+    if study.held_out or study.final:
+        source.imports.add(f"from {parts_of.__module__} import parts_of")
     shared = shared_parameters(model, study.own_effects)
     units = study.data.units
     files: Any = [Code(f"FOLDER / {source.of(one)}") for one in study.data.files]
@@ -306,6 +317,7 @@ def study_script(study: Sections) -> str:
         is_converted=in_si(units) != units,
         files=files[0] if len(files) == 1 else files,
         held_out=study.held_out,
+        final=study.final,
         parameters={name: _short(one) for name, one in shared.items()},
         kind=type(model).__name__,
         parts=parts,
