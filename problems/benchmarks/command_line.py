@@ -20,7 +20,7 @@ from problems.tools import provenance
 from problems.tools.command_line import flag
 from problems.tools.pages import render
 
-N_TIMES = 5
+N_TIMES = 3
 DEMO = provenance.ROOT / "phsi_opt" / "study_file" / "examples" / "spring"
 IMPORTS = "importing numpy, scipy, pandas, casadi"
 PHSI_OPT = ("-m", "phsi_opt.command_line")
