@@ -553,7 +553,7 @@ def test_bounds_cut_an_interval_and_open_parameters_are_named(study: ph.Study) -
         ((2, 3), "h", "2 to 3 h"),
         ((100, 300), "min", "1.67 to 5 h"),
         ((0.197, 0.39), "s", "0.197 to 0.39 s"),
-        ((7.93e5, 1.06e6), "ms", "7.93e+05 to 1.06e+06 ms"),
+        ((7.93e5, 1.06e6), "ms", "793000 to 1.06e+06 ms"),
         ((0, 1.5e4), "s", "0 to 4.17 h"),
         ((4, 5), "", "4 to 5"),
     ],

@@ -17,6 +17,7 @@ from phsi_opt.presentation.units import (
     scale_of,
     scale_of_rate,
     time_words,
+    unit_of_rate,
 )
 
 CARTESIAN: dict[str, Any] = {
@@ -157,9 +158,13 @@ def test_times_and_rates_are_told_in_the_units_that_were_written() -> None:
     units = in_si({"t": "ms", "q": "mm"})
     assert time_words(0.25, units["t"]) == "250 ms"
     assert time_words(7200.0, units["t"]) == "120 min"
+    assert time_words(8.0, units["t"]) == "8000 ms"
+    assert scale_of_rate("q", units, 1.0).unit == "mm/s"
+    assert scale_of_rate("p", {**units, "p": "kg m/s"}, 1.0).unit == "N"
     house = in_si({"t": "min", "T": "degF", "V": "l"})
     assert scale_of_rate("T", house, 600.0).unit == "degF/min"
     assert scale_of_rate("V", house, 600.0).unit == "l/min"
+    assert scale_of(unit_of_rate("1", house["t"])).unit == "1/min"
     assert time_words(100.0, in_si({"t": "h"})["t"]) == "0.0278 h"
 
 

@@ -17,7 +17,7 @@ from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import spectrum
-from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.numbers import decimal, number
 from phsi_opt.presentation.units import Scale, frequency_words
 from phsi_opt.statistics import TINY, rms
 
@@ -44,8 +44,8 @@ class Window:
 
     def words(self, time: Scale) -> str:
         """The times, in the unit in which they are told."""
-        begin, end = time.told(self.begin), time.told(self.end)
-        return f"{begin:.3g} to {end:.3g}{' (throughout)' if self.is_whole else ''}"
+        ends = [decimal(time.told(one), 3) for one in (self.begin, self.end)]
+        return f"{' to '.join(ends)}{' (throughout)' if self.is_whole else ''}"
 
 
 def strongest_window(force: Force) -> Window:

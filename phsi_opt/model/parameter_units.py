@@ -29,7 +29,7 @@ from phsi_opt.presentation.units import (
     powers_as_written,
     powers_in_base_units,
     product,
-    rate_unit,
+    unit_of_rate,
 )
 
 MOMENTUM = "kg m/s"  # as people write it, not N s
@@ -70,8 +70,8 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
             told[name] = f"{RADIAN}/{time}" if time else parameter.unit
         else:
             equation = known.get(entry.equation, "")
-            named = (equation, rate_unit(equation, time))
-            told[name] = coefficient_unit(found[name], named)
+            rates = [unit_of_rate(one, time) for one in (equation, "1")]
+            told[name] = coefficient_unit(found[name], (equation, *rates))
     return told
 
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
+from phsi_opt.presentation.numbers import decimal
+
 # Powers of units, by their names.
 Powers = Mapping[str, float]
 RADIAN = "rad"
@@ -368,13 +370,14 @@ def time_words(t: float, unit: str, longest: float = 0.0) -> str:
         longest: such as the end of the record.
     """
     scale = scale_of_time(max(abs(t), longest), unit)
-    return f"{t / scale.size:.3g} {scale.unit}".rstrip()
+    return f"{decimal(t / scale.size, 3)} {scale.unit}".rstrip()
 
 
 def times_words(begin: float, end: float, unit: str, longest: float = 0.0) -> str:
     """A range of times with its unit, such as "4 to 5 s"; as `time_words`."""
     scale = scale_of_time(max(abs(begin), abs(end), longest), unit)
-    return f"{begin / scale.size:.3g} to {end / scale.size:.3g} {scale.unit}".rstrip()
+    ends = [decimal(one / scale.size, 3) for one in (begin, end)]
+    return f"{' to '.join(ends)} {scale.unit}".rstrip()
 
 
 def date_words(t: float, origin: dt.datetime | None, span: float = 0.0) -> str:
@@ -433,20 +436,27 @@ def force_unit(equation: str, units: Mapping[str, str]) -> str:
 def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Scale:
     """A rate per hour where a record of seconds lasts for hours: degC/h.
 
-    Rates with a name of their own (N, m/s) and other units of time stay; ``longest`` is
-    the last time of the record.
+    Rates of units that were converted are told in these, such as deg/s; others with a
+    name of their own (N, m/s) stay. ``longest`` is the last time of the record.
     """
-    unit = force_unit(equation, units)
-    of_state, of_time = (scale_of(units.get(name, "")) for name in (equation, "t"))
-    time = scale_of_time(longest, units.get("t", ""))
-    if time.size * SECONDS.get(units.get("t", ""), 0.0) >= SECONDS["h"]:
-        of_time = Scale("h", SECONDS["h"] / SECONDS[units["t"]])
-    size = of_state.size / of_time.size
-    is_told = of_state.size != 1.0 and of_state.unit.isalpha()
-    is_named = unit in NAMED_RATES and not is_told
-    if is_named or rate_unit(units.get(equation, ""), "s") != unit or size == 1.0:
-        return Scale(unit)
-    return Scale(rate_unit(of_state.unit, of_time.unit), size)
+    unit, time = (units.get(name, "") for name in (equation, "t"))
+    seconds = SECONDS.get(time, 0.0)
+    if scale_of_time(longest, time).size * seconds >= SECONDS["h"]:
+        time = Unit(str(time), Scale("h", SECONDS["h"] / seconds))
+    return scale_of(unit_of_rate(unit, time))
+
+
+def unit_of_rate(unit: str, of_time: str) -> str:
+    """`rate_unit`, told per hour where times are, and in the unit of a state."""
+    rate = rate_unit(unit, of_time)
+    state, time = scale_of(unit), scale_of(of_time)
+    if time.size < 1.0:  # speeds in mm/s, where times are in ms
+        time = Scale(str(of_time))
+    size = state.size / time.size
+    is_told = state.size != 1.0 and state.unit.isalpha()
+    if size == 1.0 or (rate in NAMED_RATES and not (is_told or unit == "1")):
+        return rate
+    return Unit(rate, Scale(rate_unit(state.unit, time.unit), size))
 
 
 def spaced(unit: str) -> str:
