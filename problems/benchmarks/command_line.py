@@ -73,8 +73,9 @@ def page(found: dict[str, float]) -> str:
     """The page as Markdown."""
     rows = []
     for name, taken in found.items():
-        times = {"seconds": round(taken, 2), "imports": taken / found[IMPORTS]}
-        rows.append({"command": name, **times, "at most": LIMITS.get(name)})
+        ratio = round(taken / found[IMPORTS], 1)
+        times = {"seconds": round(taken, 2), "imports": ratio}
+        rows.append({"command": name, **times, "at most": LIMITS.get(name, "")})
     return render("benchmarks/pages/command_line.md", rows=rows, n_times=N_TIMES)
 
 
