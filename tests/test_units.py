@@ -308,8 +308,9 @@ def test_a_study_in_mm_and_ms_finds_the_stiffness_and_tells_mm_and_ms(
     assert content.time.unit == "ms"
     channel = content.runs[0].channels[0]
     assert channel.unit == "mm"
-    np.testing.assert_allclose(channel.t, data.trajectories[2].t, rtol=1e-12)
-    np.testing.assert_allclose(channel.measured, data.trajectories[2].x[:, 0])
+    (run,) = data[content.runs[0].name].trajectories
+    np.testing.assert_allclose(channel.t, run.t, rtol=1e-12)
+    np.testing.assert_allclose(channel.measured, run.x[:, 0])
     rows = {one.name: one for one in content.models[0].parameters}
     assert rows["m"].value == pytest.approx(2500)
     ends = (rows["k"].lower, rows["k"].upper)
