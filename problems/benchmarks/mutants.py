@@ -1,13 +1,15 @@
 """Mutation testing of the numerical core: does a test fail for every small change?
 
-    python -m problems.benchmarks.mutants [--show] [MODULE ...]
+    python -m problems.benchmarks.mutants [--sample=40] [--show] [MODULE ...]
 
 mutmut changes one thing at a time in a module (a sign, a limit, an argument) and runs
 the tests that reach it. It works on a copy of the project, with the modules and tests
-named in ``[tool.mutmut]`` of pyproject.toml. Where modules are named (``statistics``),
-they alone are changed, and no page is written; ``--show`` prints what no test noticed.
+named in ``[tool.mutmut]`` of pyproject.toml. Of every module a sample is drawn with a
+fixed seed. Where modules are named (``statistics``), they alone are changed, and no page
+is written; ``--show`` prints what no test noticed.
 """
 
+import contextlib
 import json
 import re
 import shutil
@@ -18,11 +20,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from mutmut.stats import status_by_exit_code
 
 from problems.tools import provenance
-from problems.tools.command_line import chosen, flag
+from problems.tools.command_line import chosen, flag, option
 from problems.tools.pages import render
 from problems.tools.provenance import ROOT
 
@@ -65,8 +68,24 @@ def limited(folder: Path, names: Sequence[str]) -> None:
     path.write_text(text.replace(listed.group(0), f"only_mutate = {json.dumps(kept)}"))
 
 
-def run(folder: Path) -> None:
-    """Make the mutants and run the tests on each; mutmut's output stays in a file.
+def drawn(folder: Path, most: int) -> list[str]:
+    """Names of at most so many mutants of every module, with a fixed seed.
+
+    mutmut makes all mutants, runs the tests once to see which reach what, and finds
+    none of the name "none".
+    """
+    with contextlib.suppress(SystemExit):
+        run(folder, ["none"])
+    rng = np.random.default_rng(0)
+    names: list[str] = []
+    for statuses in outcomes(folder).values():
+        mutants = sorted(statuses)
+        names += rng.choice(mutants, min(most, len(mutants)), replace=False).tolist()
+    return names
+
+
+def run(folder: Path, names: Sequence[str]) -> None:
+    """Run the tests on the mutants of these names; mutmut's output stays in a file.
 
     Raises:
         SystemExit: mutmut did not come to its end.
@@ -74,7 +93,7 @@ def run(folder: Path) -> None:
     log = folder / "mutmut.log"
     with log.open("w") as stream:
         done = subprocess.run(
-            [sys.executable, "-m", "mutmut", "run"],
+            [sys.executable, "-m", "mutmut", "run", *names],
             cwd=folder,
             stdout=stream,
             stderr=subprocess.STDOUT,
@@ -152,8 +171,11 @@ def main() -> None:
         copied(folder)
         if chosen():
             limited(folder, chosen())
-        run(folder)
-        found = outcomes(folder)
+        names = drawn(folder, int(option("sample", "40")))
+        run(folder, names)
+        found = {}
+        for module, statuses in outcomes(folder).items():
+            found[module] = {name: statuses[name] for name in names if name in statuses}
         text = page(tally(found))
         print(text)
         if flag("show"):
