@@ -89,6 +89,18 @@ def test_a_comparison_names_the_state_whose_free_run_is_flat(
     assert "The free run of q is almost constant" in str(compared)
 
 
+def test_a_free_run_that_leaves_the_measurements_is_told_in_the_first_line() -> None:
+    t = np.linspace(0, 5, 60)
+    x = np.exp(-t)[:, None] + 0.01 * np.random.default_rng(0).normal(size=(60, 1))
+    data = ph.Measurements.from_arrays(t, x, states=["w"])
+    grows, dies = (ph.FirstOrder(["w"], {"w": ph.formula(f)}) for f in ("5", "-w"))
+    said = str(ph.compare(grows, data))
+    assert said.startswith("The free run of w leaves the measurements: its error is ")
+    assert "leaves" not in str(ph.compare(dies, data))
+    study = ph.Study(grows, data)
+    assert "leaves the measurements" in study.content().headline.caution
+
+
 def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
     flat_fit: ph.Fit, swinging: ph.Measurements
 ) -> None:

@@ -56,6 +56,9 @@ DIVERGED_RUN = 1e3
 # Standard deviations of the noise beyond which one residual ends the horizon of a free
 # run: among 1e4 values normal noise gets there once or not at all.
 HORIZON_RESIDUAL = 4.0
+# Error of a free run, in standard deviations of the measurements, from which a constant
+# (one) describes them better by far: a motion out of step with them has 1.4.
+LEAVING_ERROR = 2.0
 # Percent of the measured motion up to which a flat free run explains it, and share of
 # the measured standard deviation up to which it moves. A motion that dies out within a
 # twentieth of the record is flat.
@@ -182,7 +185,16 @@ class Comparison(Summarised):
 
     @property
     def warning(self) -> str:
-        """What to do if the free run is almost constant; otherwise empty."""
+        """What to do if the free run leaves the data or is almost constant; or ""."""
+        table = self.table.assign(off=1 - self.table["fit_percent"] / 100)
+        worst = table.loc[table["off"].fillna(0.0).idxmax()]
+        if worst["off"] > LEAVING_ERROR:
+            return (
+                f"The free run of {worst['state']} leaves the measurements: its error "
+                f"is {worst['off']:.3g} times their standard deviation, that of a "
+                "constant once. This is no usable fit. Check the units, and choose "
+                "other starting values for the parameters."
+            )
         return flat_sentence(self.flat)
 
     @property
@@ -320,10 +332,8 @@ class Comparison(Summarised):
             f"rmse {self.rmse:.4g}{unit}, "
             f"noise floor {self.noise_floor:.4g}"
         )
-        parts = [Part(table=self.table)]
-        if self.warning:
-            parts.append(Part(text=self.warning))
-        return Summary(title, tuple(parts))
+        title = "\n".join(filter(None, (self.warning, title)))
+        return Summary(title, (Part(table=self.table),))
 
 
 @interruptible

@@ -345,6 +345,7 @@ def headline_of(study: StudyRecord) -> Headline:
         remark = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
     answers = _answers(study)
+    undetermined = undetermined_words(study.last.fit.parameters)
     return Headline(
         status,
         severity,
@@ -353,7 +354,7 @@ def headline_of(study: StudyRecord) -> Headline:
         answers,
         remark=remark,
         certainty=str(certainty),
-        caution=undetermined_words(study.last.fit.parameters),
+        caution=" ".join(filter(None, (study.last.judged.warning, undetermined))),
     )
 
 
