@@ -186,12 +186,12 @@ class Comparison(Summarised):
     @property
     def warning(self) -> str:
         """What to do if the free run leaves the data or is almost constant; or ""."""
-        table = self.table.assign(off=1 - self.table["fit_percent"] / 100)
-        worst = table.loc[table["off"].fillna(0.0).idxmax()]
-        if worst["off"] > LEAVING_ERROR:
+        off = 1 - np.nan_to_num(self.table["fit_percent"].to_numpy(float)) / 100
+        worst = int(np.argmax(off))
+        if off[worst] > LEAVING_ERROR:
             return (
-                f"The free run of {worst['state']} leaves the measurements: its error "
-                f"is {worst['off']:.3g} times their standard deviation, that of a "
+                f"The free run of {self.table['state'].iloc[worst]} leaves the "
+                f"measurements: its error is {off[worst]:.3g} times their standard deviation, that of a "
                 "constant once. This is no usable fit. Check the units, and choose "
                 "other starting values for the parameters."
             )
