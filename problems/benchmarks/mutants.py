@@ -5,8 +5,8 @@
 mutmut changes one thing at a time in a module (a sign, a limit, an argument) and runs
 the tests that reach it. It works on a copy of the project, with the modules and tests
 named in ``[tool.mutmut]`` of pyproject.toml. Of every module a sample is drawn with a
-fixed seed. Where modules are named (``statistics``), they alone are changed, and no page
-is written; ``--show`` prints what no test noticed.
+fixed seed. Where modules are named (``statistics``), they alone are changed, and no
+page is written; ``--show`` prints what no test noticed.
 """
 
 import contextlib
