@@ -191,9 +191,9 @@ class Comparison(Summarised):
         if off[worst] > LEAVING_ERROR:
             return (
                 f"The free run of {self.table['state'].iloc[worst]} leaves the "
-                f"measurements: its error is {off[worst]:.3g} times their standard deviation, that of a "
-                "constant once. This is no usable fit. Check the units, and choose "
-                "other starting values for the parameters."
+                f"measurements: its error is {off[worst]:.3g} times their standard "
+                "deviation, that of a constant once. This is no usable fit. Check the "
+                "units, and choose other starting values for the parameters."
             )
         return flat_sentence(self.flat)
 
