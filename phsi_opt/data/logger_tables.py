@@ -33,38 +33,18 @@ class Group:
             self.units[name] = str(unit or "")
 
 
-Groups = dict[str, Group]
-
-
-def table_of_mdf(
-    file: OpenedFile, group: str | None, may_be_several: bool = False
+def table_of_groups(
+    file: OpenedFile, library: str, group: str | None, may_be_several: bool = False
 ) -> Table:
-    """The channels of a group of an MDF file; its times are in s.
+    """The channels of a group, read by one of `LIBRARIES`; its times are in s.
 
     Raises:
-        DataError: it cannot be read, or the group is not clear.
+        DataError: the file cannot be read, or the group is not clear.
     """
-    return _table(file, "asammdf", _groups_of_mdf, group, may_be_several)
-
-
-def table_of_tdms(
-    file: OpenedFile, group: str | None, may_be_several: bool = False
-) -> Table:
-    """The channels of a group of a TDMS file; times of waveforms are in s.
-
-    Raises:
-        DataError: it cannot be read, or the group is not clear.
-    """
-    return _table(file, "nptdms", _groups_of_tdms, group, may_be_several)
-
-
-def _table(
-    file: OpenedFile, library: str, groups_of: Any, group: str | None, is_any: bool
-) -> Table:
     import pandas as pd
 
     try:
-        groups = dict(groups_of(io.BytesIO(file.content)))
+        groups = dict(LIBRARIES[library](io.BytesIO(file.content)))
     except ImportError as error:
         raise DataError(
             f'{file.title} needs {library}. Install it: pip install "phsi_opt[loggers]"'
@@ -77,7 +57,7 @@ def _table(
     filled = [name for name, one in groups.items() if set(one.columns) - {TIME}]
     # Those with most samples first.
     filled.sort(key=lambda name: -len(next(iter(groups[name].columns.values()))))
-    name = chosen_part(group, filled, filled, "group", file.title, is_any)
+    name = chosen_part(group, filled, filled, "group", file.title, may_be_several)
     frame = pd.DataFrame(groups[name].columns)
     frame.index = pd.RangeIndex(1, len(frame) + 1)
     units = groups[name].units
@@ -116,3 +96,6 @@ def _groups_of_tdms(content: io.BytesIO) -> Iterator[tuple[str, Group]]:
             group.add(channel.name, channel[:], unit)
         for number, group in enumerate(by_clock.values(), 1):
             yield one.name if len(by_clock) == 1 else f"{one.name} {number}", group
+
+
+LIBRARIES = {"asammdf": _groups_of_mdf, "nptdms": _groups_of_tdms}

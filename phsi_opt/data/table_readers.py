@@ -17,7 +17,7 @@ from phsi_opt.arguments import is_size, require_known
 from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
-from phsi_opt.data.logger_tables import table_of_mdf, table_of_tdms
+from phsi_opt.data.logger_tables import table_of_groups
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
@@ -210,7 +210,8 @@ class TableReaders:
             DataError: Something cannot be used; with file, channel and row.
         """
         files = opened_files(source, as_text=False)
-        return cls.from_tables([table_of_mdf(file, group) for file in files], **words)
+        tables = [table_of_groups(file, "asammdf", group) for file in files]
+        return cls.from_tables(tables, **words)
 
     @classmethod
     def from_tdms(
@@ -235,7 +236,8 @@ class TableReaders:
             DataError: Something cannot be used; with file, channel and row.
         """
         files = opened_files(source, as_text=False)
-        return cls.from_tables([table_of_tdms(file, group) for file in files], **words)
+        tables = [table_of_groups(file, "nptdms", group) for file in files]
+        return cls.from_tables(tables, **words)
 
     @classmethod
     def from_dataframe(cls, frame: "pd.DataFrame", **words: Unpack[TableWords]) -> Self:

@@ -17,11 +17,6 @@ from phsi_opt.model.symbolic import Expressions
 from phsi_opt.presentation.numbers import number
 
 MOST_READ = 60  # of a model whose equations somebody reads
-GREEK = re.compile(
-    "(?i)(alpha|beta|gamma|delta|epsilon|zeta|eta|theta|iota|kappa|lambda|mu|nu|xi|rho|"
-    "sigma|tau|upsilon|phi|chi|psi|omega)$"
-)
-NUMBERED = re.compile(r"([A-Za-z]+)(\d+)$")
 TIMES, THIN_SPACE = "<mo>&InvisibleTimes;</mo>", '<mspace width="0.17em"/>'
 BY_NUMBER = re.compile(r"<mi>N(\d+)N</mi>")  # of a name in what SymPy writes
 
@@ -132,12 +127,10 @@ def _late(signal: str, delay: float, unit: str) -> str:
 
 def _name(name: str) -> str:
     """A name with its last part as an index, and Greek letters: omega_t, v0."""
-    name = name.rpartition(".")[2]
-    numbered = NUMBERED.match(name)
-    base, _, index = name.rpartition("_") if "_" in name else (name, "", "")
-    if numbered:
-        base, index = numbered.groups()
-    first = base.replace("_", " ")
-    said = f"&{first};" if GREEK.match(first) else escape(first)
-    found = f"<mi>{said}</mi>"
-    return f"<msub>{found}<mi>{escape(index)}</mi></msub>" if index else found
+    import sympy as sp
+    from sympy.printing.mathml import mathml
+
+    base, _, index = name.rpartition(".")[2].rpartition("_")
+    written = f"{base.replace('_', ' ')}_{index}" if base else index
+    text: str = mathml(sp.Symbol(written), printer="presentation")
+    return text

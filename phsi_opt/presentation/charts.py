@@ -36,7 +36,6 @@ MODEL = "#2f7fd6"  # blue: the model, and what was estimated
 FLOOR = "#3b8f5a"  # green: a limit set by the noise
 ATTENTION = "#c8611a"  # orange: what a reader should look at first
 FORCE = "#9a5fd0"  # violet: what is missing
-MARK = "#b5459e"  # a place that somebody points at
 BASELINE = "0.3"  # dark grey: the line at zero
 FORCE_COLORS = (FORCE, ATTENTION, FLOOR, MODEL)
 # Of one model; of base and present model; of base, first step and present model.
@@ -270,12 +269,12 @@ def _plain(value: Any) -> Any:
     return found | ({"largest": value.largest} if isinstance(value, ForceMap) else {})
 
 
-def rounded(curve: np.ndarray, digits: int = 4) -> list[float | None]:
+def rounded(curve: np.ndarray) -> list[float | None]:
     """Values (n,) with as many digits of their range as can be seen; None for NaN."""
     known = curve[np.isfinite(curve)]
     extent = float(np.ptp(known)) if len(known) else 0.0
     size = extent or (abs(float(known[0])) if len(known) else 1.0) or 1.0
-    n_decimals = digits - math.floor(math.log10(size))
+    n_decimals = 4 - math.floor(math.log10(size))
     values: list[float | None] = []
     for value in curve.tolist():
         is_known = math.isfinite(value)

@@ -428,11 +428,6 @@ def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
     return f"at {frequency:.3g} {frequency_unit(units)}"
 
 
-def force_unit(equation: str, units: Mapping[str, str]) -> str:
-    """Unit of the missing force of an equation, "" where units are not known."""
-    return rate_unit(units.get(equation, ""), units.get("t", ""))
-
-
 def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Scale:
     """A rate per hour where a record of seconds lasts for hours: degC/h.
 

@@ -14,7 +14,7 @@ import numpy as np
 from phsi_opt.data.copies import check_can_judge, copies_in
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import DataFile, NamedFile, opened_files, run_names
-from phsi_opt.data.logger_tables import table_of_mdf, table_of_tdms
+from phsi_opt.data.logger_tables import table_of_groups
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.table_readers import columns_in
@@ -34,6 +34,7 @@ READERS = {
     ".mat": "from_mat",
     ".tdms": "from_tdms",
 }
+LIBRARIES = {"from_mdf": "asammdf", "from_tdms": "nptdms"}
 OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
 OF_FILES = ("sheet", "group", *OF_TEXTS)  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
@@ -243,10 +244,8 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
     (file,) = opened_files(path, as_text=reader == TEXT_READER)
     if reader == "from_mat":
         return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
-    if reader == "from_mdf":
-        return table_of_mdf(file, given.group, is_unknown)
-    if reader == "from_tdms":
-        return table_of_tdms(file, given.group, is_unknown)
+    if reader in LIBRARIES:
+        return table_of_groups(file, LIBRARIES[reader], given.group, is_unknown)
     form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
         return table_of_csv(file, given.wanted, form, is_unknown)
