@@ -36,7 +36,7 @@ class Group:
 def table_of_groups(
     file: OpenedFile, library: str, group: str | None, may_be_several: bool = False
 ) -> Table:
-    """The channels of a group, read by one of `LIBRARIES`; its times are in s.
+    """The channels of a group, read by one of `GROUPS_BY`; its times are in s.
 
     Raises:
         DataError: the file cannot be read, or the group is not clear.
@@ -44,7 +44,7 @@ def table_of_groups(
     import pandas as pd
 
     try:
-        groups = dict(LIBRARIES[library](io.BytesIO(file.content)))
+        groups = dict(GROUPS_BY[library](io.BytesIO(file.content)))
     except ImportError as error:
         raise DataError(
             f'{file.title} needs {library}. Install it: pip install "phsi_opt[loggers]"'
@@ -98,4 +98,4 @@ def _groups_of_tdms(content: io.BytesIO) -> Iterator[tuple[str, Group]]:
             yield one.name if len(by_clock) == 1 else f"{one.name} {number}", group
 
 
-LIBRARIES = {"asammdf": _groups_of_mdf, "nptdms": _groups_of_tdms}
+GROUPS_BY = {"asammdf": _groups_of_mdf, "nptdms": _groups_of_tdms}

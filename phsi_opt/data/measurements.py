@@ -326,16 +326,14 @@ class Measurements(TableReaders, Summarised):
         """The same in other units; values are converted by the channel's name."""
         runs = []
         for run in self.trajectories:
-            parts: dict[str, Any] = {}
-            names_of = {"t": ("t",), "x": self.states, "u": self.inputs}
-            for part, names in names_of.items():
-                values = np.array(getattr(run, part))
-                columns = values[:, None] if part == "t" else values
-                for k, name in enumerate(names):
-                    if name in converted:
-                        columns[:, k] = converted[name](columns[:, k])
-                parts[part] = values
-            runs.append(replace(run, **parts))
+            t, x, u = map(np.array, (run.t, run.x, run.u))
+            columns = (t, *x.T, *u.T)  # views
+            names = ("t", *self.states, *self.inputs)
+            for name, values in zip(names, columns, strict=True):
+                if name in converted:
+                    values[:] = converted[name](values)
+            runs.append(replace(run, t=t, x=x, u=u))
+
         noise = dict(self.noise or {})
         for name in noise.keys() & converted.keys():
             zero, end = converted[name](0.0), converted[name](noise[name])

@@ -466,15 +466,7 @@ def _as_offered(
     units: Mapping[str, str] | None,
     what: str,
 ) -> list[Effect | str]:
-    """What a user gave, as the catalogue calls it; an effect of one's own as it is.
-
-    Args:
-        one: what was given.
-        offered: effects that may be meant.
-        model: to which it could be added.
-        units: of its states.
-        what: the argument that it was given as.
-    """
+    """What a user gave, as the catalogue calls it; an effect of one's own as it is."""
     if one in offered:
         return [str(one)]
     is_own = isinstance(one, Effect) and what == "effects"

@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError
@@ -22,8 +22,6 @@ from phsi_opt.model.terms import Dictionary, parameter_of
 
 if TYPE_CHECKING:
     import sympy as sp
-
-    Terms = list[sp.Expr]
 
 USUAL_INPUT = re.compile(r"u\d*")
 LIKE_VELOCITY = re.compile(r"v$|v_|dH_d|dF_d")
@@ -114,21 +112,26 @@ def mechanical(
         if one.isidentifier():
             known.setdefault(one, Parameter(1.0, lower=0.0))
         masses.append(one if one.isidentifier() else f"({one})")
-    sums = _sums_of(laws, positions, velocities, (*inputs, "t"))
+    losses, potentials, forces_left = _sums_of(
+        laws, positions, velocities, (*inputs, "t")
+    )
     efforts = dict(zip(velocities, variables.efforts[len(positions) :], strict=True))
-    R: dict[str, Dictionary] = {}
+
+    def by_momentum(slot: str, sums: "list[sp.Expr]") -> dict[str, Dictionary]:
+        found = {}
+        for momentum, one in zip(momenta, sums, strict=True):
+            if one:
+                text = _text(one, efforts)
+                found[momentum] = variables.formula(text, slot, known)
+        return found
+
+    R = by_momentum("R", losses)
     H = Dictionary()
-    F: dict[str, Dictionary] = {}
-    for momentum, loss in zip(momenta, sums.losses, strict=True):
-        if loss:
-            R[momentum] = variables.formula(_text(loss, efforts), "R", known)
     for momentum, one in zip(momenta, masses, strict=True):
         H += variables.formula(f"{momentum}**2/(2*{one})", "H", known)
-    for potential in filter(None, sums.potentials):
-        H += variables.formula(_text([potential]), "H", known)
-    for momentum, force in zip(momenta, sums.forces, strict=True):
-        if force:
-            F[momentum] = variables.formula(_text(force, efforts), "F", known)
+    for potential in filter(None, potentials):
+        H += variables.formula(_text(potential), "H", known)
+    F = by_momentum("F", forces_left)
     S = canonical(len(positions))
     model = PseudoHamiltonian(
         states=variables.states, inputs=inputs, S=S, H=H, R=R, F=F
@@ -174,21 +177,16 @@ def _check_mass(text: str, moving: set[str], known: Mapping[str, Parameter]) -> 
 # ---- where each term of a force belongs ----------------------------------------------
 
 
-class _Sums(NamedTuple):
-    """The terms of the forces by their place."""
-
-    losses: "list[Terms]"  # per coordinate
-    forces: "list[Terms]"  # per coordinate
-    potentials: "Terms"  # of different parameters
-
-
 def _sums_of(
     laws: Sequence[str],
     positions: Sequence[str],
     velocities: Sequence[str],
     others: Sequence[str],
-) -> _Sums:
-    """The terms sorted; ``others`` are inputs and the time."""
+) -> "tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]":
+    """Losses by coordinate, potentials of different parameters, forces by coordinate.
+
+    ``others`` are inputs and the time.
+    """
     import sympy as sp
 
     from phsi_opt.model.sympy_backend import SYMPY, n_expanded
@@ -204,38 +202,37 @@ def _sums_of(
         positive[symbols[name]] = sp.Dummy(positive=True)
     outside = set(map(symbols.__getitem__, (*velocities, *others)))
     x = list(map(symbols.__getitem__, positions))
-    sums = _Sums([], [], [])
-    fields: dict[frozenset[sp.Symbol], list[Terms]] = {}  # by their parameters
+    losses = [sp.Integer(0)] * len(x)
+    forces = list(losses)
+    fields: dict[frozenset[sp.Symbol], list[sp.Expr]] = {}  # by their parameters
     for k, text in enumerate(laws):
         law = sp.sympify(evaluate(text, symbols, SYMPY))
         if n_expanded(law) <= MOST_EXPANDED:
             law = law.expand(power_exp=False, power_base=False, log=False)
-        sums.losses.append([])
-        sums.forces.append([])
         for term in sp.Add.make_args(law):
             loss = -term / symbols[velocities[k]]
             if term.free_symbols.isdisjoint(outside):
                 own = frozenset(term.free_symbols & positive.keys())
-                field = fields.setdefault(own, list(map(list, [()] * len(x))))
-                field[k].append(term)
+                fields.setdefault(own, [sp.Integer(0)] * len(x))[k] += term
             elif loss.xreplace(positive).is_nonnegative:
-                sums.losses[k].append(loss)
+                losses[k] += loss
             else:
-                sums.forces[k].append(term)
+                forces[k] += term
+    potentials = []
     for field in fields.values():
         potential = _potential(field, x)
         if potential is None:  # only of those that depend on their own position
             potential = sp.Integer(0)
-            for force, terms, position in zip(sums.forces, field, x, strict=True):
-                for term in terms:
+            for k, position in enumerate(x):
+                for term in sp.Add.make_args(field[k]):
                     energy = None
                     if term.free_symbols.isdisjoint({*x} - {position}):
                         energy = _integral(term, position)
                     potential -= energy or 0
-                    force.extend([term] if energy is None else [])
+                    forces[k] += term if energy is None else 0
         forms = (potential, sp.expand(potential), sp.factor(potential))
-        sums.potentials.append(min(forms, key=lambda form: len(str(form))))
-    return sums
+        potentials.append(min(forms, key=lambda form: len(str(form))))
+    return losses, potentials, forces
 
 
 def _integral(term: "sp.Expr", x: "sp.Symbol") -> "sp.Expr | None":
@@ -245,35 +242,34 @@ def _integral(term: "sp.Expr", x: "sp.Symbol") -> "sp.Expr | None":
 
     energy = manualintegrate(term, x).replace(sp.log, lambda g: sp.log(sp.Abs(g)))
     try:
-        parse(_text([energy]))
+        parse(_text(energy))
     except ModelError:
         return None
     return energy
 
 
-def _potential(fields: "Sequence[Terms]", x: "list[sp.Symbol]") -> "sp.Expr | None":
+def _potential(field: "list[sp.Expr]", x: "list[sp.Symbol]") -> "sp.Expr | None":
     """The V of forces F_i = -dV/dx_i; None where these have none."""
     import sympy as sp
 
     V = sp.Integer(0)
-    for terms, position in zip(fields, x, strict=True):
-        energy = _integral(sp.expand(sp.Add(*terms) + V.diff(position)), position)
+    for force, position in zip(field, x, strict=True):
+        energy = _integral(sp.expand(force + V.diff(position)), position)
         if energy is None:
             return None
         V -= energy
-    for terms, position in zip(fields, x, strict=True):
-        if sp.simplify(sp.Add(*terms) + V.diff(position)) != 0:
+    for force, position in zip(field, x, strict=True):
+        if sp.simplify(force + V.diff(position)) != 0:
             return None
     return V
 
 
-def _text(terms: "Terms", efforts: Mapping[str, str] = MappingProxyType({})) -> str:
-    """The sum of the terms as a formula, with efforts in place of velocities."""
+def _text(total: "sp.Expr", efforts: Mapping[str, str] = MappingProxyType({})) -> str:
+    """An expression as a formula, with efforts in place of velocities."""
     import sympy as sp
 
     from phsi_opt.model.sympy_backend import formula_text
 
-    total = sp.Add(*terms)
     for symbol in total.free_symbols & set(map(partial(sp.Symbol, real=True), efforts)):
         total = total.xreplace({symbol: sp.Symbol(efforts[symbol.name])})
     return formula_text(total)

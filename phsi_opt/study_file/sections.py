@@ -34,7 +34,7 @@ READERS = {
     ".mat": "from_mat",
     ".tdms": "from_tdms",
 }
-LIBRARIES = {"from_mdf": "asammdf", "from_tdms": "nptdms"}
+LOGGERS = {"from_mdf": "asammdf", "from_tdms": "nptdms"}
 OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
 OF_FILES = ("sheet", "group", *OF_TEXTS)  # which tables no longer need
 DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
@@ -244,8 +244,8 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
     (file,) = opened_files(path, as_text=reader == TEXT_READER)
     if reader == "from_mat":
         return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
-    if reader in LIBRARIES:
-        return table_of_groups(file, LIBRARIES[reader], given.group, is_unknown)
+    if reader in LOGGERS:
+        return table_of_groups(file, LOGGERS[reader], given.group, is_unknown)
     form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
         return table_of_csv(file, given.wanted, form, is_unknown)
