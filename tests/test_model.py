@@ -522,3 +522,9 @@ def test_an_exponent_of_at_most_64_is_allowed() -> None:
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
     with pytest.raises(ph.ModelError, match=r"name 'omgea' .* Did you mean 'omega'\?"):
         evaluate("sin(omgea)", {"omega": 1.0}, NUMPY)
+
+
+def test_a_sum_times_its_coefficient_is_printed_in_brackets() -> None:
+    room = ph.FirstOrder(["T"], {"T": ph.formula("0")}, ["Ta"], kind="thermal")
+    room = room.add(ph.catalogue(room, called="ambient")[0])
+    assert "heat_exchange_Ta_T*(Ta - T)" in str(room)

@@ -217,6 +217,7 @@ u = {{ column = {columns["u"]} }}
 type = "FirstOrder"
 states = ["x"]
 inputs = ["u"]
+pairs = []
 F = {{ x = "-a*x + u" }}
 [parameters]
 a = {{ start = 1.0 }}

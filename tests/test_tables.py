@@ -595,9 +595,7 @@ def test_excel_dates_texts_and_sheets_without_a_header(tmp_path: Path) -> None:
     begin = dt.datetime(2021, 11, 22, 9)
     rows = [[begin, "1,5"], [begin + dt.timedelta(minutes=15), "2,5"]]
     path = workbook(tmp_path / "a.xlsx", {"one": rows, "two": rows})
-    data = ph.Measurements.from_excel(
-        path, sheet="two", time=0, states={"q": 1}, decimal=","
-    )
+    data = ph.Measurements.from_excel(path, sheet="two", time=0, states={"q": 1})
     np.testing.assert_array_equal(data.trajectories[0].t, [0, 900])
     np.testing.assert_array_equal(data.trajectories[0].x, [[1.5], [2.5]])
 
@@ -608,7 +606,7 @@ def test_excel_dates_texts_and_sheets_without_a_header(tmp_path: Path) -> None:
         ({"a": [["t", "q"], [0, 1], [1, "x"]]}, {}, "sheet 'a', column 'q', row 3: 'x' is not a real number"),
         ({"a": [["t", "q"], [0, 1], [1, "#DIV/0!"]]}, {}, "column 'q', row 3: '#DIV/0!' is not a real number"),
         ({"a": [["t", "q"], [0, 1], [0, 2]]}, {}, "column 't', row 3: 0.0 is not after"),
-        ({"a": [["t", "q"], [0, "1,5"], [1, 2]]}, {}, "row 2: '1,5' .* set decimal = \",\""),
+        ({"a": [["t", "q"], [0, "1,500"], [1, 2]]}, {}, "row 2: '1,500' .* set decimal = \",\""),
         ({"a": [["t", "q"], [0, 1], [None, 2]]}, {}, "column 't', row 3: the value is n"),
         ({"a": [[1, 2]], "b": [[1, 2]]}, {}, r"several sheets with content: \['a', 'b'\]"),
         ({"a": [[1, 2]]}, {"sheet": "A"}, "no sheet 'A'; .* Did you mean 'a'"),

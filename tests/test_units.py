@@ -12,6 +12,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.model.unit_checks import UnitCheck
 from phsi_opt.presentation.units import (
+    computed_unit,
     in_si,
     measure_of,
     scale_of,
@@ -276,6 +277,15 @@ def test_a_fit_of_converted_data_is_that_of_data_in_si() -> None:
     assert converted.values == pytest.approx(in_metres.values, rel=1e-6)
     assert abs(converted.values["k"] - 52) < 4 * converted.std_errors["k"]
     assert re.search(r"noise: q 0\.[45]\d* mm", str(converted))
+
+
+def test_a_fit_from_a_file_tells_the_units_that_were_written(tmp_path: Path) -> None:
+    stiffness = ph.Parameter(50.0, unit=computed_unit("N/mm"))
+    data = swings(MM, 1e-3, 1e3).in_si()
+    fit = ph.identify(cart(k=stiffness, m=2.5), data)
+    fit.save(tmp_path / "fit.json")
+    assert re.search(r"k = \S+ \+- \S+ N/mm\n", str(fit))
+    assert str(ph.Fit.load(tmp_path / "fit.json")) == str(fit)
 
 
 # ---- study files ---------------------------------------------------------------------

@@ -363,7 +363,7 @@ def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
     # In one pass: a unit that was put in may have the name of another parameter.
     body = IDENTIFIER.sub(estimate_of, term.body)
     coefficient = f"({_estimate(fit, term.coefficient_name(place))})"
-    return coefficient if term.body == "1" else f"{coefficient}*{body}"
+    return term.product(coefficient, body)
 
 
 def _estimate(fit: FitRecord, name: str) -> str:

@@ -18,6 +18,7 @@ from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Scan, Share, Tried
 from phsi_opt.model.slots import BY_EQUATION
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.reading import file_text, why_not_read
 
 Result = TypeVar("Result")
@@ -57,6 +58,8 @@ def encoded(value: Any) -> Any:
         return {str(name): encoded(one) for name, one in value.items()}
     if isinstance(value, tuple | list):
         return list(map(encoded, value))
+    if isinstance(value, Unit):
+        return {"computed": str(value), **vars(value.scale)}
     return value
 
 
@@ -88,6 +91,10 @@ def decoded(kind: Any, value: Any) -> Any:
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
         return kind(**{name: decoded(hints[name], v) for name, v in value.items()})
+    if kind is str and isinstance(value, Mapping):
+        return Unit(
+            value["computed"], Scale(value["unit"], value["size"], value["zero"])
+        )
     if kind is float and type(value) is int:
         return float(value)
     if issubclass(kind, StrEnum):

@@ -244,6 +244,12 @@ def names_of(text: str) -> frozenset[str]:
     return frozenset(_names_below(parse(text)))
 
 
+def is_sum(text: str) -> bool:
+    """Whether a formula needs brackets as a factor."""
+    tree = parse(text)
+    return isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add | ast.Sub)
+
+
 def _names_below(tree: ast.AST) -> set[str]:
     called = set()
     named = []

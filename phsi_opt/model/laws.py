@@ -435,8 +435,8 @@ gap | BODY | max(abs({q}) - play, 0)**2/2 | POSITION | gap_{q} >= 0 | OUTSIDE
 LASTING = _laws(
     "F",
     """
-second heat storage | HEAT | ({x}_second - {x}) | SECOND | {name}_{x} >= 0
-second charge storage | CIRCUIT | ({x}_second - {x}) | SECOND | {name}_{x} >= 0
+second heat storage | HEAT | {x}_second - {x} | SECOND | {name}_{x} >= 0
+second charge storage | CIRCUIT | {x}_second - {x} | SECOND | {name}_{x} >= 0
 parametric stiffness | BODY, PIPE | WAVES | a stiffness that changes with the time |
 parametric elastance | COIL | WAVES | a capacitance that changes with the time |
 hysteresis | BODY, PIPE, COIL | -hysteresis_{x} | hysteresis | hysteresis_force_{x} >= 0

@@ -274,7 +274,7 @@ def _term(term: Term, place: str, number: int) -> str:
     if term.is_formula:
         return term.body
     coefficient = term.name or f"c{number}"
-    return coefficient if term.body == "1" else f"{coefficient}*{term.body}"
+    return term.product(coefficient, term.body)
 
 
 def structure_rows(model: BaseModel) -> list[str]:

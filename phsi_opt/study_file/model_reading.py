@@ -128,7 +128,7 @@ class ModelReader:
             self.faults.need(said, section.get("H"), "model", "H")
             parts["H"] = self._terms(section.get("H") or (), "H", "model", "H")
         for name in OF_ENERGY:
-            if kind == WITHOUT_ENERGY and name in section:
+            if kind == WITHOUT_ENERGY and section.get(name):
                 said = f"a model of type {shown(kind)} has none; put the terms into F."
                 self.faults.add(said, "model", name)
         if not self.faults.about("model") and not self.faults.about("effects"):
