@@ -109,11 +109,7 @@ def _shown(data: object, study: Path, draws: bool) -> dict[str, object]:
 
 
 def _draw(data: Measurements, path: Path) -> None:
-    """Write the picture, unless it is there already.
-
-    Raises:
-        DataError: another file is there, or it cannot be written.
-    """
+    """Write the picture, unless it is there already."""
     drawn = repr((data.digest, sorted(data.look.units.items()), data.look.hold))
     mark = PICTURE_MARK + sha256(drawn.encode()).hexdigest().encode() + b" -->\n"
     try:

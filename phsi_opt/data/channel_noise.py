@@ -163,11 +163,6 @@ def _fitted_lattice(
     """The step by least squares, and the largest distance of a value from its lattice.
 
     Gaps of one step are averaged first, so that long gaps are counted right.
-
-    Args:
-        values: (n_values,) sorted.
-        step: Good enough to count with.
-        error: Of a value, at most.
     """
 
     def counted(step: float) -> np.ndarray:  # steps from the first value to each

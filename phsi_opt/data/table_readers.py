@@ -175,8 +175,7 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them: then
                 each file is a trajectory of its own.
-            **words: time, states, inputs, hold, trajectory, units, noise, step, start
-                and date_format, as in `from_csv`.
+            **words: The others, as in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
@@ -203,8 +202,7 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them.
             group: The group of channels; None: the only one.
-            **words: time, states, inputs, hold, trajectory, units, noise, step, start
-                and date_format, as in `from_csv`.
+            **words: The others, as in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, channel and row.
@@ -229,8 +227,7 @@ class TableReaders:
         Args:
             source: A path, a file opened for reading bytes, or several of them.
             group: The group of channels; None: the only one.
-            **words: time, states, inputs, hold, trajectory, units, noise, step, start
-                and date_format, as in `from_csv`.
+            **words: The others, as in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with file, channel and row.
@@ -245,8 +242,7 @@ class TableReaders:
 
         Args:
             frame: The table.
-            **words: time, states, inputs, hold, trajectory, units, noise, step, start
-                and date_format, as in `from_csv`.
+            **words: The others, as in `from_excel`.
 
         Raises:
             DataError: Something cannot be used; with the row's label in the index.
@@ -262,8 +258,7 @@ class TableReaders:
 
         Args:
             tables: At least one, as a file or a data frame has it.
-            **words: time, states, inputs, hold, trajectory, units, noise, step, start
-                and date_format, as in `from_csv`.
+            **words: The others, as in `from_excel`.
 
         Raises:
             TableError: Columns cannot be used.

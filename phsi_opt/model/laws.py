@@ -218,15 +218,10 @@ sensor delay | sensor = {x}(t - delay) | latency, time delay, filter delay
 """
 
 
-def _said() -> dict[str, tuple[str, tuple[str, ...]]]:
-    rows = {}
-    for line in SAID.strip().splitlines():
-        name, adds, others = (f"{line} ").split(" | ")
-        rows[name] = adds, tuple(others.strip().split(", ")) if others.strip() else ()
-    return rows
-
-
-ROWS = _said()
+ROWS: dict[str, tuple[str, tuple[str, ...]]] = {}
+for _line in SAID.strip().splitlines():
+    _name, _adds, _others = f"{_line} ".split(" | ")
+    ROWS[_name] = _adds, tuple(filter(None, _others.strip().split(", ")))
 
 
 def said_of(name: str) -> tuple[str, tuple[str, ...]]:

@@ -372,5 +372,10 @@ def place_of_parameter(name: str) -> str:
     return f"parameter {name}"
 
 
+def is_parameter(place: str) -> bool:
+    """Whether the equations call a parameter so."""
+    return place.startswith("parameter ")
+
+
 def _has_parameter(form: Form) -> bool:
-    return any(name.startswith("parameter ") for name in form)
+    return any(map(is_parameter, form))

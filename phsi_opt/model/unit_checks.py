@@ -18,6 +18,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.parameter_units import (
     Equations,
+    is_parameter,
     is_stated,
     place_of_parameter,
     solved_dimensions,
@@ -81,7 +82,7 @@ class UnitCheck:
 
     @property
     def _of_parameters(self) -> list[str]:
-        return list(filter(_is_parameter, self._stated))
+        return list(filter(is_parameter, self._stated))
 
     def _others(self, places: Iterable[str]) -> list[str]:
         """All quantities with a unit but these."""
@@ -118,7 +119,7 @@ class UnitCheck:
         if self._solved(_dimension) is not None:
             return None
         expected = {}
-        for place in sorted(self._stated, key=_is_parameter, reverse=True):
+        for place in sorted(self._stated, key=is_parameter, reverse=True):
             found = self._solved(_dimension, without=(place,))
             if found is not None:
                 expected[place] = _expected(found.get(place))
@@ -175,7 +176,7 @@ class UnitCheck:
             f"it has no unit, and the data have {data}. If it is in {unit}: "
             f'{{}} = {{{{ {key} = {number:g}, unit = "{unit}" }}}}'
         )
-        if _is_parameter(place):
+        if is_parameter(place):
             return UnitFault(name, f"{said.format(name)}.", number)
         _, at = self._equations[0].numbers[place]
         said = f"{said.format('g')} in [parameters], and g in the formula"
@@ -224,7 +225,7 @@ class UnitCheck:
         for place, number in self._numbers.items():
             is_known = _name(place) not in self.model.free and powers.get(place)
             if sizes and is_known and sizes.get(place) and place not in of_data:
-                name = _name(place) if _is_parameter(place) else "a number"
+                name = _name(place) if is_parameter(place) else "a number"
                 said = f"{name} = {number:g} has no unit, and would not be in SI units"
         if said:
             beside = self._listed(self._others(foreign))
@@ -264,10 +265,6 @@ def _without_angle(powers: Powers) -> Powers:
     if powers.keys() <= {RADIAN, "s"}:
         return powers
     return product(powers, {RADIAN: -powers.get(RADIAN, 0.0)})
-
-
-def _is_parameter(place: str) -> bool:
-    return place.startswith("parameter ")
 
 
 def _name(place: str) -> str:

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from functools import cache
 from typing import Any
 
 from nicegui import ui
@@ -12,6 +11,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from phsi_opt.errors import Complaint
 from phsi_opt.page.drafts import NAMES, PAIRS, REAL, TERMS, TEXT, WHOLE, Content
 from phsi_opt.presentation.charts import Chart, figure
+from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.sentences import environment
 from phsi_opt.study_file.keys import KEYS, KEYS_OF, Key
 
@@ -162,15 +162,10 @@ def button(label: str, then: Callable[[], Any], quiet: bool = False) -> ui.butto
     return made.props("outline" if quiet else "text-color=onprimary")
 
 
-@cache
-def _texts() -> Any:
-    templates = environment("phsi_opt.page", autoescape=True)
-    return templates.get_template("study.html.jinja").module
-
-
 def words(name: str, *facts: Any) -> str:
     """What a macro of ``study.html.jinja`` says; names in it mean nothing in HTML."""
-    return str(getattr(_texts(), name)(*facts))
+    found = environment("phsi_opt.page", autoescape=True)
+    return str(getattr(found.get_template("study.html.jinja").module, name)(*facts))
 
 
 def said_by(name: str, *facts: Any) -> None:
@@ -233,6 +228,5 @@ def _place_words(key: str) -> str:
         found = re.fullmatch(f"{pattern}(\\[.*|\\..*)?", key)
         if found is not None:
             name = found[1] if "*" in entry.path else ""
-            label = label_of(entry.path, name or "")
-            return label[:1].upper() + label[1:]
+            return capitalised(label_of(entry.path, name or ""))
     return key

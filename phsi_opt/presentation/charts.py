@@ -252,20 +252,15 @@ def _short(name: str) -> str:
 # ---- by a script -------------------------------------------------------------------
 
 
-def figure(chart: Chart) -> dict[str, Any]:
-    """What ``chart.js`` draws: the chart as JSON takes it, None for NaN."""
-    found: dict[str, Any] = _plain(chart)
-    return found
-
-
-def _plain(value: Any) -> Any:
+def figure(value: Any) -> Any:
+    """What ``chart.js`` draws: a chart, or a part of it, as JSON; None for NaN."""
     if isinstance(value, np.ndarray):
         return rounded(value) if value.ndim == 1 else list(map(rounded, value))
     if isinstance(value, list | tuple):
-        return list(map(_plain, value))
+        return list(map(figure, value))
     if not is_dataclass(value):
         return value
-    found = {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+    found = {one.name: figure(getattr(value, one.name)) for one in fields(value)}
     return found | ({"largest": value.largest} if isinstance(value, ForceMap) else {})
 
 

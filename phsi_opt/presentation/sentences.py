@@ -30,7 +30,7 @@ from phsi_opt.presentation.units import (
 )
 
 if TYPE_CHECKING:
-    from jinja2 import Environment, Template
+    from jinja2 import Environment
 
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
@@ -50,6 +50,7 @@ FILTERS = {
 }
 
 
+@cache
 def environment(package: str, folder: str = "", **settings: Any) -> "Environment":
     """The templates of a package, with what all of them use.
 
@@ -66,13 +67,6 @@ def environment(package: str, folder: str = "", **settings: Any) -> "Environment
     return found
 
 
-@cache
-def _template(package: str, file: str) -> "Template":
-    is_by_lines = file == "answers.jinja"
-    found = environment(package, trim_blocks=is_by_lines, lstrip_blocks=is_by_lines)
-    return found.get_template(file)
-
-
 def say(package: str, name: str, **facts: Any) -> Answer:
     """What the macro of a name in the package's ``words.jinja`` says of facts."""
     lead, _, detail = _told(package, "words.jinja", name, facts).partition(BEHIND_LEAD)
@@ -85,7 +79,9 @@ def lines(package: str, name: str, **facts: Any) -> str:
 
 
 def _told(package: str, file: str, name: str, facts: dict[str, Any]) -> str:
-    module = _template(package, file).make_module(facts)
+    is_by_lines = file == "answers.jinja"
+    found = environment(package, trim_blocks=is_by_lines, lstrip_blocks=is_by_lines)
+    module = found.get_template(file).make_module(facts)
     return str(getattr(module, f"tell_{name}")())
 
 

@@ -8,7 +8,6 @@ columns come again. This module imports pandas: it is imported where a table is 
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -197,11 +196,7 @@ def html_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> str:
 
 def html_shown(name: str, *facts: Any) -> str:
     """What a macro of ``shown.html.jinja`` makes of facts, as safe markup."""
-    made: str = getattr(_shown(), name)(*facts)
-    return made.strip()
-
-
-@cache
-def _shown() -> Any:
     found = environment("phsi_opt.presentation", "templates", autoescape=True)
-    return found.get_template("shown.html.jinja").module
+    module = found.get_template("shown.html.jinja").module
+    made: str = getattr(module, name)(*facts)
+    return made.strip()

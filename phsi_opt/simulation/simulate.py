@@ -271,11 +271,7 @@ def _stopped(at: float, why: str) -> SolveError:
 
 
 def _real_numbers(values: Any, name: str) -> np.ndarray:
-    """An array of floats.
-
-    Raises:
-        DataError: these are no real numbers.
-    """
+    """An array of floats."""
     with suppress(ValueError):  # rows of different lengths
         array = np.asarray(values)
         if array.dtype.kind in "biuf":
