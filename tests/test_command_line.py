@@ -635,7 +635,7 @@ def test_a_fit_of_something_else_is_not_taken(
     for name, old, new in [
         ("study.toml", "m = 2.5", "m = 2.6"),
         ("study.toml", "start = 10.0", "start = 11.0"),
-        ("study.toml", 'unit = "m"', 'unit = "mm"'),
+        ("study.toml", 'unit = "m"', 'unit = ""'),
         ("study.toml", "share = 0.4", "share = 0.4\n[final]\nruns = []"),
         ("study.toml", "[study]", "[loss]\nsteps = 2\n[study]"),
         ("friction_spring.csv", "run 1,0.1,0.326095", "run 1,0.1,0.326096"),

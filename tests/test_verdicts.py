@@ -276,7 +276,7 @@ def late_heating() -> ph.Diagnosis:
     )
     train, test = data.split(0.7)
     resistance = ph.Parameter(0.01, lower=0, unit="K/W")
-    capacity = ph.Parameter(1100.0, lower=0, unit="J/degC")
+    capacity = ph.Parameter(1100.0, lower=0, unit="W h/degC")
     law = ph.formula("(Te - T)/(R*C) + P/C", R=resistance, C=capacity)
     model = ph.FirstOrder(["T"], {"T": law}, inputs=["P", "Te"], kind="thermal")
     rivals = ["input delay of P", "quadratic heat loss", "sensor offset"]
