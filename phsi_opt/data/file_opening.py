@@ -19,16 +19,15 @@ from phsi_opt.errors import DataError
 
 Source = str | os.PathLike[str] | TextIO
 BinarySource = str | os.PathLike[str] | IO[bytes]
-NO_TEXT_TABLES = {  # what to do with files that are no text, by their suffix
-    ".xlsx": "read it with Measurements.from_excel",
-    ".xlsm": "read it with Measurements.from_excel",
-    ".mat": "read it with Measurements.from_mat",
-    ".mf4": "read it with Measurements.from_mdf",
-    ".mdf": "read it with Measurements.from_mdf",
-    ".tdms": "read it with Measurements.from_tdms",
-    ".xls": "save it as .xlsx or CSV",
-    ".ods": "save it as .xlsx or CSV",
+# The readers of `Measurements` of files that are no text, by their suffix.
+READERS = {
+    **dict.fromkeys((".xlsx", ".xlsm"), "from_excel"),
+    **dict.fromkeys((".mf4", ".mdf"), "from_mdf"),
+    ".mat": "from_mat",
+    ".tdms": "from_tdms",
 }
+# What to do with others.
+NOT_READ = dict.fromkeys((".xls", ".ods"), "save it as .xlsx or CSV")
 GUESSED = "its text is not UTF-8 and was read as Windows-1252"
 PATHS = (str, os.PathLike)
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # characters that no text table has
@@ -97,9 +96,12 @@ def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
     for file, run in zip(sources, run_names(sources), strict=True):
         path = _path(file)
         title = f"file {path!r}" if path else "open file"
-        instead = NO_TEXT_TABLES.get(Path(path or "").suffix.lower())
-        if as_text and instead:
-            raise DataError(f"{title} is not a text table; {instead}.")
+        suffix = Path(path or "").suffix.lower()
+        if as_text and suffix in {*READERS, *NOT_READ}:
+            reader = f"read it with Measurements.{READERS.get(suffix)}"
+            raise DataError(
+                f"{title} is not a text table; {NOT_READ.get(suffix, reader)}."
+            )
         content, remark = _content(file, title, as_text), ""
         if as_text:
             content, remark = _text(content, title)

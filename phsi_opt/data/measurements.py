@@ -546,9 +546,9 @@ class Measurements(TableReaders, Summarised):
         Examples:
             >>> data.plot().figure.savefig("data.png")
         """
-        from phsi_opt.presentation.pictures import plot_panels
+        from phsi_opt.presentation.charts import drawn
 
-        return plot_panels(self.chart(), ax)
+        return drawn(self.chart(), ax=ax)
 
     def _summary(self) -> Summary:
         """Numbers of trajectories and samples, span of time, and what is noticed."""

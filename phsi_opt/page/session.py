@@ -57,12 +57,6 @@ class Look:
     t: float | None = None
 
     @classmethod
-    def at(cls, content: StudyContent) -> "Look":
-        """The run held out in which the base model is off most."""
-        run = content.runs[content.shown]
-        return cls(content.shown, run.channels.index(run.worst(0)))
-
-    @classmethod
     def worst(cls, content: StudyContent | None) -> "Look | None":
         """Where the present model is said to fail; None: nowhere."""
         if content is None or content.glance is None or content.present is None:
@@ -584,7 +578,7 @@ class Session:
             self.now = len(self.models) - 1
             self._compare_with_base()
             if self.job is None or not self.job.compares:
-                self.look = Look.at(content)
+                self.look = Look(content.shown, content.shown_channel)
         else:
             assert self.now is not None
             further = replace(known, content=content, study=shown.study)

@@ -10,6 +10,7 @@ import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import chain
 from textwrap import wrap
 from typing import Any
 
@@ -282,25 +283,22 @@ def rounded(curve: np.ndarray) -> list[float | None]:
 
 def svg(chart: Chart) -> str:
     """A chart as the text of an SVG file."""
-    heights = [panel.height for panel in chart.panels] or [1.0]
     with rc_context(STYLE):
-        size = (7.2, 1.0 + 2.4 * sum(heights))  # inches: as wide as a page of paper
-        figure = Figure(figsize=size, layout="constrained")
-        layout: Any = {"sharex": True, "squeeze": False, "height_ratios": heights}
-        axes = figure.subplots(len(heights), 1, **layout)[:, 0]
-        for place, ax in enumerate(axes):
-            draw(ax, chart, place)
-            ax.label_outer()
-            for line in ax.lines:  # of many points each takes 100 letters
-                is_cloud = (
-                    line.get_linestyle() == "None" and len(line.get_xydata()) > 300
-                )
-                line.set_rasterized(is_cloud)
-        axes[0].set_title(_short(chart.title), loc="left", fontsize=10)
+        figure = Figure(figsize=_size(chart, 7.2), layout="constrained")  # as a page
+        ax = drawn(chart, ax=figure.add_subplot())
+        for line in chain.from_iterable(map(Axes.get_lines, figure.axes)):
+            is_cloud = line.get_linestyle() == "None" and len(line.get_xydata()) > 300
+            line.set_rasterized(is_cloud)  # of many points each takes 100 letters
+        ax.set_title(_short(chart.title), loc="left", fontsize=10)
         text = io.StringIO()
         written: Any = {"format": "svg", "metadata": {"Date": None, "Creator": None}}
         figure.savefig(text, dpi=150, **written)
     return text.getvalue()
+
+
+def _size(chart: Chart, width: float) -> tuple[float, float]:
+    """The size of its figure in inches."""
+    return width, 1.0 + 2.4 * (sum(panel.height for panel in chart.panels) or 1.0)
 
 
 def axes_of(ax: Axes | None, size: tuple[float, float]) -> Axes:
@@ -310,13 +308,38 @@ def axes_of(ax: Axes | None, size: tuple[float, float]) -> Axes:
     return ax or plt.subplots(figsize=size, layout="constrained")[1]
 
 
+def _rows_of(ax: Axes, heights: Sequence[float]) -> list[Axes]:
+    """The place of axes in rows of relative heights; the first one has the axes."""
+    place = ax.get_subplotspec()
+    if place is None:  # free in the figure: a grid within the same box
+        box = ax.get_position()
+        edges = {"left": box.x0, "right": box.x1, "bottom": box.y0, "top": box.y1}
+        place = ax.figure.add_gridspec(1, 1, **edges)[0]
+    grid = place.subgridspec(len(heights), 1, height_ratios=heights)
+    ax.set_subplotspec(grid[0])
+    rows = [ax]
+    for k in range(1, len(heights)):
+        rows.append(ax.figure.add_subplot(grid[k], sharex=ax))
+    return rows
+
+
 def drawn(
-    chart: Chart, title: str, ax: Axes | None, size: tuple[float, float] = (7.0, 3.8)
+    chart: Chart,
+    title: str = "",
+    ax: Axes | None = None,
+    size: tuple[float, float] | None = None,
 ) -> Axes:
-    """A chart of one panel under a title, on axes or on those of a new figure."""
-    ax = axes_of(ax, size)
-    draw(ax, chart)
-    ax.set_title(title)
+    """All panels of a chart below each other, the first one on axes."""
+    heights = [panel.height for panel in chart.panels] or [1.0]
+    ax = axes_of(ax, size or _size(chart, 8.0))
+    rows = _rows_of(ax, heights) if len(heights) > 1 else [ax]
+    for place, row in enumerate(rows):
+        draw(row, chart, place)
+        is_last = row is rows[-1]
+        row.tick_params(axis="x", labelbottom=is_last)
+        row.xaxis.label.set_visible(is_last)
+    if title:
+        ax.set_title(title)
     return ax
 
 

@@ -83,36 +83,7 @@ def plot_free_run(
     below = Panel(told, residuals, noise=noise, height=0.5)
     has_noise = all(channel.noise for channel in channels)
     chart = Chart(label("t", t_unit), (above, below) if has_noise else (above,))
-    ax = plot_panels(chart, axes_of(ax, (8.0, 4.8)))
-    ax.set_title(title)
-    return ax
-
-
-def _rows_of(ax: Axes, heights: Sequence[float]) -> list[Axes]:
-    """The place of axes in rows of relative heights; the first one has the axes."""
-    place = ax.get_subplotspec()
-    if place is None:  # free in the figure: a grid within the same box
-        box = ax.get_position()
-        edges = {"left": box.x0, "right": box.x1, "bottom": box.y0, "top": box.y1}
-        place = ax.figure.add_gridspec(1, 1, **edges)[0]
-    grid = place.subgridspec(len(heights), 1, height_ratios=heights)
-    ax.set_subplotspec(grid[0])
-    rows = [ax]
-    for number in range(1, len(heights)):
-        rows.append(ax.figure.add_subplot(grid[number], sharex=ax))
-    return rows
-
-
-def plot_panels(chart: Chart, ax: Axes | None = None) -> Axes:
-    """All panels of a chart below each other, the first one on axes."""
-    heights = [panel.height for panel in chart.panels]
-    rows = _rows_of(axes_of(ax, (8.0, 1.0 + 2.4 * sum(heights))), heights)
-    for place, row in enumerate(rows):
-        draw(row, chart, place)
-        is_last = row is rows[-1]
-        row.tick_params(axis="x", labelbottom=is_last)
-        row.xaxis.label.set_visible(is_last)
-    return rows[0]
+    return drawn(chart, title, ax, (8.0, 4.8))
 
 
 def plot_missing_force(
@@ -200,9 +171,7 @@ def plot_states(
             curves, name = [], "estimated (not measured)"
         curves.append(Curve(name, t, one.simulated, MODEL))
         panels.append(Panel(label(one.name, one.unit), curves, height=0.75))
-    ax = plot_panels(Chart(label("t", t_unit), tuple(panels)), ax)
-    ax.set_title(title)
-    return ax
+    return drawn(Chart(label("t", t_unit), tuple(panels)), title, ax)
 
 
 # ---- how well every parameter is known -----------------------------------------------

@@ -13,7 +13,13 @@ import numpy as np
 
 from phsi_opt.data.copies import check_can_judge, copies_in
 from phsi_opt.data.excel_tables import table_of_excel
-from phsi_opt.data.file_opening import DataFile, NamedFile, opened_files, run_names
+from phsi_opt.data.file_opening import (
+    READERS,
+    DataFile,
+    NamedFile,
+    opened_files,
+    run_names,
+)
 from phsi_opt.data.logger_tables import table_of_groups
 from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.measurements import Measurements
@@ -28,12 +34,6 @@ from phsi_opt.presentation.units import scale_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
-READERS = {
-    **dict.fromkeys((".xlsx", ".xlsm"), "from_excel"),
-    **dict.fromkeys((".mf4", ".mdf"), "from_mdf"),
-    ".mat": "from_mat",
-    ".tdms": "from_tdms",
-}
 LOGGERS = {"from_mdf": "asammdf", "from_tdms": "nptdms"}
 OF_TEXTS = ("columns", "separator", "decimal", "skip", "units_row")
 OF_FILES = ("sheet", "group", *OF_TEXTS)  # which tables no longer need
@@ -268,11 +268,6 @@ class HeldOut:
     share: float | None = None
     after: float | None = None
 
-    @property
-    def training_share(self) -> float:
-        """What `Measurements.split` is asked for."""
-        return round(1 - (self.share or 0.0), 12)  # 1 - 0.4 reads 0.6
-
     def split(self, data: Measurements) -> tuple[Measurements, Measurements]:
         """Training data and data held out.
 
@@ -287,7 +282,7 @@ class HeldOut:
             train = data.between(None, float(np.nextafter(after, -np.inf)))
             held_out = data.between(after, None)
         else:
-            train, held_out = data.split(self.training_share)
+            train, held_out = data.split(round(1 - (self.share or 0.0), 12))
         check_can_judge(train, held_out)
         return train, held_out
 
