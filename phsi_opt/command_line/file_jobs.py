@@ -51,12 +51,7 @@ def first_study(
 ) -> Answer:
     """Write a study file; nothing that is there is overwritten unless forced.
 
-    Args:
-        tables: The paths of the data files.
-        study: The path of the study file.
-        force: Whether to overwrite one that is there.
-        model: The name of a base model of the gallery; None: the model stays empty.
-        draws: Whether to write a picture of the measurements beside it.
+    Without the name of a base model the model stays empty.
 
     Raises:
         DataError: the table cannot be read, the study file is there already, or the
@@ -126,10 +121,6 @@ def _draw(data: Measurements, path: Path) -> None:
 
 def checked(path: Path, draws: bool = True) -> Answer:
     """A summary of a study file, or everything that is wrong, and what stands empty.
-
-    Args:
-        path: Of the study file.
-        draws: Whether to write a picture of the measurements beside it.
 
     Raises:
         StudyFileError: it cannot be read, or is no TOML.

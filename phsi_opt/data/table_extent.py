@@ -150,12 +150,7 @@ class Section:
     def head(
         self, is_first: bool, units_row: int | None
     ) -> tuple[Row | None, Row | None]:
-        """The rows of the names and of the units.
-
-        Args:
-            is_first: Whether the names are in its first row, not near the values.
-            units_row: The row of the units; 0: there is none; None: it is looked for.
-        """
+        """The rows of the names (``is_first``: at its top) and of the units."""
         is_wide = len(self.typical.rstrip()) > 1
         titled = [row for row in self.texts if not is_wide or row.width > 1]
         plain = list(itertools.filterfalse(attrgetter("is_comment"), titled)) or titled

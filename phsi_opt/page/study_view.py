@@ -61,11 +61,7 @@ STALE = (
 
 
 class StudyView:
-    """Draws the study as it stands.
-
-    Args:
-        session: whose study it is.
-    """
+    """Draws the study as it stands."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -429,10 +425,7 @@ def beside(
 ) -> tuple[StudyContent, Run]:
     """Content and run to draw: the free runs of several models, each by its name.
 
-    Args:
-        models: their studies, by what they are called; the run is of the last one.
-        run: measured.
-        channel: number of the one that is drawn.
+    The run is that of the last one.
     """
     one = run.channels[channel]
     simulated = {}

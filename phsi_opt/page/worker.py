@@ -111,12 +111,7 @@ class WorkerHandle:
         return self._process.is_alive()
 
     def tell(self, order: Order, study: bytes | None = None) -> None:
-        """Send an order; the worker takes it when the one before is done.
-
-        Args:
-            order: what to do.
-            study: to go on from, as a worker sent it; None: it needs none.
-        """
+        """Send an order; the worker takes it when the one before is done."""
         if study is not None and study is not self.study:
             self.study = study
             self._orders.put(study)

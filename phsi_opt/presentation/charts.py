@@ -287,8 +287,8 @@ def svg(chart: Chart) -> str:
         figure = Figure(figsize=_size(chart, 7.2), layout="constrained")  # as a page
         ax = drawn(chart, ax=figure.add_subplot())
         for line in chain.from_iterable(map(Axes.get_lines, figure.axes)):
-            is_cloud = line.get_linestyle() == "None" and len(line.get_xydata()) > 300
-            line.set_rasterized(is_cloud)  # of many points each takes 100 letters
+            if line.get_linestyle() == "None":  # each of many points takes 100 letters
+                line.set_rasterized(np.size(line.get_xdata()) > 300)
         ax.set_title(_short(chart.title), loc="left", fontsize=10)
         text = io.StringIO()
         written: Any = {"format": "svg", "metadata": {"Date": None, "Creator": None}}

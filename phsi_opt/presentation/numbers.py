@@ -118,13 +118,7 @@ def listed(names: Sequence[str], nothing: str = "") -> str:
 
 
 def number_of(n: int, noun: str, plural: str | None = None) -> str:
-    """A number with its noun, such as "1 sample" and "3 samples".
-
-    Args:
-        n: The number.
-        noun: The noun for one.
-        plural: The noun for several, where an s at the end is not enough.
-    """
+    """A number with its noun, such as "1 sample" and "3 samples"."""
     return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 

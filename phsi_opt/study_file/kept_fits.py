@@ -34,15 +34,10 @@ PACKAGE = Path(__file__).parents[1]
 
 @dataclass(frozen=True)
 class KeptFits:
-    """The fits of one study, by the effects that are added.
+    """The fits of one study, by the effects that are added."""
 
-    Args:
-        path: of their file.
-        key: tells this study from others.
-    """
-
-    path: Path
-    key: str
+    path: Path  # of their file
+    key: str  # tells this study from others
 
     @classmethod
     def of(cls, study_file: Path, sections: Sections, train: Measurements) -> Self:

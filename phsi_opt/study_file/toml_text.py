@@ -157,10 +157,6 @@ ABOUT_ADDED = "effects added so far, the oldest first"
 def add_effects(path: Path, names: Iterable[str]) -> Path:
     """Write effects into the list ``added`` of a study file.
 
-    Args:
-        path: of the study file.
-        names: of the effects, such as ``"coulomb friction on p"``.
-
     Returns:
         The path of the file as it was before.
 
