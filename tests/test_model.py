@@ -528,3 +528,6 @@ def test_a_sum_times_its_coefficient_is_printed_in_brackets() -> None:
     room = ph.FirstOrder(["T"], {"T": ph.formula("0")}, ["Ta"], kind="thermal")
     room = room.add(ph.catalogue(room, called="ambient")[0])
     assert "heat_exchange_Ta_T*(Ta - T)" in str(room)
+    spring = ph.FirstOrder(["x", "v"], {"x": ph.formula("v"), "v": ph.formula("-x")})
+    spring = spring.add(ph.catalogue(spring, called="duffing spring")[0])
+    assert "cubic_stiffness_x*(-x**3)" in str(spring)

@@ -141,8 +141,19 @@ def test_a_unit_that_the_model_states_is_kept_and_tells_the_others() -> None:
 
 
 def test_written_powers_are_read_and_written_alike() -> None:
-    for unit in ("N s/m", "kg m^2", "1/s", "m/s^2", "degC/(W h)", "W", "%"):
+    for unit in (
+        "N s/m",
+        "kg m^2",
+        "1/s",
+        "m/s^2",
+        "degC/(W h)",
+        "W",
+        "%",
+        "A/(V^3 s)",
+    ):
         powers = powers_as_written(unit)
         assert powers is not None
         assert coefficient_unit(powers) == unit
+    powers = powers_in_base_units("A/(V^3 s)")
+    assert powers is not None and coefficient_unit(powers) == "A/(V^3 s)"
     assert powers_as_written("3 apples") is None

@@ -150,6 +150,17 @@ def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(
     assert position_of_momentum(heat) == {}
 
 
+def test_a_voltage_is_the_position_of_the_current_that_charges_it() -> None:
+    capacity = ph.Parameter(2.2e-5, lower=0)
+    rates = {"u": ph.formula("i/C", C=capacity), "i": ph.formula("-u")}
+    circuit = ph.FirstOrder(["u", "i"], rates, kind="electrical")
+    assert position_of_momentum(circuit) == {"i": "u"}
+    assert ph.catalogue(circuit, called="cubic elastance")[0].equation == "i"
+    assert position_of_momentum(replace(circuit, kind={})) == {}
+    rates["u"] = ph.formula("i/C", C=replace(capacity, lower=-1.0))
+    assert position_of_momentum(replace(circuit, F=rates)) == {}
+
+
 @pytest.mark.parametrize(
     "rate",
     [

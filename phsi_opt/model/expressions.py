@@ -244,10 +244,11 @@ def names_of(text: str) -> frozenset[str]:
     return frozenset(_names_below(parse(text)))
 
 
-def is_sum(text: str) -> bool:
-    """Whether a formula needs brackets as a factor."""
+def needs_brackets(text: str) -> bool:
+    """Whether a formula stands in brackets behind a factor: a sum, or one with a sign."""
     tree = parse(text)
-    return isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add | ast.Sub)
+    is_sum = isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add | ast.Sub)
+    return is_sum or text.lstrip()[0] in "+-"
 
 
 def _names_below(tree: ast.AST) -> set[str]:

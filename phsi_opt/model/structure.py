@@ -6,7 +6,7 @@ two are of one kind: a gyrator, such as that of a motor, looks nearly the same i
 so does a pair without inertia. A momentum that is coupled to more than its position, as
 that of a piston is to a pressure, must be told to be mechanical; else it could be the
 flow between two tanks. Without an energy an equation dx/dt = v makes x the position of
-the velocity v. What lies outside such pairs is a storage (a tank, a capacitor) or a
+the velocity v, and du/dt = i/C the voltage u that of the current i. What lies outside such pairs is a storage (a tank, a capacitor) or a
 flow (a pipe, a coil); where neither the model nor a unit tells which, a state counts as
 both. Where the model loses energy already says nothing about that.
 """
@@ -106,19 +106,26 @@ def _momentum(model: BaseModel, S: np.ndarray, position: str) -> str:
 
 
 def _velocity(model: BaseModel, position: str) -> str:
-    """The v of an equation dx/dt = c v with a known c > 0; "" for any other."""
+    """The v of an equation dx/dt = c v with c > 0; "" for any other.
+
+    Where c is not known, both must be told to be of a kind: i and u in du/dt = i/C.
+    """
     terms = model.terms_at("F", position).terms
     if len(terms) != 1 or model.terms_at("R", position):
         return ""
     (term,) = terms
-    known = {name: p.value for name, p in term.inner.items() if p.fixed}
-    if term.coefficient is not None and not term.coefficient.fixed:
-        return ""
-    names = names_of(term.body) - set(known)
+    factors = [one for one in (*term.inner.values(), term.coefficient) if one]
+    names = names_of(term.body) - set(term.inner)
     if len(names) != 1 or not names <= set(model.states) - {position}:
         return ""
     (velocity,) = names
-    factor = 1.0 if term.coefficient is None else term.coefficient.start
+    is_known = all(one.fixed for one in factors)
+    is_positive = all(one.fixed or one.lower >= 0 for one in factors)
+    if not is_known and not (is_positive and {position, velocity} <= set(model.kind)):
+        return ""
+    known = {name: one.value if one.fixed else 1.0 for name, one in term.inner.items()}
+    coefficient = term.coefficient
+    factor = coefficient.start if coefficient and coefficient.fixed else 1.0
     at = np.array(PROBED)
     with np.errstate(all="ignore"):  # not every law has a value at all of them
         rate = factor * evaluate(term.body, {**known, velocity: at}, NUMPY)

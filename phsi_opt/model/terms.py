@@ -16,7 +16,7 @@ from typing import Any
 
 from phsi_opt.arguments import require_count
 from phsi_opt.errors import ModelError, shown
-from phsi_opt.model.expressions import FUNCTIONS, MAX_EXPONENT, is_sum, names_of
+from phsi_opt.model.expressions import FUNCTIONS, MAX_EXPONENT, names_of, needs_brackets
 from phsi_opt.model.parameters import Parameter, Scan
 from phsi_opt.presentation.numbers import short_repr
 
@@ -76,9 +76,7 @@ class Term:
         """The term as text, with the texts of its coefficient and of its body."""
         if self.body == "1":
             return coefficient
-        return (
-            f"{coefficient}*({body})" if is_sum(self.body) else f"{coefficient}*{body}"
-        )
+        return f"{coefficient}*{f'({body})' if needs_brackets(self.body) else body}"
 
     def coefficient_name(self, place: str) -> str:
         """Name of the coefficient at a place such as 'H' or 'F_p'."""

@@ -146,7 +146,10 @@ def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
     for unit, known in KNOWN.items():
         if basic == known:
             return unit
-    return _written(powers)
+    mass = powers.get("kg", 0.0)
+    in_volts = product(product(powers, KNOWN["V"], -mass), {"V": mass})
+    is_electrical = "A" in powers and "m" not in in_volts
+    return _written(in_volts if is_electrical else powers)
 
 
 def _mechanical(basic: Powers) -> str:
