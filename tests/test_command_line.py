@@ -290,6 +290,20 @@ def test_names_units_and_parts_are_read_from_headers(time: str, tmp_path: Path) 
     assert seen == HEADERS
 
 
+def test_a_column_that_changes_where_the_times_begin_anew_names_the_runs(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "roll.csv"
+    rows = [f"{k % 4},{k % 5 + 1},{1 + k // 4},{k % 4 // 2}" for k in range(12)]
+    path.write_text("\n".join(["time (min),speed (km/h),pass,gear", *rows]))
+    seen = survey(path)
+    parts = {one.label: one.part for one in seen.columns}
+    assert parts == {"time": "time", "speed": "state", "pass": "run", "gear": "state"}
+    assert seen.n_runs == 3
+    path.write_text("\n".join(["time (min),speed (km/h),pass,gear", *rows[:4]]))
+    assert survey(path).run is None
+
+
 TABLES = {
     "heaters/tclab.txt": ("T = Temperature_1", []),
     "building/blg_1.csv": ("yTi", []),

@@ -245,7 +245,7 @@ def names_of(text: str) -> frozenset[str]:
 
 
 def needs_brackets(text: str) -> bool:
-    """Whether a formula stands in brackets behind a factor: a sum, or one with a sign."""
+    """Whether a formula is a sum or has a sign, and not to stand behind a factor."""
     tree = parse(text)
     is_sum = isinstance(tree, ast.BinOp) and isinstance(tree.op, ast.Add | ast.Sub)
     return is_sum or text.lstrip()[0] in "+-"

@@ -6,9 +6,10 @@ two are of one kind: a gyrator, such as that of a motor, looks nearly the same i
 so does a pair without inertia. A momentum that is coupled to more than its position, as
 that of a piston is to a pressure, must be told to be mechanical; else it could be the
 flow between two tanks. Without an energy an equation dx/dt = v makes x the position of
-the velocity v, and du/dt = i/C the voltage u that of the current i. What lies outside such pairs is a storage (a tank, a capacitor) or a
-flow (a pipe, a coil); where neither the model nor a unit tells which, a state counts as
-both. Where the model loses energy already says nothing about that.
+the velocity v, and du/dt = i/C the voltage u that of the current i. What lies outside
+such pairs is a storage (a tank, a capacitor) or a flow (a pipe, a coil); where neither
+the model nor a unit tells which, a state counts as both. Where the model loses energy
+already says nothing about that.
 """
 
 from collections.abc import Mapping

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from phsi_opt.data.checks import RESERVED_NAMES, checked_names
 from phsi_opt.data.file_opening import DataFile
@@ -204,7 +205,7 @@ def survey(path: DataFile) -> TableSurvey:
             f"{path} has {'1 line' if n_lines else 'no line'} below its header; at "
             "least 2 are needed, and a study needs many more."
         )
-    run = next(filter(_is_run, columns), None)
+    run = next(filter(_is_run, columns), None) or _run_by_times(columns)
     others = [one for one in columns if one is not run]
     steps = [one for one in others if one.is_step and one.only_number]
     of_step = steps[0] if steps else None
@@ -261,6 +262,18 @@ def _is_run(one: Column) -> bool:
     if one.n_missing:
         one.wrong = f"{one.first_missing} has no name of a run"
     return True
+
+
+def _run_by_times(columns: list[Column]) -> Column | None:
+    """The column that changes just where the times begin anew, whatever its name."""
+    times = [one.values for one in columns if one.is_time and one.values is not None]
+    for values in times[:1]:
+        numbers = np.cumsum([0, *(np.diff(values) < 0)])  # of the runs
+        for one in columns if numbers[-1] else ():
+            if np.array_equal(pd.factorize(one.cells)[0], numbers):
+                one.said = f"{numbers[-1] + 1} runs"
+                return one
+    return None
 
 
 def _time(
