@@ -115,21 +115,22 @@ def _velocity(model: BaseModel, position: str) -> str:
     if len(terms) != 1 or model.terms_at("R", position):
         return ""
     (term,) = terms
-    factors = [one for one in (*term.inner.values(), term.coefficient) if one]
     names = names_of(term.body) - set(term.inner)
     if len(names) != 1 or not names <= set(model.states) - {position}:
         return ""
     (velocity,) = names
-    is_known = all(one.fixed for one in factors)
-    is_positive = all(one.fixed or one.lower >= 0 for one in factors)
-    if not is_known and not (is_positive and {position, velocity} <= set(model.kind)):
-        return ""
-    known = {name: one.value if one.fixed else 1.0 for name, one in term.inner.items()}
-    coefficient = term.coefficient
-    factor = coefficient.start if coefficient and coefficient.fixed else 1.0
+    factors = dict(term.inner)
+    if term.coefficient is not None:
+        factors[""] = term.coefficient
+    known = {"": 1.0}
+    for name, one in factors.items():
+        known[name] = one.start if one.fixed else 1.0  # only its sign is asked for
+        is_told = one.lower >= 0 and {position, velocity} <= set(model.kind)
+        if not one.fixed and not is_told:
+            return ""
     at = np.array(PROBED)
     with np.errstate(all="ignore"):  # not every law has a value at all of them
-        rate = factor * evaluate(term.body, {**known, velocity: at}, NUMPY)
+        rate = known.pop("") * evaluate(term.body, {**known, velocity: at}, NUMPY)
         is_proportional = bool(np.all(rate / at == rate[0] / at[0]))
     return velocity if is_proportional and rate[0] > 0 else ""
 
