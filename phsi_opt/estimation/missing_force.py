@@ -183,6 +183,8 @@ def smoothed(
     grid: Grid,
     sigma: np.ndarray,
     theta: np.ndarray | None = None,
+    *,
+    forces: Forces | None = None,
     **options: Any,
 ) -> ForceEstimate:
     """States, also unmeasured ones, and missing force at given parameters.
@@ -198,7 +200,7 @@ def smoothed(
     point = first_point(model, grid)
     if theta is not None:
         point = replace(point, theta=theta)
-    usual = generous_force(model, grid, point)
+    usual = generous_force(model, grid, point) if forces is None else forces
     widths = {name: model.values[name] for name in corner_widths(model)}
 
     def first_found(is_patient: bool) -> tuple[tuple[float, Forces], ForceEstimate]:
