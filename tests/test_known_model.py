@@ -2,11 +2,13 @@
 to estimate.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from scipy import stats
 
 import phsi_opt as ph
 from problems.examples.friction_spring import CSV
@@ -85,6 +87,25 @@ def test_a_complete_model_leaves_the_noise_floor() -> None:
     assert bands is not None
     # What is uncertain is the start alone, known better than a single sample.
     assert 0 < bands[0][0, 0] < NOISE
+
+
+def test_the_noise_floor_is_an_estimate_with_an_interval() -> None:
+    data = swings(damped_spring(), seed=4)
+    found = ph.compare(damped_spring(), data)
+    low, high = found.noise_floor_interval
+    assert low < NOISE < high
+    # Each trajectory has two starting states; chi square by SciPy's own distribution.
+    freedom = int(np.isfinite(data.stacked("x")).sum()) - 2 * len(data)
+    share = found.noise_floor_std_error / found.noise_floor
+    assert share == pytest.approx(1 / np.sqrt(2 * freedom), rel=1e-9)
+    limits = stats.chi2(freedom).ppf([0.975, 0.025])
+    ends = found.noise_floor * np.sqrt(freedom / limits)
+    assert (low, high) == pytest.approx(tuple(ends), rel=1e-9)
+    said = f"noise floor {found.noise_floor:.3g} (95 %: {low:.3g} to {high:.3g})"
+    assert said in str(found)
+    declared = ph.compare(damped_spring(), replace(data, noise={"q": NOISE}))
+    assert declared.noise_floor_std_error == 0
+    assert declared.noise_floor_interval == (NOISE, NOISE)
 
 
 def test_a_model_is_compared_as_its_fit_is() -> None:

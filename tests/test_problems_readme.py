@@ -34,7 +34,9 @@ def percent(share: float, digits: int = 0) -> str:
 def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
     text = (RESULTS / "demo.md").read_text("utf-8")
     # step, effect, training error, held-out error, noise floor, ...
-    rows = re.findall(r"^[ |]+\d .*?((?:[\d.]+[ |]+){3})", text.split("## Errors")[1], re.M)
+    rows = re.findall(
+        r"^[ |]+\d .*?((?:[\d.]+[ |]+){3})", text.split("## Errors")[1], re.M
+    )
     errors = [[float(cell) for cell in row.replace("|", " ").split()] for row in rows]
     before, after, floor = errors[0][1], errors[-1][1], errors[-1][2]
     assert f"held-out error {before:.4f} -> {after:.4f} m" in readme

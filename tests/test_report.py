@@ -77,7 +77,6 @@ from phsi_opt.study.content import (
     _errors,
     ends_within,
     glance_of,
-    is_just_below,
     study_content,
 )
 from phsi_opt.study.record import StudyRecord
@@ -839,12 +838,14 @@ def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
 def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
     study: ph.Study,
 ) -> None:
-    assert is_just_below(0.0423, 0.0424)
-    assert not is_just_below(0.0440, 0.0424)
-    assert not is_just_below(0.0203, 0.0424)
-    comparison: Any = SimpleNamespace(rmse=0.0423, noise_floor=0.0424, error_unit="m")
-    training: Any = SimpleNamespace(rmse=0.0412, noise_floor=0.0424, error_unit="m")
+    floor: Any = {"noise_floor": 0.0424, "noise_floor_interval": (0.0405, 0.0443)}
+    floor["floor_words"] = lambda *_: "0.0424 m (95 %: 0.0405 to 0.0443)"
+    comparison: Any = SimpleNamespace(rmse=0.0423, error_unit="m", **floor)
+    training: Any = SimpleNamespace(rmse=0.0412, error_unit="m", **floor)
     step = replace(study.steps[0], held_out=comparison, train=training)
     assert _errors(replace(study.record, steps=(step,))).endswith(
-        "0.0423 and 0.0412 (training) equal the noise floor within its uncertainty."
+        "0.0423 and 0.0412 (training) equal the noise, which is estimated as 0.0424 m "
+        "(95 %: 0.0405 to 0.0443)."
     )
+    training.rmse = 0.0404  # below the interval
+    assert "0.0423 equals the noise, " in _errors(replace(study.record, steps=(step,)))

@@ -269,7 +269,8 @@ def test_the_history_is_drawn_with_its_values_and_a_log_axis_over_decades(
     for error in (*hidden.history["train_rmse"], *hidden.history["held_out_rmse"]):
         assert f"{error:.3g}" in texts
     _, names = axes.get_legend_handles_labels()
-    assert f"noise floor {hidden.history['noise_floor'].iloc[-1]:.3g}" in names
+    floor = hidden.history["noise_floor"].iloc[-1]
+    assert any(one.startswith(f"noise floor {floor:.3g} (95 %: ") for one in names)
     # Numbers stand below and above: of two equal errors both are seen.
     assert {text.get_verticalalignment() for text in axes.texts[:2]} == {"top"}
     assert {text.get_verticalalignment() for text in axes.texts[2:]} == {"bottom"}

@@ -24,6 +24,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix
 from phsi_opt.estimation.identify import fit_of
+from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.record import Record, smoothed_states
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.interrupts import interruptible
@@ -31,10 +32,18 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import white_system
+from phsi_opt.presentation.numbers import with_interval
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of, spaced
 from phsi_opt.simulation.simulate import free_run
-from phsi_opt.statistics import TINY, ljung_box, profiled_deviance, rms
+from phsi_opt.statistics import (
+    TINY,
+    autocorrelation_time,
+    chi_square_limit,
+    ljung_box,
+    profiled_deviance,
+    rms,
+)
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -260,6 +269,42 @@ class Comparison(Summarised):
         return float(np.sqrt(np.sum(squares) / self._n_values.sum()))
 
     @cached_property
+    def noise_floor_std_error(self) -> float:
+        """Standard error of `noise_floor`, on its scale; 0 where all noise is declared.
+
+        ``floor / sqrt(2 nu)``. The degrees of freedom nu of a channel are its values
+        without its share of the parameters and starting states, fewer where noise
+        lasts. The variances of channels add up (Satterthwaite 1946).
+        """
+        n = self._n_values
+        n_used = self.data.n_trajectories * self.model.n_states
+        n_used += self.record.is_of_training * len(self.fit.names)
+        freedom = n * max(1 - n_used / n.sum(), LEAST_COUNTED)
+        if self.record.has_correlated_noise:
+            by_state = zip(*(run.T for run in self.residuals), strict=True)
+            freedom /= [autocorrelation_time(list(map(_known, s))) for s in by_state]
+        is_open = (n > 0) & ~np.isin(self.model.states, list(self.data.noise or {}))
+        squares = n[is_open] * (self.sigma * self.weights)[is_open] ** 2 / n.sum()
+        variance = np.sum(2 * squares**2 / freedom[is_open])  # of the floor's square
+        return float(np.sqrt(variance)) / (2 * self.noise_floor)
+
+    @property
+    def noise_floor_interval(self) -> tuple[float, float]:
+        """95 % interval of `noise_floor`, ``floor * sqrt(nu / chi2)`` by chi square."""
+        floor, share = self.noise_floor, self.noise_floor_std_error / self.noise_floor
+        if not share:
+            return floor, floor
+        nu = 1 / (2 * share**2)
+        high, low = map(chi_square_limit, (0.975, 0.025), (nu, nu))
+        return floor * (nu / low) ** 0.5, floor * (nu / high) ** 0.5
+
+    def floor_words(self, size: float = 1.0, unit: str | None = None) -> str:
+        """The noise floor with its interval, times a size, with " m" as the unit."""
+        unit = spaced(self.error_unit) if unit is None else unit
+        low, high = self.noise_floor_interval
+        return with_interval(size * self.noise_floor, (size * low, size * high), unit)
+
+    @cached_property
     def energy(self) -> "pd.DataFrame":
         """The energy balance of the free run, change of H = supplied - dissipated.
 
@@ -329,8 +374,7 @@ class Comparison(Summarised):
         unit = f" {self.error_unit}" if self.error_unit else ""
         title = (
             f"Free run against {self.data.n_samples} samples: "
-            f"rmse {self.rmse:.4g}{unit}, "
-            f"noise floor {self.noise_floor:.4g}"
+            f"rmse {self.rmse:.4g}{unit}\nnoise floor {self.floor_words()}, an estimate"
         )
         title = "\n".join(filter(None, (self.warning, title)))
         return Summary(title, (Part(table=self.table),))

@@ -381,7 +381,7 @@ class _Judge:
         unit = spaced(after.error_unit)
         return (
             f"the {where} error falls from {self.base.judged.rmse:.3g} to "
-            f"{after.rmse:.3g}{unit} (noise floor {after.noise_floor:.3g}{unit})"
+            f"{after.rmse:.3g}{unit} (noise floor {after.floor_words()})"
         )
 
 
@@ -391,7 +391,7 @@ def _errors(base: DiagnosedModel) -> str:
     unit = spaced(base.judged.error_unit)
     return (
         f"{where} error {base.judged.rmse:.3g}{unit}, "
-        f"noise floor {base.judged.noise_floor:.3g}{unit}"
+        f"noise floor {base.judged.floor_words()}"
     )
 
 

@@ -28,13 +28,19 @@ from phsi_opt.presentation.content import (
     Run,
     StudyContent,
 )
-from phsi_opt.presentation.numbers import label, number, proper_names, shortened
+from phsi_opt.presentation.numbers import (
+    label,
+    number,
+    proper_names,
+    shortened,
+    with_interval,
+)
 from phsi_opt.presentation.units import date_words
 
 # Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
 MEASURED = "#7a828c"  # grey: what was measured, and what stands for comparison
 MODEL = "#2f7fd6"  # blue: the model, and what was estimated
-FLOOR = "#3b8f5a"  # green: a limit set by the noise
+FLOOR = "#3b8f5a"  # green: noise
 ATTENTION = "#c8611a"  # orange: what a reader should look at first
 FORCE = "#9a5fd0"  # violet: what is missing
 BASELINE = "0.3"  # dark grey: the line at zero
@@ -48,12 +54,14 @@ MODEL_LOOKS = (
 POINTS = "points"
 STEPS = "steps"
 RINGS = "rings"
+FILLED = "band"  # no line, only what ``std`` says, with an edge
 MATPLOTLIB_LOOKS: dict[str, Any] = {
     "solid": {},
     "dash": {"ls": "--"},
     "dot": {"ls": ":"},
     POINTS: {"ls": "none", "marker": ".", "ms": 3},
     STEPS: {"marker": "o", "ms": 5},
+    FILLED: {"ls": "none"},
     RINGS: {"ls": "none", "marker": "o", "ms": 9, "mfc": "none"},
 }
 TWO_DEVIATIONS = "two standard deviations"
@@ -123,7 +131,7 @@ class Chart:
 
 
 def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
-    """The errors step by step, with their values, down to the noise floor.
+    """The errors step by step, with the 95 % interval of the noise floor.
 
     Of several steps whose errors span a decade the axis is logarithmic.
     """
@@ -135,11 +143,13 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     if np.isfinite(held_out).any():  # of two equal errors both numbers are seen
         trained = replace(curves[0], color=MEASURED, side="bottom")
         curves = [trained, _steps("held out", x, held_out, MODEL)]
-    name = "noise floor"
-    if np.isfinite(floor[-1]):
-        name = f"{name} {number(floor[-1], 3)}"
-    ends = np.r_[-0.5, x, n - 0.5]  # a line where there is one step too
-    curves.append(Curve(name, ends, np.pad(floor, 1, mode="edge"), FLOOR, "dot"))
+    ends = np.array([one.floor_ends for one in steps])
+    ends = np.where(np.isfinite(ends), ends, floor[:, None])
+    band = f"noise floor {with_interval(floor[-1], ends[-1])}"
+    low, high = np.pad(ends, ((1, 1), (0, 0)), mode="edge").T
+    wide = np.r_[-0.5, x, n - 0.5]  # a band where there is one step too
+    middle, half = (low + high) / 2, (high - low) / 2
+    curves.append(Curve("", wide, middle, FLOOR, FILLED, half, band, group=band))
     known = errors[errors > 0]
     is_log = n > 1 and known.size > 0 and known.max() >= 10 * known.min()
     panel = Panel(label("error", unit), curves, scale=LOG if is_log else FROM_ZERO)
@@ -377,7 +387,7 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
 def _draw_curve(ax: Axes, curve: Curve) -> None:
     if curve.std is not None:
         lower, upper = curve.y - curve.std, curve.y + curve.std
-        look: Any = {"color": curve.color, "alpha": 0.2, "lw": 0}
+        look: Any = {"color": curve.color, "alpha": 0.2, "lw": curve.look == FILLED}
         ax.fill_between(curve.x, lower, upper, label=curve.band, **look)
     look = {"lw": 1.3, "color": curve.color, **MATPLOTLIB_LOOKS[curve.look]}
     ax.plot(curve.x, curve.y, label=_short(curve.name) or None, **look)

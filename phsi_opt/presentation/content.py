@@ -88,6 +88,7 @@ class ErrorStep:
     held_out: Number
     floor: Number
     bic: Number = None
+    floor_ends: tuple[float, float] = (np.nan, np.nan)  # of its 95 % interval
 
     @property
     def judged(self) -> Number:

@@ -61,6 +61,13 @@ def with_error(value: float, std_error: float) -> str:
     return said(estimate_text(value, std_error))
 
 
+def with_interval(value: float, ends: Sequence[float], unit: str = "") -> str:
+    """An estimate with its 95 % interval, where three digits show that."""
+    low, high = map(number, ends, (3, 3))
+    told = f"{number(value, 3)}{unit}"
+    return told if low == high else f"{told} (95 %: {low} to {high})"
+
+
 def short_constants(line: str) -> str:
     """An equation whose constants of six digits have three; estimates stay.
 

@@ -20,6 +20,7 @@ from phsi_opt.presentation.numbers import (
     said,
     typeset,
     with_error,
+    with_interval,
 )
 from phsi_opt.presentation.units import (
     date_words,
@@ -39,6 +40,7 @@ GLOBALS = (frequency_words, p_value_words, scale_of, scale_of_errors, spaced)
 FILTERS = {
     "number": number,
     "estimate": with_error,
+    "with_interval": with_interval,
     "capital": capitalised,
     "lowered": lowered,
     "unestablished": unestablished_words,

@@ -409,6 +409,7 @@ def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
         size=size,
         unit=spaced(unit),
         short=short,
+        floor=study.last.judged.floor_words(size, short or spaced(unit)),
         is_at_floor=lambda found: not is_failing(found),
         **facts,
     )

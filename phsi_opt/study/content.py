@@ -58,7 +58,6 @@ from phsi_opt.presentation.units import (
 )
 from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
-    NEAR_FLOOR,
     evidence_words,
     headline_of,
     nearest_candidate,
@@ -160,19 +159,15 @@ def _errors(study: StudyRecord) -> str:
     if last.held_out is not None:
         errors[" (training)"] = last.train.rmse
     size, _ = scale_of_errors(study.unit)
-    floor = last.judged.noise_floor
+    judged = last.judged
+    low, _ = judged.noise_floor_interval
     at_floor = []
     for which, error in errors.items():
-        if is_just_below(error, floor):
+        if low <= error < judged.noise_floor:
             at_floor.append(f"{number(size * error, 3)}{which}")
     facts = {"at_floor": at_floor, "of_channels": study.unit == STANDARD_DEVIATIONS}
     follows = only_follows(last.train, last.judged)
     return said_of(study, "how_errors_stand", follows=follows, **facts).lead
-
-
-def is_just_below(error: float, floor: float) -> bool:
-    """Whether an error is below the noise floor, and no further than it is known."""
-    return floor / NEAR_FLOOR < error < floor
 
 
 # ---- models --------------------------------------------------------------------------

@@ -205,13 +205,15 @@ class StudyRecord:
         for step in self.steps:
             held_out = None if step.held_out is None else size * step.held_out.rmse
             errors = (size * step.train.rmse, held_out, size * step.judged.noise_floor)
-            found.append(ErrorStep(step.label, *errors, step.fit.bic))
+            low, high = step.judged.noise_floor_interval
+            ends = (size * low, size * high)
+            found.append(ErrorStep(step.label, *errors, step.fit.bic, ends))
         return tuple(found)
 
     @property
     def history(self) -> "pd.DataFrame":
         """A row per step; NaN where nothing is held out."""
-        rows = [tuple(vars(one).values()) for one in self.errors()]
+        rows = [tuple(vars(one).values())[:-1] for one in self.errors()]
         table = printed_table(rows, columns=list(COLUMNS_OF_ERRORS))
         table.insert(0, "step", range(len(rows)))
         return table.astype({"held_out_rmse": float})

@@ -68,10 +68,10 @@ function phsiChart(host, chart) {
     if (curve.std) {
       const known = curve.y.map((value, k) => k).filter((k) => curve.y[k] !== null && curve.std[k] !== null);
       const side = (sign) => known.map((k) => `${x(curve.x[k]).toFixed(1)} ${y(curve.y[k] + sign * curve.std[k]).toFixed(1)}`);
-      svg += `<polygon points="${[...side(1), ...side(-1).reverse()].join(" ")}" fill="${curve.color}" opacity=".2"/>`;
+      svg += `<polygon points="${[...side(1), ...side(-1).reverse()].join(" ")}" fill="${curve.color}" fill-opacity=".2"${curve.look === "band" ? ` stroke="${curve.color}"` : ""}/>`;
     }
     const isRings = curve.look === "rings", isPoints = curve.look === "points" || isRings;
-    if (!isPoints) svg += `<path d="${path(curve, x, y, height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
+    if (!isPoints && curve.look !== "band") svg += `<path d="${path(curve, x, y, height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
     if (!isPoints && curve.look !== "steps") return svg;
     curve.y.forEach((value, k) => {
       if (value === null || !isFinite(y(value))) return;
@@ -167,7 +167,7 @@ function phsiChart(host, chart) {
     if (!rows.length) return;
     const x = rows[0][0].x[rows[0][1]];
     const title = chart.ticks.length ? chart.ticks[Math.round(x)].join(" ") : `${chart.x_label}: ${said(x)}`;
-    told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k, label]) => `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.name || (curve.group ? `residual, ${curve.group}` : label))} ${said(curve.y[k])}`).join("<br>");
+    told.innerHTML = `${plain(title)}<br>` + rows.map(([curve, k, label]) => `<i style="border-top: solid 3px ${curve.color}"></i>${plain(curve.look === "band" ? curve.band : curve.name || (curve.group ? `residual, ${curve.group}` : label))} ${curve.look === "band" ? "" : said(curve.y[k])}`).join("<br>");
     told.hidden = false;
     told.style.left = `${Math.min(at + 14, host.clientWidth - told.offsetWidth - 4)}px`;
     cursor.setAttribute("x1", at);
