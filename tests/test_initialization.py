@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.initialization.relative_guesses import fast_start
 from phsi_opt.initialization.scaling import kinematic_states
 from phsi_opt.transcription.grid import Grid, grid_of
 
@@ -26,6 +27,57 @@ def first_state(model: ph.Model, shown: np.ndarray, t: np.ndarray = T) -> Grid:
     y[:, 0] = shown
     data = ph.Measurements.from_arrays(t, y, states=list(model.states))
     return grid_of(data)
+
+
+# ---- a start that is too fast for the samples ------------------------------------------
+
+
+def spring_at(k: float | None, **known: ph.Parameter | float) -> ph.Model:
+    stiffness = ph.Parameter(k, lower=0, unit="N/m")
+    mass = known.get("m", 2.0)
+    return hamiltonian("k*q**2/2 + p**2/(2*m)", "c", k=stiffness, m=mass, c=0.3)
+
+
+@pytest.fixture(scope="module")
+def swing() -> ph.Measurements:
+    """Two samples in 0.2 s: oscillations up to 5 Hz."""
+    x = ph.simulate(spring_at(40.0), T, [1.0, 0.0])
+    x[:, 1] = np.nan
+    x[:, 0] += 0.01 * np.random.default_rng(0).normal(size=len(T))
+    units = {"t": "s", "q": "m", "p": "kg m/s"}
+    return ph.Measurements.from_arrays(T, x, states=["q", "p"], units=units)
+
+
+def test_a_start_above_the_nyquist_frequency_is_told_before_all_else(
+    swing: ph.Measurements,
+) -> None:
+    fit = ph.identify(spring_at(5e7), swing, raise_on_failure=False)
+    first, title, *_ = str(fit).splitlines()
+    assert first == fit.caution == fit.warnings[0]
+    assert "k = 5e+07 N/m let the model oscillate at 796 Hz" in first  # sqrt(k/m)/2 pi
+    assert "limit, at 5 Hz" in first
+    assert title.startswith("Fit of ")
+    assert str(fit).count("Nyquist") == 1 and "; see the first line" in str(fit)
+    study = ph.Study(spring_at(5e7), swing)
+    assert str(study.fit).splitlines()[0].endswith(first)
+    assert first in study.content().headline.caution
+
+
+@pytest.mark.parametrize("k", [1900.0, 2100.0])  # the limit: m (pi/h)^2 = 1974 N/m
+def test_the_limit_of_a_start_is_that_of_nyquist(
+    k: float, swing: ph.Measurements
+) -> None:
+    said = fast_start(spring_at(k), grid_of(swing), swing.units)
+    assert bool(said) == (k > 2 * (np.pi / 0.1) ** 2)
+
+
+def test_a_frequency_without_a_start_or_a_choice_is_not_doubted(
+    swing: ph.Measurements,
+) -> None:
+    unknown = spring_at(5e7, m=ph.Parameter(lower=0.1))
+    known = spring_at(5e7).frozen()
+    for model in (unknown, known, spring_at(None)):
+        assert not fast_start(model, grid_of(swing), swing.units)
 
 
 # ---- states by kinematics ------------------------------------------------------------

@@ -16,6 +16,7 @@ from typing import Any
 from phsi_opt.command_line.job import Answer, answer_to
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.initialization.relative_guesses import fast_start
 from phsi_opt.model.catalogue import catalogue, effects_told
 from phsi_opt.model.laws import laws_told, said_of
 from phsi_opt.model.model import Model
@@ -146,7 +147,8 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
     """What a study file that can be used holds, and what is shown of its data."""
     train, held_out, final = file.parts()
     model = file.model()
-    notes = AlignedData.of(model, train).notes
+    aligned = AlignedData.of(model, train)
+    caution = fast_start(model, aligned.grid, train.units)
     text = lines(
         __package__,
         "summary",
@@ -161,7 +163,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         kind=type(model).__name__,
         added=file.steps.added,
         n_effects=len(catalogue(model, train.units)),
-        notes=notes,
+        notes=aligned.notes,
     )
     content = {
         "states": list(model.states),
@@ -172,9 +174,9 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
         "n_runs": file.measurements().n_trajectories,
         "n_samples": file.measurements().n_samples,
         "n_held_out": 0 if held_out is None else held_out.n_samples,
-        "warnings": list(notes),
+        "warnings": [*filter(None, (caution,)), *aligned.notes],
     }
-    return Answer(text, content | shown)
+    return Answer(f"{caution}\n{text}".lstrip(), content | shown)
 
 
 def _runs(data: Measurements) -> str:

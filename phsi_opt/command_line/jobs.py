@@ -56,7 +56,7 @@ def run(job: Job, tell: Tell) -> Answer:
     keeper = _Keeper(job, tell, len(file.steps.added), kept)
     study = file.study(keeper.progress, keeper.step_finished, kept)
     if job.kind == FIT:
-        answer = _fit_answer(study)
+        answer = _fit_answer(study.fit)
     elif job.kind == COMPARE:
         answer = _compare_answer(study.compare())
     elif job.kind == DIAGNOSE:
@@ -133,11 +133,8 @@ class _Keeper:
 # ---- answers -------------------------------------------------------------------------
 
 
-def _fit_answer(study: Study) -> Answer:
-    fit = study.fit
-    warning = study.record.last.train.warning
-    first = [warning] if warning else []
-    text = "\n".join([*first, str(fit), "", *fit.equations()])
+def _fit_answer(fit: Fit) -> Answer:
+    text = "\n".join([str(fit), "", *fit.equations()])
     content = {
         "equations": fit.equations(),
         "parameters": fit.parameters,
@@ -145,7 +142,7 @@ def _fit_answer(study: Study) -> Answer:
         "bic": fit.bic,
         "success": fit.outcome.success,
         "outcome": str(fit.outcome),
-        "warnings": [*first, *fit.warnings],
+        "warnings": fit.warnings,
         "provenance": fit.provenance,
     }
     return Answer(text, plain(content))

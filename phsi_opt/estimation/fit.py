@@ -313,7 +313,8 @@ def _check_names(names: Iterable[str], known: Sequence[str]) -> None:
 
 def _title(fit: FitRecord) -> str:
     states = ", ".join(fit.model.states)
-    return f"Fit of {type(fit.model).__name__} by {fit.loss}: {states}"
+    title = f"Fit of {type(fit.model).__name__} by {fit.loss}: {states}"
+    return f"{fit.caution}\n{title}".lstrip()
 
 
 def equation_lines(fit: FitRecord) -> list[str]:

@@ -292,6 +292,8 @@ class FitRecord(Identified):
             `MaximumLikelihood`); None: all counted squared.
         has_model_error: Whether a random force was part of the likelihood
             (``model_error=True``).
+        caution: The warning to read first: a start whose frequency the samples do not
+            show; in a study also what its free run warns of. Empty: none.
     """
 
     names: tuple[str, ...] = ()
@@ -309,6 +311,7 @@ class FitRecord(Identified):
     steps: tuple[np.ndarray, ...] = ()
     huber: float | None = None
     has_model_error: bool = False
+    caution: str = ""
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -372,7 +375,8 @@ class FitRecord(Identified):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences to read before the numbers are used."""
-        return self.uncertainty.value.warnings
+        first = (self.caution,) if self.caution else ()
+        return (*first, *self.uncertainty.value.warnings)
 
     @cached_property
     def estimates(self) -> dict[str, float]:

@@ -18,7 +18,7 @@ from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi_solve import by_defects
 from phsi_opt.estimation.pruning import Pruning
-from phsi_opt.initialization.relative_guesses import check_rates
+from phsi_opt.initialization.relative_guesses import check_rates, fast_start
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units
@@ -90,8 +90,10 @@ def identify(
     aligned = data if isinstance(data, AlignedData) else checked_data(model, data)
     model = with_kinds_of_units(model, aligned.data.units)
     own = aligned.for_model(model)
+    caution = ""
     if start is None:
         check_rates(model, own.grid)
+        caution = fast_start(model, own.grid, own.data.units)
     task = Task(
         model=model,
         aligned=own,
@@ -104,7 +106,8 @@ def identify(
     estimate = estimate_by(loss, task, start)
     if raise_on_failure:
         _raise_failure(estimate)
-    return replace(estimate.fit(), seconds=time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    return replace(estimate.fit(), seconds=seconds, caution=caution)
 
 
 def identify_forced(

@@ -7,6 +7,7 @@ formulas are checked: exp(1000*q), log(q) of negative positions or a mass of zer
 meet the solver as numbers that are none, and it would blame something else.
 """
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -18,6 +19,7 @@ from phsi_opt.model.parameters import Share, Tried
 from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.model.symbolic import terms_function
 from phsi_opt.optimization.column_function import in_numbers
+from phsi_opt.presentation.units import frequency_words, scale_of, spaced
 from phsi_opt.statistics import rms
 from phsi_opt.transcription.augmented_states import padded
 from phsi_opt.transcription.defects import at_nodes
@@ -203,4 +205,43 @@ def _told(model: Model, grid: Grid, placed: PlacedTerm, where: str, node: int) -
     return (
         f"{text}. It divides by zero, overflows, or takes a root or logarithm of a "
         "negative number; change the formula or the values."
+    )
+
+
+def fast_start(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
+    """A note if the starting values make the model oscillate faster than samples show.
+
+    By the largest imaginary part of the eigenvalues of df/dx (without memory; a median
+    over measured states), where it follows from starting values that were given.
+    """
+    known = np.nan_to_num(grid.y)
+    resolved = resolve_guesses(model, grid, known)
+    is_motion = [name not in model.memory for name in model.states]
+    some = slice(None, None, 1 + grid.n_nodes // 25)  # enough for a median
+    at = (known[some].T, grid.u[some].T, grid.t[None, some])
+
+    def frequency(theta: np.ndarray) -> float:
+        slopes = in_numbers(resolved.rhs_slopes("x"), *at, theta)[1].T
+        slopes = slopes.reshape(-1, model.n_states, model.n_states)
+        finite = np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
+        rates = np.linalg.eigvals(finite[:, is_motion][:, :, is_motion]).imag
+        return float(np.median(np.abs(rates).max(axis=1))) / (2 * np.pi)
+
+    found, limit = frequency(resolved.theta), 0.5 / float(np.median(grid.h))
+    starts = []
+    for place, name in enumerate(model.free if found > limit else ()):
+        moved = resolved.theta.copy()
+        moved[place] = 1.1 * moved[place] or 0.1
+        parameter = model.entries[name].parameter
+        if abs(frequency(moved) / found - 1) > 0.01:
+            scale = scale_of(parameter.unit)
+            told = f"{scale.told(parameter.start):.4g}{spaced(scale.unit)}"
+            starts.append(f"{name} = {told}" if parameter.value is not None else "")
+    if not starts or not all(starts):
+        return ""
+    return (
+        f"The starting values {', '.join(starts)} let the model oscillate "
+        f"{frequency_words(found, units)}. The samples show oscillations up to their "
+        f"Nyquist limit, {frequency_words(limit, units)}. Check the units, or choose "
+        "other starting values."
     )

@@ -345,7 +345,8 @@ def headline_of(study: StudyRecord) -> Headline:
         remark = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
     answers = _answers(study)
-    undetermined = undetermined_words(study.last.fit.parameters)
+    fit, warning = study.last.fit, study.last.judged.warning
+    cautions = (warning, fit.caution, undetermined_words(fit.parameters))
     return Headline(
         status,
         severity,
@@ -354,7 +355,7 @@ def headline_of(study: StudyRecord) -> Headline:
         answers,
         remark=remark,
         certainty=str(certainty),
-        caution=" ".join(filter(None, (study.last.judged.warning, undetermined))),
+        caution=" ".join(filter(None, cautions)),
     )
 
 

@@ -429,7 +429,8 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
     if judged.warning:
         checks.append(Check("free run", BAD, judged.warning))
     fit = study.last.fit
-    severity = GOOD if fit.outcome.success else BAD
+    optimum = LOOK if study.last.cautioned.caution else GOOD
+    severity = optimum if fit.outcome.success else BAD
     said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
     checks.append(Check("solver", severity, said))
     if fit.outcome.at_bounds:

@@ -58,6 +58,14 @@ class Step:
         """The comparison that judges, on data held out or else the training record."""
         return self.held_out or self.train
 
+    @property
+    def cautioned(self) -> Fit:
+        """The fit, with what its free run on the training record warns of."""
+        if not self.train.warning:
+            return self.fit
+        caution = " ".join(filter(None, (self.train.warning, self.fit.caution)))
+        return replace(self.fit, caution=caution)
+
 
 @dataclass(frozen=True, eq=False)
 class StudyRecord:

@@ -139,7 +139,7 @@ class Study(Summarised):
     @property
     def fit(self) -> Fit:
         """The present fit."""
-        return self.record.last.fit
+        return self.record.last.cautioned
 
     @property
     def model(self) -> Model:
@@ -275,7 +275,7 @@ class Study(Summarised):
 
     def _go_on(self, step: Step) -> Fit:
         self.record = replace(self.record, steps=(*self.record.steps, step))
-        return step.fit
+        return step.cautioned
 
     def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
         """The base model with effects, re-fitted from the present estimates."""
