@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from math import log
+from operator import attrgetter
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from phsi_opt.presentation.units import (
 )
 
 SIZE = "size"  # the power that stands for the logarithm of the size in SI
+_dimension = attrgetter("powers")  # of a measure
 LARGEST_LIST = 4  # of units, in a message
 
 
@@ -244,10 +246,6 @@ class UnitCheck:
             unit = si_name(self._measure(place).powers, self._stated[place])
             values.append(f'{_name(place)}=ph.Parameter({number:g}, unit="{unit}")')
         return f"Give parameters in SI units: {', '.join(values[:2])}."
-
-
-def _dimension(measure: Measure) -> Powers:
-    return measure.powers
 
 
 def _size(measure: Measure) -> Powers:

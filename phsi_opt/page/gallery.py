@@ -1,7 +1,14 @@
 """The gallery in the page: columns become the states and inputs of a base model."""
 
-from phsi_opt.page.drafts import INPUT, NOT_USED, STATE, DataDraft, ModelDraft
-from phsi_opt.study_file.gallery import BaseModel, matched, with_units
+from phsi_opt.page.drafts import (
+    INPUT,
+    NOT_USED,
+    STATE,
+    DataDraft,
+    ModelDraft,
+    StudyDraft,
+)
+from phsi_opt.study_file.gallery import GALLERY, BaseModel, matched, with_units
 
 
 def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
@@ -39,14 +46,16 @@ def match_states(data: DataDraft, base: BaseModel) -> None:
         column.fits_no_state = True
 
 
-def left_over(data: DataDraft, base: BaseModel) -> str:
-    """Which columns fit no state of a model, in a sentence; "" where all do."""
-    left = {str(one.column): one.unit for one in data.columns if one.fits_no_state}
-    if not left:
+def left_over(draft: StudyDraft) -> str:
+    """Which columns fit no state of the base model, in a sentence; "" where all do."""
+    base = GALLERY.get(draft.model.title)
+    columns = draft.data.columns if draft.data else []
+    left = {str(one.column): one.unit for one in columns if one.fits_no_state}
+    if not left or base is None:
         return ""
     verb = "fits" if len(left) == 1 else "fit"
-    columns, states = map(with_units, (left, base.units))
+    told, states = map(with_units, (left, base.units))
     return (
-        f"{columns} {verb} no state of {base.title} ({states}) by its unit and is not "
+        f"{told} {verb} no state of {base.title} ({states}) by its unit and is not "
         "used; you can change this in part 1."
     )

@@ -32,7 +32,7 @@ from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.content import Follows, StudyContent
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.presentation.numbers import proper_names
-from phsi_opt.study_file.gallery import GALLERY, BaseModel
+from phsi_opt.study_file.gallery import BaseModel
 from phsi_opt.study_file.keys import Complaints, listed, usable
 from phsi_opt.study_file.sections import DataSection
 from phsi_opt.study_file.study_file import StudyFile
@@ -246,11 +246,9 @@ class Session:
                 self.message = f"{said}: upload this as well."
                 return
             self._open(path, {file: at for file, at in places.items() if at})
-        except StudyFileError as error:
-            said = "; ".join(map(str, error.complaints[:3]))
-            self.upload_error = f"{self._waiting}: {said}"
         except PhsiOptError as error:
-            self.upload_error = f"{self._waiting}: {error}"
+            wrong = getattr(error, "complaints", (error,))[:3]
+            self.upload_error = f"{self._waiting}: {'; '.join(map(str, wrong))}"
         self._waiting = ""
         self.check()
 
@@ -342,11 +340,7 @@ class Session:
     @property
     def left_over(self) -> str:
         """Which columns fit no state of the base model, in a sentence; "" for none."""
-        data = self.draft.data
-        base = GALLERY.get(self.draft.model.title)
-        if data is None or base is None:
-            return ""
-        return left_over(data, base)
+        return left_over(self.draft)
 
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""

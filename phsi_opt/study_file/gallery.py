@@ -11,7 +11,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.resources import files
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from phsi_opt.arguments import require_known
 from phsi_opt.errors import DataError
@@ -107,18 +107,6 @@ GALLERY = {
 # ---- columns for its states and inputs -----------------------------------------------
 
 
-class Named(Protocol):
-    """What has a name, and a unit or ""."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def unit(self) -> str: ...
-
-
-AnyColumn = TypeVar("AnyColumn", bound=Named)
-
-
 def give_parts(columns: Sequence[Column], base: BaseModel) -> None:
     """Let the columns of a table be states and inputs of a base model, or left out."""
     left = [one for one in columns if one.part in (STATE, INPUT)]
@@ -140,17 +128,17 @@ def _take(left: list[Column], part: str, units: Mapping[str, str]) -> None:
 
 
 def matched(
-    columns: Sequence[AnyColumn],
+    columns: Sequence[Any],
     units: Mapping[str, str],
-    may_guess: Callable[[AnyColumn], bool] = lambda column: True,
-) -> list[tuple[AnyColumn, str]]:
+    may_guess: Callable[[Any], bool] = lambda column: True,
+) -> list[tuple[Any, str]]:
     """Columns with the names that they have in a model.
 
     First where names and quantities agree, then where quantities do, then in order
     where a unit is unknown or may be any.
 
     Args:
-        columns: of a table.
+        columns: of a table, each with a name, and a unit or "".
         units: of the model's states or inputs, by name.
         may_guess: whether a column can be told by its place in the order.
     """
@@ -170,17 +158,17 @@ def matched(
     return found
 
 
-def _is_same(column: Named, wanted: tuple[str, str]) -> bool:
+def _is_same(column: Any, wanted: tuple[str, str]) -> bool:
     called = re.sub(r"\W|_", "", column.name).lower()
     is_possible = _is_perhaps_same(column, wanted) or _is_same_quantity(column, wanted)
     return called == wanted[0].lower() and is_possible
 
 
-def _is_same_quantity(column: Named, wanted: tuple[str, str]) -> bool:
+def _is_same_quantity(column: Any, wanted: tuple[str, str]) -> bool:
     """Whether two units are of one quantity: m and mm are."""
     first, second = map(measure_of, (column.unit, wanted[1].removesuffix(OR_ANY)))
     return first is not None and second is not None and first.powers == second.powers
 
 
-def _is_perhaps_same(column: Named, wanted: tuple[str, str]) -> bool:
+def _is_perhaps_same(column: Any, wanted: tuple[str, str]) -> bool:
     return not column.unit or wanted[1].endswith(OR_ANY)
