@@ -122,6 +122,16 @@ def test_a_row_of_units_is_read_in_any_encoding(encoding: str, tmp_path: Path) -
     assert seen.columns[0].part == "time"
 
 
+def test_a_row_of_units_is_believed_where_nobody_says_otherwise() -> None:
+    text = "run,time,angle\n-,s,deg\n1,0.00,70.1\n1,0.02,69.4\n2,0,3\n2,0.02,4\n"
+    options: dict[str, Any] = {"trajectory": "run", "states": {"q": "angle"}}
+    data = read(text, time="time", **options)
+    assert data.units == {"t": "s", "q": "deg"}
+    assert read(text, time="time", units={"q": "rad"}, **options).units["q"] == "rad"
+    dates = "when,q\nh,m\n2026-01-01 00:00,1\n2026-01-01 00:01,2\n"
+    assert read(dates, time="when", states=["q"]).units == {"t": "s", "q": "m"}
+
+
 def test_what_was_understood_is_told_with_its_keys(tmp_path: Path) -> None:
     text = "Bench 3\n\nt;q\ns;mm\n# begin\n0;1,5\n# step\n1;2,5\n2;3,5\nEnd\n"
     seen = looked_at(text, tmp_path)

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import phsi_opt as ph
+from phsi_opt.data.noticed import NOT_HELD
 from phsi_opt.presentation.charts import Chart, Curve
 
 T = 0.01 * np.arange(2000)
@@ -108,8 +109,9 @@ def test_missing_samples_stuck_sensors_and_repeated_values_are_told() -> None:
 
 def test_an_input_that_jumps_is_told_with_its_hold() -> None:
     u = np.repeat(RNG.normal(size=20), 100)
-    told = data_of(NOISY, u=u, inputs=["u"], hold="zero").noticed["noticed"][2]
-    assert told == 'constant between jumps (hold is "zero")'
+    for hold, said in (("zero", "held"), ("linear", NOT_HELD)):
+        data = data_of(NOISY, u=u, inputs=["u"], hold=hold)
+        assert data.noticed["noticed"][2] == f"constant between jumps, {said}"
 
 
 def test_the_table_has_numbers_for_the_clock_and_every_channel() -> None:

@@ -317,7 +317,7 @@ def test_a_study_that_is_forgotten_is_gone_in_every_window(
     expect(table).to_be_visible()
     page.get_by_role("button", name="Menu").click()
     page.get_by_text("Begin again: delete this study").click()
-    page.get_by_role("button", name="Forget it").click()
+    page.get_by_role("button", name="Delete it").click()
     for window in (page, other):
         expect(
             window.get_by_text("Start with the measurements: part 1.")

@@ -210,6 +210,14 @@ def test_what_the_gallery_assumes_or_cannot_use_is_told(session: Session) -> Non
     assert "m = 0" in found.said
 
 
+def test_a_state_that_is_taken_out_leaves_nothing_of_itself(session: Session) -> None:
+    session.choose(GALLERY["motor-circuit"])
+    model = session.draft.model
+    model.table["states"] = ["w"]
+    model.table["F"]["w"] = "(K*(u - K*w)/Ra - b*w)/J"
+    assert model.content()["kind"] == {"w": "mechanical"}
+
+
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     session.draft.model.table["H"] = "kk*q**2/2 + p**2/(2*m)"
     session.draft.model.table["R"]["p"] = "c*("

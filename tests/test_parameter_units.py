@@ -15,6 +15,7 @@ from phsi_opt.screening.effect_size import size_unit
 LENGTHS = {"t": "s", "q": "m", "p": "kg m/s", "u": "N"}
 ANGLES = {"t": "s", "q": "rad", "p": "kg m^2/s"}
 HOUSE = {"t": "h", "T": "degC", "outside": "degC", "heating": "W"}
+SPEED = {"t": "s", "w": "rad/s", "u": "V"}
 VOLTS = {"t": "s", "h": "V", "u": "V"}
 
 
@@ -48,6 +49,17 @@ def house() -> ph.FirstOrder:
     rate = ph.formula("a*(outside - T) + b*heating", **free("a", "b"))
     inputs = ["outside", "heating"]
     return ph.FirstOrder(states=["T"], F={"T": rate}, inputs=inputs, kind="thermal")
+
+
+def motor() -> ph.FirstOrder:
+    rate = ph.formula(
+        "(K*(u - K*w)/R - b*w)/J",
+        K=ph.Parameter(0.08, unit="N m/A"),
+        R=ph.Parameter(1.1, unit="Ohm"),
+        J=ph.Parameter(0.012, unit="kg m^2"),
+        b=ph.Parameter(unit="N m s"),
+    )
+    return ph.FirstOrder(states=["w"], F={"w": rate}, inputs=["u"])
 
 
 def tank() -> ph.FirstOrder:
@@ -93,6 +105,9 @@ def test_without_any_force_or_momentum_a_mass_has_no_unit_that_is_known() -> Non
         (pendulum(), ANGLES, "quadratic drag", "N m s^2/rad^2"),
         (house(), HOUSE, "harmonic heat input", "degC/h"),
         (house(), HOUSE, "quadratic heat loss", "1/(degC h)"),
+        # Torque constants in N m/A lose the radian; the speed's own terms keep it.
+        (motor(), SPEED, "coulomb friction", "rad/s^2"),
+        (motor(), SPEED, "sensor offset", "rad/s"),
         (tank(), VOLTS, "turbulent leak", "V^0.5/s"),
         (tank(), VOLTS, "constant inflow", "V/s"),
     ],

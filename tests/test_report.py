@@ -61,6 +61,7 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
+from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     rate_unit,
     times_words,
@@ -163,6 +164,14 @@ def with_diagnoses(study: ph.Study, *diagnoses: ph.Diagnosis) -> StudyRecord:
     return replace(
         record, steps=record.steps[: len(found)], diagnoses=found, stopped=""
     )
+
+
+@pytest.mark.parametrize(("run", "told"), [("2", "run 2"), ("run2", "run2")])
+def test_a_run_that_is_a_number_is_called_a_run(run: str, told: str) -> None:
+    facts: dict[str, Any] = {"n_runs": 2, "n_clear": 2, "is_from_start": True}
+    facts |= {"begin": "", "again": "", "gaps": [], "only_follows": False}
+    since = say("phsi_opt.study", "since", **facts, window="t = 1 s", run=run)
+    assert str(since).endswith(f"at t = 1 s of {told}.")
 
 
 def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:

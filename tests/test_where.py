@@ -617,6 +617,7 @@ def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
     wave = analysis.force_in("p").wave
     assert wave is not None
     assert wave.period == pytest.approx(60, rel=0.02)
+    assert analysis.force_in("p").variable_label("dH_dq") == "q (deg)"
     told = step_without_name(analysis, data.units)
     assert told.lead == "Add your own term to dp/dt that is periodic in q."
     # The waves that are tried are those along the angle, in rad per degree.

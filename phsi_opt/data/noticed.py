@@ -25,6 +25,7 @@ REGULAR_STEPS = 0.01  # largest deviation of a step, of a clock that is regular
 BEYOND = 5.0  # times by which an outlier is beyond what its surroundings do
 AROUND = 5  # samples on each side that are the surroundings of a sample
 MANY = 10  # equal samples that are no chance
+NOT_HELD = 'but interpolated: if it is held, give hold="zero"'
 NO_SAMPLES = np.array([], dtype=int)
 
 
@@ -184,7 +185,8 @@ class DataLook:
         if not one.hold and one.noise > np.std(values) / 2:
             yield "changes mostly between neighbours: noise, or sampled too slowly"
         if one.hold and is_stepped(np.split(one.values, self.ends)):
-            yield f'constant between jumps (hold is "{one.hold}")'
+            is_held = one.hold == "zero"
+            yield f"constant between jumps, {'held' if is_held else NOT_HELD}"
         elif not one.resolution:
             yield from self._stays(one.values)
 

@@ -99,7 +99,8 @@ class TableReaders:
             inputs: The same for the inputs, which must be measured.
             trajectory: The column that names each line's trajectory. The lines of one
                 trajectory need not be contiguous but keep their order.
-            hold, units, noise: As the attributes of `Measurements`.
+            hold, units, noise: As the attributes of `Measurements`; units that are not
+                given are those of a line of units.
             step: The time between lines, where no column tells it.
             start: Where times are dates: the moment at which t is 0, such as
                 "2021-11-22"; None: the first sample of each trajectory. Dates are
@@ -268,20 +269,26 @@ class TableReaders:
         trajectories: list[Trajectory] = []
         faults: dict[Part, DataError] = {}
         are_dates = False
+        written: dict[str, str] = {}
         for table in tables:
+            written |= _written_units(table, layout)
             prefix = f"{table.run}/" if len(tables) > 1 and layout.trajectory else ""
             runs, origins = _runs_in(table, layout, prefix, faults)
             trajectories += runs
             are_dates = are_dates or bool(origins)
         if faults:
             raise TableError(faults)
-        units = words.get("units")
+        if are_dates:
+            written.pop("t", None)
+        units = words.get("units") or {}
+        if isinstance(units, Mapping):
+            units = {**written, **units}
         make: Any = cls  # a `Measurements`, which names its fields
         made: Self = make(
             tuple(trajectories),
             states=tuple(layout.states),
             inputs=tuple(layout.inputs),
-            units=_with_seconds({} if units is None else units, are_dates),
+            units=_with_seconds(units, are_dates),
             hold=words.get("hold", "linear"),
             noise=words.get("noise"),
         )
@@ -414,6 +421,16 @@ def _times(
     for rows in runs:
         t[rows] = layout.step * np.arange(len(rows))
     return t, []
+
+
+def _written_units(table: Table, layout: Layout) -> dict[str, str]:
+    """The units of a table's own row, or of its channels, by names of the layout."""
+    columns = {**layout.states, **layout.inputs, "t": layout.time}
+    units = {}
+    for name, column in columns.items():
+        if isinstance(column, str) and table.units.get(column):
+            units[name] = table.units[column]
+    return units
 
 
 def _with_seconds(units: Any, are_dates: bool) -> Any:

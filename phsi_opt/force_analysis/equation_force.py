@@ -171,9 +171,19 @@ class EquationForce(Force):
 
     def position_of(self, variable: str) -> str:
         """The position whose velocity an effort is; "" for other variables."""
+        state = self._states_of_efforts.get(variable, "")
+        return position_of_momentum(self.record.model).get(state, "")
+
+    @property
+    def _states_of_efforts(self) -> dict[str, str]:
         model = self.record.model
-        states = dict(zip(model.efforts, model.states, strict=True))
-        return position_of_momentum(model).get(states.get(variable, ""), "")
+        return dict(zip(model.efforts, model.states, strict=True))
+
+    def _named(self, variable: str) -> str:
+        """The variable; the state where an effort is one, in a model without energy."""
+        if self.record.model.has_energy:
+            return variable
+        return self._states_of_efforts.get(variable, variable)
 
     def scale_of(self, variable: str) -> Scale:
         """The scale of a variable; a velocity has that of its position by time."""
@@ -181,7 +191,7 @@ class EquationForce(Force):
         position = self.position_of(variable)
         if position:
             return scale_of_rate(position, units, 0.0)
-        return scale_of(units.get(variable, ""))
+        return scale_of(units.get(self._named(variable), ""))
 
     def told(self, variable: str) -> np.ndarray:
         """Values of a variable in its `scale_of`, (n_intervals,)."""
@@ -194,6 +204,7 @@ class EquationForce(Force):
         if position:
             unit = self.scale_of(name).unit
             return label(f"velocity of {position}", unit)
+        name = self._named(name)
         if name in self.record.model.efforts:
             return f"effort {name}"
         return label(name, self.scale_of(name).unit)

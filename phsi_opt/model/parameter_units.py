@@ -317,9 +317,9 @@ def solved_dimensions(
 ) -> dict[str, Powers] | None:
     """The powers of the units in each quantity that the likenesses determine.
 
-    Radians come and go in physics (a torque is N m, an arc is a length): where they
-    contradict each other or are left open, there are none. None where the likenesses
-    contradict each other.
+    Radians come and go in physics (a torque is N m, an arc is a length): likenesses of
+    known quantities may lose them, and where others contradict each other or leave them
+    open, there are none. None where the likenesses contradict each other.
     """
     names = dict.fromkeys(name for likeness in said for name in likeness.form)
     unknown = [name for name in names if name not in known]
@@ -331,9 +331,13 @@ def solved_dimensions(
     for name in compress(unknown, determined):
         found[name] = {}
     for unit in sorted({unit for powers in known.values() for unit in powers}):
-        kept = without_angles if unit == RADIAN else np.full(len(said), fill_value=True)
         given = np.array([powers.get(unit, 0.0) for powers in known.values()])
-        right = -(known_rows @ given)[kept]
+        right = -(known_rows @ given)
+        kept = np.full(len(said), fill_value=True)
+        if unit == RADIAN:
+            loses_it = ~np.any(rows, axis=1) & (np.abs(right) > POWER_ROUNDING)
+            kept = without_angles & ~loses_it
+        right = right[kept]
         powers, determined = _least_squares(rows[kept], right)
         if np.any(np.abs(rows[kept] @ powers - right) > POWER_ROUNDING):
             if unit == RADIAN:

@@ -418,11 +418,12 @@ class ModelDraft:
         if "S" in content:
             del content["pairs"]
         states = self.names("states")
-        for slot in "RF":
-            terms = content.pop(slot)
-            filled = {name: terms[name] for name in states if name in terms}
-            if filled:
-                content[slot] = filled
+        for key in ("R", "F", "kind"):
+            told = content.pop(key, {})
+            if isinstance(told, Mapping):
+                told = {name: told[name] for name in states if name in told}
+            if told:
+                content[key] = told
         return content
 
 

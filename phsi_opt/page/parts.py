@@ -113,9 +113,9 @@ def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> None
     made = ui.input(label, value=value, on_change=lambda e: changed(e.value))
     made.props("dense outlined").props(DEBOUNCE)
     made.props["placeholder"] = entry.meaning.rpartition("default: ")[2]
-    least = 15 if kind is TERMS else 8
-    width = "100%" if key == "H" else f"{max(least, 2 + 0.6 * len(label)):.0f}em"
-    made.style(f"width: {width}; max-width: 100%")
+    width = "100%" if key == "H" else f"{max(8, 2 + 0.6 * len(label)):.0f}em"
+    place = "flex: 1 1 15em" if kind is TERMS else f"width: {width}"
+    made.style(f"{place}; max-width: 100%")
     made.classes("formula" if kind in FORMULAS else "")
 
 

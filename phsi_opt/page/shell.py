@@ -123,7 +123,7 @@ class Shell:
             ui.label("Its table, model and results are deleted from this page.")
             with ui.row():
                 button("Keep it", dialog.close)
-                button("Forget it", self._begin_again, quiet=True)
+                button("Delete it", self._begin_again, quiet=True)
         dialog.open()
 
     def _go(self, part: str) -> None:
