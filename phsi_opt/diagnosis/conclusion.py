@@ -381,7 +381,7 @@ class _Judge:
         unit = spaced(after.error_unit)
         return (
             f"the {where} error falls from {self.base.judged.rmse:.3g} to "
-            f"{after.rmse:.3g}{unit} (noise floor {after.floor_words()})"
+            f"{after.rmse:.3g}{unit}, noise floor {after.floor_words()}"
         )
 
 

@@ -54,14 +54,14 @@ MODEL_LOOKS = (
 POINTS = "points"
 STEPS = "steps"
 RINGS = "rings"
-FILLED = "band"  # no line, only what ``std`` says, with an edge
+FILLED = "band"  # what ``std`` says, with a thin line where it is narrow
 MATPLOTLIB_LOOKS: dict[str, Any] = {
     "solid": {},
     "dash": {"ls": "--"},
     "dot": {"ls": ":"},
     POINTS: {"ls": "none", "marker": ".", "ms": 3},
     STEPS: {"marker": "o", "ms": 5},
-    FILLED: {"ls": "none"},
+    FILLED: {"lw": 0.8},
     RINGS: {"ls": "none", "marker": "o", "ms": 9, "mfc": "none"},
 }
 TWO_DEVIATIONS = "two standard deviations"
@@ -387,7 +387,7 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
 def _draw_curve(ax: Axes, curve: Curve) -> None:
     if curve.std is not None:
         lower, upper = curve.y - curve.std, curve.y + curve.std
-        look: Any = {"color": curve.color, "alpha": 0.2, "lw": curve.look == FILLED}
+        look: Any = {"color": curve.color, "alpha": 0.2, "lw": 0}
         ax.fill_between(curve.x, lower, upper, label=curve.band, **look)
     look = {"lw": 1.3, "color": curve.color, **MATPLOTLIB_LOOKS[curve.look]}
     ax.plot(curve.x, curve.y, label=_short(curve.name) or None, **look)
