@@ -115,7 +115,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert "has an error of" in said
     assert f"{CALLED}, " in said
     assert "missing: named" in said
-    assert "the error is 1.5 times the noise." in said
+    assert "the error is 1.4 times the noise." in said
     assert "± is one standard error." in said
     expect(page.get_by_text("worst moment").first).to_be_visible()
     expect(page.get_by_text("Ready.")).to_be_hidden()
@@ -272,7 +272,7 @@ def test_an_example_is_worked_through_by_the_keyboard_alone(page: Page) -> None:
     )
     nothing_is_solved(page)
     expect(page.get_by_text("Side by side")).to_be_visible()
-    assert page.get_by_label("run", exact=True).input_value() == "run 3 (held out)"
+    assert page.get_by_label("run", exact=True).input_value() == "run 2 (held out)"
     press(page, "Undo")
     expect(region.get_by_text("What to add")).to_be_visible()
     press(page, "Redo")
