@@ -7,6 +7,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.comparison.compare import flat_sentence
+from phsi_opt.presentation.content import GOOD
 
 PER_PERIOD = 20
 CORRELATION_TIME = 1.0
@@ -99,6 +100,10 @@ def test_a_free_run_that_leaves_the_measurements_is_told_in_the_first_line() -> 
     assert "leaves" not in str(ph.compare(dies, data))
     study = ph.Study(grows, data)
     assert "leaves the measurements" in study.content().headline.caution
+    assert str(study.fit).startswith("The free run of w leaves the measurements: ")
+    assert "; see the first line" in str(study.fit)
+    (check,) = [one for one in study.content().checks if one.subject == "solver"]
+    assert check.severity != GOOD
 
 
 def test_a_diagnosis_of_a_flat_run_says_so_before_anything_else(
