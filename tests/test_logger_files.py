@@ -128,6 +128,11 @@ def test_a_row_of_units_is_believed_where_nobody_says_otherwise() -> None:
     data = read(text, time="time", **options)
     assert data.units == {"t": "s", "q": "deg"}
     assert read(text, time="time", units={"q": "rad"}, **options).units["q"] == "rad"
+    tables = [io.StringIO(text), io.StringIO(text.replace("deg", "rad"))]
+    with pytest.raises(
+        ph.DataError, match=r"'q' has the unit 'rad', but in a .* 'deg'"
+    ):
+        ph.Measurements.from_csv(tables, time="time", **options)
     dates = "when,q\nh,m\n2026-01-01 00:00,1\n2026-01-01 00:01,2\n"
     assert read(dates, time="when", states=["q"]).units == {"t": "s", "q": "m"}
 

@@ -269,26 +269,22 @@ class TableReaders:
         trajectories: list[Trajectory] = []
         faults: dict[Part, DataError] = {}
         are_dates = False
-        written: dict[str, str] = {}
         for table in tables:
-            written |= _written_units(table, layout)
             prefix = f"{table.run}/" if len(tables) > 1 and layout.trajectory else ""
             runs, origins = _runs_in(table, layout, prefix, faults)
             trajectories += runs
             are_dates = are_dates or bool(origins)
         if faults:
             raise TableError(faults)
-        if are_dates:
-            written.pop("t", None)
-        units = words.get("units") or {}
+        units = _with_seconds(words.get("units") or {}, are_dates)
         if isinstance(units, Mapping):
-            units = {**written, **units}
+            units = _with_written_units(units, tables, layout)
         make: Any = cls  # a `Measurements`, which names its fields
         made: Self = make(
             tuple(trajectories),
             states=tuple(layout.states),
             inputs=tuple(layout.inputs),
-            units=_with_seconds(units, are_dates),
+            units=units,
             hold=words.get("hold", "linear"),
             noise=words.get("noise"),
         )
@@ -423,13 +419,21 @@ def _times(
     return t, []
 
 
-def _written_units(table: Table, layout: Layout) -> dict[str, str]:
-    """The units of a table's own row, or of its channels, by names of the layout."""
+def _with_written_units(
+    known: Mapping[str, str], tables: Sequence[Table], layout: Layout
+) -> dict[str, str]:
+    """The known units, and others of the tables' own rows or channels."""
     columns = {**layout.states, **layout.inputs, "t": layout.time}
-    units = {}
-    for name, column in columns.items():
-        if isinstance(column, str) and table.units.get(column):
-            units[name] = table.units[column]
+    units = dict(known)
+    for table in tables:
+        for name, column in columns.items():
+            unit = table.units.get(column, "") if isinstance(column, str) else ""
+            if unit and name not in known and units.setdefault(name, unit) != unit:
+                raise DataError(
+                    f"{table.title}: {name!r} has the unit {unit!r}, but in a table "
+                    f"before it {units[name]!r}; expected one unit. Convert the "
+                    f"tables, or say which it is: units={{{name!r}: ...}}."
+                )
     return units
 
 
