@@ -327,6 +327,9 @@ def test_what_the_model_has_by_another_name_cannot_be_added_again() -> None:
     tank = storage("hydraulic").add("viscous damping", "x")
     with pytest.raises(ph.ModelError, match="has 'linear leak' on x already"):
         tank.add("linear leak", "x")
+    rolls = ph.FirstOrder(["v"], {"v": ph.formula("-f")}, ["f"], kind="mechanical")
+    with pytest.raises(ph.ModelError, match="has 'quadratic drag' already"):
+        rolls.add("air drag").add("quadratic drag")
 
 
 @pytest.mark.parametrize("name", ["viscous damping", "linear resistance on x"])

@@ -290,6 +290,19 @@ def test_names_units_and_parts_are_read_from_headers(time: str, tmp_path: Path) 
     assert seen == HEADERS
 
 
+def test_effects_tell_the_units_in_which_their_sizes_are_found(tmp_path: Path) -> None:
+    (tmp_path / "roll.csv").write_text("t (min),v (km/h)\n0,3\n1,2\n2,1\n")
+    study = tmp_path / "study.toml"
+    said("init", tmp_path / "roll.csv", "-o", study)
+    model = 'type = "FirstOrder"\nF = { v = "-f/m" }\npairs = []'
+    text = study.read_text().replace("\npairs = []", f"\n{model}").replace('H = ""', "")
+    numbers = 'm = { value = 1420, unit = "kg" }\nf = { unit = "N" }'
+    study.write_text(text.replace("# m = 2.5", numbers))
+    rows = json.loads(said("effects", study, "--json").out)["effects"]
+    units = {row["effect"]: row["units"] for row in rows}
+    assert units["quadratic drag on v"] == {"quadratic_drag_v": "1/m"}
+
+
 def test_a_column_that_changes_where_the_times_begin_anew_names_the_runs(
     tmp_path: Path,
 ) -> None:

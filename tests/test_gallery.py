@@ -114,6 +114,8 @@ def test_a_base_model_stands_without_inputs_and_has_a_drawing(base: BaseModel) -
          {"P": "heater [W]", "Ta": "outdoor [degC]"}),
         ("rlc", "t [s],u_in [V],u_C [V],i [A]", {"uC": "u_C [V]", "i": "i [A]"},
          {"u": "u_in [V]"}),
+        ("rlc", "t [s],Spannung [V],Strom [mA]", {"i": "Strom [mA]"},
+         {"u": "Spannung [V]"}),
         ("motor", "t [s],U [mV],speed [rpm]", {"w": "speed [rpm]"}, {"u": "U [mV]"}),
         ("pump-tank", "t [min],level [cm],flow [l/min]", {"h": "level [cm]"},
          {"u": "flow [l/min]"}),

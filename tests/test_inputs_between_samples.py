@@ -369,7 +369,7 @@ def test_an_input_that_is_held_is_no_delay_of_half_a_sample() -> None:
     study = study_of(data)
     found = study.diagnose()
     assert not found.findings
-    assert "hold={'u': 'zero'}" in found.reason
+    assert 'is taken of u (hold = "zero"): that' in found.reason
     assert "input delay on w (0.01" in found.reason
     assert found.reason.split(";")[0] in study.fit.warnings
     assert (data.hold, study.train.hold) == ("linear", "zero")

@@ -110,8 +110,9 @@ def test_missing_samples_stuck_sensors_and_repeated_values_are_told() -> None:
 def test_an_input_that_jumps_is_told_with_its_hold() -> None:
     u = np.repeat(RNG.normal(size=20), 100)
     for hold, said in (("zero", "held"), ("linear", NOT_HELD)):
-        data = data_of(NOISY, u=u, inputs=["u"], hold=hold)
-        assert data.noticed["noticed"][2] == f"constant between jumps, {said}"
+        table = data_of(NOISY, u=u, inputs=["u"], hold=hold).noticed
+        assert table["noticed"][2] == f"constant between jumps, {said}"
+        assert np.isnan(table["noise"][2]) == (hold == "zero"), "steps are no noise"
 
 
 def test_the_table_has_numbers_for_the_clock_and_every_channel() -> None:

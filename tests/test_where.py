@@ -169,7 +169,7 @@ def best(found: ForceAnalysis, equation: str = "p") -> tuple[str, float]:
         ("cubic", "q", "conserved", "stores and returns energy"),
         ("wave", "t", "time", "period 2.5"),
         ("dead zone", "u", "inputs", "follows the input u"),
-        ("constant", "constant", "constant", "is constant at 3.9"),
+        ("constant", "constant", "constant", "is constant at 3.94 N"),
     ],
 )
 def test_what_the_hidden_force_follows_and_does_with_energy_is_named(

@@ -23,6 +23,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.presentation.numbers import LINE_WIDTH, number_of
 from phsi_opt.presentation.sentences import lines
+from phsi_opt.presentation.units import in_si
 from phsi_opt.reading import file_bytes, why_not_read
 from phsi_opt.study_file.gallery import GALLERY, base_model
 from phsi_opt.study_file.study_file import StudyFile
@@ -228,7 +229,7 @@ def effects_of(path: Path | None) -> Answer:
 
 def _effects_told(file: StudyFile, model: Model) -> Iterator[dict[str, Any]]:
     """The effects that can be added to a model, in its names and units."""
-    units = file.data.units
+    units = in_si(file.data.units)
     for effect, adds in effects_told(model, units):
         if effect.slot != "sensor" or file.data.states[effect.equation].measured:
             larger = model.add(effect)

@@ -151,7 +151,7 @@ class DataLook:
         step = resolution(np.split(values, self.ends))
         residuals = scatter_of(self.t, values, self.run)[1]
         noise = np.nan
-        if len(residuals):
+        if len(residuals) and hold != "zero":  # steps are no noise
             noise = max(robust_deviation(residuals), DEVIATION_PER_STEP * step)
         known = np.flatnonzero(np.isfinite(values))
         of_known = (self.t[known], values[known], self.run[known])

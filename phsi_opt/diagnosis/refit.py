@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import starmap
 from math import prod
 
 import numpy as np
@@ -57,6 +58,7 @@ from phsi_opt.model.effect import is_delay, is_scanned
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.presentation.numbers import listed
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData
@@ -205,8 +207,9 @@ def held_base(
     evidence = shortest.log_evidence
     if gain < max(evidence - STRONG_EVIDENCE, STRONG_EVIDENCE):
         return None
+    held = listed(list(starmap('{} (hold = "{}")'.format, changed.items())))
     note = (
-        f"inputs between samples are taken as hold={changed}: that explains what would "
+        f"between samples another course is taken of {held}: that explains what would "
         f"be {shortest.name} ({shortest.size}) without a further parameter (log "
         f"evidence {gain:.0f} against {evidence:.0f})"
     )

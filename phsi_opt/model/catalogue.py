@@ -173,7 +173,7 @@ def _not_in_catalogue(
 ) -> str:
     place = "" if equation is None else f" on {equation}"
     # Whether it would be offered if the model had neither losses nor forces.
-    bare = replace(model, F={}, R={} if model.has_energy else model.R)
+    bare = replace(model, F={}, R={})
     if _called(name, equation, every_name(bare)):
         return (
             f"the model has {name!r}{place} already, or terms that can represent it; "

@@ -36,6 +36,7 @@ class BaseModel:
     # By name: the unit, the terms by slot and state, and parameters.
     inputs: Mapping[str, Mapping[str, Any]]
     hidden: Mapping[str, str] = field(default_factory=dict)  # of states without sensor
+    seldom: Sequence[str] = ()  # the states that are measured only beside the inputs
 
     @property
     def picture(self) -> str:
@@ -110,8 +111,11 @@ GALLERY = {
 def give_parts(columns: Sequence[Column], base: BaseModel) -> None:
     """Let the columns of a table be states and inputs of a base model, or left out."""
     left = [one for one in columns if one.part in (STATE, INPUT)]
-    _take(left, STATE, base.states)
+    usual = dict(base.states)
+    seldom = dict(zip(base.seldom, map(usual.pop, base.seldom), strict=True))
+    _take(left, STATE, usual)
     _take(left, INPUT, base.input_units)
+    _take(left, STATE, seldom)
     for column in left:
         column.name = ""
         column.becomes(UNUSED, f"the model {base.name} has no place for it")
