@@ -291,7 +291,8 @@ def test_names_units_and_parts_are_read_from_headers(time: str, tmp_path: Path) 
 
 
 def test_effects_tell_the_units_in_which_their_sizes_are_found(tmp_path: Path) -> None:
-    (tmp_path / "roll.csv").write_text("t (min),v (km/h)\n0,3\n1,2\n2,1\n")
+    rows = "0,5\n1,4\n2,3\n3,2\n4,1\n"
+    (tmp_path / "roll.csv").write_text(f"t (min),v (km/h)\n{rows}")
     study = tmp_path / "study.toml"
     said("init", tmp_path / "roll.csv", "-o", study)
     model = 'type = "FirstOrder"\nF = { v = "-f/m" }\npairs = []'
