@@ -95,7 +95,7 @@ class DataLook:
 
     @cached_property
     def is_uneven(self) -> bool:
-        """Whether a tenth of the steps are long, or half of the time: none is a gap."""
+        """Whether long steps are a tenth of all, or half of the time; none is a gap."""
         is_long = self.relative_steps > LONG_STEP
         time = np.nansum(self.steps[is_long]) / np.nansum(self.steps)
         return bool(np.mean(is_long) > 0.1 or time > 0.5)

@@ -135,7 +135,7 @@ class Section:
 
     @property
     def is_list(self) -> bool:
-        """Whether its rows begin with different words: settings, or statistics."""
+        """Whether its rows begin with different words, as settings or statistics do."""
         firsts = {row.cells[0] for row in self.values if row.kinds.startswith(WORD)}
         return 1 < len(firsts) == len(self.values)
 

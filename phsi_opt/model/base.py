@@ -175,7 +175,7 @@ class BaseModel:
 
     @property
     def names_in_formulas(self) -> tuple[str, ...]:
-        """Names of the parameters that a user gave: those of formulas."""
+        """Names of the parameters in formulas, which a user gave."""
         names: dict[str, Parameter] = {}
         for placed in self.placed():
             names |= Dictionary((placed.term,)).of_formulas
