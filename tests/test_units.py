@@ -143,7 +143,7 @@ def test_temperatures_are_in_degrees_of_celsius_unless_all_are_in_kelvin() -> No
     units = in_si({"t": "h", "T": "degF", "To": "K", "P": "kW"})
     assert units == {"t": "s", "T": "degC", "To": "degC", "P": "W"}
     assert scale_of(units["T"]).read(68.0) == pytest.approx(20.0)
-    assert scale_of(units["T"]).told(20.0) == pytest.approx(68.0)
+    assert scale_of(units["T"]).shown(20.0) == pytest.approx(68.0)
     assert scale_of(units["To"]).read(293.15) == pytest.approx(20.0)
     assert in_si({"t": "s", "T": "K"}) == {"t": "s", "T": "K"}
 
@@ -388,12 +388,17 @@ def of_logger(
     x[:, 0] += np.random.default_rng(0).normal(0, noise, len(t))
     x[:, 1:] = np.nan
     scales = {name: scale_of(unit) for name, unit in in_si(units).items()}
-    x[:, 0] = scales[model.states[0]].told(x[:, 0])
+    x[:, 0] = scales[model.states[0]].shown(x[:, 0])
     for k, name in enumerate(model.inputs):
         assert u is not None
-        u[:, k] = scales[name].told(u[:, k])
+        u[:, k] = scales[name].shown(u[:, k])
     return ph.Measurements.from_arrays(
-        scales["t"].told(t), x, u, states=model.states, inputs=model.inputs, units=units
+        scales["t"].shown(t),
+        x,
+        u,
+        states=model.states,
+        inputs=model.inputs,
+        units=units,
     )
 
 

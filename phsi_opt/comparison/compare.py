@@ -346,7 +346,7 @@ class Comparison(Summarised):
         )
         time = scale_of(self.data.units.get("t", ""))
         return plot_free_run(
-            time.told(run.t),
+            time.shown(run.t),
             self._channels(number),
             t_unit=time.unit,
             title=title,
@@ -365,7 +365,7 @@ class Comparison(Summarised):
             k = self.model.states.index(name)
             scale = scale_of(self.data.units.get(name, ""))
             std_of_state = None if std is None else std[:, k] / scale.size
-            both = scale.told(x[:, k]), scale.told(shown[:, k])
+            both = scale.shown(x[:, k]), scale.shown(shown[:, k])
             channel = Channel(name, scale.unit, *both, std_of_state, noise / scale.size)
             channels.append(channel)
         return channels

@@ -318,7 +318,7 @@ class Measurements(TableReaders, Summarised):
         units = {name: scale.unit for name, scale in scales.items()}
         if not any(isinstance(unit, Unit) for unit in self.units.values()):
             return self
-        return self._converted(units, {name: one.told for name, one in scales.items()})
+        return self._converted(units, {name: one.shown for name, one in scales.items()})
 
     def _converted(
         self, units: Mapping[str, str], converted: Mapping[str, Callable[[Any], Any]]

@@ -88,7 +88,7 @@ def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
 
 def _expected(base: DiagnosedModel, one: Screened, lost: str) -> Candidate:
     unit = size_unit(base.fit.model, one.effect, base.record.data.units)
-    size = Size(one.coefficient, one.std_error).told_in(unit)
+    size = Size(one.coefficient, one.std_error).in_unit(unit)
     return Candidate(
         effect=one.effect,
         coefficient=size.value,
@@ -115,7 +115,7 @@ def _candidate(
     places = list(map(weighed.names.index, names))
     covariance = weighed.covariance[np.ix_(places, places)]
     size = size_of(one.effect, weighed.model, names, weighed.model.values, covariance)
-    size = size.told_in(size_unit(model, one.effect, base.record.data.units))
+    size = size.in_unit(size_unit(model, one.effect, base.record.data.units))
     # What was tried is in the prior: values of inner numbers, and effects.
     tried = float(np.log(one.n_tried * n_effects))
     if one.effect.needs_clock and not model.inputs:

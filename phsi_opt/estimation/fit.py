@@ -221,10 +221,10 @@ class Fit(FitRecord, Summarised):
         channels = []
         for k, name in enumerate(data.states):
             scale = scale_of(data.units.get(name, ""))
-            both = scale.told(run.x[:, k]), scale.told(estimated[:, k])
+            both = scale.shown(run.x[:, k]), scale.shown(estimated[:, k])
             channels.append(Channel(name, scale.unit, *both, None))
         time = scale_of(data.units.get("t", ""))
-        t = time.told(run.t)
+        t = time.shown(run.t)
         title = f"Measured and estimated states of {run.name}"
         if ax is not None:
             state = data.measured[0] if state is None else state
@@ -257,7 +257,7 @@ class Fit(FitRecord, Summarised):
             scale = scale_of(self.parameter_units[entry.name])
             rows = table.index.isin(self._values_of(entry))
             for column in ("value", "ci_lower", "ci_upper"):
-                table.loc[rows, column] = scale.told(table.loc[rows, column])
+                table.loc[rows, column] = scale.shown(table.loc[rows, column])
         table["at_bound"] = table.index.isin(self.outcome.at_bounds)
         return table.rename_axis("name").reset_index()
 
@@ -327,7 +327,7 @@ def equation_lines(fit: FitRecord) -> list[str]:
     own = fit.model.names_in_formulas
     for name, entry in fit.model.entries.items():
         scale = scale_of(fit.parameter_units[name])
-        value = f"{scale.told(fit.values[name]):.6g} {scale.unit}".rstrip()
+        value = f"{scale.shown(fit.values[name]):.6g} {scale.unit}".rstrip()
         if entry.parameter.fixed:
             rows.append(f"{name} = {value} (fixed)")
         elif name in own:
@@ -372,10 +372,10 @@ def _estimate(fit: FitRecord, name: str) -> str:
     parameter = fit.model.entries[name].parameter
     scale = scale_of(fit.parameter_units[name])
     unit = spaced(scale.unit)
-    value = scale.told(fit.values[name])
+    value = scale.shown(fit.values[name])
     if parameter.per_trajectory and fit.by_trajectory:
         return f"{value:.6g}{unit}, mean over trajectories"
     if name in fit.outcome.at_bounds:
         bound = parameter.nearest_bound(fit.values[name])
-        return f"{scale.told(bound):.6g}{unit}, at its bound"
+        return f"{scale.shown(bound):.6g}{unit}, at its bound"
     return f"{estimate_text(value, fit.std_errors[name] / scale.size)}{unit}"

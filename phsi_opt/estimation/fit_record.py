@@ -94,10 +94,10 @@ class Identified:
         for entry in self.model.entries.values():
             parameter = entry.parameter
             scale = scale_of(self.parameter_units[entry.name])
-            bounds = map(scale.told, (parameter.lower, parameter.upper))
+            bounds = map(scale.shown, (parameter.lower, parameter.upper))
             after = (*bounds, scale.unit, parameter.fixed)
             for name, value in self._values_of(entry).items():
-                known = (scale.told(value), self.std_errors[name] / scale.size)
+                known = (scale.shown(value), self.std_errors[name] / scale.size)
                 rows.append((name, entry.slot, entry.equation, *known, *after))
         return printed_table(rows, columns=PARAMETER_COLUMNS)
 

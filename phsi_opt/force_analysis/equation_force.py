@@ -195,7 +195,7 @@ class EquationForce(Force):
 
     def told(self, variable: str) -> np.ndarray:
         """Values of a variable in its `scale_of`, (n_intervals,)."""
-        values = self.scale_of(variable).told(self.record.variable(variable))
+        values = self.scale_of(variable).shown(self.record.variable(variable))
         return np.asarray(values)
 
     def variable_label(self, name: str) -> str:

@@ -44,7 +44,7 @@ class Window:
 
     def words(self, time: Scale) -> str:
         """The times, in the unit in which they are told."""
-        ends = [decimal(time.told(one), 3) for one in (self.begin, self.end)]
+        ends = [decimal(time.shown(one), 3) for one in (self.begin, self.end)]
         return f"{' to '.join(ends)}{' (throughout)' if self.is_whole else ''}"
 
 

@@ -235,7 +235,7 @@ def fast_start(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
         parameter = model.entries[name].parameter
         if abs(frequency(moved) / found - 1) > 0.01:
             scale = scale_of(parameter.unit)
-            told = f"{scale.told(parameter.start):.4g}{spaced(scale.unit)}"
+            told = f"{scale.shown(parameter.start):.4g}{spaced(scale.unit)}"
             starts.append(f"{name} = {told}" if parameter.value is not None else "")
     if not starts or not all(starts):
         return ""

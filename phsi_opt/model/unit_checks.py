@@ -63,7 +63,7 @@ class UnitCheck:
 
     model: BaseModel
     units: Mapping[str, str]  # by state, input and time
-    as_told: bool = False  # whether units count as people wrote them, not as computed
+    as_written: bool = False  # whether units are those that people wrote
 
     @cached_property
     def _stated(self) -> dict[str, str]:
@@ -74,7 +74,7 @@ class UnitCheck:
                 stated[place_of_parameter(name)] = entry.parameter.unit
         found = {}
         for place, unit in stated.items():
-            written = scale_of(unit).unit if self.as_told else str(unit)
+            written = scale_of(unit).unit if self.as_written else str(unit)
             if written and measure_of(written) is not None:
                 found[place] = written
         return found
@@ -237,7 +237,7 @@ class UnitCheck:
     def _repair(self) -> str:
         if in_si(self.units) != dict(self.units):
             return (
-                "Convert the data: data = data.in_si(); results are still told in the "
+                "Convert the data: data = data.in_si(); results are still shown in the "
                 "units that were written."
             )
         values = []

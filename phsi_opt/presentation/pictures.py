@@ -103,7 +103,7 @@ def plot_missing_force(
         scale = scale_of_rate(state, units, 0.0)
         t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
         sizes = (w / scale.size, std / scale.size)
-        run = ForceRun("", TRAINING, state, scale.unit, time.told(t), *sizes)
+        run = ForceRun("", TRAINING, state, scale.unit, time.shown(t), *sizes)
         forces.append(run)
     title = "A force is significantly missing where the band does not include zero"
     return drawn(force_chart(forces, time.unit), title, ax, (8.0, 3.6))

@@ -59,7 +59,7 @@ TOLD_AT_ZERO = {"degF": 32.0, "°F": 32.0}
 def scale_of_errors(unit: str) -> tuple[float, str]:
     """A factor on errors and the unit that they then have.
 
-    Those of several channels are told in percent of what was measured.
+    Those of several channels are shown in percent of what was measured.
     """
     if unit == STANDARD_DEVIATIONS:
         return 100.0, "% of the standard deviation"
@@ -201,7 +201,7 @@ class Scale:
     size: float = 1.0
     zero: float = 0.0  # what is told where 0 is computed, such as 32 degF
 
-    def told(self, values: Any) -> Any:
+    def shown(self, values: Any) -> Any:
         """Computed values as they are told; differences are divided by the size."""
         if self.size < 1.0:  # 1000 is a float, and 0.001 none
             return values * (1 / self.size) + self.zero
@@ -343,7 +343,7 @@ def si_name(powers: Powers, written: str = "") -> str:
 SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told anew
 
 
-# Seconds from which on times are told in a unit, the largest first.
+# Seconds from which on times are shown in a unit, the largest first.
 LEAST_SECONDS = (
     (2 * 86400.0, Scale("days", 86400.0)),
     (3 * 3600.0, Scale("h", 3600.0)),
@@ -434,7 +434,7 @@ def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
 def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> Scale:
     """A rate per hour where a record of seconds lasts for hours: degC/h.
 
-    Rates of units that were converted are told in these, such as deg/s; others with a
+    Rates of units that were converted are shown in these, such as deg/s; others with a
     name of their own (N, m/s) stay. ``longest`` is the last time of the record.
     """
     unit, time = (units.get(name, "") for name in (equation, "t"))

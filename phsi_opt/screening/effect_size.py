@@ -21,7 +21,7 @@ class Size:
     std_error: float
     unit: str = ""
 
-    def told_in(self, unit: str) -> "Size":
+    def in_unit(self, unit: str) -> "Size":
         """The same in a unit, as `scale_of` tells it."""
         scale = scale_of(unit)
         return Size(self.value / scale.size, self.std_error / scale.size, scale.unit)
@@ -93,7 +93,7 @@ def fitted_size(base: Model, fit: Fit, effect: Effect) -> Size:
     places = list(map(fit.names.index, names))
     covariance = fit.covariance[np.ix_(places, places)]
     size = size_of(effect, fit.model, names, fit.estimates, covariance)
-    return size.told_in(size_unit(base, effect, fit.units))
+    return size.in_unit(size_unit(base, effect, fit.units))
 
 
 def size_unit(base: Model, effect: Effect, units: Mapping[str, str]) -> str:

@@ -196,11 +196,11 @@ def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRo
         ends = ends_within(parameter, lower, upper)
         cut = "" if ends == (lower, upper) else "cut at its bound"
         if ends[0] is not None and ends[1] is not None:
-            ends = (scale.told(ends[0]), scale.told(ends[1]))
+            ends = (scale.shown(ends[0]), scale.shown(ends[1]))
     remark = cut if None not in ends else "no standard error"
     if name in fit.outcome.at_bounds:
         remark = "at its bound"
-        value = scale.told(parameter.nearest_bound(scale.read(value)))
+        value = scale.shown(parameter.nearest_bound(scale.read(value)))
         std_error = np.nan
     elif row["fixed"]:
         remark = "fixed"
@@ -249,8 +249,8 @@ def _run(
         # A state with a memory comes behind those of the base model.
         k = data.states.index(name)
         scale = scale_of(data.units.get(name, ""))
-        measured = scale.told(run.x[:, k])
-        shown = [scale.told(one.shown[place][:, k]) for one in comparisons]
+        measured = scale.shown(run.x[:, k])
+        shown = [scale.shown(one.shown[place][:, k]) for one in comparisons]
         kept = thinned([measured, *shown], most)
         residuals = [pd.Series(measured - one).dropna() for one in shown]
         channel = Channel(

@@ -95,7 +95,7 @@ parameters.*.start | number | starting value; default: from the data
 parameters.*.value | number | instead of start: a fixed value, not estimated
 parameters.*.lower | number | lower bound; default: none
 parameters.*.upper | number | upper bound; default: none
-parameters.*.unit | text | unit of its numbers, such as "N/m"; results are told in it
+parameters.*.unit | text | unit of its numbers, such as "N/m"; results are shown in it
 parameters.*.per_trajectory | true or false | one value for each run; default false
 parameters.*.fixed | true or false | with a guess: keep that value, do not estimate it
 parameters.*.guess | table | rule that takes the starting value from the data

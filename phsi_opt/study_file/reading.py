@@ -225,7 +225,7 @@ def _check_units(model: Model, data: Measurements, faults: Complaints) -> None:
             "other units than those of SI cannot be converted."
         )
         faults.need(said, units["t"], "data", "time", "unit")
-    check = UnitCheck(model, units, as_told=True)
+    check = UnitCheck(model, units, as_written=True)
     parameters = faults.content.get("parameters", {})
     found = [check.contradiction] if check.contradiction else check.numbers_without_unit
     for fault in found:

@@ -145,7 +145,7 @@ def _parameter(parameter: Parameter) -> Content | float:
     content = told(parameter)
     for key in ("value", "lower", "upper"):
         if key in content and scale.unit != parameter.unit:
-            content[key] = float(f"{scale.told(content[key]):.15g}")
+            content[key] = float(f"{scale.shown(content[key]):.15g}")
     content |= {"unit": scale.unit} if parameter.unit else {}
     guess = content.get("guess")
     if guess is not None:
