@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from problems.battery.ask import CLASS, FALSE, NAME, SILENT, Task
+from problems.battery.ask import CLASS, FALSE, NAME, SILENT, Task, examined
 from problems.battery.draw import FIRST_REPORTED, FIRST_VERDICT, KINDS, ROWS
 from problems.battery.records import FIELD, HIDDEN
 from problems.judges import battery, fits, verdicts
-from problems.judges.cases import IN_ROUND, IN_VERDICTS, one_round, rounds
+from problems.judges.cases import IN_ROUND, IN_VERDICTS, kept, one_round, rounds, run
 from problems.judges.fit_cases import PROBLEMS
 from problems.tools import provenance
 
@@ -89,7 +89,7 @@ def test_a_list_is_balanced_and_the_same_whenever_it_is_made(
     assert tasks == one_round(DEVELOPED, numbers)
     assert {(task.battery, task.row) for task in tasks} == {
         *((HIDDEN, name) for name in ROWS),
-        *((FIELD, name) for name in KINDS if name != "nothing_10"),
+        *((FIELD, name) for name in KINDS),
     }
     seeds = [task.seed % 3 for task in tasks if task.row == "pendulum"]
     assert seeds.count(0) == seeds.count(1) == seeds.count(2)
@@ -156,10 +156,9 @@ def test_an_interrupted_battery_goes_on_and_tells_its_shares(
         Task(HIDDEN, "nothing", DEVELOPED + 2),
         Task(FIELD, "chamber", DEVELOPED + 1),
     ]
-    battery.run("small", tasks[:1], processes=1)
-    battery.run("small", tasks, processes=1)
-    hidden = battery.table("small", HIDDEN, tasks)
-    field = battery.table("small", FIELD, tasks)
+    run("small.json", examined, tasks[:1], {}, jobs=1)
+    run("small.json", examined, tasks, kept("small.json"), jobs=1)
+    hidden, field = battery.tables(kept("small.json"), tasks)
     assert (len(hidden), len(field)) == (1, 1)  # the first is not examined again
     text = battery.page(hidden, field, first=DEVELOPED)
     assert "1 hidden effects and 1 machines of the field on seeds from 10000" in text

@@ -48,20 +48,6 @@ def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
     assert f"on p ({size:.2f} +- {error:.2f} N; true: {TRUTH['f']:g} N)" in readme
 
 
-def test_the_draws_of_the_demonstration(readme: str) -> None:
-    lines = (RESULTS / "friction_seeds.md").read_text("utf-8").splitlines()
-    rows = [line.split() for line in lines if re.match(r" +\d+ +[02] ", line)]
-    with_friction = [row for row in rows if row[1] == "2"]
-    without = [row for row in rows if row[1] == "0"]
-    farthest = max(abs(float(row[-1])) for row in with_friction)
-    assert (len(with_friction), len(without)) == (8, 8)
-    assert all("named coulomb friction on p" in " ".join(r) for r in with_friction)
-    assert all("nothing missing" in " ".join(row) for row in without)
-    assert "over eight noise draws" in readme
-    assert f"named in all, its size at most {farthest:.2f} standard errors" in readme
-    assert '("nothing missing" in all)' in readme
-
-
 def test_the_solver_beside_gradient_descent(readme: str) -> None:
     from problems.thesis.compare import kept_table, ratios
 
@@ -137,77 +123,6 @@ def test_the_chaotic_systems(readme: str) -> None:
     assert f"at {percent(noise)} % noise" in readme
     assert lengths == pytest.approx([25] * len(lengths), abs=2.5)  # "some 25"
     assert "over some 25 Lyapunov times" in readme
-
-
-def test_the_hidden_effects(readme: str) -> None:
-    from problems.battery.draw import ROWS
-    from problems.battery.effects import ONE
-    from problems.battery.page import of_new_seeds
-    from problems.battery.score import scored
-
-    found = {}
-    n_new = 0
-    for name in ROWS:
-        rows = pd.read_csv(RESULTS / "hidden_effects" / f"{name}.csv")
-        is_new = of_new_seeds(name, rows)
-        found[name] = rows[~is_new]
-        n_new += int(is_new.sum())
-    assert f"{n_new} cases on new seeds" in " ".join(readme.split())
-    good = {name: scored(rows)["good"].mean() for name, rows in found.items()}
-    one = [good[name] for name, row in ROWS.items() if row.kind == "one"]
-    covered = {
-        name: scored(rows)["covered"].dropna().astype(float)
-        for name, rows in found.items()
-    }
-    by_row = [
-        covered[name].mean()
-        for name, row in ROWS.items()
-        if row.kind == "one" and len(covered[name])
-    ]
-    n_cases = sum(len(rows) for rows in found.values())
-    assert f"In {n_cases:,} cases" in readme
-    least, most = percent(min(one)), percent(max(one))
-    assert f"in {least} to {most} % for each of {len(ONE)} effects" in readme
-    assert f'"nothing missing" in {percent(good["nothing"])} %' in readme
-    assert f'"unexplained" in {percent(good["outside"])} %' in readme
-    assert f"both of two in {percent(good['two_effects'])} %" in readme
-    pooled = pd.concat(covered.values()).mean()
-    assert (
-        f"95 % intervals contain the true value in {percent(pooled)} % "
-        f"({percent(min(by_row))} to {percent(max(by_row))} % by effect and noise"
-        in readme
-    )
-
-
-def _of_all_cuts(lines: list[str]) -> dict[str, float]:
-    """Root mean square of z over all cuts by set and model, of one table."""
-    found = {}
-    for line in lines:
-        cells = [cell.strip() for cell in line.strip("| ").split("|")]
-        number = re.match(r"([\d.]+) \(n (\d+)\)", cells[-1])
-        if len(cells) == 5 and number:
-            found[cells[0]] = float(number[1])
-    return found
-
-
-def test_the_halves_of_measured_records(readme: str) -> None:
-    text = (RESULTS / "halves.md").read_text("utf-8")
-    honest, white = text.split("## By standard errors that take")
-    of_models = _of_all_cuts(honest.splitlines())
-    of_white = _of_all_cuts(white.split("## The EMPS")[0].splitlines())
-    n = re.findall(r"^\| all \|.*\(n (\d+)\) \|$", honest, re.M)
-    together = of_models.pop("all")
-    assert f"by {together:.2f} of their standard errors" in readme
-    assert f"square, n {n[0]}; by white noise {of_white['all']:.2f})" in readme
-    assert f"at most {max(of_models.values()):.2f} for one model" in readme
-    assert text.count("| holds |") == 8
-
-
-def test_what_honest_standard_errors_cost(readme: str) -> None:
-    text = words(RESULTS / "model_error_speed.md")
-    found = re.search(r"takes at most ([\d.]+) times the likelihood alone", text)
-    assert found is not None
-    assert f"at 10 000 samples {found[1]} times the likelihood alone" in readme
 
 
 def test_starts_far_off(readme: str) -> None:

@@ -7,14 +7,14 @@ wrong or silent.
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
 from problems.battery.draw import TABLES, HiddenRow, draw
-from problems.battery.records import FIELD, HIDDEN, Array, Case, Truth
+from problems.battery.records import FIELD, HIDDEN, Case, Truth
 from problems.tools.intervals import HALF_WIDTH
 from problems.tools.provenance import commit
 
@@ -24,26 +24,19 @@ DETECTED = 6.63
 MOST_STEPS = {HIDDEN: 4, FIELD: 3}  # of a study
 REASON_LENGTH = 200  # characters kept of an error's message
 NAME, CLASS, FALSE, SILENT = "right name", "class", "false name", "silent"
-LATEST = 5.0  # lengths of a run by which shifted clocks begin late
-PREPARED = ("as_drawn", "shifted", "thinned", "exchanged")
 ROW = {HIDDEN: "row", FIELD: "kind"}  # the column that names a case's row
 
 Found = dict[str, object]  # columns of the kept tables
 Finding = frozenset[str]  # "viscous damping on p", ...: all that do equally well
-Split = tuple[ph.Measurements, ph.Measurements]  # training runs and those held out
 
 
 @dataclass(frozen=True)
 class Task:
-    """A case: its table of machines, its row, the seed.
-
-    ``is_prepared``: asked from records that are prepared in several ways.
-    """
+    """A case: its table of machines, its row, the seed."""
 
     battery: str
     row: str
     seed: int
-    is_prepared: bool = False
 
     def __str__(self) -> str:
         return f"{self.battery} {self.row} {self.seed}"
@@ -62,14 +55,11 @@ def examined(task: Task) -> Found:
         case = draw(row, task.seed)
     except (ArithmeticError, ValueError) as error:
         return record | {"outcome": f"not drawn: {str(error)[:REASON_LENGTH]}"}
-    if not task.is_prepared:
-        record |= described(case)
+    record |= described(case)
     record["drawing"] = time.perf_counter() - began
     began = time.perf_counter()
     try:
-        if task.is_prepared:
-            record |= _prepared_answers(case, task.seed)
-        elif isinstance(row, HiddenRow):
+        if isinstance(row, HiddenRow):
             record |= _two(case) if row.kind == "two" else _one(case, row.kind)
         else:
             record |= _field_answer(case)
@@ -274,11 +264,6 @@ def as_text(found: set[Finding]) -> str:
     return "; ".join(sorted(" or ".join(sorted(each)) for each in found))
 
 
-def of_text(text: str) -> set[Finding]:
-    """The findings that `as_text` wrote."""
-    return {frozenset(each.split(" or ")) for each in text.split("; ") if each}
-
-
 def answer(places: set[str], found: set[Finding]) -> str:
     """Whether all findings hold a true effect; ``places``: the names that are right."""
     if not found:
@@ -288,34 +273,14 @@ def answer(places: set[str], found: set[Finding]) -> str:
     return NAME if all(len(each) == 1 for each in found) else CLASS
 
 
-def agree(one: set[Finding], other: set[Finding]) -> bool:
-    """Whether two say nothing that the other does not bear out.
-
-    Every finding of each shares an effect with one of the other; both may be silent. A
-    class and a name from within it agree.
-    """
-    if not one or not other:
-        return not one and not other
-    pairs = ((one, other), (other, one))
-    return all(any(each & known for known in by) for said, by in pairs for each in said)
-
-
-def asked(model: ph.Model, split: Split) -> tuple[set[Finding], list[str], ph.Study]:
-    """What a study finds that goes on by itself, all its diagnoses together, with the
-    verdict of each.
-    """
-    train, test = split
-    study = ph.Study(model, train, held_out=test)
+def _field_answer(case: Case) -> Found:
+    """What a study finds that goes on by itself, all its diagnoses together."""
+    study = ph.Study(case.model, case.train, held_out=case.test)
     found: set[Finding] = set()
     verdicts = []
     for diagnosis, _ in steps_of(study, MOST_STEPS[FIELD]):
         found |= findings_of(diagnosis)
         verdicts.append(str(diagnosis.verdict))
-    return found, verdicts, study
-
-
-def _field_answer(case: Case) -> Found:
-    found, verdicts, study = asked(case.model, (case.train, case.test))
     last = study.history.iloc[-1]
     return {
         "answer": answer(case.places, found),
@@ -324,46 +289,3 @@ def _field_answer(case: Case) -> Found:
         "added": "; ".join(str(effect) for effect in study.added),
         "after": last["held_out_rmse"] / last["noise_floor"],
     }
-
-
-# --- the same case from a record that was prepared in another way
-
-
-def _prepared_answers(case: Case, seed: int) -> Found:
-    """What a study finds in each preparation, and whether it is the same."""
-    said = {}
-    for name, split in prepared((case.train, case.test), seed).items():
-        said[name] = as_text(asked(case.model, split)[0])
-    return {**said, "same": len(set(said.values())) == 1}
-
-
-def prepared(split: Split, seed: int) -> dict[str, Split]:
-    """The preparations of a case: other clocks, every other sample, another run held
-    out.
-    """
-    rng = np.random.default_rng(seed)
-    train, test = split
-    first, *others = train.trajectories
-    held_out, *further = test.trajectories
-    exchanged = (
-        replace(train, trajectories=(held_out, *others)),
-        replace(test, trajectories=(first, *further)),
-    )
-    shifted = (_changed(train, rng=rng), _changed(test, rng=rng))
-    thinned = (_changed(train, thin=2), _changed(test, thin=2))
-    return dict(zip(PREPARED, (split, shifted, thinned, exchanged), strict=True))
-
-
-def _changed(
-    data: ph.Measurements, thin: int = 1, rng: np.random.Generator | None = None
-) -> ph.Measurements:
-    """Every ``thin``-th sample, and clocks that begin at random times where there is a
-    generator.
-    """
-    runs = []
-    for run in data.trajectories:
-        t: Array = run.t[::thin]
-        if rng is not None:
-            t = t + rng.uniform(0.0, LATEST) * (run.t[-1] - run.t[0])
-        runs.append(replace(run, t=t, x=run.x[::thin], u=run.u[::thin]))
-    return replace(data, trajectories=tuple(runs))

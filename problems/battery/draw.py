@@ -216,7 +216,6 @@ def _fed(rng: np.random.Generator) -> Experiment:
 
 
 ALL = (short_run, _light, roll_decay, pendulum, closed_loop, circuit, thermal, _fed)
-MORE = "nothing missing, 10 % of model error"
 OFF = (short_run, roll_decay, pendulum)
 COARSE = (long_runs, roll_decay)
 ROWS = {row.name: row for row in _hidden_rows()}
@@ -234,7 +233,6 @@ KINDS = {
         FieldRow("starts_off", "starts 50 % off", OFF, is_far_off=True),
         FieldRow("sensors", "coarse steps, uneven noise", COARSE, has_poor_sensor=True),
         FieldRow("nothing", "nothing missing", ALL, is_complete=True),
-        FieldRow("nothing_10", MORE, ALL, is_complete=True, model_error=0.1),
     )
 }
 TABLES: dict[str, dict[str, HiddenRow] | dict[str, FieldRow]] = {

@@ -9,32 +9,12 @@ from collections.abc import Mapping
 import pandas as pd
 
 import phsi_opt as ph
-from problems.battery.ask import (
-    CLASS,
-    DETECTED,
-    FALSE,
-    NAME,
-    PREPARED,
-    SILENT,
-    agree,
-    of_text,
-)
-from problems.battery.draw import KINDS, ROWS, HiddenRow
+from problems.battery.ask import CLASS, DETECTED, FALSE, NAME, SILENT
+from problems.battery.draw import KINDS, ROWS
 from problems.tools.intervals import share
 
 # Largest held-out error over the noise floor with the right effect in the model.
 AT_FLOOR = 1.1
-# Shares of right cases that are asked for: one hidden effect by noise, the other kinds
-# of rows.
-TARGETS = {0.01: 0.95, 0.03: 0.95, 0.1: 0.85}
-OTHER_TARGETS = {
-    "nothing": 0.95,
-    "two": 0.9,
-    "outside": 0.9,
-    "sensor": 0.9,
-    "tanks": 0.95,
-}
-
 Record = dict[str, object]
 
 # --- hidden effects
@@ -63,7 +43,7 @@ def share_of(values: pd.Series) -> str:
     return share(int(known.sum()), len(known))
 
 
-def summary_row(label: str, rows: pd.DataFrame, target: float) -> Record:
+def summary_row(label: str, rows: pd.DataFrame) -> Record:
     """A line of the page."""
     kept = scored(rows)
     right = kept["right"].astype(bool)
@@ -71,13 +51,10 @@ def summary_row(label: str, rows: pd.DataFrame, target: float) -> Record:
     # Where there is an effect to add; without one there is nothing after it.
     has_effect = right & ~kept["row"].isin(["nothing", "outside"])
     after = kept.loc[has_effect, "after"].dropna()
-    is_met = len(kept) > 0 and kept["good"].sum() / len(kept) >= target
     return {
         "row": label,
         "cases": len(kept),
         "right": share_of(kept["good"]),
-        "target": f"{target:.0%}",
-        "met": "yes" if is_met else "no",
         "of these true ties": int(is_tie.sum()),
         "coefficient covered": share_of(kept["covered"]),
         f"held-out at most {AT_FLOOR:g} x floor": share_of(after <= AT_FLOOR),
@@ -85,11 +62,6 @@ def summary_row(label: str, rows: pd.DataFrame, target: float) -> Record:
         "failed": int((kept["outcome"] != "examined").sum()),
         "seconds": f"{kept['seconds'].median():.1f}",
     }
-
-
-def target_of(row: HiddenRow) -> float:
-    """The share of right cases that is asked for."""
-    return TARGETS[row.noise[0]] if row.kind == "one" else OTHER_TARGETS[row.kind]
 
 
 def hidden_rows(hidden: pd.DataFrame) -> list[Record]:
@@ -100,10 +72,7 @@ def hidden_rows(hidden: pd.DataFrame) -> list[Record]:
     parts = [(f"one effect, noise {n:g}", rows) for n, rows in one.groupby("noise")]
     parts += [(str(k), rows) for k, rows in hidden[kinds.ne("one")].groupby(kinds)]
     parts += [(str(effect), rows) for effect, rows in one.groupby(by_effect)]
-    return [
-        summary_row(label, rows, target_of(ROWS[str(rows["row"].iloc[0])]))
-        for label, rows in parts
-    ]
+    return [summary_row(label, rows) for label, rows in parts]
 
 
 def confusions(rows: pd.DataFrame) -> pd.DataFrame:
@@ -130,9 +99,10 @@ def confusions(rows: pd.DataFrame) -> pd.DataFrame:
         true_ties=("tie_true", "sum"),
         median_misfit=("misfit", "median"),
     )
-    return table.reset_index().sort_values(
+    ordered = table.reset_index().sort_values(
         ["cases", "truth"], ascending=[False, True], ignore_index=True
     )
+    return ordered.round(1)
 
 
 # --- machines of the field
@@ -170,43 +140,3 @@ def by_noise(rows: pd.DataFrame) -> list[Record]:
         answers(f"noise {100 * float(str(noise)):g} %", part)
         for noise, part in listed.groupby("noise")
     ]
-
-
-def wrong_answers(rows: pd.DataFrame) -> pd.DataFrame:
-    """What was said where the answer is neither right nor rightly silent."""
-    is_silent = rows["answer"].eq(SILENT)
-    wrong = rows[rows["answer"].eq(FALSE) | (is_silent & rows["listed"].astype(bool))]
-    said = wrong["findings"].where(wrong["findings"].ne(""), wrong["verdicts"])
-    counts = wrong.assign(said=said).groupby(["kind", "hidden", "answer", "said"])
-    return (
-        counts.size()
-        .reset_index(name="cases")
-        .sort_values(["answer", "kind", "cases"], ascending=[True, True, False])
-    )
-
-
-def preparations(title: str, rows: pd.DataFrame) -> Record:
-    """A line: shares of cases in which a preparation says what the record says."""
-    record: Record = {"kind": title, "n": len(rows)}
-    for other in PREPARED[1:]:
-        record[f"{other}: same"] = share_of(rows[other].eq(rows[PREPARED[0]]))
-        record[f"{other}: agree"] = share_of(_agreeing(rows, other))
-    return record
-
-
-def _agreeing(rows: pd.DataFrame, other: str) -> pd.Series:
-    pairs = zip(rows[PREPARED[0]], rows[other], strict=True)
-    return pd.Series([agree(of_text(own), of_text(said)) for own, said in pairs])
-
-
-def disagreements(rows: pd.DataFrame) -> dict[str, object]:
-    """How many of all preparations agree, and what the others said."""
-    agreeing = pd.concat([_agreeing(rows, other) for other in PREPARED[1:]])
-    n_silent = n_named = 0
-    for other in PREPARED[1:]:
-        own, said = rows[PREPARED[0]].eq(""), rows[other].eq("")
-        n_silent += int((said & ~own).sum())
-        n_named += int((own & ~said).sum())
-    n_others = int((~agreeing).sum()) - n_silent - n_named
-    counts = {"silent": n_silent, "named": n_named, "differing": n_others}
-    return {"agreeing": share_of(agreeing), "n": len(agreeing), **counts}

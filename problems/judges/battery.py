@@ -6,8 +6,8 @@
 The cases are a list that follows from the seed and the cost alone: rounds over all
 effects, noises and kinds (`cases.IN_ROUND`), each in a random order, cut where
 `SECONDS_A_CASE` processor seconds each have used up the minutes of all processes. Every
-case is kept in results/judges as it is done; the same command goes on where it was
-interrupted. For the same seeds on other code give another --name.
+case is kept in results/judges/<name>.json, which is not committed, as it is done; the
+same command goes on where it was interrupted. For other code give another --name.
 
 Seeds from 30000 on are for pages; try changes of the code on those from 10000 on, with
 --name=try_..., whose files are not committed.
@@ -18,17 +18,22 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numpy as np
 import pandas as pd
 
-from problems.battery import store
-from problems.battery.ask import ROW, Task
+from problems.battery.ask import Task, examined
+from problems.battery.draw import LOUDEST, QUIETEST
+from problems.battery.experiments import MODEL_ERROR
 from problems.battery.records import FIELD, HIDDEN
 from problems.battery.score import by_kind, by_noise, confusions, hidden_rows
-from problems.judges.cases import IN_ROUND, path_of, rounds
+from problems.judges.cases import IN_ROUND, Record, kept, rounds, run
 from problems.tools.command_line import option
 from problems.tools.pages import render
 from problems.tools.provenance import write
 
+# Columns of the page that not every record has.
+COUNTED = ["misfit", "covered", "after", "added", "first", "first_equation"]
+COUNTED += ["verdict", "base_error", "answer"]
 SECONDS_A_CASE = 7.0  # of a processor: the mean of a round on a busy machine
 
 
@@ -38,23 +43,15 @@ def task_list(first: int, minutes: float, processes: int) -> list[Task]:
     return rounds(first, IN_ROUND, n_tasks)
 
 
-def table(name: str, battery: str, tasks: list[Task]) -> pd.DataFrame:
-    """The kept cases of a list."""
-    rows = store.table(path_of(f"{name}_{battery}.csv"), battery)
-    wanted = {(task.row, task.seed) for task in tasks if task.battery == battery}
-    pairs = zip(rows[ROW[battery]], rows["seed"], strict=True)
-    return rows[[pair in wanted for pair in pairs]]
-
-
-def run(name: str, tasks: list[Task], processes: int) -> None:
-    """Examine what is not kept yet."""
-    store.run(
-        tasks,
-        lambda task: path_of(f"{name}_{task.battery}.csv"),
-        lambda task, record: print(task, record["outcome"], flush=True),
-        processes,
-        further=("processor",),
-    )
+def tables(
+    done: dict[str, Record], tasks: list[Task]
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The kept cases of a list, hidden effects and machines of the field."""
+    found: dict[str, list[Record]] = {HIDDEN: [], FIELD: []}
+    for task in tasks:
+        if str(task) in done:
+            found[task.battery].append(dict.fromkeys(COUNTED, np.nan) | done[str(task)])
+    return pd.DataFrame(found[HIDDEN]), pd.DataFrame(found[FIELD])
 
 
 def page(hidden: pd.DataFrame, field: pd.DataFrame, first: int) -> str:
@@ -74,6 +71,9 @@ def page(hidden: pd.DataFrame, field: pd.DataFrame, first: int) -> str:
         mean=both["processor"].mean(),
         total=both["processor"].sum(),
         commits=both["commit"].unique(),
+        quietest=QUIETEST,
+        loudest=LOUDEST,
+        model_error=MODEL_ERROR,
         **shown,
     )
 
@@ -88,8 +88,10 @@ def main() -> None:
     processes = int(option("processes", "2"))
     name = option("name", "battery")
     tasks = task_list(first, float(option("minutes", "60")), processes)
-    run(name, tasks, processes)
-    hidden, field = (table(name, battery, tasks) for battery in (HIDDEN, FIELD))
+    file = f"{name}.json"
+    done = kept(file)
+    run(file, examined, tasks, done, processes)
+    hidden, field = tables(done, tasks)
     write(f"judges/{name}.md", page(hidden, field, first))
 
 

@@ -5,17 +5,19 @@ for what). Records are results of the code of one day, as JSON in results/judges
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from phsi_opt.sweeps.sweep import sweep
 from phsi_opt.writing import write_whole
 from problems.battery.ask import Task
-from problems.battery.draw import KINDS, TABLES
+from problems.battery.draw import TABLES
 from problems.tools import provenance
+from problems.tools.workers import workers
 
 # Cases by the kind of row of hidden effects, and of machines of the field (with
 # something to name, with nothing). Multiples of three meet all noises of the field.
@@ -40,6 +42,8 @@ IN_VERDICTS = {
     "complete": 18,
 }
 
+SAID = ("verdict", "findings", "answer", "first", "outcome")  # of a record, as it comes
+
 Record = dict[str, Any]
 
 
@@ -57,10 +61,9 @@ def one_round(first: int, numbers: Mapping[str, int], k: int = 0) -> list[Task]:
     tasks = []
     for battery, rows in TABLES.items():
         for row in rows.values():
-            if row != KINDS["nothing_10"]:
-                n = numbers[row.kind]
-                seeds = range(first + k * n, first + (k + 1) * n)
-                tasks += [Task(battery, row.name, seed) for seed in seeds]
+            n = numbers[row.kind]
+            seeds = range(first + k * n, first + (k + 1) * n)
+            tasks += [Task(battery, row.name, seed) for seed in seeds]
     order = np.random.default_rng([first, k]).permutation(len(tasks))
     return [tasks[place] for place in order]
 
@@ -75,7 +78,8 @@ def keep(name: str, records: Mapping[str, Record]) -> None:
     path = path_of(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     content = {"provenance": provenance.provenance(), "records": records}
-    write_whole(path, json.dumps(content, indent=1) + "\n")
+    text = json.dumps(content, indent=1, default=lambda number: number.item())
+    write_whole(path, text + "\n")
 
 
 def kept(name: str) -> dict[str, Record]:
@@ -84,3 +88,20 @@ def kept(name: str) -> dict[str, Record]:
     if not path.exists():
         return {}
     return dict(json.loads(path.read_text(encoding="utf-8"))["records"])
+
+
+def run(
+    name: str,
+    examined: Callable[[Task], Record],
+    tasks: list[Task],
+    done: dict[str, Record],
+    jobs: int,
+) -> None:
+    """Examine what is not done, and keep each as it comes."""
+    open_tasks = {str(task): task for task in tasks if str(task) not in done}
+    with workers(jobs) as executor:
+        for one in sweep(examined, open_tasks, executor=executor):
+            done[one.key] = one.result
+            keep(name, done)
+            said = {k: v for k, v in one.result.items() if k in SAID and v}
+            print(f"{len(done)}: {one.key}: {said}", flush=True)

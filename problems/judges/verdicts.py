@@ -27,7 +27,6 @@ from collections import Counter
 from collections.abc import Mapping
 
 import phsi_opt as ph
-from phsi_opt.sweeps.sweep import sweep
 from problems.battery.ask import (
     CLASS,
     NAME,
@@ -40,12 +39,11 @@ from problems.battery.ask import (
 )
 from problems.battery.draw import FIRST_VERDICT, ROWS, TABLES, draw
 from problems.battery.records import HIDDEN
-from problems.judges.cases import IN_VERDICTS, Record, keep, kept, rounds
+from problems.judges.cases import IN_VERDICTS, Record, kept, rounds, run
 from problems.tools.command_line import flag, option
 from problems.tools.intervals import share
 from problems.tools.pages import render
 from problems.tools.provenance import commit
-from problems.tools.workers import workers
 
 FILE = "verdicts.json"
 CHECK = "check_"  # begins the name of the file of a check, which is not committed
@@ -178,16 +176,6 @@ def _moved(old: Records, new: Records) -> str:
     return f"{n_moved} of {n_all}"
 
 
-def run(name: str, tasks: list[Task], done: dict[str, Record], jobs: int) -> None:
-    """Examine what is not done, and keep each as it comes."""
-    open_tasks = {str(task): task for task in tasks if str(task) not in done}
-    with workers(jobs) as executor:
-        for one in sweep(examined, open_tasks, executor=executor):
-            done[one.key] = one.result
-            keep(name, done)
-            print(f"{len(done)}: {one.key}: {_text(one.result)}", flush=True)
-
-
 def main() -> None:
     """Freeze the verdicts, or compare with them."""
     if flag("check") == flag("freeze"):
@@ -198,11 +186,11 @@ def main() -> None:
     tasks = rounds(first, IN_VERDICTS, n_cases)
     file = FILE if first == FIRST_VERDICT else f"try_{first}_{FILE}"
     if not flag("check"):
-        run(file, tasks, kept(file), jobs)
+        run(file, examined, tasks, kept(file), jobs)
         return
     done = kept(CHECK + file)
     done = {key: one for key, one in done.items() if one["commit"] == commit()}
-    run(CHECK + file, tasks, done, jobs)
+    run(CHECK + file, examined, tasks, done, jobs)
     wanted = {str(task) for task in tasks}
     print(report({k: one for k, one in kept(file).items() if k in wanted}, done))
 

@@ -1,19 +1,11 @@
-"""Every measured set: what a study is given to tell its story, and the models and
-records of which halves are compared.
+"""Every measured set: what a study is given to tell its story."""
 
-    python -m problems.measured.sets [MODEL ...] [--data=FOLDER]
-
-fits the models whose name contains one of the words, and prints them.
-"""
-
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import phsi_opt as ph
 from problems.measured import machines, storages
-from problems.tools.command_line import chosen
-from problems.tools.data_paths import folder, is_present
 
 Model = ph.PseudoHamiltonian | ph.FirstOrder
 Records = tuple[ph.Measurements, ph.Measurements]
@@ -142,124 +134,3 @@ def with_effects(model: ph.Model, effects: tuple[str, ...]) -> ph.Model:
         name, _, equation = effect.rpartition(" on ")
         model = model.add(name, equation)
     return model
-
-
-# --- the halves
-
-
-@dataclass(frozen=True)
-class Case:
-    """A model of a measured set and the training record that it is fitted to.
-
-    Attributes:
-        folder: Of the set's files.
-        model: Makes the model: the base, or a larger one that the pages arrive at.
-        load: Reads the record.
-        window: Samples of a window, some time constants of the machine; None: the
-            record has its windows.
-        length: Of a window, in words.
-        effects: Added to the model.
-        is_windowed: Whether first and second half are cut into windows too, because
-            free runs of the machine drift.
-    """
-
-    folder: str
-    model: Callable[[], ph.Model]
-    load: Callable[[], ph.Measurements]
-    window: int | None
-    length: str
-    effects: tuple[str, ...] = ()
-    is_windowed: bool = False
-
-    def fit(self, data: ph.Measurements) -> ph.Fit:
-        """The model, fitted to some of the data."""
-        return ph.identify(with_effects(self.model(), self.effects), data)
-
-
-def _hoop(*effects: str) -> Case:
-    model, load = machines.hoop_model, machines.hoop
-    return Case("ball_and_hoop", model, load, 250, "25 s", effects)
-
-
-def _drone(*effects: str) -> Case:
-    begin, end = machines.FLYING
-    flight = partial(machines.drone, window=end - begin)  # in one piece
-    model = machines.drone_model
-    return Case("quarter_drone", model, flight, 100, "5 s", effects, is_windowed=True)
-
-
-def _box(*effects: str) -> Case:
-    load = partial(machines.box, *machines.BOX_FIT)
-    length = "256 samples, 0.42 s"
-    return Case("silverbox", machines.box_model, load, 512, length, effects)
-
-
-def _house(number: int, n_storages: int) -> Case:
-    model = partial(storages.house_model, n_storages)
-    load = partial(storages.house, number, n_storages)
-    return Case("building", model, load, 384, "4 days")
-
-
-def _cell(n_pairs: int) -> Case:
-    model = partial(storages.cell_model, n_pairs)
-    load = partial(storages.cell, n_pairs)
-    return Case("battery_cell", model, load, None, "one cycle of pulses")
-
-
-def _drives(*effects: str) -> Case:
-    model, load = machines.drives_model, machines.drives
-    return Case("coupled_drives", model, load, 100, "2 s", effects)
-
-
-CASES: Mapping[str, Case] = {
-    "ball and hoop, linear": _hoop(),
-    "ball and hoop, quadratic drag": _hoop("quadratic drag on y"),
-    "EMPS, published model": Case(
-        "emps",
-        machines.emps_model,
-        partial(machines.emps, window=None),
-        machines.EMPS_WINDOW,
-        "1 s",
-    ),
-    "quarter drone, base": _drone(),
-    "quarter drone, offset and dry friction": _drone(
-        "constant force on p", "coulomb friction on p"
-    ),
-    "Silverbox, linear": _box(),
-    "Silverbox, offset and cubic": _box("constant force on p", "cubic stiffness on p"),
-    "cascaded tanks, textbook": Case(
-        "cascaded_tanks", storages.textbook_tanks, storages.tanks, 128, "512 s"
-    ),
-    "torque pendulum": Case(
-        "torque_pendulum", machines.pendulum_model, machines.pendulum, 117, "0.39 s"
-    ),
-    "house 1, one storage": _house(1, 1),
-    "house 1, two storages": _house(1, 2),
-    "house 3, one storage": _house(3, 1),
-    "house 3, two storages": _house(3, 2),
-    "two heaters": Case(
-        "heaters", storages.heaters_model, storages.heaters, 60, "60 s"
-    ),
-    "battery cell, one pair": _cell(1),
-    "battery cell, two pairs": _cell(2),
-    "coupled drives, linear": _drives(),
-    "coupled drives, dry friction": _drives("coulomb friction on w"),
-}
-
-
-def chosen_cases(words: list[str]) -> dict[str, Case]:
-    """The cases whose name contains one of the words and whose data are there; all by
-    default.
-    """
-    found = {}
-    for name, case in CASES.items():
-        is_wanted = any(word.lower() in name.lower() for word in words) or not words
-        if is_wanted and is_present(folder(case.folder)):
-            found[name] = case
-    return found
-
-
-if __name__ == "__main__":
-    for name, case in chosen_cases(chosen()).items():
-        fit = case.fit(case.load())
-        print(name, fit, f"{fit.seconds:.0f} s", sep="\n", flush=True)
