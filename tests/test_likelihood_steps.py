@@ -19,8 +19,8 @@ from phsi_opt.optimization.banded import FEWEST_STATES
 from phsi_opt.optimization.ipopt import DIRECT_STEPS
 from phsi_opt.transcription.defects import mapped
 from phsi_opt.transcription.grid import AlignedData
-from problems.benchmarks import state_growth
-from problems.benchmarks.peer_cases import PROBLEMS, drawn
+from problems.benchmarks import chains
+from problems.benchmarks.peer_problems import PROBLEMS, drawn
 
 T = np.linspace(0.0, 20.0, 201)
 NOISE = 0.02
@@ -106,8 +106,8 @@ def test_an_optimum_at_a_bound_is_that_of_ipopt(c: ph.Parameter) -> None:
 
 
 def test_many_states_are_solved_as_few_are() -> None:
-    chain = state_growth.model(MANY_MASSES)
-    data = state_growth.data(MANY_MASSES, 100)
+    chain = chains.model(MANY_MASSES)
+    data = chains.data(MANY_MASSES, 100)
     assert 2 * MANY_MASSES >= FEWEST_STATES
     loss = ph.MaximumLikelihood(steps=1)
     fit = ph.identify(chain, data, loss)
@@ -123,8 +123,8 @@ def test_the_band_of_many_states_that_samples_measure_is_never_filled(
     monkeypatch.setattr(joint_estimate, "SLOW", 0.0)  # every step is slow
     monkeypatch.setattr(banded, "Banded", None)
     loss = ph.MaximumLikelihood(steps=1)
-    data = state_growth.data(MANY_MASSES, 100)
-    fit = ph.identify(state_growth.model(MANY_MASSES), data, loss)
+    data = chains.data(MANY_MASSES, 100)
+    fit = ph.identify(chains.model(MANY_MASSES), data, loss)
     assert fit.outcome.status == DIRECT_STEPS and fit.outcome.success
 
 

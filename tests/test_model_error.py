@@ -37,7 +37,7 @@ from phsi_opt.model_error.standard_errors import (
     degrees_of_freedom,
 )
 from phsi_opt.transcription.grid import AlignedData
-from problems.benchmarks import state_growth
+from problems.benchmarks import chains
 
 TRUE = {"k": 4.0, "c": 0.3, "g": 1.0}
 SIZE = 0.2  # of the hidden force, a tenth of the typical acceleration
@@ -711,8 +711,8 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
 @cache
 def search_of_a_chain() -> DisturbanceSearch:
     """White noise alone, on twenty channels."""
-    chain = state_growth.model(10)
-    estimate = estimated(state_growth.data(10, 200), ph.MaximumLikelihood(), chain)
+    chain = chains.model(10)
+    estimate = estimated(chains.data(10, 200), ph.MaximumLikelihood(), chain)
     assert isinstance(estimate, LikelihoodEstimate)
     return estimate.plain.search
 

@@ -1,34 +1,19 @@
 """The benchmarks, small: the Cramer-Rao bound, chaos, scaling, coverage, far starts."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from problems.benchmarks import basins, chaos, scaling, state_growth
-from problems.benchmarks.basin_machines import KINDS as MACHINES
-from problems.benchmarks.basin_machines import OTHERS_OFF, UNREST, draw_case
-from problems.benchmarks.coverage import (
-    DEFAULT,
-    HIGHEST,
-    LOWEST,
-    PLAIN,
-    SCENARIOS,
-    WITH_FORCE,
-    Job,
-    chance_within,
-    kept,
-    make,
-    measures,
-    page,
-    summary,
-)
+from problems.benchmarks import chaos, coverage, identify, scaling
+from problems.benchmarks.coverage import SCENARIOS
 from problems.benchmarks.efficiency import run
 from problems.benchmarks.efficiency.cases import CASES, duffing
 from problems.benchmarks.efficiency.cramer_rao import TrueSystem, covariance_bound
+from problems.benchmarks.far_starts import KINDS as MACHINES
+from problems.benchmarks.far_starts import NOTHING, OTHERS_OFF, UNREST, draw_case
 from problems.benchmarks.oscillator import (
     KINDS,
     MOTION_RUNS,
@@ -39,16 +24,11 @@ from problems.benchmarks.oscillator import (
     Draw,
     Layout,
     Nonlinearities,
-    cubic_coefficient,
-    kind_of,
-    least_squares_estimate,
-    model,
     motion,
-    positions,
     records,
 )
+from problems.benchmarks.peer_problems import PROBLEMS
 from problems.thesis.systems import SYSTEMS, closed_tanks
-from problems.tools import provenance
 
 
 def test_the_bound_agrees_with_the_closed_form_of_exponential_decay() -> None:
@@ -97,10 +77,10 @@ def test_the_bound_agrees_with_finite_differences_of_an_integration(
 
 
 @pytest.mark.parametrize(
-    "name", ["henon_heiles", "mass_spring", "schrodinger", "tanks", "tanks_leak"]
+    "name", ["henon_heiles", "mass_spring", "schrodinger", "tanks"]
 )
 def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
-    case, system = CASES[name], SYSTEMS[name.removesuffix("_leak")]
+    case, system = CASES[name], SYSTEMS[name]
     rhs = closed_tanks if name == "tanks" else system.rhs
     x = np.random.default_rng(1).normal(size=len(system.states))
     truth = case.system()
@@ -111,73 +91,57 @@ def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
     assert set(truth.truth) == set(case.model().free)
 
 
-def test_likelihood_is_close_to_the_bound_and_needs_no_complete_samples() -> None:
-    tables = run.quick(["duffing_qp_0.1", "duffing_q_0.1_gaps"], 1)
+def test_likelihood_is_close_to_the_bound_and_needs_no_complete_samples(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    tables = run.main(["duffing_qp_0.1", "duffing_q_0.1_gaps"], quick=True)
     table = tables["duffing_qp_0.1"]
-    z = (
-        ((table["estimate"] - table["truth"]) / table["bound"])
-        .abs()
-        .groupby(table["method"])
-        .max()
-    )
+    z = ((table["estimate"] - table["truth"]) / table["bound"]).abs()
     # the largest of three standard normal numbers is above 4 once in 5000 draws
-    assert z["likelihood"] < 4
+    assert z[table["method"] == "likelihood"].max() < 4
     assert set(table["method"]) == {"likelihood", "one-step"}
     # the standard error is the bound with estimated noise and parameters: within 15 %
     # at 1002 values
-    share = (table["std_error"] / table["bound"])[table["method"] == "likelihood"]
-    assert share.to_numpy() == pytest.approx(1, abs=0.15)
-    assert set(tables["duffing_q_0.1_gaps"]["method"]) == {"likelihood"}
-    assert set(tables["duffing_q_0.1_gaps"]["outcome"]) == {"solved"}
-
-
-def test_the_page_is_made_from_the_kept_rows_and_a_run_goes_on_where_it_stopped(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("sys.argv", ["run.py"])
-    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
-    run.main(["duffing_qp_0.1"], n_seeds=1, jobs=1)
-    first = pd.read_csv(tmp_path / "efficiency" / "duffing_qp_0.1.csv")
-    run.main(["duffing_qp_0.1"], n_seeds=2, jobs=1)
-    both = pd.read_csv(tmp_path / "efficiency" / "duffing_qp_0.1.csv")
-    assert both["seed"].nunique() == 2
-    pd.testing.assert_frame_equal(both.head(len(first)), first)
-    assert "coverage, pooled" in (tmp_path / "efficiency.md").read_text(
-        encoding="utf-8"
+    ratio = (table["std_error"] / table["bound"])[table["method"] == "likelihood"]
+    assert ratio.to_numpy() == pytest.approx(1, abs=0.15)
+    gaps = tables["duffing_q_0.1_gaps"]
+    assert set(gaps["method"]) == {"likelihood"}
+    assert gaps["estimate"].notna().all()
+    said = capsys.readouterr().out
+    assert (
+        "| Duffing, 10 % noise, q measured, 50 % of the samples removed | 1 | 0 |"
+        in said
     )
-    assert (tmp_path / "efficiency.png").stat().st_size > 10_000
 
 
 def test_lorenz_is_identified_beyond_the_time_of_any_prediction(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(
-        chaos,
-        "EXPERIMENTS",
-        {"small": chaos.lorenz("small", ("x", "y", "z"), n_steps=500)},
-    )
-    table = chaos.main(["small"], 1, keep=False)
-    assert set(table["outcome"]) == {"solved"}
+    small = chaos.lorenz("small", ("x", "y", "z"), n_steps=500)
+    monkeypatch.setattr(chaos, "EXPERIMENTS", {"small": small})
+    rows = run.fits(("small", 7000))
+    assert rows["estimate"].notna().all()
     # the largest of three standard normal numbers is above 4 once in 5000 draws
-    assert chaos.scores(table)["z, largest"].max() < 4
+    assert run.scores(rows)["z"].max() < 4
+    failed = rows.assign(estimate=np.nan, std_error=np.nan, seed=7001)
+    line = run.line("small", pd.concat([rows, failed]))
+    assert (line["seeds"], line["failed"]) == (2, 1)
+    assert str(line["95 % intervals that contain the truth"]).startswith(("50%", "33%"))
 
 
 def test_the_cost_of_a_fit_is_measured() -> None:
-    row = scaling.measure(300, "qp")
-    assert float(row["solve_seconds"]) < float(row["seconds"])
-    assert float(row["largest_error_in_std_errors"]) < 4
-    rows = pd.DataFrame({"n_samples": [10, 100, 1000], "seconds": [1.0, 20.0, 400.0]})
-    assert scaling.exponent(rows) == pytest.approx(np.log10(20))
-
-
-def test_the_cost_of_many_states_is_measured() -> None:
-    row = state_growth.measure(2, 100)
+    row = scaling.by_samples(300, "qp")
+    assert (row["measured"], row["samples"]) == ("q and p", 300)
+    assert float(str(row["largest error in standard errors"])) < 4
+    row = scaling.by_states(2, 100)
     assert row["states"] == 4
-    # The first is of the clock, the second of the processor.
-    assert min(row["solves (s)"], row["identify (s)"]) > 0
-    assert row["largest error in standard errors"] < 4
-    rows = [{"states": 10, "s": 1.0}, {"states": 100, "s": 100.0}]
-    assert state_growth.growth(rows, "s") == pytest.approx(2.0)
+    assert float(str(row["identify (s)"])) > 0
+    assert float(str(row["largest error in standard errors"])) < 4
+    rows: list[scaling.Row] = [
+        {"states": 10, "identify (s)": 1.0},
+        {"states": 100, "identify (s)": 100.0},
+    ]
+    assert scaling.growth(rows, "states") == pytest.approx(2.0)
 
 
 # ---- coverage of intervals
@@ -234,74 +198,24 @@ def test_a_drawn_nonlinearity_has_its_share_and_no_linear_part(
         assert abs(alike / of_linear / size).max() < 0.01
 
 
-def test_an_estimate_of_a_linear_machine_tends_to_the_truth() -> None:
-    draw = Draw.of(1, Disturbance(), Layout(20, 100))
-    found = least_squares_estimate(positions(draw, 0.0), draw.voltage)
-    assert found == pytest.approx(TRUTH, rel=1e-5)
+def test_intervals_are_counted_and_a_failed_fit_contains_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rows = coverage.fit_rows(("fixed cubic spring 3 %", SHORT, 1))
+    assert len(rows) == 2 * len(TRUTH)
 
+    def broken(*arguments: object, **options: object) -> None:
+        raise ph.SolveError("no way")
 
-def test_least_squares_is_the_estimate_of_the_package_on_the_same_record() -> None:
-    disturbance = Disturbance(cubic_share=0.05)
-    draw = Draw.of(1, disturbance, SHORT)
-    cubic = cubic_coefficient(disturbance.cubic_share)
-    found = least_squares_estimate(positions(draw, cubic) + draw.noise, draw.voltage)
-    fit = ph.identify(model(), records([1], disturbance, SHORT)[0])
-    assert fit.estimates == pytest.approx(found, rel=1e-4)
-
-
-def test_coverage_is_counted_and_a_failed_fit_holds_nothing() -> None:
-    rows = pd.DataFrame(
-        {
-            "estimate": [1.0, 1.2, 2.0, np.nan],
-            "std_error": [0.1, 0.1, 0.5, np.nan],
-            "half": [0.2, 0.2, 1.0, np.nan],
-            "white": [0.1, 0.05, 0.1, np.nan],
-            "white_half": [0.2, 0.1, 0.2, np.nan],
-            "source": ["white noise", "model error", "model error", "SolveError"],
-        }
-    )
-    of_fit = measures(rows, 1.0, is_plain=False)
-    of_plain = measures(rows, 1.0, is_plain=True)
-    assert of_fit["coverage"] == 75.0
-    assert of_plain["coverage"] == 25.0
-    assert of_fit["n_failed"] == 1
-    assert of_fit["median_width_ratio"] == pytest.approx(2.0)
-    assert of_fit["same_width"] == 25.0
-    assert of_fit["model error"] == 50.0
-    assert of_fit["coverage_if_white"] == 100.0
-    assert of_fit["coverage_if_more"] == pytest.approx(200 / 3)
-    assert of_fit["rms_z"] == pytest.approx(np.sqrt((0 + 4 + 4) / 3))
-
-
-def test_exact_intervals_are_counted_within_the_limits_as_often_as_drawn() -> None:
-    held = np.random.default_rng(1).random((20_000, 40)) < 0.95
-    share = 100 * held.mean(axis=1)
-    counted = np.mean((share >= LOWEST) & (share <= HIGHEST))
-    assert chance_within(40) == pytest.approx(counted, abs=0.015)  # four errors
-
-
-@pytest.mark.slow
-def test_the_page_tells_every_method(tmp_path: Path) -> None:
-    jobs = [
-        Job("none", SHORT, DEFAULT),
-        Job("nonlinearity 1 to 5 %", SHORT, DEFAULT),
-        Job("cubic spring 5 %", SHORT, DEFAULT),
-        Job("cubic spring 5 %", SHORT, WITH_FORCE),
-    ]
-    make([(job, [1, 2]) for job in jobs], tmp_path / "fits.csv")
-    fits = kept(tmp_path / "fits.csv")
-    rows = summary(fits)
-    assert len(rows) == 3 * (2 + 2 + 2 * 2 + 2)
-    assert set(rows["method"]) == {PLAIN, DEFAULT, WITH_FORCE}
-    assert (rows["n"] == 2).all()
-    text = page(rows, fits)
-    assert "Not measured: default, 1 x 400." in text
-    assert "| default | 2 x 100 | 2 |" in text
-    assert f"| 2 x 100 | {kind_of(1, SHORT)} |" in text
-    assert "| cubic spring 5 % | 2 x 100 | limit of the estimate |" in text
-    asked, stressed = text.split("## Stress test")
-    assert "cubic spring 5 %" not in asked
-    assert "| cubic spring 5 % | 2 x 100 | 2 |" in stressed
+    monkeypatch.setattr(ph, "identify", broken)
+    rows += coverage.fit_rows(("fixed cubic spring 3 %", SHORT, 2))
+    table = pd.DataFrame(rows)
+    text = coverage.page(table, 1, 2)
+    assert "not containing the truth: 1." in text
+    table["held"] = [True] * 6 + [False] * 6
+    (line,) = coverage.summary(table).to_dict("records")
+    assert line["the package"] == line["white noise alone"] == "50% (19% to 81%)"
+    assert line["the package: k / R_v / g, %"] == "50 / 50 / 50"
 
 
 # ---- starts far off
@@ -335,19 +249,19 @@ def test_a_hidden_force_changes_the_motion_and_a_pendulum_never_turns_over() -> 
 
 
 def test_one_machine_from_half_off_is_judged_right_by_its_own_truth() -> None:
-    setting = basins.Setting(0.5, basins.NOTHING, 1)
-    row = basins.row("oscillator", 1, setting)
+    row = identify.far_row("oscillator", 1, 0.5, NOTHING)
     assert row["right"]
-    assert row["frequency_error"] == pytest.approx(0.0, abs=1e-3)
-    frame = pd.DataFrame([row, {**row, "kind": "pendulum", "right": False}])
-    counted = basins.summary(frame).set_index("machine")
-    assert counted["right"].to_dict() == {
-        "oscillator": 1,
-        "pendulum": 0,
-        "two masses": 0,
-        "all": 1,
-    }
-    assert "## Those that are wrong" in basins.page(frame)
+    frame = pd.DataFrame([row, {**row, "machine": "pendulum", "right": False}])
+    counted = identify.far_summary(frame).set_index("machine")["right"]
+    assert counted.to_dict() == {"oscillator": 1, "pendulum": 0}
+
+
+@pytest.mark.slow
+def test_every_peer_finds_the_motion_of_an_easy_start() -> None:
+    row = identify.peer_row(PROBLEMS[0], 0)
+    found = {name: value for name, value in row.items() if name.endswith("found")}
+    assert {"identify found", "CasADi found", "SciPy found"} <= set(found)
+    assert all(found.values())
 
 
 def test_a_random_force_that_would_turn_a_pendulum_over_is_halved() -> None:

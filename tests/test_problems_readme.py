@@ -5,7 +5,6 @@ results/ says how it was made.
 import re
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -81,67 +80,6 @@ def test_pruning_by_significance(readme: str) -> None:
     )
 
 
-def test_the_efficiency_beside_the_bound(readme: str) -> None:
-    from problems.benchmarks.efficiency.cases import CASES, THESIS_CASES
-    from problems.benchmarks.efficiency.page import by_chance, scores
-
-    worst, beside, coverage, one_step, seeds = {}, {}, [], [], []
-    for name in CASES:
-        rows = pd.read_csv(RESULTS / "efficiency" / f"{name}.csv")
-        by = {method: scores(part) for method, part in rows.groupby("method")}
-        seeds.append(rows["seed"].nunique())
-        worst[by["likelihood"]["rmse/bound"].max()] = by_chance(seeds[-1])
-        beside[name] = by["likelihood"]["beside"].max()
-        coverage.append(by["likelihood"]["coverage"].mean())
-        if "one-step" in by:
-            one_step.append(by["one-step"]["rmse/bound"].max())
-    assert len(CASES) == 15 and "fifteen experiments" in readme
-    assert f"of {min(seeds)} to {max(seeds)} seeds each" in readme
-    of_thesis = max(beside[name] for name in THESIS_CASES)
-    assert (
-        f"at most {max(beside.values()):.2f} times the bound ({of_thesis:.2f} on the "
-        "systems of the thesis"
-    ) in readme
-    assert (
-        f"largest ratio is {max(worst):.2f} +- {worst[max(worst)]:.2f} over" in readme
-    )
-    low, high = percent(min(coverage), 1), percent(max(coverage), 1)
-    assert f"contain the true value in {low} to {high} %" in readme
-    ratios = f"{min(one_step):.0f} to {max(one_step):.0f}"
-    assert f"the largest ratio of an experiment is {ratios}." in readme
-
-
-def test_the_chaotic_systems(readme: str) -> None:
-    from problems.benchmarks.chaos import EXPERIMENTS
-
-    lengths = [
-        case.n_steps * case.step * case.lyapunov for case in EXPERIMENTS.values()
-    ]
-    (noise,) = {case.noise for case in EXPERIMENTS.values()}
-    n_terms = len(EXPERIMENTS["lorenz_dictionary"].truth)
-    assert f"a dictionary of {n_terms} terms" in readme
-    assert f"at {percent(noise)} % noise" in readme
-    assert lengths == pytest.approx([25] * len(lengths), abs=2.5)  # "some 25"
-    assert "over some 25 Lyapunov times" in readme
-
-
-def test_starts_far_off(readme: str) -> None:
-    lines = (RESULTS / "basins.md").read_text("utf-8").splitlines()
-    (row,) = [line for line in lines if line.startswith("| 50 % | nothing | all |")]
-    n, right = [cell.strip() for cell in row.split("|")][4:6]
-    assert f"of {n} starts that are 50 % off" in readme
-    assert f"periods, {right} lead to the right optimum" in readme
-
-
-def test_the_sizes_of_the_timed_diagnoses(readme: str) -> None:
-    lines = (RESULTS / "diagnosis_speed.md").read_text("utf-8").splitlines()
-    rows = [re.findall(r"\d+", line)[:2] for line in lines if re.match(r"\| \d", line)]
-    masses, sizes = np.array(rows, dtype=int).T
-    low, high = (f"{size:,}".replace(",", " ") for size in (min(sizes), max(sizes)))
-    assert f"{low} to {high} samples" in readme
-    assert f"a chain of {max(masses)} masses" in readme
-
-
 @pytest.mark.parametrize("path", sorted(RESULTS.rglob("*.md")), ids=lambda p: p.stem)
 def test_the_command_at_the_head_of_a_result_is_a_module_of_the_project(
     path: Path,
@@ -177,7 +115,7 @@ def page(commit: str) -> Page:
 
 def test_every_page_but_those_of_the_tests_says_what_made_it() -> None:
     named = {one.path for one in pages()}
-    assert len(named) > 30
+    assert len(named) > 20
     assert set((ROOT / "results").rglob("*.md")) - named == set()
 
 

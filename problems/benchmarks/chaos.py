@@ -1,44 +1,22 @@
 """Chaotic systems over many Lyapunov times: Lorenz and a double pendulum, 10 % noise.
 
-    python -m problems.benchmarks.chaos [--quick] [--page] [--seeds=N] [experiment ...]
-
-Rows are kept in results/chaos.csv.
-
 A trajectory computed from a guessed start leaves the measured one after a few Lyapunov
 times, so least squares on simulations has countless local minima. Maximum likelihood
 with the states as unknowns has no such trouble; the same sensitivity that spoils a
 prediction makes the parameters precise.
 """
 
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from problems.tools import provenance
-from problems.tools.command_line import chosen, flag, option
-from problems.tools.intervals import HALF_WIDTH
-from problems.tools.kept_tables import append_rows
-from problems.tools.pages import render
 
-N_SEEDS = 20
-FIRST_SEED = 7000
 NOISE = 0.1  # of each channel's standard deviation
 START = 1.0  # of a parameter of the Lorenz system
 MASS_START = 0.5  # kg, of the masses of the pendulum
-COLUMNS = ["experiment", "seed", "parameter", "truth", "estimate", "std_error"]
-COLUMNS += ["seconds", "iterations", "outcome"]
 
 
 @dataclass(frozen=True)
@@ -238,109 +216,3 @@ EXPERIMENTS = {
         steps=1,
     ),
 }
-
-
-# --- the runs
-
-
-def fits(name: str, seed: int) -> list[dict[str, object]]:
-    """A row per parameter."""
-    case = EXPERIMENTS[name]
-    row: dict[str, object] = {"experiment": name, "seed": seed, "iterations": np.nan}
-    values: dict[str, float] = {}
-    errors: dict[str, float] = {}
-    outcome = "solved"
-    began = time.perf_counter()
-    try:
-        loss = ph.MaximumLikelihood(steps=case.steps)
-        fit = ph.identify(case.model(), case.data(seed), loss)
-        errors, values = fit.std_errors, fit.values
-        row["iterations"] = fit.outcome.iterations
-    # Whatever goes wrong is a fit that failed, and is counted.
-    except Exception as error:
-        outcome = f"{type(error).__name__}: {str(error)[:200]}"
-    row |= {"seconds": time.perf_counter() - began, "outcome": outcome}
-    print("...", *row.values(), flush=True)
-    return [
-        row
-        | {
-            "parameter": parameter,
-            "truth": truth,
-            "estimate": values.get(parameter, np.nan),
-            "std_error": errors.get(parameter, np.nan),
-        }
-        for parameter, truth in case.truth.items()
-    ]
-
-
-def main(
-    names: list[str] | None = None, n_seeds: int = N_SEEDS, keep: bool = True
-) -> pd.DataFrame:
-    """All seeds of the named experiments that are not in the table yet."""
-    table = pd.DataFrame(columns=COLUMNS)
-    if keep and _path().exists():
-        table = pd.read_csv(_path())
-    done = set(zip(table["experiment"], table["seed"], strict=True))
-    for name in names or list(EXPERIMENTS):
-        for seed in range(FIRST_SEED, FIRST_SEED + n_seeds):
-            if (name, seed) not in done:
-                rows = pd.DataFrame(fits(name, seed), columns=COLUMNS)
-                table = pd.concat([table, rows]) if len(table) else rows
-                if keep:
-                    append_rows(_path(), rows, "%.10g")
-    if keep:
-        provenance.write("chaos.md", page(table))
-    return table
-
-
-def _path() -> Path:
-    return provenance.RESULTS / "chaos.csv"
-
-
-def scores(table: pd.DataFrame) -> pd.DataFrame:
-    """A row per parameter: errors over the seeds, in units and in standard errors;
-    failed fits have no error.
-    """
-    error = table["estimate"] - table["truth"]
-    z = error / table["std_error"]
-    covered = error.abs() <= HALF_WIDTH * table["std_error"]
-    table = table.assign(square=error**2, z=z, square_z=z**2, covered=covered)
-    by = table.groupby("parameter", sort=False)
-    rmse = np.sqrt(by["square"].mean())
-    truth = by["truth"].first()
-    return pd.DataFrame(
-        {
-            "truth": truth,
-            "rmse": rmse,
-            "rmse, relative": rmse / truth.abs().where(truth != 0),
-            "std_error": by["std_error"].mean(),
-            "z, root mean square": np.sqrt(by["square_z"].mean()),
-            "z, mean": by["z"].mean(),
-            "z, largest": np.sqrt(by["square_z"].max()),
-            "coverage": by["covered"].mean(),
-        }
-    )
-
-
-def page(table: pd.DataFrame) -> str:
-    """The page from the table."""
-    found = []
-    for name, case in EXPERIMENTS.items():
-        rows = table[table["experiment"] == name]
-        if len(rows):
-            form: Any = {"float_format": "{:.4g}".format, "na_rep": "-"}
-            shown = scores(rows).to_string(index_names=False, **form)
-            found.append((case, rows.groupby("seed").first(), shown))
-    sizes = {"noise": NOISE, "start": START, "mass_start": MASS_START}
-    return render("benchmarks/pages/chaos.md", found=found, **sizes)
-
-
-if __name__ == "__main__":
-    experiments = chosen() or None
-    if flag("page"):
-        provenance.write("chaos.md", page(pd.read_csv(_path())))
-    elif flag("quick"):
-        found = main(experiments or ["lorenz_xyz"], 1, keep=False)
-        print(scores(found).to_string())
-    else:
-        main(experiments, int(option("seeds", str(N_SEEDS))))

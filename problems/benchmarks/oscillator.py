@@ -4,9 +4,6 @@ A mass of 1 kg on a spring with a damper, driven by a known voltage; its positio
 is measured, every 0.1 s. Beside noise there may be a random force, a cubic spring, a
 static nonlinearity that is drawn, noise that lasts, or a coarse sensor. Forces stand
 per mass, in m/s^2.
-
-Here too, without the package: how well any test could see a cubic spring, and the
-values to which estimates tend where the model is wrong.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,10 +11,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.optimize import least_squares
-from scipy.signal import lfilter, ss2tf
-from scipy.stats import chi2, ncx2
+from scipy.signal import lfilter
 
 import phsi_opt as ph
 
@@ -229,12 +223,10 @@ def records(
 
 # --- static nonlinearities that are drawn
 #
-# A nonlinearity that is always the same gives every estimate the same bias: its
-# intervals hold the truth always or never. How often they hold is asked over
-# nonlinearities that are drawn: kind, shape, sign and share. The linear spring, the
-# damper and the constant that come nearest to one over the motions of its kind are
-# taken off it before anything is simulated; what remains has no linear part, so that
-# the coefficients of the simulation are the truth. The share is that of what remains.
+# One that is always the same gives every estimate the same bias, so its intervals hold
+# the truth always or never. The linear spring, the damper and the constant that come
+# nearest to a drawn one over the motions of its kind are taken off it: the coefficients
+# of the simulation are the truth.
 
 KINDS = (
     "cubic spring",
@@ -342,11 +334,6 @@ class Nonlinearities:
         )
 
 
-def kind_of(seed: int, layout: Layout) -> str:
-    """The kind of nonlinearity that a seed draws, one of `KINDS`."""
-    return KINDS[int(_rng(seed, layout).integers(len(KINDS)))]
-
-
 def _rng(seed: int, layout: Layout) -> np.random.Generator:
     return np.random.default_rng([seed, layout.runs, layout.samples, STREAM])
 
@@ -380,142 +367,3 @@ def _undisturbed(samples: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-# --- how well any test could see a cubic spring, and what it does unseen
-#
-# The best that a test can know: the form of the missing force, the size of the noise,
-# and the record. Its power follows from how far the response to the cubic spring lies
-# outside what stiffness, damping, gain and initial states can imitate (the
-# noncentrality of the likelihood-ratio test). What they imitate is the bias of the
-# estimates. Both by responses linearised at the truth.
-
-LEVEL = 0.05  # of the test
-# Half the change by which a slope is told: of a coefficient or a state of about one;
-# half and twice of it move noncentralities by less than 1e-5 of themselves.
-STEP = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Detectability:
-    """Of a cubic spring in some records; all fields are (n_records,).
-
-    Attributes:
-        noncentrality: of the likelihood-ratio test for its coefficient.
-        power: of that test.
-        bias: of the stiffness where the spring is left out, N/m.
-        std_error: of the stiffness there, from white noise, N/m.
-    """
-
-    noncentrality: np.ndarray
-    power: np.ndarray
-    bias: np.ndarray
-    std_error: np.ndarray
-
-
-def detectability(
-    seeds: Sequence[int], disturbance: Disturbance, layout: Layout
-) -> Detectability:
-    """Of the cubic spring of a disturbance in the records of some seeds."""
-    draw = Draw.joined([Draw.of(seed, disturbance, layout) for seed in seeds])
-    cubic = cubic_coefficient(disturbance.cubic_share)
-    slopes = [
-        (_changed(draw, cubic, unit) - _changed(draw, cubic, -unit)) / (2 * STEP)
-        for unit in STEP * np.eye(6)
-    ]
-    found = []
-    for first in range(0, len(draw.state), layout.runs):
-        own = [slope[first : first + layout.runs] for slope in slopes]
-        columns = [slope.ravel() for slope in own[:3]]
-        # The initial states, each of which moves its own run alone.
-        for slope in own[3:5]:
-            for run in range(layout.runs):
-                alone = np.zeros_like(slope)
-                alone[run] = slope[run]
-                columns.append(alone.ravel())
-        in_noise = np.column_stack(columns) / disturbance.noise
-        by_spring = cubic * own[5].ravel() / disturbance.noise
-        imitated = np.linalg.lstsq(in_noise, by_spring)[0]
-        outside = by_spring - in_noise @ imitated
-        covariance = np.linalg.inv(in_noise.T @ in_noise)
-        found.append([outside @ outside, imitated[0], np.sqrt(covariance[0, 0])])
-    noncentrality, bias, std_error = np.array(found).T
-    power = ncx2.sf(chi2.isf(LEVEL, 1), 1, noncentrality)
-    return Detectability(noncentrality, power, bias, std_error)
-
-
-def _changed(draw: Draw, cubic: float, change: np.ndarray) -> np.ndarray:
-    """Positions (n_runs, n_samples) where stiffness, damping, gain, first position,
-    first velocity and the cubic spring are changed by so much.
-    """
-    stiffness, damping, gain, *first, spring = change
-
-    def pull(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return stiffness * q + damping * v + (cubic + spring) * q**3
-
-    voltage = (1 + gain / TRUTH["g"]) * draw.voltage
-    state = draw.state + np.array(first)
-    return motion(replace(draw, voltage=voltage, state=state), pull)[0]
-
-
-# --- the values to which estimates tend where the model is wrong
-#
-# The plain likelihood of one measured position with white noise is least squares on the
-# model's response, with the initial state of every run free. Of many runs without noise
-# its minimum is where the estimates go as records of that kind grow (White,
-# Econometrica 50, 1982).
-
-
-@cache
-def estimate_limits(disturbance: Disturbance, samples: int) -> dict[str, float]:
-    """Where the parameters tend with more and more runs of so many samples."""
-    # A thousand runs without noise leave the limit unknown by a thirtieth of what a
-    # single run leaves, an eighth of what 16 leave.
-    draw = Draw.of(MOTION_SEED, disturbance, Layout(1000, samples))
-    shown = positions(draw, cubic_coefficient(disturbance.cubic_share))
-    return least_squares_estimate(shown, draw.voltage)
-
-
-def least_squares_estimate(shown: np.ndarray, voltage: np.ndarray) -> dict[str, float]:
-    """Parameters of the linear oscillator from positions and voltages.
-
-    Args:
-        shown: (n_runs, n_samples) positions, m.
-        voltage: (n_runs, n_samples), linear in between, V.
-    """
-
-    def residual(values: np.ndarray) -> np.ndarray:
-        stiffness, damping, gain = values
-        forced, free = _responses(stiffness, damping, voltage)
-        basis = np.linalg.qr(free)[0]
-        rest = (shown - gain * forced).T
-        return np.asarray((rest - basis @ (basis.T @ rest)).ravel())
-
-    found = least_squares(residual, list(TRUTH.values()), xtol=1e-12, ftol=1e-12)
-    return dict(zip(TRUTH, found.x.tolist(), strict=True))
-
-
-def _responses(
-    stiffness: float, damping: float, voltage: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Positions from rest by the voltage, (n_runs, n_samples), and by the two initial
-    states alone, (n_samples, 2).
-    """
-    rates = np.zeros((4, 4))
-    rates[0, 1] = 1.0
-    rates[1, :3] = (-stiffness, -damping, 1.0)
-    rates[2, 3] = 1.0 / INTERVAL
-    over_interval = expm(rates * INTERVAL)
-    step = over_interval[:2, :2]
-    of_rise = over_interval[:2, 3]
-    of_level = over_interval[:2, 2] - of_rise
-    # With z = x - of_rise u the next state asks for the present voltage alone.
-    into = of_level + step @ of_rise
-    through, poles = ss2tf(step, into[:, None], np.eye(2)[:1], of_rise[:1, None])
-    forced = lfilter(through[0], poles, voltage, axis=1)
-    free = np.zeros((voltage.shape[1], 2))
-    row = np.array([1.0, 0.0])
-    for i in range(len(free)):
-        free[i] = row
-        row = row @ step
-    return forced, free

@@ -103,5 +103,5 @@ def run(
         for one in sweep(examined, open_tasks, executor=executor):
             done[one.key] = one.result
             keep(name, done)
-            said = {k: v for k, v in one.result.items() if k in SAID and v}
+            said = {k: str(v) for k, v in one.result.items() if k in SAID and v}
             print(f"{len(done)}: {one.key}: {said}", flush=True)

@@ -12,10 +12,10 @@ import numpy as np
 import phsi_opt as ph
 from problems.battery.draw import KINDS, ROWS, draw
 from problems.battery.records import Case
-from problems.benchmarks import scaling, state_growth
-from problems.benchmarks.basin_machines import draw_case
+from problems.benchmarks import chains, scaling
 from problems.benchmarks.chaos import EXPERIMENTS
 from problems.benchmarks.efficiency import cases as efficient
+from problems.benchmarks.far_starts import draw_case
 from problems.benchmarks.oscillator import Disturbance, Layout, records
 from problems.benchmarks.oscillator import model as oscillator_model
 from problems.examples import demo
@@ -171,7 +171,7 @@ def chaotic(name: str, n: int) -> Problem:
 
 def chain(n_masses: int, n: int) -> Problem:
     """A chain of masses with cubic springs, of twice as many states."""
-    return Problem(state_growth.model(n_masses), state_growth.data(n_masses, n))
+    return Problem(chains.model(n_masses), chains.data(n_masses, n))
 
 
 def far_off(kind: str, seed: int) -> Problem:

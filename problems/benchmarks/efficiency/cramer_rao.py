@@ -12,7 +12,6 @@ two.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from scipy.integrate import solve_ivp
 RTOL = 1e-11
 ATOL = 1e-13
 TINY = 1e-300  # keeps quotients finite
-SUBSTEPS = 10  # twice as many move the bounds of the leaking tanks by less than 0.1 %
 
 
 @dataclass(frozen=True)
@@ -53,16 +51,13 @@ class TrueSystem:
     parameters.
 
     ``names`` are the names under which a fitted model knows the parameters, in their
-    order. ``kinked``: the slopes of the rates jump. Then the sensitivities, of which
-    three digits are enough, are integrated in fixed steps: a step that adapts stops at
-    every jump of every trajectory. The states are as exact as ever.
+    order.
     """
 
     states: tuple[str, ...]
     rates: tuple[str, ...]
     values: Mapping[str, float]
     names: tuple[str, ...]
-    kinked: bool = False
 
     @property
     def truth(self) -> dict[str, float]:
@@ -120,11 +115,9 @@ class TrueSystem:
         start = np.zeros(shape)
         start[:, :, 0] = starts
         start[:, :, 1 : 1 + n] = np.eye(n)
-        integrated = _stepped if self.kinked else _integrated
-        flat = integrated(f, start.ravel(), t)
+        flat = _integrated(f, start.ravel(), t)
         z = flat.reshape(len(t), *shape).transpose(1, 0, 2, 3)
-        states = self.solve(starts, t) if self.kinked else z[..., 0]
-        return Sensitivities(states, z[..., 1 : 1 + n], z[..., 1 + n :])
+        return Sensitivities(z[..., 0], z[..., 1 : 1 + n], z[..., 1 + n :])
 
 
 def _filled(rows: Sequence[Any], m: int) -> np.ndarray:
@@ -142,25 +135,6 @@ def _integrated(
             f"the true system cannot be integrated: {solution.message}"
         )
     return solution.y.T
-
-
-def _stepped(
-    f: Callable[[float, np.ndarray], np.ndarray], start: np.ndarray, t: np.ndarray
-) -> np.ndarray:
-    """Runge-Kutta of order 4 with `SUBSTEPS` steps between samples."""
-    found = [start]
-    for begin, end in pairwise(t):
-        x = found[-1]
-        h = (end - begin) / SUBSTEPS
-        for k in range(SUBSTEPS):
-            at = begin + k * h
-            first = f(at, x)
-            second = f(at + h / 2, x + h / 2 * first)
-            third = f(at + h / 2, x + h / 2 * second)
-            fourth = f(at + h, x + h * third)
-            x = x + h / 6 * (first + 2 * second + 2 * third + fourth)
-        found.append(x)
-    return np.array(found)
 
 
 def pseudo_hamiltonian(

@@ -1,12 +1,9 @@
 """How close do the estimates come to the Cramer-Rao bound, and do the intervals hold
-what they promise?
+what they promise? And along chaotic motions, where the bound is out of reach?
 
-    python -m problems.benchmarks.efficiency.run [--quick] [--page] [--jobs=N]
-        [--scheduler=ADDRESS] [--seeds=N] [experiment ...]
+    python -m problems.benchmarks.efficiency.run [--quick] [--jobs=N] [experiment ...]
 
-Rows per seed are kept in results/efficiency/<experiment>.csv as they are computed: a
-run that was interrupted goes on where it stopped, and --page writes the page anew.
---quick runs two seeds of each experiment and writes nothing.
+--quick: a seed of some experiments; nothing is written.
 """
 
 import os
@@ -16,179 +13,173 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
 from phsi_opt.sweeps.sweep import sweep
-from problems.benchmarks.efficiency.cases import CASES, Case, Sample
-from problems.benchmarks.efficiency.page import figure, page, verdict
+from problems.benchmarks import chaos
+from problems.benchmarks.efficiency.cases import CASES
 from problems.tools import provenance
-from problems.tools.command_line import chosen, flag, option
-from problems.tools.kept_tables import append_rows, rewrite
+from problems.tools.command_line import chosen, flag
+from problems.tools.intervals import HALF_WIDTH, share
+from problems.tools.pages import render
 from problems.tools.workers import workers
 
-METHODS: dict[str, ph.MaximumLikelihood | ph.PHSILoss] = {
-    "likelihood": ph.MaximumLikelihood(),
-    "one-step": ph.PHSILoss(),
-}
-COLUMNS = [
-    "seed",
-    "method",
-    "parameter",
-    "truth",
-    "bound",
-    "efficient",
-    "estimate",
-    "std_error",
-    "joint",
-    "seconds",
-    "outcome",
-]
-FORMAT = "%.8g"
+LIKELIHOOD, ONE_STEP = "likelihood", "one-step"
+QUICK = ("duffing_qp_0.1", "duffing_q_0.1_gaps", "lorenz_xyz")
+N_CHAOTIC = 6  # seeds of a chaotic system
 SEEDS_APART = 1000  # more than any experiment has
 
 Task = tuple[str, int]  # experiment and seed
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """What a fit gave: nothing but the reason where it failed."""
-
-    seconds: float
-    values: dict[str, float] = field(default_factory=dict)
-    std_errors: dict[str, float] = field(default_factory=dict)
-    outcome: str = "solved"
-
-
-def fits(case: Case, seed: int) -> pd.DataFrame:
-    """All methods on the data of one seed: a row per method and parameter."""
-    sample = case.sample(seed)
-    rows = []
-    for method, loss in METHODS.items():
-        if method == "likelihood" or case.one_step:
-            attempt = _attempt(case, sample, loss)
-            key = {"seed": seed, "method": method}
-            rows += [key | row for row in _rows(case, sample, attempt)]
-    return pd.DataFrame(rows, columns=COLUMNS)
-
-
-def _attempt(
-    case: Case, sample: Sample, loss: ph.MaximumLikelihood | ph.PHSILoss
-) -> Attempt:
-    began = time.perf_counter()
-    try:
-        fit = ph.identify(case.model(), sample.data, loss)
-        # Standard errors are computed when they are asked for.
-        values = fit.values
-        std_errors = fit.std_errors
-    # Whatever goes wrong is a fit that failed, and is counted.
-    except Exception as error:
-        reason = f"{type(error).__name__}: {str(error)[:200]}"
-        return Attempt(time.perf_counter() - began, outcome=reason)
-    return Attempt(time.perf_counter() - began, dict(values), dict(std_errors))
-
-
-def _rows(case: Case, sample: Sample, attempt: Attempt) -> list[dict[str, object]]:
-    """A row per parameter."""
-    truth = case.system().truth
-    estimates = {name: attempt.values.get(name, np.nan) for name in truth}
-    errors = [estimates[name] - true for name, true in truth.items()]
-    joint = sample.joint(np.array(errors))
-    rows = []
-    known = zip(truth, sample.bound, sample.efficient, strict=True)
-    for name, bound, efficient in known:
-        rows.append(
-            {
-                "parameter": name,
-                "truth": truth[name],
-                "bound": bound,
-                "efficient": efficient,
-                "estimate": estimates[name],
-                "std_error": attempt.std_errors.get(name, np.nan),
-                "joint": joint,
-                "seconds": attempt.seconds,
-                "outcome": attempt.outcome,
-            }
-        )
-    return rows
-
-
-def main(
-    names: list[str] | None = None, n_seeds: int | None = None, jobs: int | None = None
-) -> None:
-    """Run what is not yet in the tables, and write the page."""
-    for name in names or list(CASES):
-        tasks = _open_tasks(name, n_seeds)
-        with workers(jobs) as executor:
-            for done in sweep(_fitted, tasks, executor=executor, progress=_say):
-                append_rows(_path(name), done.result, FORMAT)
-        ordered = table(name).sort_values("seed", kind="stable")
-        rewrite(_path(name), ordered, FORMAT)
-        print(verdict(table(name)), flush=True)
-    write_page()
-
-
-def _open_tasks(name: str, n_seeds: int | None) -> dict[str, Task]:
-    """The seeds of an experiment that are not in its table."""
-    done = set(table(name)["seed"]) if _path(name).exists() else set()
-    first = first_seed(name)
-    wanted = range(first, first + (n_seeds or CASES[name].n_seeds))
-    return {f"{name}, seed {seed}": (name, seed) for seed in wanted if seed not in done}
-
-
-def _fitted(task: Task) -> pd.DataFrame:
-    name, seed = task
-    return fits(CASES[name], seed)
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
-
-
-def quick(names: list[str] | None = None, n_seeds: int = 2) -> dict[str, pd.DataFrame]:
-    """A few seeds of each experiment in this process; nothing is written."""
-    found = {}
-    for name in names or list(CASES):
-        seeds = range(first_seed(name), first_seed(name) + n_seeds)
-        parts = [fits(CASES[name], seed) for seed in seeds]
-        found[name] = pd.concat(parts, ignore_index=True)
-    return found
 
 
 def first_seed(name: str) -> int:
     """Every experiment draws from seeds of its own, so that their errors are
     independent.
     """
-    return 5000 + SEEDS_APART * list(CASES).index(name)
+    return 5000 + SEEDS_APART * [*CASES, *chaos.EXPERIMENTS].index(name)
 
 
-def _path(name: str) -> Path:
-    return provenance.RESULTS / "efficiency" / f"{name}.csv"
+def fits(task: Task) -> pd.DataFrame:
+    """All methods on the data of one seed: a row per method and parameter."""
+    name, seed = task
+    if name in chaos.EXPERIMENTS:
+        system = chaos.EXPERIMENTS[name]
+        known = pd.DataFrame({"truth": system.truth})
+        own = ph.MaximumLikelihood(steps=system.steps)
+        found = _attempt(system.model(), system.data(seed), own)
+        return known.join(found).assign(experiment=name, seed=seed, method=LIKELIHOOD)
+    case = CASES[name]
+    sample = case.sample(seed)
+    known = pd.DataFrame({"truth": case.system().truth})
+    known = known.assign(bound=sample.bound, efficient=sample.efficient)
+    losses: dict[str, ph.MaximumLikelihood | ph.PHSILoss]
+    losses = {LIKELIHOOD: ph.MaximumLikelihood()}
+    if case.one_step:
+        losses[ONE_STEP] = ph.PHSILoss()
+    parts = []
+    for method, loss in losses.items():
+        found = _attempt(case.model(), sample.data, loss)
+        parts.append(known.join(found).assign(method=method))
+    return pd.concat(parts).assign(experiment=name, seed=seed)
 
 
-def table(name: str) -> pd.DataFrame:
-    """The kept rows of an experiment."""
-    return pd.read_csv(_path(name))
+def _attempt(
+    model: ph.Model, data: ph.Measurements, loss: ph.MaximumLikelihood | ph.PHSILoss
+) -> pd.DataFrame:
+    """Estimates and standard errors; none where the fit failed."""
+    began = time.process_time()
+    try:
+        fit = ph.identify(model, data, loss)
+        found = pd.DataFrame({"estimate": fit.values, "std_error": fit.std_errors})
+    # Whatever goes wrong is a fit that failed, and is counted.
+    except Exception as error:
+        print(f"{type(error).__name__}: {str(error)[:200]}", flush=True)
+        found = pd.DataFrame(columns=["estimate", "std_error"], dtype=float)
+    return found.assign(seconds=time.process_time() - began)
 
 
-def write_page() -> None:
-    """The page and the figure from the tables of all experiments that have been run."""
-    found = {name: table(name) for name in CASES if _path(name).exists()}
-    provenance.write("efficiency.md", page(found))
-    figure(found)
+def scores(rows: pd.DataFrame) -> pd.DataFrame:
+    """A row per parameter of one method.
+
+    Errors over the bound of their own seed, and over the standard error; no estimate or
+    no standard error is an interval that does not contain the truth.
+    """
+    error = rows["estimate"] - rows["truth"]
+    bound = rows.get("bound", rows["std_error"])
+    efficient = rows.get("efficient", error)
+    rows = rows.assign(
+        square=(error / bound) ** 2,
+        excess=(error**2 - efficient**2) / bound**2,
+        z=error.abs() / rows["std_error"],
+        covered=error.abs() <= HALF_WIDTH * rows["std_error"],
+        relative=error.abs() / rows["truth"].abs(),
+    )
+    by = rows.groupby(rows.index, sort=False)
+    return pd.DataFrame(
+        {
+            "ratio": np.sqrt(by["square"].mean()),
+            "beside": np.sqrt(np.maximum(1 + by["excess"].mean(), 0.0)),
+            "covered": by["covered"].sum(),
+            "n": by["covered"].size(),
+            "z": by["z"].max(),
+            "relative": by["relative"].median(),
+        }
+    )
+
+
+def line(name: str, rows: pd.DataFrame) -> dict[str, object]:
+    """The line of an experiment on the page."""
+    system = CASES.get(name) or chaos.EXPERIMENTS[name]
+    likelihood = rows[rows["method"] == LIKELIHOOD]
+    found = scores(likelihood)
+    n_seeds = likelihood["seed"].nunique()
+    failed = likelihood.groupby("seed")["estimate"].first().isna().sum()
+    shown: dict[str, object] = {"experiment": system.title, "seeds": n_seeds}
+    shown["failed"] = int(failed)
+    if name in CASES:
+        by_chance = 1 / np.sqrt(2 * n_seeds)
+        shown["worst rmse / bound"] = f"{found['ratio'].max():.3f} +- {by_chance:.3f}"
+        shown["beside the efficient estimate"] = f"{found['beside'].max():.3f}"
+    else:
+        shown["median relative error, worst parameter"] = _worst(found["relative"])
+        shown["largest error in standard errors"] = f"{found['z'].max():.2f}"
+    shown["95 % intervals that contain the truth"] = share(
+        int(found["covered"].sum()), int(found["n"].sum())
+    )
+    if name in CASES:
+        one_step = rows[rows["method"] == ONE_STEP]
+        ratio = f"{scores(one_step)['ratio'].max():.3g}" if len(one_step) else "-"
+        shown["one-step loss: worst rmse / bound"] = ratio
+    seconds = likelihood.groupby("seed")["seconds"].first().median()
+    return shown | {"CPU s per fit": f"{seconds:.2g}"}
+
+
+def _worst(relative: pd.Series) -> str:
+    finite = relative[np.isfinite(relative)]
+    return f"{finite.max():.2g}"
+
+
+def page(found: dict[str, pd.DataFrame]) -> str:
+    """The page as Markdown."""
+    lengths = {}
+    for name, system in chaos.EXPERIMENTS.items():
+        lengths[name] = system.n_steps * system.step * system.lyapunov
+    of_cases = [name for name in CASES if name in found]
+    return render(
+        "benchmarks/pages/efficiency.md",
+        bounded=[line(name, found[name]) for name in of_cases],
+        chaotic=[line(n, found[n]) for n in chaos.EXPERIMENTS if n in found],
+        lyapunov=(min(lengths.values()), max(lengths.values())),
+        noise=chaos.NOISE,
+        start=chaos.START,
+    )
+
+
+def main(names: Sequence[str] = (), quick: bool = False) -> dict[str, pd.DataFrame]:
+    """Rows by experiment; the page of all is written unless ``quick``."""
+    sizes = {name: case.n_seeds for name, case in CASES.items()}
+    sizes |= dict.fromkeys(chaos.EXPERIMENTS, N_CHAOTIC)
+    tasks: dict[str, Task] = {}
+    for name in names or (QUICK if quick else sizes):
+        for k in range(1 if quick else sizes[name]):
+            tasks[f"{name}, seed {first_seed(name) + k}"] = (name, first_seed(name) + k)
+    parts = []
+    with workers(1 if quick else None) as executor:
+        for done in sweep(fits, tasks, executor=executor):
+            parts.append(done.result)
+            print(f"... {done.key}", flush=True)
+    rows = pd.concat(parts)
+    found = {str(n): part for n, part in rows.groupby("experiment", sort=False)}
+    text = page(found)
+    print(text)
+    if not (quick or names):
+        provenance.write("efficiency.md", text)
+    return found
 
 
 if __name__ == "__main__":
-    experiments = chosen() or None
-    if flag("page"):
-        write_page()
-    elif flag("quick"):
-        for case_name, case_rows in quick(experiments).items():
-            print(f"{case_name}: {verdict(case_rows)}")
-    else:
-        seeds = int(option("seeds", "0")) or None
-        main(experiments, seeds)
+    main(chosen(), flag("quick"))

@@ -1,7 +1,6 @@
 """Random machines that swing for many periods, and models that start far off.
 
-Everything is drawn from one generator in a fixed order, so that a case is the same
-whenever it is drawn.
+A case is the same whenever it is drawn.
 """
 
 from collections.abc import Callable
@@ -31,7 +30,7 @@ Force = Callable[[float, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class BasinCase:
+class FarStart:
     """A machine, its noisy record, and a model that starts far off.
 
     Attributes:
@@ -61,9 +60,7 @@ class BasinCase:
         return [name for name in self.truth if name[0] in "kg"]
 
 
-def draw_case(
-    kind: str, seed: int, off: float = 0.5, lacks: str = NOTHING
-) -> BasinCase:
+def draw_case(kind: str, seed: int, off: float = 0.5, lacks: str = NOTHING) -> FarStart:
     """The machine of a seed with its record and its start.
 
     Args:
@@ -98,7 +95,7 @@ def draw_case(
         inputs=["u"] if is_driven else None,
     )
     model = _model(kind, _start_values(rng, truth, off), is_driven)
-    return BasinCase(kind, n_periods, truth, model, data, noise)
+    return FarStart(kind, n_periods, truth, model, data, noise)
 
 
 def _motion(

@@ -1,4 +1,4 @@
-"""The problems of `peers`: what moves, what is measured of it, and where fits begin."""
+"""Problems of `identify`: what moves, what is measured of it, where fits begin."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
