@@ -23,6 +23,7 @@ from phsi_opt.command_line import app as commands
 from phsi_opt.command_line.app import app, with_names
 from phsi_opt.command_line.job import (
     COMPARE,
+    DIAGNOSE,
     FIT,
     GO_THROUGH,
     MEANINGS,
@@ -650,6 +651,37 @@ def test_no_command_fits_again_what_one_before_it_fitted(short: Path) -> None:
     assert FITTING not in lines_and_answer(FIT, short)[0]
 
 
+EVIDENCE = "computing the evidence"  # what a diagnosis tells on its way
+
+
+def test_no_command_diagnoses_again_what_one_before_it_diagnosed(short: Path) -> None:
+    lines, alone = lines_and_answer(DIAGNOSE, short)
+    assert EVIDENCE in lines
+    lines, again = lines_and_answer(DIAGNOSE, short)
+    assert EVIDENCE not in lines
+    assert again == alone  # to the last digit
+    short.write_text(short.read_text().replace('"quadratic drag", ', ""))
+    assert EVIDENCE in lines_and_answer(DIAGNOSE, short)[0], "other effects"
+
+
+@pytest.mark.slow
+def test_a_study_takes_up_the_diagnoses_of_the_one_before(short: Path) -> None:
+    lines_and_answer(DIAGNOSE, short)
+    job = Job(GO_THROUGH, short, is_auto=True)
+    told: list[Message] = []
+    first = run_job(job, told.append)
+    assert str(told).count("screening") == 1, "of what the larger model lacks"
+    told.clear()
+    assert run_job(job, told.append) == first
+    assert EVIDENCE not in str(told)
+    text = short.read_text()
+    short.write_text(text.replace("added = []", 'added = ["coulomb friction on p"]'))
+    assert EVIDENCE not in lines_and_answer(DIAGNOSE, short)[0]
+    other = 'runs = ["run 3"]\n[final]\nruns = ["run 2"]'
+    short.write_text(text.replace("share = 0.4", other))
+    assert EVIDENCE in lines_and_answer(DIAGNOSE, short)[0], "other data that judge"
+
+
 def kept_fit(study: Path) -> ph.Fit | None:
     """The fit of the base model that the next command would take."""
     file = ph.StudyFile.read(study)
@@ -906,7 +938,7 @@ def test_the_reach_of_the_command_is_that_of_the_study(
         found = ph.diagnose(study.fit, study.train, study.held_out, effects=effects)
         open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
         silent = replace(open_, verdict=ph.Verdict.NOTHING_MISSING, ranking=())
-        study._considered |= dict.fromkeys((0, 1), study._choice)
+        study.considered |= dict.fromkeys((0, 1), (study._choice, study.train.hold))
         diagnoses = {0: open_, 1: silent}
         study.record = replace(study.record, diagnoses=diagnoses)
         study.add(open_.ranking[0].effect)

@@ -119,6 +119,13 @@ class DiagnosedModel:
             judged = compared(self.judged.record)
         return replace(self, trained=trained, judged=judged)
 
+    def with_run(self, trained: Comparison) -> "DiagnosedModel":
+        """A larger model with its free runs, beside the noise of this one."""
+        judged = trained
+        if self.is_held_out:
+            judged = compare_record(self.judged.record.refitted(trained.fit))
+        return replace(self, trained=trained, judged=judged)
+
     def held_as(self, hold: Hold, note: str) -> "DiagnosedModel":
         """The model fitted again to inputs that do otherwise between their samples.
 
@@ -300,10 +307,7 @@ class Refitting:
             PhsiOptError: the model cannot be fitted.
         """
         fit = self.sharpened(self.begun())
-        trained = judged = self.with_steps_as_fine_as_its_run(fit)
-        if self.base.is_held_out:
-            judged = compare_record(self.base.judged.record.refitted(trained.fit))
-        return replace(self.base, trained=trained, judged=judged)
+        return self.base.with_run(self.with_steps_as_fine_as_its_run(fit))
 
     def begun(self) -> Fit:
         """The brief re-fit from where the effect was weighed."""

@@ -84,7 +84,7 @@ def decoded(kind: Any, value: Any) -> Any:
         return Dictionary(decoded(tuple[Term, ...], value))
     if kind is np.ndarray:
         return np.array(value, dtype=float)
-    if origin is Mapping:
+    if origin in (Mapping, dict):
         return {decoded(args[0], k): decoded(args[1], v) for k, v in value.items()}
     if origin is tuple and isinstance(value, list):
         return tuple(decoded(args[0], one) for one in value)

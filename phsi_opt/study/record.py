@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from phsi_opt.comparison.compare import Comparison, compare_record
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
@@ -191,10 +192,8 @@ class StudyRecord:
         names = [str(one) for one in self.last.added if str(one) not in established]
         return tuple(considered[name] for name in names if name in considered)
 
-    def held_as(self, diagnosis: Diagnosis) -> "StudyRecord":
-        """With inputs that do between their samples what a diagnosis found."""
-        hold = diagnosis.data.hold
-        notes = diagnosis.record.aligned.notes
+    def held_as(self, hold: Hold, notes: tuple[str, ...]) -> "StudyRecord":
+        """With inputs that do otherwise between their samples."""
         training = self.training.held_as(hold, notes)
         judging = self.judging and self.judging.held_as(hold, notes)
         ending = self.ending and self.ending.held_as(hold, notes)

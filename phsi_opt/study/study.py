@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from phsi_opt.arguments import require_choice, require_count
 from phsi_opt.comparison.compare import Comparison
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
@@ -38,6 +39,8 @@ REPORT_SUFFIXES = (".html", ".md", ".txt")
 # How clear an effect has to be that `Study.auto` adds.
 DECISIVE = "decisive"
 STRONG = "strong"
+# What an earlier study found of the last step, by the effects to consider; None: none.
+Recall = Callable[[StudyRecord, EffectChoice], Diagnosis | None]
 
 
 class Study(Summarised):
@@ -93,8 +96,9 @@ class Study(Summarised):
         self.base = model
         self._choice = EffectChoice(effects, without).checked(model, train.units)
         self._say = progress or silent
-        # The effects that each diagnosis considered, by the number of the step.
-        self._considered: dict[int, EffectChoice] = {}
+        # Effects and inputs that each diagnosis considered, by the number of the step.
+        self.considered: dict[int, tuple[EffectChoice, Hold]] = {}
+        self.recalled: Recall | None = None
         loss = loss or MaximumLikelihood()
         record = StudyRecord.of(model, train, held_out, loss, final)
         self.record = replace(record, title=title)
@@ -189,10 +193,11 @@ class Study(Summarised):
         """What the present model lacks, of the effects that are considered."""
         record = self.record
         number = len(record.steps) - 1
-        if record.present is not None and self._considered.get(number) == choice:
+        if record.present is not None and self.considered[number][0] == choice:
             return record.present
         step = record.last
-        found = diagnose_comparison(
+        known = self.recalled and self.recalled(record, choice)
+        found = known or diagnose_comparison(
             step.train,
             step.held_out,
             effects=choice.candidates(self.model, self.train.units),
@@ -200,9 +205,9 @@ class Study(Summarised):
             progress=self._say,
             executor=executor,
         )
-        self._considered[number] = choice
+        self.considered[number] = (choice, record.train.hold)
         if found.data.hold != record.train.hold:
-            record = record.held_as(found)
+            record = record.held_as(found.data.hold, found.record.aligned.notes)
         if found.fit is not step.fit:  # a better optimum
             step = record.step(f"{step.label}, re-fitted", step.added, found.fit)
         steps = (*record.steps[:-1], step)

@@ -1,9 +1,10 @@
-"""Fits of a study file, kept in a file beside it: nothing is fitted twice.
+"""Fits and diagnoses of a study file, kept in a file beside it.
 
-A fit is used again only if all on which it depends is as it was: the model, the loss,
-the measurements that are fitted, and the package. The file holds numbers and text, as
-that of a saved fit, and nothing in it is run. One that is damaged, or belongs to
-another model or to other measurements, counts as empty; deleting it is always safe.
+They are used again only if all on which they depend is as it was: the model, the loss,
+the measurements, and the package; for a diagnosis also the effects to consider. The
+file holds numbers and text, as that of a saved fit, and nothing in it is run. One that
+is damaged, or belongs to another model or to other measurements, counts as empty;
+deleting it is always safe. Free runs and missing forces are computed again.
 """
 
 import hashlib
@@ -15,16 +16,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_type_hints
 
 import numpy as np
 
+from phsi_opt.comparison.compare import compare_record
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_file import DAMAGE, Content, encoded, model_content
+from phsi_opt.estimation.fit_file import DAMAGE, Content, decoded, encoded, model_content
+from phsi_opt.model.catalogue import EffectChoice
 from phsi_opt.reading import file_text
 from phsi_opt.study import Study
+from phsi_opt.study.record import StudyRecord
 from phsi_opt.study_file.sections import Sections
 from phsi_opt.writing import write_whole
 
@@ -38,6 +45,7 @@ class KeptFits:
 
     path: Path  # of their file
     key: str  # tells this study from others
+    hold: Hold = "linear"  # of the inputs, as the study file has it
 
     @classmethod
     def of(cls, study_file: Path, sections: Sections, train: Measurements) -> Self:
@@ -46,35 +54,52 @@ class KeptFits:
         content += map(encoded, (sections.loss, sections.own_effects))
         content += [train.digest, *map(encoded, (train.units, train.hold, train.noise))]
         text = json.dumps(content, default=repr)
-        return cls(study_file.with_name(study_file.name + SUFFIX), _digest(text))
+        path = study_file.with_name(study_file.name + SUFFIX)
+        return cls(path, _digest(text), train.hold)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies read the file again."""
+        return type(self), (self.path, self.key, self.hold)
 
     def with_effects(self, added: Sequence[object] = ()) -> Fit | None:
         """The fit of the base model with effects; None: it is to be fitted."""
         try:
-            entry = self._entries[_name(added)]
-            states = tuple(map(np.array, entry["states"]))
-            return replace(Fit.from_content(entry["fit"]), states=states)
+            return _fit_from(self._entries[_name(added, self.hold)])
+        except (PhsiOptError, *DAMAGE):
+            return None
+
+    def diagnosis(self, study: StudyRecord, considered: EffectChoice) -> Diagnosis | None:
+        """The diagnosis of the last step of a study; None: it is to be made."""
+        try:
+            question = _question(study, study.last.added, (considered, study.train.hold))
+            return _diagnosis_from(self._entries[question], study)
         except (PhsiOptError, *DAMAGE):
             return None
 
     def keep(self, study: Study) -> None:
-        """Keep the fits of the steps of a study, and that of what it would add next.
+        """Keep fits and diagnoses of the steps of a study, and what it would add next.
 
-        Where the file cannot be written they are fitted again the next time.
+        Where the file cannot be written they are made again the next time.
         """
+        record = study.record
         fits: dict[str, Fit] = {}
         for step in study.steps:
-            fits.setdefault(_name(step.added), step.fit)
-        found = study.record.present
-        if found is not None and found.proposed_fit is not None:
-            fits[_name((*study.added, *found.proposed))] = found.proposed_fit
-        if fits.keys() <= self._entries.keys():
+            fits.setdefault(_name(step.added, step.fit.hold), step.fit)
+        asked: dict[str, Diagnosis] = {}
+        for number, found in record.diagnoses.items():
+            added = record.steps[number].added
+            if found.proposed_fit is not None:
+                name = _name((*added, *found.proposed), found.proposed_fit.hold)
+                fits.setdefault(name, found.proposed_fit)
+            asked[_question(record, added, study.considered[number])] = found
+        if fits.keys() | asked.keys() <= self._entries.keys():
             return
         self._entries.update(self._read())  # another command may have kept some
         for name in fits.keys() - self._entries.keys():
-            fit = fits[name]
-            self._entries[name] = {"fit": fit.content(), "states": encoded(fit.states)}
-        text = json.dumps({"key": self.key, "fits": self._entries})
+            self._entries[name] = _fit_content(fits[name])
+        for name in asked.keys() - self._entries.keys():
+            self._entries[name] = _diagnosis_content(asked[name])
+        text = json.dumps({"key": self.key, "found": self._entries})
         with suppress(DataError):
             write_whole(self.path, f"{_digest(text)}\n{text}\n")
 
@@ -86,13 +111,71 @@ class KeptFits:
         try:
             digest, text, _ = file_text(self.path).split("\n")
             content = json.loads(text) if digest == _digest(text) else {}
-            return dict(content["fits"]) if content["key"] == self.key else {}
+            return dict(content["found"]) if content["key"] == self.key else {}
         except (OSError, *DAMAGE):
             return {}
 
 
-def _name(added: Sequence[object]) -> str:
-    return " and ".join(map(str, added))
+def _name(added: Sequence[object], hold: Hold) -> str:
+    return json.dumps([list(map(str, added)), encoded(hold)], sort_keys=True)
+
+
+def _question(
+    study: StudyRecord, added: Sequence[object], considered: tuple[EffectChoice, Hold]
+) -> str:
+    """What a diagnosis answers: of which step, judged by what, among which effects."""
+    choice, hold = considered
+    held_out = study.held_out and study.held_out.digest
+    return f"{_name(added, hold)} {held_out} {choice}"
+
+
+
+
+# ---- as numbers and text -------------------------------------------------------------
+
+PLAIN = ("ranking", "verdict", "reason", "findings", "proposed")
+WITHOUT_RUNS = {"states": None, "fit": None, "trained": None, "comparison": None}
+
+
+def _fit_content(fit: Fit | None) -> Content | None:
+    return fit and {"fit": fit.content(), "states": encoded(fit.states)}
+
+
+def _fit_from(content: Content) -> Fit:
+    states = tuple(map(np.array, content["states"]))
+    return replace(Fit.from_content(content["fit"]), states=states)
+
+
+def _diagnosis_content(found: Diagnosis) -> Content:
+    """Without free runs; only the first candidate keeps its re-fit."""
+    content = {name: encoded(getattr(found, name)) for name in PLAIN[1:]}
+    content["ranking"] = [encoded(replace(one, **WITHOUT_RUNS)) for one in found.ranking]
+    first = found.ranking[0].fit if found.ranking else None
+    fits = (found.fit, found.proposed_fit, first is not found.proposed_fit and first)
+    content["fits"] = [_fit_content(fit or None) for fit in fits]
+    aligned = found.record.aligned
+    return content | {"hold": encoded(aligned.data.hold), "notes": aligned.notes}
+
+
+def _diagnosis_from(content: Content, study: StudyRecord) -> Diagnosis:
+    """The diagnosis of the last step of a study, with free runs made again."""
+    own, proposed, first = (one and _fit_from(one) for one in content["fits"])
+    step = study.last
+    held = study.held_as(content["hold"], tuple(content["notes"]))
+    if own.values != step.fit.values or held.train.hold != study.train.hold:
+        step = held.step(step.label, step.added, own)
+    hints = get_type_hints(Diagnosis)
+    parts = {name: decoded(hints[name], content[name]) for name in PLAIN}
+    base = DiagnosedModel.of(step.train, step.held_out, study.loss)
+    if first is not None or proposed is not None:
+        if first is None:
+            larger = base.with_fit(proposed)
+        else:
+            larger = base.with_run(compare_record(base.record.refitted(first)))
+        known = {"fit": larger.fit, "trained": larger.trained}
+        best = replace(parts["ranking"][0], **known, comparison=larger.judged)
+        parts["ranking"] = (best, *parts["ranking"][1:])
+    return Diagnosis(base.record, base.judged, proposed_fit=proposed, **parts)
 
 
 def _digest(text: str) -> str:

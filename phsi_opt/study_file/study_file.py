@@ -282,7 +282,7 @@ class StudyFile(Sections):
         Args:
             progress: called with a line of text about the progress, such as ``print``.
             after_each: called with the study after each of these steps.
-            kept: fits that are taken instead of new ones.
+            kept: fits and diagnoses that are taken instead of new ones.
 
         Raises:
             DataError: the data files are not valid.
@@ -304,6 +304,8 @@ class StudyFile(Sections):
             progress=progress,
             fit=None if kept is None else kept.with_effects(),
         )
+        if kept is not None:
+            study.recalled = kept.diagnosis
         tell = after_each or (lambda study: None)
         tell(study)
         for name in self.steps.added:
