@@ -98,13 +98,13 @@ def shown(value: object) -> str:
     return written if is_short else f"{type(value).__name__}(...)"
 
 
-def some_of(names: Sequence[str]) -> str:
-    """Names with commas, as many as a message has room for."""
+def some_of(names: Sequence[str], nothing: str = "") -> str:
+    """Names with commas, as many as a sentence has room for."""
     most = len(names)
     while most > 1 and len(", ".join(names[:most])) > 2 * MOST_LETTERS:
         most -= 1
     more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more} more" if more else "")
+    return ", ".join(names[:most]) + (f" and {more} more" if more else "") or nothing
 
 
 def did_you_mean(name: object, options: Iterable[object]) -> str:

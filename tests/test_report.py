@@ -19,6 +19,7 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.errors import some_of
 from phsi_opt.force_analysis.analysis import (
     advice_of_cause,
     likely_cause,
@@ -52,7 +53,6 @@ from phsi_opt.presentation.html_report import (
 )
 from phsi_opt.presentation.numbers import (
     estimate_text,
-    listed,
     number,
     p_value_words,
     proper_names,
@@ -511,8 +511,8 @@ def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
 def test_digits_stop_where_they_say_nothing() -> None:
     assert p_value_words(6.8e-292) == "below 1e-06"
     assert p_value_words(0.034) == "0.034"
-    assert listed("abcd") == "a, b, c, d" and listed("", "nothing") == "nothing"
-    assert listed("abcde") == "a, b, c and 2 more"
+    assert some_of("abcde") == "a, b, c, d, e" and some_of("", "nothing") == "nothing"
+    assert some_of(["a" * 50] * 4) == f"{'a' * 50}, {'a' * 50} and 2 more"
     assert estimate_text(39.9871, 0.104) == "39.99 +- 0.10"
     assert estimate_text(0.00402, 0.006) == "0.0040 +- 0.0060"
     assert estimate_text(-3.8e-5, 0.0032) == "0.0000 +- 0.0032"

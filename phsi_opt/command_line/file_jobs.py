@@ -16,7 +16,7 @@ from typing import Any
 from phsi_opt.command_line.job import Answer, answer_to
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
-from phsi_opt.initialization.relative_guesses import fast_start
+from phsi_opt.initialization.relative_guesses import fast_motion
 from phsi_opt.model.catalogue import catalogue, effects_told
 from phsi_opt.model.laws import laws_told, said_of
 from phsi_opt.model.model import Model
@@ -149,7 +149,7 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
     train, held_out, final = file.parts()
     model = file.model()
     aligned = AlignedData.of(model, train)
-    caution = fast_start(model, aligned.grid, train.units)
+    caution = fast_motion(model, aligned.grid, train.units)
     text = lines(
         __package__,
         "summary",

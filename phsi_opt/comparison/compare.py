@@ -20,9 +20,9 @@ from phsi_opt.criteria import (
     WHITE_ERROR,
 )
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix
+from phsi_opt.estimation.free_runs import free_runs, leaving_words
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.record import Record, smoothed_states
@@ -35,7 +35,6 @@ from phsi_opt.model_error.marginal_likelihood import white_system
 from phsi_opt.presentation.numbers import with_interval
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of, spaced
-from phsi_opt.simulation.simulate import free_run
 from phsi_opt.statistics import (
     TINY,
     autocorrelation_time,
@@ -50,7 +49,6 @@ from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.sensors import (
     output_slopes,
     output_slopes_in_theta,
-    outputs_at_samples,
 )
 
 if TYPE_CHECKING:
@@ -60,14 +58,9 @@ if TYPE_CHECKING:
     from phsi_opt.presentation.pictures import Channel
 
 
-# Standard deviations of the measurements: stands for a free run that broke off.
-DIVERGED_RUN = 1e3
 # Standard deviations of the noise beyond which one residual ends the horizon of a free
 # run: among 1e4 values normal noise gets there once or not at all.
 HORIZON_RESIDUAL = 4.0
-# Error of a free run, in standard deviations of the measurements, from which a constant
-# (one) describes them better by far: a motion out of step with them has 1.4.
-LEAVING_ERROR = 2.0
 # Percent of the measured motion up to which a flat free run explains it, and share of
 # the measured standard deviation up to which it moves. A motion that dies out within a
 # twentieth of the record is flat.
@@ -195,16 +188,7 @@ class Comparison(Summarised):
     @property
     def warning(self) -> str:
         """What to do if the free run leaves the data or is almost constant; or ""."""
-        off = 1 - np.nan_to_num(self.table["fit_percent"].to_numpy(float)) / 100
-        worst = int(np.argmax(off))
-        if off[worst] > LEAVING_ERROR:
-            return (
-                f"The free run of {self.table['state'].iloc[worst]} leaves the "
-                f"measurements: its error is {off[worst]:.3g} times their standard "
-                "deviation, that of a constant once. This is no usable fit. Check the "
-                "units, and choose other starting values for the parameters."
-            )
-        return flat_sentence(self.flat)
+        return leaving_words(self.data, self.residuals) or flat_sentence(self.flat)
 
     @property
     def weights(self) -> np.ndarray:
@@ -411,22 +395,9 @@ def compare(fit: Fit | Model, data: Measurements) -> Comparison:
 
 def compare_record(record: Record) -> Comparison:
     """`compare` for a record; a run that breaks off is far beyond every measurement."""
-    smoothed = smoothed_states(record)
-    parameters = smoothed.parameters
-    simulated = []
-    for run, states in zip(record.data.trajectories, smoothed.states, strict=True):
-        model = record.model.with_values(parameters[run.name])
-        try:
-            x = free_run(model, run.t, states[0], run.u, record.data.hold)
-        except SolveError:
-            is_first = np.arange(run.n_samples)[:, None] == 0
-            x = np.where(is_first, states[0], DIVERGED_RUN * np.nanstd(run.x))
-        simulated.append(x)
-    theta = parameter_matrix(record.model, parameters)
-    visible = outputs_at_samples(record.model, record.grid, simulated, theta)
-    pairs = zip(record.data.trajectories, visible, strict=True)
-    residuals = tuple(run.x - y for run, y in pairs)
-    return Comparison(record, parameters, tuple(simulated), visible, residuals)
+    found = smoothed_states(record)
+    begun = (record.aligned, found.states, found.parameters)
+    return Comparison(record, found.parameters, *free_runs(record.model, *begun))
 
 
 def _known(residual: np.ndarray) -> np.ndarray:

@@ -223,10 +223,7 @@ def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, An
 def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
     """What each input does between samples: words of `HOLDS`, (n_inputs,).
 
-    Args:
-        hold: one of `HOLDS` for all inputs, or a mapping from their names; an input
-            that it leaves out is "linear".
-        inputs: the names of the inputs.
+    An input that a mapping leaves out is "linear".
     """
     if isinstance(hold, Mapping):
         by_input = dict.fromkeys(inputs, "linear")

@@ -13,8 +13,7 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.errors import DataError
-from phsi_opt.presentation.numbers import listed
+from phsi_opt.errors import DataError, some_of
 
 AnyMeasurements = TypeVar("AnyMeasurements", bound=Measurements)
 
@@ -108,5 +107,5 @@ def _told(copies: Mapping[str, str]) -> str:
     told = []
     for original, group in names.items():
         verb = "is an exact copy" if len(group) == 1 else "are exact copies"
-        told.append(f"{listed(group)} {verb} of {original!r}")
-    return listed(told)
+        told.append(f"{some_of(group)} {verb} of {original!r}")
+    return some_of(told)

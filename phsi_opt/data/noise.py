@@ -41,11 +41,7 @@ def difference_noise(data: Measurements) -> np.ndarray:
         sigma = median |r_i| / 0.6745
 
     At least what quantisation makes of the values: most differences of a slow signal
-    are then zero.
-
-    Returns:
-        (n_states,) in the states' units; NaN where every trajectory has fewer than 5
-        samples of a state.
+    are then zero. (n_states,), NaN with fewer than 5 samples in every trajectory.
     """
     noise = np.full(data.n_states, np.nan)
     for k in range(data.n_states):
@@ -63,15 +59,9 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
-    """Noise per state to start from: the given one, else from differences of the data.
+    """Noise per state, (n_states,): given (not NaN), else from differences of the data.
 
-    Args:
-        data: The measurements.
-        given: Standard deviations (n_states,), NaN where unknown.
-
-    Returns:
-        (n_states,), at least `least_noise`, and at least `quantisation_noise` where
-        it was not given; 1 where nothing was measured.
+    At least `least_noise`; 1 where nothing was measured.
 
     Raises:
         DataError: no measured value ever changes.
@@ -98,15 +88,7 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
 
 
 def least_noise(y: np.ndarray) -> np.ndarray:
-    """Least noise that is assumed per channel: without any, weights would be infinite.
-
-    Args:
-        y: Measured values (n_samples, n_states), NaN where not measured.
-
-    Returns:
-        (n_states,): `LEAST_NOISE_SHARE` of the spread, or of the size where a channel
-        does not move.
-    """
+    """Least noise that is assumed, (n_states,): without any, weights were infinite."""
     spread = _spread(y)
     size = _size(y)
     moves = spread > 1e-12 * size  # else it is nothing but rounding
@@ -185,11 +167,7 @@ def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
 
 @worked_out_once
 def quantisation_noise(data: Measurements) -> np.ndarray:
-    """Standard deviation that quantisation alone gives the values of each state.
-
-    Returns:
-        (n_states,) in the states' units; zero where nothing is quantised.
-    """
+    """Standard deviation of quantisation alone, (n_states,); 0 where there is none."""
     steps = np.zeros(data.n_states)
     for k in range(data.n_states):
         steps[k] = resolution([run.x[:, k] for run in data.trajectories])

@@ -231,13 +231,7 @@ def lone_peaks(
     An error of a single sample of the size a makes it a there and -a/2 beside it; a
     step of the signal, or a corner, does not. The sample is an outlier if its deviation
     has this pattern and is five times as large as all others within five samples, and
-    as their standard deviation by noise.
-
-    Args:
-        t: Times, (n_samples,).
-        y: Values, (n_samples,), finite.
-        run: The number of the trajectory of each sample.
-        noise: Standard deviation of the values; NaN: not known.
+    as their standard deviation by noise (NaN: not known).
     """
     n = len(y)
     if n < 3:

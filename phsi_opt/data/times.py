@@ -163,11 +163,7 @@ def _date_text(cell: Any) -> str:
 
 
 def format_of_dates(values: np.ndarray) -> str:
-    """How numbers are dates, in the signs of strptime; "" where they are none.
-
-    Args:
-        values: (n_samples,), NaN where a cell is missing.
-    """
+    """How numbers are dates, in the signs of strptime; "" where they are none."""
     known = values[np.isfinite(values)]
     whole = np.floor(known)
     has_decimals = bool(np.any(known != whole))

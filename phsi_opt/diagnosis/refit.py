@@ -44,7 +44,7 @@ from phsi_opt.criteria import (
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.errors import PhsiOptError, SolveError
+from phsi_opt.errors import PhsiOptError, SolveError, some_of
 from phsi_opt.estimation.estimate import Task, silent
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import estimate_by, identify
@@ -58,7 +58,6 @@ from phsi_opt.model.effect import is_delay, is_scanned
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.ipopt import SolverSettings
-from phsi_opt.presentation.numbers import listed
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData
@@ -214,7 +213,7 @@ def held_base(
     evidence = shortest.log_evidence
     if gain < max(evidence - STRONG_EVIDENCE, STRONG_EVIDENCE):
         return None
-    held = listed(list(starmap('{} (hold = "{}")'.format, changed.items())))
+    held = some_of(list(starmap('{} (hold = "{}")'.format, changed.items())))
     note = (
         f"between samples another course is taken of {held}: that explains what would "
         f"be {shortest.name} ({shortest.size}) without a further parameter (log "

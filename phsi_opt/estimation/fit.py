@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 FORMAT = "phsi_opt fit 1"
 PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and pictures
 # Fields whose content a file has in another form, and names that it has for others.
-OTHERWISE_IN_FILES = ("model", "uncertainty", "hold", "states", "steps")
+OTHERWISE_IN_FILES = ("model", "uncertainty", "doubts", "hold", "states", "steps")
 NAMES_IN_FILES = {"source": "std_error_source", "model_error_rows": "model_error"}
 # Ratio of two standard errors beyond which the report gives both.
 DIFFERENT_STD_ERRORS = 4 / 3
@@ -114,7 +114,7 @@ class Fit(FitRecord, Summarised):
             content[name] = encoded(getattr(self, name))
         for name, value in encoded(self.uncertainty.value).items():
             content[NAMES_IN_FILES.get(name, name)] = value
-        content["hold"] = self.hold
+        content |= {"hold": self.hold, "caution": self.caution}
         content["steps"] = list(map(_steps_content, self.steps))
         content["n_gaps"] = list(map(len, self.steps))
         return content
@@ -141,6 +141,7 @@ class Fit(FitRecord, Summarised):
         fit = cls(
             model=model,
             uncertainty=Later.known(_uncertainty_from(content)),
+            doubts=Later.known(decoded(str, content.get("caution", ""))),
             hold=checked_hold(content["hold"], model.inputs),
             steps=tuple(steps),
             **plain,

@@ -140,13 +140,7 @@ def read_json(
     what: str,
     from_content: Callable[[Content], Result],
 ) -> Result:
-    """Read a JSON file and make an object of its content.
-
-    Args:
-        path: Of the file.
-        expected: Value that ``format`` must have in the file.
-        what: What the file should hold, for messages: "a fit".
-        from_content: Makes the object.
+    """Read a JSON file of the ``format`` expected and make an object of its content.
 
     Raises:
         DataError: The file cannot be read, is of another format, or is damaged.

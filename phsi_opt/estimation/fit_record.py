@@ -7,7 +7,7 @@ printed, stored and drawn stands in `fit`.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -292,8 +292,7 @@ class FitRecord(Identified):
             `MaximumLikelihood`); None: all counted squared.
         has_model_error: Whether a random force was part of the likelihood
             (``model_error=True``).
-        caution: The warning to read first: a start whose frequency the samples do not
-            show; in a study also what its free run warns of. Empty: none.
+        doubts: What ``caution`` says, worked out when it is first asked for.
     """
 
     names: tuple[str, ...] = ()
@@ -311,11 +310,20 @@ class FitRecord(Identified):
     steps: tuple[np.ndarray, ...] = ()
     huber: float | None = None
     has_model_error: bool = False
-    caution: str = ""
+    doubts: Later[str] = field(default_factory=partial(Later.known, ""))
 
     def __post_init__(self) -> None:
         if not self.names:
             object.__setattr__(self, "names", self.model.free)
+
+    @property
+    def caution(self) -> str:
+        """The warning to read first; "": none.
+
+        The free run on the data of the fit leaves them (of fits with ``states``), or
+        the model oscillates faster than their samples show.
+        """
+        return self.doubts.value
 
     @property
     def covariance(self) -> np.ndarray:

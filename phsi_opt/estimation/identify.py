@@ -8,18 +8,21 @@ import time
 from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, shown
 from phsi_opt.estimation.estimate import Estimate, Loss, Progress, Task, silent
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.free_runs import doubts_of
 from phsi_opt.estimation.likelihood_estimate import with_model_error
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi_solve import by_defects
 from phsi_opt.estimation.pruning import Pruning
-from phsi_opt.initialization.relative_guesses import check_rates, fast_start
+from phsi_opt.initialization.relative_guesses import check_rates
 from phsi_opt.interrupts import interruptible
+from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units
 from phsi_opt.optimization.ipopt import SolverSettings
@@ -90,10 +93,8 @@ def identify(
     aligned = data if isinstance(data, AlignedData) else checked_data(model, data)
     model = with_kinds_of_units(model, aligned.data.units)
     own = aligned.for_model(model)
-    caution = ""
     if start is None:
         check_rates(model, own.grid)
-        caution = fast_start(model, own.grid, own.data.units)
     task = Task(
         model=model,
         aligned=own,
@@ -107,7 +108,8 @@ def identify(
     if raise_on_failure:
         _raise_failure(estimate)
     seconds = time.perf_counter() - began
-    return replace(estimate.fit(), seconds=seconds, caution=caution)
+    fit = replace(estimate.fit(), seconds=seconds)
+    return replace(fit, doubts=Later(partial(doubts_of, fit, own)))
 
 
 def identify_forced(

@@ -130,17 +130,7 @@ def solution_of_steps(
     is_found: bool,
     began: float,
 ) -> Solution:
-    """Where steps ended, in the form of IPOPT's solutions.
-
-    Args:
-        values: of the likelihood.
-        z: (n_variables,) scaled variables there.
-        residual: (n_values,), whose squares the objective halves.
-        violation: the largest of the scaled dynamics.
-        n_steps: how many steps there were.
-        is_found: whether it is an optimum.
-        began: when they began.
-    """
+    """Where steps ended, in the form of IPOPT's solutions."""
     bounds = (values.lower, values.upper)
     outcome = Outcome(
         success=is_found,

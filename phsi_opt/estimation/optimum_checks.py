@@ -125,12 +125,8 @@ def residual_warnings(
 def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
     """More steps where the integration error moves the estimates, or residuals.
 
-    By more than `VISIBLE_ERROR`. The number of steps grows with the fourth root of an
-    interval's error (order four).
-
-    Returns:
-        Intervals in every gap between samples, (n_samples - 1,) per trajectory; None
-        where those of the estimate are enough, or as many as there may be.
+    By more than `VISIBLE_ERROR`; None where those of the estimate are enough, or as
+    many as there may be. Their number grows with the fourth root of the error.
     """
     parameters = np.asarray(estimate.unknown.by_trajectory(estimate.theta))
     error = local_errors(estimate.model, estimate.grid, estimate.nodes, parameters)

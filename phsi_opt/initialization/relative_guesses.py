@@ -208,11 +208,11 @@ def _told(model: Model, grid: Grid, placed: PlacedTerm, where: str, node: int) -
     )
 
 
-def fast_start(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
-    """A note if the starting values make the model oscillate faster than samples show.
+def fast_motion(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
+    """A note if its values make the model oscillate faster than samples show.
 
     By the largest imaginary part of the eigenvalues of df/dx (without memory; a median
-    over measured states), where it follows from starting values that were given.
+    over measured states), where it follows from free parameters whose values are given.
     """
     known = np.nan_to_num(grid.y)
     resolved = resolve_guesses(model, grid, known)
@@ -240,7 +240,7 @@ def fast_start(model: Model, grid: Grid, units: Mapping[str, str]) -> str:
     if not starts or not all(starts):
         return ""
     return (
-        f"The starting values {', '.join(starts)} let the model oscillate "
+        f"The values {', '.join(starts)} let the model oscillate "
         f"{frequency_words(found, units)}. The samples show oscillations up to their "
         f"Nyquist limit, {frequency_words(limit, units)}. Check the units, or choose "
         "other starting values."

@@ -108,12 +108,6 @@ def theta_scale(
     It moves some equation by the size of its own rate, or what a sensor shows by the
     size ``x_scale`` (n_states,) of the state. So it follows the units. Of a parameter
     that a solve left at a bound (``held``) the value says nothing of the size.
-
-    Args:
-        model: the model.
-        grid: nodes and intervals.
-        theta: (n_free,) parameters.
-        x: (n_nodes, n_states) states at the nodes.
     """
     if not len(theta):
         return np.ones(0)

@@ -117,13 +117,6 @@ def proper_names(text: str) -> str:
     return PEOPLE.sub(lambda found: found[0].title(), text)
 
 
-def listed(names: Sequence[str], nothing: str = "") -> str:
-    """Names with commas; of more than four three, and how many more there are."""
-    if len(names) > 4:
-        return f"{', '.join(names[:3])} and {len(names) - 3} more"
-    return ", ".join(names) or nothing
-
-
 def number_of(n: int, noun: str, plural: str | None = None) -> str:
     """A number with its noun, such as "1 sample" and "3 samples"."""
     return f"{n} {noun if n == 1 else plural or noun + 's'}"

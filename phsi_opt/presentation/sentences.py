@@ -9,10 +9,10 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+from phsi_opt.errors import some_of
 from phsi_opt.presentation.content import Answer, unestablished_words
 from phsi_opt.presentation.numbers import (
     capitalised,
-    listed,
     lowered,
     number,
     p_value_words,
@@ -47,7 +47,7 @@ FILTERS = {
     "typeset": typeset,
     "said": said,
     "proper": proper_names,
-    "listed": listed,
+    "some_of": some_of,
     "date": date_words,
 }
 

@@ -345,17 +345,7 @@ AT_REST = 1e-6
 def free_run(
     model: Model, t: Any, x0: Any, u: Any = None, hold: Hold = "linear"
 ) -> np.ndarray:
-    """Solve dx/dt = model(x, u, t) from x0 at t[0], accurate to about `TOLERANCE`.
-
-    Args:
-        model: with the present values of its parameters.
-        t: (n_samples,) strictly increasing times.
-        x0: (n_states,) starting state.
-        u: (n_samples, n_inputs) inputs at t; None if the model has no inputs.
-        hold: between the samples of u, as in `simulate`.
-
-    Returns:
-        (n_samples, n_states).
+    """`simulate`, accurate to about `TOLERANCE` by steps built once where they serve.
 
     Raises:
         DataError: wrong shapes, times or numbers, as in `simulate`.
@@ -452,12 +442,7 @@ class Runs:
     ) -> np.ndarray | None:
         """The states (n_samples, n_states); None where explicit steps do not serve.
 
-        Args:
-            t: (n_samples,) strictly increasing times.
-            x0: (n_states,) starting state.
-            u: (n_samples, n_inputs).
-            hold: (n_inputs,) what each input does between its samples.
-            tolerance: as `TOLERANCE`.
+        ``hold`` (n_inputs,) is what each input does between its samples.
         """
         inputs = SampledInputs.of(t, u, hold)
         steps = _first_steps(t)

@@ -15,13 +15,14 @@ from phsi_opt.comparison.compare import Comparison, is_failing
 from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
+from phsi_opt.errors import some_of
 from phsi_opt.force_analysis.analysis import VIBRATION_WORDS, likely_cause, place_answer
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
-from phsi_opt.presentation.numbers import capitalised, listed, number, with_error
+from phsi_opt.presentation.numbers import capitalised, number, with_error
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
@@ -205,7 +206,7 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     if not names:
         return ""
     return (
-        f"Parameters that these data do not determine: {listed(names)} (the standard "
+        f"Parameters that these data do not determine: {some_of(names)} (the standard "
         "error exceeds the value); do not rely on them."
     )
 
@@ -345,8 +346,9 @@ def headline_of(study: StudyRecord) -> Headline:
         remark = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
     answers = _answers(study)
-    fit, warning = study.last.fit, study.last.judged.warning
-    cautions = (warning, fit.caution, undetermined_words(fit.parameters))
+    fit = study.last.cautioned
+    caution = fit.caution or study.last.judged.warning
+    cautions = (caution, undetermined_words(fit.parameters))
     return Headline(
         status,
         severity,

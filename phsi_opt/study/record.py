@@ -22,6 +22,7 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import follows_of
+from phsi_opt.later import Later
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
@@ -62,10 +63,10 @@ class Step:
     @property
     def cautioned(self) -> Fit:
         """The fit, with what its free run on the training record warns of."""
-        if not self.train.warning:
+        if self.train.warning in self.fit.caution:
             return self.fit
-        caution = " ".join(filter(None, (self.train.warning, self.fit.caution)))
-        return replace(self.fit, caution=caution)
+        caution = f"{self.train.warning} {self.fit.caution}".rstrip()
+        return replace(self.fit, doubts=Later.known(caution))
 
 
 @dataclass(frozen=True, eq=False)

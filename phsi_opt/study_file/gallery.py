@@ -139,12 +139,7 @@ def matched(
     """Columns with the names that they have in a model.
 
     First where names and quantities agree, then where quantities do, then in order
-    where a unit is unknown or may be any.
-
-    Args:
-        columns: of a table, each with a name, and a unit or "".
-        units: of the model's states or inputs, by name.
-        may_guess: whether a column can be told by its place in the order.
+    where a unit is unknown or may be any, and the column may be guessed.
     """
     found = []
     free = dict(units)

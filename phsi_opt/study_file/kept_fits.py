@@ -23,11 +23,18 @@ import numpy as np
 from phsi_opt.comparison.compare import compare_record
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_file import DAMAGE, Content, decoded, encoded, model_content
+from phsi_opt.estimation.fit_file import (
+    DAMAGE,
+    Content,
+    decoded,
+    encoded,
+    model_content,
+)
 from phsi_opt.model.catalogue import EffectChoice
 from phsi_opt.reading import file_text
 from phsi_opt.study import Study
@@ -68,10 +75,14 @@ class KeptFits:
         except (PhsiOptError, *DAMAGE):
             return None
 
-    def diagnosis(self, study: StudyRecord, considered: EffectChoice) -> Diagnosis | None:
+    def diagnosis(
+        self, study: StudyRecord, considered: EffectChoice
+    ) -> Diagnosis | None:
         """The diagnosis of the last step of a study; None: it is to be made."""
         try:
-            question = _question(study, study.last.added, (considered, study.train.hold))
+            question = _question(
+                study, study.last.added, (considered, study.train.hold)
+            )
             return _diagnosis_from(self._entries[question], study)
         except (PhsiOptError, *DAMAGE):
             return None
@@ -96,7 +107,7 @@ class KeptFits:
             return
         self._entries.update(self._read())  # another command may have kept some
         for name in fits.keys() - self._entries.keys():
-            self._entries[name] = _fit_content(fits[name])
+            self._entries[name] = _fit_content(fits[name]) or {}
         for name in asked.keys() - self._entries.keys():
             self._entries[name] = _diagnosis_content(asked[name])
         text = json.dumps({"key": self.key, "found": self._entries})
@@ -129,16 +140,15 @@ def _question(
     return f"{_name(added, hold)} {held_out} {choice}"
 
 
-
-
 # ---- as numbers and text -------------------------------------------------------------
 
-PLAIN = ("ranking", "verdict", "reason", "findings", "proposed")
-WITHOUT_RUNS = {"states": None, "fit": None, "trained": None, "comparison": None}
+PLAIN = ("verdict", "reason", "findings", "proposed")
 
 
 def _fit_content(fit: Fit | None) -> Content | None:
-    return fit and {"fit": fit.content(), "states": encoded(fit.states)}
+    if fit is None:
+        return None
+    return {"fit": fit.content(), "states": encoded(fit.states)}
 
 
 def _fit_from(content: Content) -> Fit:
@@ -146,15 +156,23 @@ def _fit_from(content: Content) -> Fit:
     return replace(Fit.from_content(content["fit"]), states=states)
 
 
+def _without_runs(one: Candidate) -> Candidate:
+    return replace(one, states=None, fit=None, trained=None, comparison=None)
+
+
 def _diagnosis_content(found: Diagnosis) -> Content:
     """Without free runs; only the first candidate keeps its re-fit."""
-    content = {name: encoded(getattr(found, name)) for name in PLAIN[1:]}
-    content["ranking"] = [encoded(replace(one, **WITHOUT_RUNS)) for one in found.ranking]
     first = found.ranking[0].fit if found.ranking else None
-    fits = (found.fit, found.proposed_fit, first is not found.proposed_fit and first)
-    content["fits"] = [_fit_content(fit or None) for fit in fits]
+    if first is found.proposed_fit:
+        first = None
     aligned = found.record.aligned
-    return content | {"hold": encoded(aligned.data.hold), "notes": aligned.notes}
+    content: Content = {"hold": encoded(aligned.data.hold), "notes": aligned.notes}
+    fits = (found.fit, found.proposed_fit, first)
+    content["fits"] = list(map(_fit_content, fits))
+    content["ranking"] = encoded(list(map(_without_runs, found.ranking)))
+    for name in PLAIN:
+        content[name] = encoded(getattr(found, name))
+    return content
 
 
 def _diagnosis_from(content: Content, study: StudyRecord) -> Diagnosis:
@@ -164,17 +182,19 @@ def _diagnosis_from(content: Content, study: StudyRecord) -> Diagnosis:
     held = study.held_as(content["hold"], tuple(content["notes"]))
     if own.values != step.fit.values or held.train.hold != study.train.hold:
         step = held.step(step.label, step.added, own)
-    hints = get_type_hints(Diagnosis)
-    parts = {name: decoded(hints[name], content[name]) for name in PLAIN}
+    parts: dict[str, Any] = {}
+    for name in ("ranking", *PLAIN):
+        parts[name] = decoded(get_type_hints(Diagnosis)[name], content[name])
     base = DiagnosedModel.of(step.train, step.held_out, study.loss)
-    if first is not None or proposed is not None:
-        if first is None:
-            larger = base.with_fit(proposed)
-        else:
+    if first or proposed:
+        if first:
             larger = base.with_run(compare_record(base.record.refitted(first)))
-        known = {"fit": larger.fit, "trained": larger.trained}
-        best = replace(parts["ranking"][0], **known, comparison=larger.judged)
-        parts["ranking"] = (best, *parts["ranking"][1:])
+        else:
+            larger = base.with_fit(proposed)
+        best, *others = parts["ranking"]
+        runs = (larger.trained, larger.judged)
+        best = replace(best, fit=larger.fit, trained=runs[0], comparison=runs[1])
+        parts["ranking"] = (best, *others)
     return Diagnosis(base.record, base.judged, proposed_fit=proposed, **parts)
 
 

@@ -22,9 +22,8 @@ from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.table_extent import NUMBER
 from phsi_opt.data.tables import Table
 from phsi_opt.data.times import clock_of, is_milliseconds
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
-from phsi_opt.presentation.numbers import listed
 from phsi_opt.study_file.columns import (
     INPUT,
     INPUT_WORDS,
@@ -91,7 +90,7 @@ class TableSurvey:
         extent = table.extent
         keys = []
         if len(table.sheets) > 1:
-            said = f"others: {listed(table.sheets[1:])}"
+            said = f"others: {some_of(table.sheets[1:])}"
             keys.append(ReadKey(table.part_word, table.sheets[0], said, is_set=True))
         if extent is None:
             return keys
@@ -105,7 +104,7 @@ class TableSurvey:
         if extent.below:
             said += f"; not read: {word}s from {extent.below[0]} on"
         if extent.others:
-            begins = listed(list(map(str, extent.others)))
+            begins = some_of(list(map(str, extent.others)))
             said += f"; other tables: from {word} {begins} on"
         keys.append(ReadKey("skip", extent.above, said, bool(extent.others)))
         if header is None:
@@ -166,7 +165,7 @@ class TableSurvey:
 
     @property
     def said(self) -> str:
-        """Where the times begin and end, and how regular they are."""
+        """Where the times begin and end, or why they do not tell."""
         time = self.time
         if time is None:
             return (
@@ -179,16 +178,7 @@ class TableSurvey:
             return f"{numbers if is_number else 'the times are'} dates"
         if time.wrong:
             return time.said
-        steps = np.diff(time.values[time.neighbours(self.run)])
-        typical = float(np.median(steps))
-        n_gaps = int(np.sum(steps > 1.5 * typical))
-        said = f"{time.values.min():g} to {time.values.max():g}, every {typical:.4g}"
-        if np.ptp(steps) <= 0.01 * typical:
-            return f"{said}, regular"
-        if n_gaps:
-            gaps = "1 gap of" if n_gaps == 1 else f"{n_gaps} gaps, the longest"
-            return f"{said}, {gaps} {steps.max():.4g}"
-        return f"{said}, from {steps.min():.4g} to {steps.max():.4g}"
+        return f"{time.values.min():g} to {time.values.max():g}"
 
 
 def survey(path: DataFile) -> TableSurvey:

@@ -1,0 +1,82 @@
+"""The free run of a fit, and what it warns of.
+
+A free run begins at a state that was estimated from the whole record and never looks at
+the measurements again. Steps of the transcription that are too long for a fast motion
+hide that an optimum is none: an accurate run shows it.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
+from phsi_opt.initialization.relative_guesses import fast_motion
+from phsi_opt.model.model import Model
+from phsi_opt.simulation.simulate import free_run
+from phsi_opt.statistics import TINY
+from phsi_opt.transcription.grid import AlignedData
+from phsi_opt.transcription.sensors import outputs_at_samples
+
+Runs = tuple[np.ndarray, ...]  # (n_samples, n_states) each
+# Standard deviations of the measurements: stands for a free run that broke off.
+DIVERGED_RUN = 1e3
+# Error of a free run, in standard deviations of the measurements, from which a constant
+# (one) describes them better by far: a motion out of step with them has 1.4.
+LEAVING_ERROR = 2.0
+
+
+def free_runs(
+    model: Model,
+    aligned: AlignedData,
+    states: Sequence[np.ndarray],
+    parameters: Mapping[str, Mapping[str, float]],
+) -> tuple[Runs, Runs, Runs]:
+    """Simulated states, what the sensors show of them, and measured minus shown.
+
+    The runs begin at the first of the states, with the parameters of each trajectory.
+    One that breaks off is far beyond every measurement.
+    """
+    data = aligned.data
+    simulated = []
+    for run, known in zip(data.trajectories, states, strict=True):
+        own = model.with_values(parameters[run.name])
+        try:
+            x = free_run(own, run.t, known[0], run.u, data.hold)
+        except SolveError:
+            is_first = np.arange(run.n_samples)[:, None] == 0
+            x = np.where(is_first, known[0], DIVERGED_RUN * np.nanstd(run.x))
+        simulated.append(x)
+    theta = parameter_matrix(model, parameters)
+    shown = outputs_at_samples(model, aligned.grid, simulated, theta)
+    residuals = [run.x - y for run, y in zip(data.trajectories, shown, strict=True)]
+    return tuple(simulated), tuple(shown), tuple(residuals)
+
+
+def leaving_words(data: Measurements, residuals: Runs) -> str:
+    """What to do if a free run leaves the measurements; "" where it does not."""
+    places = list(map(data.states.index, data.measured))
+    spread = np.maximum(np.nanstd(data.stacked("x")[:, places], axis=0), TINY)
+    squares = np.concatenate(residuals)[:, places] ** 2
+    errors = np.sqrt(np.nanmean(squares, axis=0)) / spread
+    worst = int(np.argmax(errors))
+    if not errors[worst] > LEAVING_ERROR:
+        return ""
+    return (
+        f"The free run of {data.measured[worst]} leaves the measurements: its error is "
+        f"{errors[worst]:.3g} times their standard deviation, that of a constant once. "
+        "This is no usable fit. Check the units, and choose other starting values for "
+        "the parameters."
+    )
+
+
+def doubts_of(fit: Fit, aligned: AlignedData) -> str:
+    """The warning to read first, of a fit and the data it was made from."""
+    words = [fast_motion(fit.model, aligned.grid, aligned.data.units)]
+    if fit.states and fit.outcome.success:
+        parameters = parameters_of(fit, aligned.data)
+        residuals = free_runs(fit.model, aligned, fit.states, parameters)[2]
+        words.insert(0, leaving_words(aligned.data, residuals))
+    return " ".join(filter(None, words))
