@@ -46,10 +46,8 @@ def test_copies_of_a_run_leave_the_fit_of_that_run(
     assert fit.std_errors == one.std_errors
     assert fit.values == one.values
     (warning,) = [said for said in fit.warnings if "copies" in said]
-    assert warning.startswith(
-        "'run 2', 'run 3', 'run 4' and 196 more are exact copies of 'run 1': used "
-        "only once"
-    )
+    assert warning.startswith("'run 2', 'run 3', 'run 4', ")
+    assert " more are exact copies of 'run 1': used only once" in warning
     assert data.n_trajectories == 200
 
 

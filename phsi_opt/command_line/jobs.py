@@ -39,10 +39,6 @@ Tell = Callable[[Message], None]
 def run(job: Job, tell: Tell) -> Answer:
     """Do a job.
 
-    Args:
-        job: what to do.
-        tell: called with what is being done, and after every step that is finished.
-
     Raises:
         PhsiOptError: something cannot be used, or no solution was found.
     """

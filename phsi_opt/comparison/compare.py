@@ -425,15 +425,6 @@ def prediction_bands(
     The covariance of the estimates, carried to what the run shows: that of the
     parameters, with starting states that follow the record, and that of the starting
     states. The noise of a single measurement is not in it.
-
-    Args:
-        record: the fit and the measurements that its starting states follow.
-        simulated: states of the run, one (n_samples, n_states) per trajectory.
-        values: the free parameters of the run, by trajectory and name.
-
-    Returns:
-        One (n_samples, n_states) per trajectory, in the units of the states; None where
-        it is not known.
     """
     fit, grid, model = record.fit, record.grid, record.model
     is_known = np.isfinite(np.diag(fit.covariance))

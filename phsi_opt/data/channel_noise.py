@@ -32,16 +32,8 @@ DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one ste
 def scatter_of(t: np.ndarray, values: np.ndarray, run: np.ndarray) -> np.ndarray:
     """Residuals of samples against the cubic through their neighbours.
 
-    Of all trajectories at once: there may be thousands of short ones.
-
-    Args:
-        t: Times, (n_samples,).
-        values: (n_samples,), NaN where not measured.
-        run: The number of the trajectory of each sample.
-
-    Returns:
-        (2, n_residuals): the number of the trajectory of each, and the residuals;
-        n_measured - 4 per trajectory, none where it has too few.
+    Of all trajectories at once: there may be thousands of short ones. (2, n_residuals):
+    the number of the trajectory of each, and the residuals.
     """
     is_measured = np.isfinite(values)
     run = run[is_measured]
@@ -83,10 +75,6 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
     """The step in which the values of a channel are quantised; zero if they are not.
 
     Where the steps are uneven (a nonlinear scale behind the converter), their median.
-
-    Args:
-        runs: values of the channel, one (n_samples,) per trajectory, NaN where not
-            measured.
     """
     runs = [values[np.isfinite(values)] for values in runs]
     values = np.concatenate(runs)

@@ -127,17 +127,6 @@ def table_of_rows(
 ) -> Table:
     """The table in some rows of cells.
 
-    Args:
-        file: From which they are.
-        title: What messages call the table.
-        row_word: What they call a row: a "line", none of which has filled cells beside
-            the header, or a "row" of a sheet, where columns without a name may be.
-        rows: The cells; empty ones are "".
-        wanted: The columns that are looked for, by name or by number from 0.
-        form: What the user said of the table.
-        separator: The sign between the cells.
-        may_be_several: Whether the largest of several tables is taken.
-
     Raises:
         DataError: a row or the number of columns is not as the others say, or there
             are several tables.

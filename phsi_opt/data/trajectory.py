@@ -177,9 +177,6 @@ def is_stepped(runs: Sequence[np.ndarray]) -> bool:
     deviation, and by more than the two changes before it and the two after it together.
     The constant stretches between jumps explain 97 % of the variance of the runs: not
     so in waves, ramps and noise. The steps of a quantised sensor are no jumps.
-
-    Args:
-        runs: its samples in each run, (n_samples,); short ones tell nothing.
     """
     long = [run for run in runs if len(run) > 2 * SAMPLES_AROUND_JUMP + 1]
     total = sum(len(run) * float(np.var(run)) for run in long)
@@ -231,13 +228,6 @@ class SmoothInputs:
         A step of an integrator takes its input from a line. That with the mean and the
         first moment of the spline moves a mass as far, and leaves it as fast, as the
         spline does. It need not meet the line of the next stretch.
-
-        Args:
-            begin: (n,) times; no sample lies between the ends of a stretch.
-            end: (n,) times.
-
-        Returns:
-            Its values at both ends of every stretch, (n, n_inputs) each.
         """
         first, middle, last = self(begin), self((begin + end) / 2), self(end)
         # In s from -1 to 1 the spline is a0 + a1 s + a2 s^2 + a3 s^3. The closest line,
@@ -286,13 +276,6 @@ def joined_pairs(
     A pair continues the pair before it if it starts at the same time, state and input;
     two values that were not measured are the same. A held input ("zero") acts on
     nothing at the end of a pair: it is not compared, and may be None if all are held.
-
-    Args:
-        t: times, (n_pairs,).
-        x: states, (n_pairs, n_states); a single one may be (n_pairs,).
-        u: inputs likewise; None at both ends: there are none.
-        inputs: their names; None: "u1", "u2", ...
-        hold: what they do between samples.
 
     Raises:
         DataError: the arrays cannot be used, or a pair does not go forward.

@@ -186,11 +186,7 @@ class LikelihoodProblem:
 
         Noise that is not known is re-estimated until it stays.
 
-        Args:
-            start: with ``steps``.
-            l1: weights; None: those of the task.
-            most_steps: full steps to try, and no IPOPT after them; None: as many as it
-                takes, then IPOPT.
+        After ``most_steps`` full steps IPOPT is not tried; None: as many as it takes.
         """
         l1 = self.task.l1 if l1 is None else l1
         values = self._values(start)

@@ -76,17 +76,7 @@ def of_covariance(
     known: SilentDirections = NOTHING_SILENT,
     told: np.ndarray | None = None,
 ) -> Uncertainty:
-    """A covariance of scaled parameters, without those of which nothing is known.
-
-    Args:
-        names: Of the parameters, in the order of theta.
-        theta: (n_theta,) estimates.
-        scale: (n_theta,) size of each.
-        scaled: (n_theta, n_theta) covariance of theta over scale.
-        at_bounds: Names of the parameters that ended at a bound.
-        known: Directions that are known to be silent, besides those of the covariance.
-        told: (n_theta, n_theta) covariance that says which they are; None: ``scaled``.
-    """
+    """A covariance of scaled parameters, without those of which nothing is known."""
     held = [i for i, name in enumerate(names) if name in at_bounds]
     held += known.parameters
     told = scaled if told is None else told

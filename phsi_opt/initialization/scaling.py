@@ -232,10 +232,6 @@ def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
     make the rates of them, and so on. Gaps are interpolated; a trajectory of a channel
     is never extrapolated beyond its last value. A memory stays at zero.
 
-    Args:
-        model: the model.
-        grid: one interval between neighbouring samples.
-
     Returns:
         (n_nodes, n_states) rough states, zero where nothing tells them, and whether
         every state is measured or follows, but for a memory.

@@ -61,10 +61,6 @@ def read_sections(
 ) -> tuple[Sections, Measurements]:
     """Everything that a study file says, and all its measurements.
 
-    Args:
-        path: of the study file.
-        places: where data files lie that are not where it says, by their names in it.
-
     Raises:
         StudyFileError: something cannot be used; with all that is wrong.
     """

@@ -129,11 +129,7 @@ def defect(model: Model, scheme: str, n_moving: int | None = None) -> ca.Functio
 
         d = (x1 - x0)/h - Psi(g; x0, x1)
 
-    Args:
-        model: the model whose right-hand side is g.
-        scheme: name of the integrator.
-        n_moving: only the first so many states move along the interval; the others
-            keep what x0 and x1 say. None: all move.
+    Only the first ``n_moving`` states move along the interval; None: all.
 
     Raises:
         ModelError: there is no integrator of that name.
@@ -360,12 +356,6 @@ def between_samples(
     So the model is violated at the ends of gaps alone: a straight line would cut the
     corners of dry friction, and a search that begins there does not come back. A state
     that the model would carry further than it ever moves stays.
-
-    Args:
-        model: the model.
-        grid: nodes and intervals, those of every gap between samples.
-        x: (n_samples, n_states) states at the samples of all trajectories.
-        theta: (n_free,) parameters, or (n_free, n_trajectories).
     """
     if grid.sample.all():
         return x
