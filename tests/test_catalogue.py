@@ -70,9 +70,9 @@ def test_the_effects_of_a_body_are_in_the_family_of_their_cause() -> None:
     for effect in ph.catalogue(driven_spring()):
         if effect.equation == "p" and effect.slot != "sensor":
             found.setdefault(effect.family, set()).add(effect.name)
-    assert found == {
-        family: set(names.split(", ")) for family, names in FAMILIES.items()
-    }
+    assert found.keys() == FAMILIES.keys()
+    for family, names in FAMILIES.items():  # a further law needs no entry
+        assert found[family] >= set(names.split(", "))
 
 
 def test_a_family_outlives_pickling_and_is_empty_for_an_effect_of_ones_own() -> None:
@@ -156,20 +156,23 @@ OF_THE_FIELD: dict[str, str] = {
 
 @pytest.mark.parametrize("kind", OF_THE_FIELD)
 def test_losses_and_energies_outside_of_pairs_are_those_of_the_field(kind: str) -> None:
+    known = set(", ".join(OF_THE_FIELD.values()).split(", "))
     found = names_on(storage(kind or {}), "x")
-    assert found == set(OF_THE_FIELD[kind].split(", "))
+    assert found & known == set(OF_THE_FIELD[kind].split(", "))
 
 
 def test_a_circuit_of_charge_and_flux_has_resistances_and_a_coil_that_saturates() -> (
     None
 ):
     model = replace(driven_spring(), kind="electrical")
-    assert names_on(model, "p") == {
+    coil, capacitor = names_on(model, "p"), names_on(model, "q")
+    assert coil >= {
         *("linear resistance", "quadratic resistance", "contact voltage drop"),
         *("charge-dependent resistance", "coil saturation"),
         *("linear elastance", "quadratic elastance", "cubic elastance"),
     }
-    assert names_on(model, "q") == {"leakage conductance", "quadratic conductance"}
+    assert capacitor >= {"leakage conductance", "quadratic conductance"}
+    assert not coil & capacitor
 
 
 def test_a_volume_and_the_flow_of_its_pipe_have_leaks_and_pipe_friction() -> None:
@@ -392,7 +395,7 @@ def test_an_unknown_name_is_answered_by_meaning(asked: str, words: str) -> None:
 
 def test_every_law_says_what_it_adds_and_no_other_name_is_that_of_a_law() -> None:
     told = laws_told()
-    assert all(told.values())
+    assert not [name for name, adds in told.items() if not adds]
     names = set(told)
     for name in told:
         assert not names & set(said_of(name)[1])

@@ -1,6 +1,6 @@
 """The laws of the catalogue as tables: one row per law, with names to fill in.
 
-In the texts of a row stand names in braces, which the ``catalogue`` fills in:
+The texts of a row contain names in braces, which the ``catalogue`` fills in:
 
 - ``{x}`` the state of the equation, ``{own}`` the same where nothing else is beside it;
 - ``{e}`` its effort: a velocity, a flow, a level;
@@ -11,14 +11,14 @@ In the texts of a row stand names in braces, which the ``catalogue`` fills in:
 - ``{q1}``, ``{q2}`` two positions;
 - ``{source}``, ``{a_source}``, ``{grows_with}``, ``{input_size}`` words of the field.
 
-A row that needs a name which an equation does not have is not offered there. A loss is
-R_ii dH/dx_i, so that a force c f(v) against the velocity v has R_ii = c f(v)/v.
-
-The cells of a row are its name, the roles in whose equations it is offered (none: all),
-its bodies, its family, its coefficients, and in H what it is in F of a model without an
-energy. A coefficient may be ``formula`` (none), empty (named by its place), or one that
-is ``>= 0``; without the cell it is ``{name}_{x}`` with the name of the effect. The
-parameters and the memory of a law are those that its bodies name.
+A row with a name that an equation does not have is not offered there. A loss is
+R_ii dH/dx_i: a force c f(v) against the velocity v has R_ii = c f(v)/v.
+The cells of a row are, in this order: name; roles of the states in whose equations the
+law is offered (none: all); formula; family; name of the coefficient; and, in H, the
+force of the law in a model without an energy. Several formulas, and their coefficients,
+are separated by ";". A coefficient may be ``>= 0``, ``formula`` (none), or empty
+(named by its place); without this cell it is the last text of the table. A formula
+brings the parameters and the memory that it names.
 """
 
 from collections.abc import Mapping
