@@ -94,12 +94,12 @@ class Comparison(Summarised):
 
     @property
     def fit(self) -> Fit:
-        """The fit that ran."""
+        """The fit that was simulated."""
         return self.record.fit
 
     @property
     def model(self) -> Model:
-        """The model that ran."""
+        """The model that was simulated."""
         return self.record.model
 
     @property
@@ -194,8 +194,8 @@ class Comparison(Summarised):
     def weights(self) -> np.ndarray:
         """Scale of each state in `rmse`, (n_states,).
 
-        That of its unit where a single channel is measured, else one over its standard
-        deviation.
+        With one measured channel the scale of its unit, otherwise one over the standard
+        deviation of each channel.
         """
         is_measured = self._n_values > 0
         if sum(is_measured) == 1:
@@ -256,9 +256,9 @@ class Comparison(Summarised):
     def noise_floor_std_error(self) -> float:
         """Standard error of `noise_floor`, on its scale; 0 where all noise is declared.
 
-        ``floor / sqrt(2 nu)``. The degrees of freedom nu of a channel are its values
-        without its share of the parameters and starting states, fewer where noise
-        lasts. The variances of channels add up (Satterthwaite 1946).
+        ``floor / sqrt(2 nu)``. The degrees of freedom nu of a channel are the number of
+        its values minus its share of the parameters and starting states; correlated
+        noise reduces them. The variances of channels add up (Satterthwaite 1946).
         """
         n = self._n_values
         n_used = self.data.n_trajectories * self.model.n_states
@@ -283,7 +283,7 @@ class Comparison(Summarised):
         return floor * (nu / low) ** 0.5, floor * (nu / high) ** 0.5
 
     def floor_words(self, size: float = 1.0, unit: str | None = None) -> str:
-        """The noise floor with its interval, times a size, with " m" as the unit."""
+        """Noise floor and its interval, times ``size``, with a unit such as " m"."""
         unit = spaced(self.error_unit) if unit is None else unit
         low, high = self.noise_floor_interval
         return with_interval(size * self.noise_floor, (size * low, size * high), unit)

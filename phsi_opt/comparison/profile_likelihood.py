@@ -118,11 +118,11 @@ def profile(
 ) -> Profile:
     """Profile likelihood of one parameter of a fit by `MaximumLikelihood`.
 
-    The noise is fixed at the estimate of the fit. The threshold is that of the F
-    distribution with the degrees of freedom of the fit, divided by the share of the
-    residuals that is independent (`Fit.independent_share`), so that profile and
-    standard error are consistent (for a fit with ``huber``, multiplied by the ratio by
-    which its loss rises faster than the squares).
+    The noise is fixed at the estimate of the fit. The threshold comes from the F
+    distribution with the degrees of freedom of the fit. It is divided by the share of
+    independent residuals (`Fit.independent_share`), so that profile and standard error
+    are consistent. For a fit with ``huber`` it is multiplied by the ratio by which the
+    loss of the fit rises faster than squares.
 
     Args:
         fit: by maximum likelihood.

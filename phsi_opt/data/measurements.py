@@ -284,8 +284,8 @@ class Measurements(TableReaders, Summarised):
 
         Times are in s, angles in rad, temperatures in degC (K where all are), a share
         is 1 for 100 %. The units that were given are remembered: texts, tables with a
-        unit, charts and reports tell the results in them. Units that are not known
-        stay, and so does everything where the time has no unit.
+        unit, charts and reports show results in them. Unknown units are kept; if the
+        time has no unit, nothing is converted.
 
         Returns:
             New measurements; these, where all is in SI units already.

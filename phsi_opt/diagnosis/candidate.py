@@ -60,8 +60,8 @@ class Candidate:
         values: of the model's parameters, from which a re-fit starts.
         states: (n_nodes, n_states) along the training record, likewise.
         log_bayes: logarithm of the Bayes factor of the model with the effect over the
-            model without, both with a random force, for the training data; expected by
-            screening if the evidence was not computed.
+            model without it, both with a random force, for the training data; without
+            computed evidence the value that screening expects.
         log_predictive: gain of the log predictive density of the held-out data; NaN if
             there are none, or if the evidence was not computed.
         was_weighed: whether the evidence was computed, and not only expected.

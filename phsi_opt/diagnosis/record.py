@@ -100,7 +100,7 @@ class Diagnosis(Summarised):
 
     @property
     def established(self) -> list[Candidate]:
-        """The candidates of the findings; the first of all where none is found."""
+        """The candidates of the findings; without findings the first candidate."""
         named = list(chain(*(found.effects for found in self.findings)))
         found = [one for one in self.ranking if one.effect in named]
         return found or list(self.ranking[:1])
@@ -137,7 +137,7 @@ class Diagnosis(Summarised):
 
         Columns: trajectory (its name), t (middle of the interval), then per equation
         the force and its standard deviation (``p`` and ``std_p``), in the unit of the
-        state over that of the time.
+        state per unit of time.
         """
         estimate = self.estimate
         grid = estimate.grid

@@ -99,7 +99,7 @@ class Fit(FitRecord, Summarised):
             path: Of the file.
 
         Returns:
-            The fit, equal to the one that was saved but for ``states``, which is empty.
+            The fit that was saved, except for ``states``, which is empty.
 
         Raises:
             DataError: The file cannot be read, has another format, is damaged, or

@@ -29,10 +29,10 @@ class Pruning:
             Required for significance.
         max_rounds: largest number of solves.
         significance: probability, over the whole dictionary, of keeping any term whose
-            true coefficient is zero. Terms are removed as long as the data are
-            consistent with a zero coefficient: each by its own z-test at significance /
-            number of terms (Bonferroni), and the terms of one round also together, by
-            Wald's chi-square test (1943). None: threshold only.
+            true coefficient is zero. Terms are removed if two tests allow a zero
+            coefficient: a z-test of each term at significance / number of terms
+            (Bonferroni), and Wald's chi-square test (1943) of all terms of a round
+            together. None: threshold only.
 
     Raises:
         ModelError: a setting is not valid.
@@ -84,8 +84,8 @@ class Pruning:
         """Names of the coefficients to remove because zero explains the data as well.
 
         By their covariance (n_free, n_free), in the order of ``model.free``; a
-        coefficient without a standard error (NaN) stays. Pruning began with so many
-        terms as there are tests.
+        coefficient without a standard error (NaN) stays. ``n_tests`` is the number of
+        terms before pruning.
         """
         if self.significance is None:
             return set()

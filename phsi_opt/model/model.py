@@ -51,8 +51,8 @@ class Model(BaseModel, Summarised):
 
     Terms are a `formula`, a dictionary such as `polynomials`, or a text: a formula
     whose names are states, inputs, the time ``t``, efforts such as ``dH_dp``, and
-    parameters. Those that no other formula of the model defines are free, without
-    bounds; a loss that is nothing but a parameter, ``R={"p": "c"}``, is not negative.
+    parameters. Parameters that no other formula of the model defines are free, without
+    bounds; one that is a whole loss, ``R={"p": "c"}``, has the lower bound 0.
 
     ``sensor`` contains the error terms of the sensors by state: measured = state +
     sensor terms, such as an offset ``formula("b", b=Parameter(0.0))`` or a gain
@@ -151,13 +151,13 @@ class Model(BaseModel, Summarised):
         return changed
 
     def built(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What is made of the formulas, once for all models that have the same.
+        """What ``make`` builds, once for all models with the same formulas.
 
-        Whatever the values of their unknown parameters are.
+        It must not depend on the values of the free parameters.
 
         Args:
             key: under which it is kept.
-            make: makes it.
+            make: builds it.
         """
         if key not in self._built:
             self._built[key] = make()

@@ -140,7 +140,7 @@ class Parameter:
         return short_repr(self)
 
     def nearest_bound(self, value: float) -> float:
-        """The bound at which an estimate ended; a solver stops slightly next to it."""
+        """The bound at which an estimate ended; a solver stops slightly inside it."""
         bounds = [one for one in (self.lower, self.upper) if np.isfinite(one)]
         return min(bounds, key=lambda bound: abs(value - bound), default=value)
 

@@ -55,8 +55,8 @@ class Study(Summarised):
         train: measurements to fit.
         held_out: measurements for tests, not used for fitting (recommended). They help
             to choose effects.
-        final: measurements that choose nothing: base and present model are compared
-            with them at the end, when nothing more is to be added.
+        final: measurements used neither to fit nor to choose effects: when no further
+            effect is to be added, base and present model are compared with them.
         effects: the effects that diagnoses consider, each an `Effect`, a name such as
             ``"coulomb friction"`` (in every equation that can have it) or
             ``"coulomb friction on p"``; default: `catalogue` of the model.
@@ -137,7 +137,7 @@ class Study(Summarised):
 
     @property
     def final(self) -> Measurements | None:
-        """The measurements for the end, in the order of the model."""
+        """The measurements for the final test, in the order of the model."""
         return self.record.final
 
     @property
@@ -353,7 +353,7 @@ class Study(Summarised):
         Raises:
             DataError: the executor is not valid.
             ModelError: one of the ``effects``, or of those to leave out, is unknown, or
-                an argument is none of its values.
+                another argument has a value that is not allowed.
         """
         require_count("max_steps", max_steps)
         require_choice("reach", reach, (DECISIVE, STRONG))

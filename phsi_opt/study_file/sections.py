@@ -137,7 +137,7 @@ class DataSection:
     def of(
         cls, content: Mapping[str, Any], places: Mapping[str, Path] | None = None
     ) -> "DataSection":
-        """The section of usable entries; those that are empty are as if left out."""
+        """The section with these entries; empty ones count as left out."""
         settings = without(content, "", ())
         settings["time"] = Times(**content.get("time", {}))
         for what in ("states", "inputs"):
@@ -159,7 +159,7 @@ class DataSection:
         ]
 
     def moved(self, old: Path, new: Path) -> "DataSection":
-        """The same files, as they are called from another folder."""
+        """The same files, with paths relative to another folder."""
         files = []
         for file in self.files:
             if file not in self.places and not Path(file).is_absolute():
@@ -173,7 +173,7 @@ class DataSection:
         return reader_of(Path(self.files[0] if self.files else ""))
 
     def reader_arguments(self) -> dict[str, Any]:
-        """What the reader is told beside the files; only what is not the default."""
+        """Arguments of the reader besides the files, without those that are default."""
         hold = {name: one.hold or self.hold for name, one in self.inputs.items()}
         holds = set(hold.values())
         states = self.states.items()
@@ -256,10 +256,10 @@ def table_at(path: DataFile, section: DataSection | None = None) -> Table:
 class HeldOut:
     """The held-out data, selected in one of three ways; the other two are None.
 
-    Also the data for the end, which choose nothing.
+    Also describes the data for the final test.
 
     Attributes:
-        runs: names of the runs held out; empty for no data for the end.
+        runs: names of the runs held out; empty: no data for a final test.
         share: the last share of the runs, or of the samples if there is a single run.
         after: a time; the samples of every run from this time on.
     """

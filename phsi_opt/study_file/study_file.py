@@ -51,7 +51,7 @@ class StudyFile(Sections):
         base: the base model, without added effects.
         data: the files, their columns, units and noise.
         held_out: the held-out data; None: no data are held out.
-        final: the data for the end; None: one of three or more runs.
+        final: the data for a final test; None: one of three or more runs.
         steps: effects added, effects to consider and to exclude.
         own_effects: effects that are not in the catalogue.
         loss: how to fit.
@@ -107,7 +107,7 @@ class StudyFile(Sections):
             data: the files and which column is what; or the measurements to fit.
             held_out: the part of the files that is held out; or, with measurements as
                 ``data``, the held-out measurements.
-            final: likewise the data for the end, as in `Study`; None: with measurements
+            final: likewise for a final test, as in `Study`; None: with measurements
                 as ``data`` there are none.
             added: names of the effects added, such as ``"coulomb friction on p"``.
             effects: names of effects to consider; None: the catalogue.
@@ -234,7 +234,7 @@ class StudyFile(Sections):
         return self.parts()[:2]
 
     def parts(self) -> tuple[Measurements, Measurements | None, Measurements | None]:
-        """The data to fit, those held out, and those for the end; None: no such part.
+        """The data to fit, held-out data, data for a final test; None: no such part.
 
         Raises:
             DataError: the data files are not valid, or a part is empty.
