@@ -121,7 +121,7 @@ class Fit(FitRecord, Summarised):
 
     @classmethod
     def from_content(cls, content: Content) -> "Fit":
-        """The fit of a content that `content` made.
+        """The fit from the numbers and text that `content` returned.
 
         Raises:
             DataError: A part of the content has a value that no fit can have.

@@ -62,7 +62,7 @@ def read_sections(
     """Everything that a study file says, and all its measurements.
 
     Raises:
-        StudyFileError: something cannot be used; with all that is wrong.
+        StudyFileError: the file has mistakes; the error lists all of them.
     """
     text, tables = text_and_tables(path)
     faults = Complaints(tables)

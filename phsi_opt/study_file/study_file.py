@@ -73,7 +73,7 @@ class StudyFile(Sections):
 
         Raises:
             DataError: this is no path.
-            StudyFileError: something cannot be used; with all that is wrong.
+            StudyFileError: the file has mistakes; the error lists all of them.
         """
         if not isinstance(path, str | Path):
             raise DataError(f"path={shown(path)}; expected that of a study file.")
