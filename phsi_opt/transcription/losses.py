@@ -52,7 +52,7 @@ class PHSILoss:
     estimates from measured data. (The thesis uses the sum instead of the mean.)
 
     Args:
-        integrator: the scheme of the defects.
+        integrator: the integration scheme, whose errors in a step are the defects.
     """
 
     integrator: str = "srk4"
@@ -91,7 +91,7 @@ class MaximumLikelihood:
 
     Args:
         noise: standard deviations by state name; None estimates them.
-        integrator: the scheme of the defects.
+        integrator: the integration scheme, whose errors in a step are the defects.
         steps: integration steps between neighbouring samples; None chooses them so that
             the integration error does not affect the estimates.
         huber: residuals beyond this many standard deviations count linearly instead of
