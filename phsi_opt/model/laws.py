@@ -18,7 +18,7 @@ law is offered (none: all); formula; family; name of the coefficient; and, in H,
 force of the law in a model without an energy. Several formulas, and their coefficients,
 are separated by ";". A coefficient may be ``>= 0``, ``formula`` (none), or empty
 (named by its place); without this cell it is the last text of the table. A formula
-brings the parameters and the memory that it names.
+brings what it names of ``INNER_PARAMETERS`` and ``MEMORIES``.
 """
 
 from collections.abc import Mapping
