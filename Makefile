@@ -7,7 +7,7 @@ CONSTRAINTS := .ci/constraints.txt
 EXTRAS := neural,baselines,app,distributed,peers,dev
 # Bytecode is left to the first use of a module: compiling all that is installed takes longer than installing it.
 PIP_INSTALL := -m pip install -qq --no-compile
-# More arguments, e.g. `make test ARGS='-m slow'` or `make compare ARGS=tanks`.
+# More arguments, e.g. `make test ARGS='-m slow'` or `make thesis ARGS=tanks`.
 ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo thesis compare results test browser lint types docs package constraints clean
+.PHONY: help install demo thesis results test browser lint types docs package constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -29,10 +29,7 @@ demo: $(VENV)/.core ## run the demonstration; needs, and installs where missing,
 	@$(PY) -m problems.examples.demo
 
 thesis: $(VENV)/.full ## run every experiment of the thesis (about an hour; ARGS=--quick: minutes, writes nothing)
-	@$(PY) -m problems.thesis.run_all $(ARGS)
-
-compare: $(VENV)/.full ## compare the solver with gradient descent on the systems of the thesis
-	@$(PY) -m problems.thesis.compare $(ARGS)
+	@$(PY) -m problems.thesis.run $(ARGS)
 
 results: $(VENV)/.full ## list the pages in results/ that are older than the code (ARGS="--run --hours=8": make them again)
 	@$(PY) -m problems.results $(ARGS)

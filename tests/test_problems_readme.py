@@ -5,7 +5,6 @@ results/ says how it was made.
 import re
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from problems.examples.friction_spring import TRUTH
@@ -47,39 +46,6 @@ def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
     assert f"on p ({size:.2f} +- {error:.2f} N; true: {TRUTH['f']:g} N)" in readme
 
 
-def test_the_solver_beside_gradient_descent(readme: str) -> None:
-    from problems.thesis.compare import kept_table, ratios
-
-    found = ratios(kept_table())
-    n = len(found)
-    n_lower = found["not higher"].sum()
-    excess = (found["loss, best descent"] / found["loss, all terms"] - 1).median()
-    ours = (found["wrong terms, solver"] == 0).sum()
-    theirs = (found["wrong terms, descent"] == 0).sum()
-    time = 1 / found["times as fast"]
-    assert f"not higher on {n_lower} of {n} data sets" in readme
-    assert f"best descent is larger by {percent(excess, 1)} % in the median" in readme
-    assert f"the true terms on {ours} of {n}, the tuned descent on {theirs}" in readme
-    assert f"takes {time.min():.2f} to {time.max():.2f} times" in readme
-    assert time.max() < 1
-
-
-def test_pruning_by_significance(readme: str) -> None:
-    lines = (RESULTS / "thesis" / "significance.md").read_text("utf-8").splitlines()
-    table = {}
-    for line in lines:
-        if line.startswith(("size", "significance")):
-            rule, numbers = re.split(r"  +", line, maxsplit=1)
-            table[rule] = numbers
-    by_size = [float(cell) for cell in table["size 0.05 alone"].split()]
-    both = [float(cell) for cell in table["size 0.05 and significance 0.01"].split()]
-    assert by_size[1] == both[1] == 1.0
-    assert (
-        f"no spurious term in {percent(by_size[0])} %, threshold and significance in "
-        f"{percent(both[0])} %, and neither misses one" in readme
-    )
-
-
 @pytest.mark.parametrize("path", sorted(RESULTS.rglob("*.md")), ids=lambda p: p.stem)
 def test_the_command_at_the_head_of_a_result_is_a_module_of_the_project(
     path: Path,
@@ -91,18 +57,6 @@ def test_the_command_at_the_head_of_a_result_is_a_module_of_the_project(
     assert found is not None, head
     if found[2]:
         assert find_spec(found[2]) is not None, head
-
-
-def test_the_open_questions(readme: str) -> None:
-    rows = pd.read_csv(RESULTS / "thesis" / "open_questions.csv")
-    right = rows.groupby(["ask", "answer"])["is_right"].mean()
-    assert (rows.groupby(["ask", "answer"])["draw"].nunique() == 50).all()
-    tanks = percent(right["tanks_place", "place"], 0)
-    spring = percent(right["mass_spring_place", "place"], 0)
-    assert f"is identified in {tanks} % (tanks) and {spring} % (mass-spring)" in readme
-    small = percent(right["guess", "small"], 0)
-    wrong = percent(right["guess", "wrong"], 0)
-    assert f"is recognised in {small} %, a wrong one in {wrong} %" in readme
 
 
 # ---- pages that are out of date
@@ -189,20 +143,6 @@ def test_scripts_pages_and_modules_that_are_named_exist() -> None:
     assert len(scripts) > 10
     for script in scripts:
         assert (ROOT / "problems" / "thesis" / f"{script}.py").exists()
-
-
-def test_the_numbers_beside_those_of_the_thesis_are_those_of_the_pages() -> None:
-    from problems.thesis.side_by_side import main
-
-    made = main(quick=True)
-    assert made in TEXT
-    for place in ("Figure 5.1", "Table 6.1", "Table 6.2", "Table 6.3"):
-        assert f"| {place} |" in made
-    for figures in ("6.9, 6.10", "6.15, 6.16", "A.1, A.2", "A.3, A.4"):
-        assert f"Figures {figures}" in made
-    # 0.124 of q2 p1^2, which is not there in truth; 0.569 for 1
-    assert "PHSI 0.124, SSINN 0.431" in made
-    assert "H 1.1%, r 18%" in made  # 4.96 for 4.905, 0.041 for 0.05
 
 
 def test_no_page_says_that_nobody_can_make_it_again() -> None:

@@ -1,5 +1,6 @@
 """The studies of the thesis under problems/thesis, small."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,9 +9,20 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from problems.thesis import (
+    comparison,
+    figures,
+    grids,
+    integrators,
+    questions,
+    regularization,
+)
+from problems.thesis.integrators import orders, symmetry
 from problems.thesis.methods import by_solver, solver
-from problems.thesis.scores import inside_and_beyond, phsi_loss, rates, score
+from problems.thesis.runs import Run, done, medians, table
+from problems.thesis.scores import free_run, phsi_loss, rates, score
 from problems.thesis.systems import SYSTEMS, closed_tanks, leak, tank_model
+from problems.tools import provenance
 
 # --- the systems and their scores
 
@@ -54,7 +66,7 @@ def test_clean_data_give_every_coefficient_to_1e_4_and_the_exact_support(
     assert (s.spurious, s.missed) == ((), ())
     assert s.relative < 1e-4
     assert phsi_loss(fit, data) == pytest.approx(fit.loss_value, rel=1e-6, abs=1e-16)
-    assert inside_and_beyond(system, fit)[1] < 1e-4
+    assert free_run(fit, *system.tests(10)).mean() < 1e-4
 
 
 @pytest.mark.slow
@@ -63,9 +75,7 @@ def test_clean_tanks_give_every_coefficient_to_1e_3_and_the_leak() -> None:
     fit = solver(system, system.data(5, 0.0, n=12))
     s = score(system, fit)
     assert (s.spurious, s.missed) == ((), ())
-    assert (
-        s.relative < 1e-3
-    )  # the integrator's error at h = 0.01; results/thesis/tanks.md halves h
+    assert s.relative < 1e-3  # the integrator's error at h = 0.01
     x = np.zeros((41, 9))
     x[:, 8] = np.linspace(-0.6, 0.6, 41)
     error = fit.force(x)[:, 0] - leak(x[:, 8])
@@ -103,12 +113,10 @@ def test_polynomials_in_the_time_do_not_take_the_place_of_the_wave(
     assert set(fit.removed) == set(system.model().free) - set(fit.names)
 
 
-# --- the studies
+# --- the experiments
 
 
 def test_defects_have_the_order_of_their_integrator_and_two_are_symmetric() -> None:
-    from problems.thesis.integrators import orders, symmetry
-
     table = orders(2).set_index(["system", "integrator"])["order"]
     for system in ("Henon-Heiles", "Tanks, leak shut"):
         # terms of the next order at h/8: below a tenth
@@ -121,161 +129,136 @@ def test_defects_have_the_order_of_their_integrator_and_two_are_symmetric() -> N
     assert changes[False].min() > 1e-2
 
 
-@pytest.mark.slow
-def test_on_nearly_clean_data_the_order_is_the_accuracy_of_the_model() -> None:
-    from problems.thesis.integrators import main
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where pages and figures go."""
+    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
+    return tmp_path / "thesis"
 
-    fits: Any = main(quick=True)["fits"].set_index(["system", "noise", "integrator"])
-    hybrids = fits.loc["Tanks, neural leak", 0.0]["coefficient"]
-    assert set(hybrids.index) == {"euler", "midpoint", "rk4", "srk4"}
-    # few turns with six trajectories: that the order shows in the coefficients is all
+
+@pytest.mark.slow
+def test_on_nearly_clean_data_the_order_is_the_accuracy_of_the_model(
+    elsewhere: Path,
+) -> None:
+    found = integrators.runs_of(quick=True)
+    rows: Any = table(found).set_index(["system", "noise", "integrator"])
+    hybrids = rows.loc[integrators.NEURAL, 0.0]["relative error"]
+    # few turns with few trajectories: that the order shows in the coefficients is all
     assert hybrids["euler"] > 3 * hybrids.min()
-    fits = fits.loc["Henon-Heiles"]
-    assert fits["solved"].all()
-    clean, noisy = fits.loc[1e-5]["l2"], fits.loc[0.01]["l2"].drop("euler")
-    # over the five draws of the full study the ratios are 3.4 to 11 and more than 100
+    clean = rows.loc["Henon-Heiles", 1e-5]["l2 whole"]
+    noisy = rows.loc["Henon-Heiles", 0.01]["l2 whole"].drop("euler")
     assert clean["euler"] > 2 * clean["midpoint"]
     assert clean["midpoint"] > 10 * clean["srk4"]
     # with noise the three better ones cannot be told apart by more than the draw
     assert noisy.max() < 3 * noisy.min()
-
-
-def test_what_is_regularised_gives_its_dynamics_away_and_without_weights_the_fit_cannot_tell() -> (
-    None
-):
-    from problems.thesis.regularization import main
-
-    tables = main(quick=True)
-    table = tables["attribution"].set_index(["lambda_H", "lambda_F"]).sort_index()
-    share = table["share of F"]
-    assert share.loc[0.0, 0.1].max() < 0.01
-    assert share.loc[0.1, 0.1].max() < 0.01
-    assert share.loc[0.1, 0.0].min() > 0.99
-    assert np.all(table["relative error"] < 0.01)
-    assert np.ptp(share.loc[0.0, 0.0]) > 0.05  # the start decides
-    warnings = tables["warnings"].set_index("lambda_H")["warning"]
-    assert any(
-        "cannot distinguish" in note and "H[q**2]" in note for note in warnings[0.0]
-    )
+    figures.errors_over_noise("noise", table(found), "integrator")
+    integrators.draw_paths("paths", found, "Henon-Heiles")
+    assert {path.name for path in elsewhere.iterdir()} == {"noise.png", "paths.png"}
 
 
 @pytest.mark.slow
-def test_every_method_is_scored_beside_the_solver_whose_errors_are_small() -> None:
-    from problems.thesis.experiments import main, page
+def test_what_is_regularised_gives_its_dynamics_away_and_without_weights_the_fit_cannot_tell() -> (
+    None
+):
+    measured = regularization.data(n=6)
+    found = list(regularization.splits(measured, range(1)))
+    rows = regularization.attribution(found, measured)
+    solver = rows[rows["method"] == "solver"]
+    share = solver.set_index(["lambda_H", "lambda_F"]).sort_index()["share of F"]
+    assert share.loc[0.0, 0.1].max() < 0.01
+    assert share.loc[0.1, 0.1].max() < 0.01
+    assert share.loc[0.1, 0.0].min() > 0.99
+    assert np.all(solver["relative error"] < 0.01)
+    assert np.ptp(share.loc[0.0, 0.0]) > 0.05  # the start decides
+    warning = regularization.warning_of(found)
+    assert "cannot distinguish" in warning and "H[q**2]" in warning
 
-    tables = main(quick=True, names=["henon_heiles"])
-    table: Any = tables["henon_heiles, scores"].set_index(["data", "method"])
-    clean = table.loc["clean"]
-    by_descent = {"descent", "descent, thesis"}
-    expected = {
-        f"{model}, {way}"
-        for model in ("PHSI", "BSI")
-        for way in {*by_descent, "solver"}
+
+@pytest.mark.slow
+def test_every_method_is_scored_beside_the_solver_whose_errors_are_small(
+    elsewhere: Path,
+) -> None:
+    system = SYSTEMS["henon_heiles"].shortened(2)
+    found = {
+        kind: comparison.runs_of(system, kind, quick=True)
+        for kind in ("clean", "noisy")
     }
-    expected |= {
-        "PHSI, likelihood",
-        "SINDy, STLSQ",
-        "SINDy, SR3",
-        "LASSO",
-        "SSINN",
-        "PHNN",
-        "PHNN, tuned",
+    rows: Any = table(one for runs in found.values() for one in runs)
+    clean = rows[rows["data"] == "clean"].set_index("method")
+    assert set(clean.index) == {
+        comparison.LIKELIHOOD,
+        *comparison.methods_of(system, True),
     }
-    assert set(clean.index) == expected
-    assert set(table.loc["noisy"].index) == {*expected, "PHSI, threshold alone"}
-    assert (table["reason"] == "").all()
+    assert (rows["remark"] == "").all()
+    errors = clean["largest error"]
     # SRK4's own error at h = 0.1 is below 1e-6; the derivative of SINDy is of order 2 and misses by 4e-3
-    assert (
-        clean["largest error"]["PHSI, solver"]
-        < 1e-4
-        < clean["largest error"]["SINDy, SR3"]
-    )
+    assert errors["PHSI, solver"] < 1e-4 < errors["SINDy, SR3"]
     assert clean["l2 whole"]["PHSI, solver"] < clean["l2 whole"]["SINDy, SR3"]
-    assert np.isnan(clean["largest error"]["PHNN"])
-    truth = tables["henon_heiles, coefficients, noisy"]["coefficient"]
-    assert set(SYSTEMS["henon_heiles"].truth) <= set(truth)
-    text = page(SYSTEMS["henon_heiles"], tables, [])
-    assert f"the solver has {clean['l2 whole']['PHSI, solver']:.2g}" in text
-    assert "## Coefficients of H, R and F, noisy data" in text
+    assert np.isnan(errors["PHNN"])
+    printed = comparison.PRINTED["henon_heiles", "noisy"]
+    shown = comparison.coefficient_table(system, found["noisy"], printed)
+    assert set(system.truth) <= set(shown["coefficient"])
+    row = shown.set_index("coefficient").loc["H[q2*p1**2]"]
+    assert (row["true"], row["thesis, PHSI"]) == ("0", "0.124")
+    comparison.draw(system, found)
+    names = {path.name for path in elsewhere.iterdir()}
+    assert names == {"henon_heiles_trajectory.png", "henon_heiles_error.png"}
 
 
 @pytest.mark.slow
 def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
-    from problems.thesis.compare import BOTH, SIZE, main, page, ratios
-
-    table = main(quick=True, names=["henon_heiles"])
-    methods = {
-        "solver",
-        "solver, all terms",
-        "solver, then likelihood",
-        "descent",
-        "BSI, descent",
-    }
-    assert set(table["method"]) == methods
+    system = SYSTEMS["henon_heiles"].shortened(2)
+    rows = table(comparison.descent_runs(system, "clean", quick=True))
+    assert set(rows["settings"]) == {"-", "thesis", "tuned"}
     for method in ("solver", "descent"):
-        assert set(table.loc[table["method"] == method, "rule"]) == {SIZE, BOTH}
-    assert set(table.loc[table["method"] == "descent", "settings"]) == {
-        "thesis",
-        "tuned",
-    }
-    clean = table[(table["data"] == "clean") & (table["method"] == "solver")]
-    assert (clean["largest error"] < 1e-5).all() and (clean["spurious"] == 0).all()
-    assert ratios(table)["not higher"].all()
-    assert "Quick mode" in page(table, quick=True) and "What it means" not in page(
-        table, quick=True
-    )
-    told = page(table)
-    assert "Pruned by size and significance" in told
-    assert (
-        "is not higher than that of the best run of gradient descent on 2 of 2" in told
-    )
+        assert set(rows.loc[rows["method"] == method, "rule"]) == set(comparison.RULES)
+    solver = rows[rows["method"] == "solver"]
+    assert (solver["largest error"] < 1e-5).all() and (solver["spurious"] == 0).all()
+    assert comparison.ratios(rows)["not higher"].all()
 
 
-def test_significance_leaves_fewer_spurious_terms_than_size() -> None:
-    from problems.thesis.significance import main, summary
+@pytest.mark.slow
+def test_a_grid_has_every_point_and_its_verdict(elsewhere: Path) -> None:
+    grid = replace(grids.GRIDS["henon_heiles"], epochs=1)
+    system = SYSTEMS["henon_heiles"]
+    found = grids.runs_of(system, grid, quick=True)
+    rows = table(found)
+    assert len(rows) == 9 + 9 + 3
+    pruned = rows[rows["pruning"] == "threshold 0.2"].set_index("lambda_H")
+    assert pruned["spurious"][0.0] == pruned["missed"][0.0] == 0
+    lines = grids.verdicts("henon_heiles", grid, rows)
+    assert [line["loss"] for line in lines] == [grids.CODE, grids.TEXT]
+    figures.grids("grids", rows[~rows["method"].str.contains("text")])
+    grids.draw_paths(system, grid, found)
+    names = {path.name for path in elsewhere.iterdir()}
+    assert names == {"grids.png", "grid_henon_heiles.png"}
 
-    s = summary(main(quick=True)).to_dict("index")
-    both, size = s["size 0.05 and significance 0.01"], s["size 0.05 alone"]
-    assert both["draws without a missed term"] == 1.0
-    assert both["most spurious terms"] <= size["most spurious terms"]
+
+def test_sparsity_helps_or_hurts_by_the_errors() -> None:
+    assert grids.verdict([1.0, 0.1, np.inf]) == "helps (10 times)"
+    assert grids.verdict([1.0, 20.0, 30.0]) == "hurts (20 times)"
+    assert grids.verdict([1.0, 1.1, np.inf]) == "neither"
+    assert grids.verdict([np.inf, np.inf, np.inf]) == "no model"
+
+
+def test_a_method_that_fails_has_a_line_with_its_reason() -> None:
+    system = SYSTEMS["henon_heiles"]
+
+    def failing() -> None:
+        raise ph.SolveError("no way")
+
+    data = system.data(0, n=5)
+    run = Run({"method": "none"}, system, data, system.tests(1), failing)
+    found = done(run)
+    assert (found.is_model, found.row["remark"]) == (False, "no way")
+    assert found.row["missed"] == len(system.truth)
+    assert "0 of 1" in str(medians(table([found]), ["method"])["exact terms"][0])
 
 
 @pytest.mark.parametrize("name", ["tanks_place", "large"])
 def test_a_force_is_found_where_it_acts_and_superfluous_terms_go(name: str) -> None:
-    from problems.thesis import open_questions
-
-    question = getattr(open_questions, name)
-    n = open_questions.QUICK_N[open_questions.QUESTIONS[question]]
-    (row,) = open_questions.asked(question, 0, n)
-    assert row["is_right"], row
-    assert (row["superfluous"], row["missed"]) == (0, 0)
-    assert row["n_candidates"] > 50
-
-
-@pytest.mark.parametrize(
-    ("script", "page"),
-    [
-        ("compare", "../solver_vs_gradient_descent"),
-        ("noise_draws", "noise_draws"),
-        ("open_questions", "open_questions"),
-    ],
-)
-def test_a_page_is_made_again_from_the_rows_that_are_kept(
-    script: str, page: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    from importlib import import_module
-    from shutil import copytree
-
-    from problems.tools import provenance
-
-    kept = provenance.RESULTS / "thesis"
-    before = (kept / f"{page}.md").read_text("utf-8").split("-->", 1)[1].split()
-    copytree(kept, tmp_path / "thesis")
-    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
-    monkeypatch.setattr("sys.argv", ["x.py"])
-    import_module(f"problems.thesis.{script}").write_page()
-    after = (tmp_path / "thesis" / f"{page}.md").read_text("utf-8").split("-->", 1)[1]
-    numbers = [
-        [word for word in text if word[0].isdigit()] for text in (before, after.split())
-    ]
-    assert numbers[0] == numbers[1]
+    question = getattr(questions, name)
+    n = questions.QUICK_N[questions.QUESTIONS[question][0]]
+    (row,) = questions.asked(question, 0, n)
+    assert row["right"] and row["exact"], row
+    assert int(str(row["candidates"])) > 50

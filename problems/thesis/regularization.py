@@ -1,16 +1,12 @@
-"""How the L1 weights decide what is called energy and what force (thesis Section 5.2).
+"""How the L1 weights decide what is called energy and what force: thesis Section 5.2
+and Figure 5.1.
 
 A mass-spring without damping or force, dq/dt = p, dp/dt = -q, is fitted by S grad H + F
 with polynomials of degree 2 in q and p for H and for both equations of F. F alone can
-be all of it, H alone too, and so can any sum of the two: the weights lambda_H and
-lambda_F choose. Four pairs of weights, three random starts each, by the solver (from
-its convex start, and from the random starts) and by gradient descent from random
-starts.
-
-    python -m problems.thesis.regularization [--quick]
+be all of it, H alone too, and so can any sum of the two: the weights choose.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,36 +15,19 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from problems.thesis.runs import shown
 from problems.thesis.scores import model_rates
-from problems.tools.command_line import flag
 from problems.tools.pages import render
 from problems.tools.pictures import plt, save
-from problems.tools.provenance import write
 
 WEIGHTS = ((0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.1))  # lambda_H, lambda_F
 SPREAD = 0.5  # standard deviation of the random starts (thesis Section 5.1)
-LEARNING_RATE = 5e-3
-EPOCHS = 100
-BATCH = 32
-TRUE_COEFFICIENT = 0.5  # of q^2 and p^2 in the energy
-# Coefficients of the table as the model and as the page names them.
-MAIN = {
-    "H[q**2]": "H[q^2]",
-    "H[p**2]": "H[p^2]",
-    "F_q[p]": "F_q[p]",
-    "F_p[q]": "F_p[q]",
-}
-HEADS = {
-    "solver": "By the solver (PHSI loss, SRK4, no pruning)",
-    "descent": f"By gradient descent (same loss; Adam, rate {LEARNING_RATE:g}, "
-    f"{EPOCHS} epochs, batch {BATCH}, no pruning, L1 to the end)",
-}
 START = np.array([2.0, 0.0])  # of the trajectories that are drawn
 EDGE = 4.0  # where a drawn trajectory that runs away is cut
 
 
 @dataclass(frozen=True)
-class Run:
+class Split:
     """One model: by which method, with which weights, from which start."""
 
     method: str
@@ -58,9 +37,8 @@ class Run:
 
 
 def data(n: int = 30, seed: int = 1) -> ph.Measurements:
-    """``n`` trajectories of 50 steps of 0.1 without noise.
-
-    They start in a ring of radius 1 to 4.5.
+    """``n`` trajectories of 50 steps of 0.1 without noise, from a ring of radius 1 to
+    4.5.
     """
     rng = np.random.default_rng(seed)
     t = np.linspace(0.0, 5.0, 51)
@@ -81,77 +59,58 @@ def model() -> ph.PseudoHamiltonian:
     )
 
 
-def energy_part(model: ph.Model) -> ph.Model:
-    """S grad H alone."""
-    return replace(model, F={})
+def parts(whole: ph.Model) -> dict[str, ph.Model]:
+    """The model, its energy alone and its force alone."""
+    force = ph.FirstOrder(whole.states, dict(whole.F))
+    energy = replace(whole, F={})
+    return {"S grad H + F": whole, "S grad H alone": energy, "F alone": force}
 
 
-def force_part(model: ph.Model) -> ph.Model:
-    """F alone."""
-    return ph.FirstOrder(model.states, dict(model.F))
-
-
-def random_values(seed: int) -> dict[str, float]:
-    """N(0, 0.5^2) for every coefficient."""
-    names = model().free
-    drawn = np.random.default_rng(seed).normal(0.0, SPREAD, len(names))
-    return dict(zip(names, drawn.tolist(), strict=True))
-
-
-def by_solver(measured: ph.Measurements, starts: Sequence[int]) -> Iterator[Run]:
-    """From the solver's own convex start, and from random starts.
-
-    A random start is given as a fit, which replaces the convex one.
+def splits(measured: ph.Measurements, starts: Sequence[int]) -> Iterator[Split]:
+    """The solver from its convex start and from random ones, which are given as a fit,
+    and gradient descent from random ones.
     """
+    from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
+
     loss = ph.PHSILoss()
     for weights in WEIGHTS:
         l1 = dict(zip("HF", weights, strict=True))
         own = ph.identify(model(), measured, loss, l1)
-        yield Run("solver", weights, "convex", own)
-        for seed in starts:
-            random = replace(own, model=model().with_values(random_values(seed)))
-            fit = ph.identify(model(), measured, loss, l1, start=random)
-            yield Run("solver", weights, f"random {seed}", fit)
-
-
-def by_descent(measured: ph.Measurements, starts: Sequence[int]) -> Iterator[Run]:
-    """Adam from random starts, L1 to the end and no pruning."""
-    from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
-
-    for weights in WEIGHTS:
+        yield Split("solver", weights, "convex", own)
         settings = Descent(
-            learning_rate=LEARNING_RATE,
-            epochs=EPOCHS,
-            batch=BATCH,
+            learning_rate=5e-3,
+            epochs=100,
             prune_every=None,
-            l1=dict(zip("HF", weights, strict=True)),
+            l1=l1,
             l1_off_after=None,
             start="normal",
         )
         for seed in starts:
+            drawn = np.random.default_rng(seed).normal(0.0, SPREAD, len(own.names))
+            values = dict(zip(model().free, drawn.tolist(), strict=True))
+            random = replace(own, model=model().with_values(values))
+            fit = ph.identify(model(), measured, loss, l1, start=random)
+            yield Split("solver", weights, f"random {seed}", fit)
             found = gradient_descent(model(), measured, settings, seed=seed)
-            yield Run("descent", weights, f"random {seed}", found)
+            yield Split("descent", weights, f"random {seed}", found)
 
 
-def attribution(runs: list[Run], measured: ph.Measurements) -> pd.DataFrame:
-    """Rms of S grad H and of F over the data, the share of F, and the coefficients."""
+def attribution(found: Sequence[Split], measured: ph.Measurements) -> pd.DataFrame:
+    """Rms of S grad H and of F over the data, and the share of F."""
     x = np.concatenate([run.x for run in measured.trajectories])
     truth = np.column_stack([x[:, 1], -x[:, 0]])
-    times = np.zeros(len(x))
     rows = []
-    for run in runs:
-        energy = model_rates(energy_part(run.result.model), x, times)
-        force = model_rates(force_part(run.result.model), x, times)
+    for one in found:
+        _, energy, force = (
+            model_rates(part, x, np.zeros(len(x)))
+            for part in parts(one.result.model).values()
+        )
         h, f = _rms(energy), _rms(force)
-        values = run.result.values
-        others = [abs(value) for name, value in values.items() if name not in MAIN]
-        row = {"method": run.method, "lambda_H": run.weights[0]}
-        row |= {"lambda_F": run.weights[1], "start": run.start}
+        row = {"method": one.method, "lambda_H": one.weights[0]}
+        row |= {"lambda_F": one.weights[1], "start": one.start}
         row |= {"rms S grad H": h, "rms F": f, "share of F": f / (h + f)}
-        row |= {shown: values.get(name, 0.0) for name, shown in MAIN.items()}
-        row |= {"largest other": max(others)}
-        row |= {"relative error": _rms(energy + force - truth) / _rms(truth)}
-        rows.append(row)
+        error = _rms(energy + force - truth) / _rms(truth)
+        rows.append(row | {"relative error": error})
     return pd.DataFrame(rows)
 
 
@@ -159,88 +118,60 @@ def _rms(rates: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(rates**2, axis=1))))
 
 
-def warnings_of(runs: list[Run]) -> pd.DataFrame:
-    """What the fits of the solver warn of."""
-    rows = [
-        (*run.weights, run.start, note)
-        for run in runs
-        if isinstance(run.result, ph.Fit)
-        for note in run.result.warnings
-    ]
-    return pd.DataFrame(rows, columns=["lambda_H", "lambda_F", "start", "warning"])
+def warning_of(found: Sequence[Split]) -> str:
+    """What the fit of the solver without weights warns of."""
+    for one in found:
+        if one.method == "solver" and one.weights == WEIGHTS[0]:
+            return "; ".join(one.result.warnings)
+    return ""
 
 
-def page(table: pd.DataFrame, warnings: pd.DataFrame) -> str:
-    """The page results/thesis/regularization.md."""
-    weights = ["lambda_H", "lambda_F"]
-    solver = table[table["method"] == "solver"]
-    # By how much a weight on H takes the energy's coefficients below the truth.
-    shrunk = 1 - solver[["H[q^2]", "H[p^2]"]].max(axis=1) / TRUE_COEFFICIENT
-    on_force, on_both = solver["lambda_F"] > 0, solver["lambda_H"] > 0
-    free = warnings[(warnings[weights] == 0).all(axis=1)]
+def regularization_page(quick: bool) -> str:
+    """The page of the weights; the figure is drawn unless ``quick``."""
+    measured = data(n=6 if quick else 30)
+    found = list(splits(measured, range(1 if quick else 3)))
+    rows = attribution(found, measured)
+    by = rows.groupby(["method", "lambda_H", "lambda_F"], sort=False)["share of F"]
+    shares = by.agg(["min", "max"]).reset_index()
+    if not quick:
+        draw([one for one in found if one.method == "solver"])
     return render(
         "thesis/pages/regularization.md",
-        table=table,
-        heads=HEADS,
-        shares={
-            method: part.groupby(weights, sort=False)["share of F"].agg(["min", "max"])
-            for method, part in table.groupby("method", sort=False)
-        },
-        shrunk_by_both=shrunk[on_force & on_both].max(),
-        shrunk_by_force=abs(shrunk[on_force & ~on_both]).max(),
-        warning=free["warning"].iloc[0] if len(free) else None,
+        rows=shown(rows),
+        shares=shown(shares),
+        warning=warning_of(found),
         start=START,
     )
 
 
-def figure(runs: Sequence[Run]) -> None:
-    """Phase plots as in Figure 5.1: a column per pair of weights, a row per part.
-
-    Drawn are the models of the solver from its random starts.
-    """
-    drawn = [r for r in runs if r.method == "solver" and r.start != "convex"]
-    parts: dict[str, Callable[[ph.Model], ph.Model]] = {
-        "S grad H + F": lambda whole: whole,
-        "S grad H alone": energy_part,
-        "F alone": force_part,
-    }
+def draw(found: Sequence[Split]) -> None:
+    """Figure 5.1: phase plots, a column per pair of weights, a row per part."""
+    names = list(parts(found[0].result.model))
     size: Any = {"figsize": (10.0, 7.8), "layout": "constrained"}
-    fig, axes = plt.subplots(len(parts), len(WEIGHTS), sharex=True, sharey=True, **size)
-    for row, (label, part) in zip(axes, parts.items(), strict=True):
-        row[0].set_ylabel(f"{label}\n\np (-)")
+    figure, axes = plt.subplots(3, len(WEIGHTS), sharex=True, sharey=True, **size)
+    circle = np.linspace(0, 2 * np.pi, 200)
+    for row, name in zip(axes, names, strict=True):
+        row[0].set_ylabel(f"{name}\n\np (-)")
         for ax, weights in zip(row, WEIGHTS, strict=True):
-            of = [run.result.model for run in drawn if run.weights == weights]
-            _panel(ax, [part(whole) for whole in of])
+            ax.plot(2 * np.cos(circle), 2 * np.sin(circle), color="0.75", lw=6)
+            own = [d for d in found if d.weights == weights and d.start != "convex"]
+            for k, one in enumerate(own):
+                orbit = _orbit(parts(one.result.model)[name])
+                ax.plot(*orbit, color=f"C{k}", lw=2.4 - 0.7 * k, label=one.start)
+                ax.plot(*orbit[:, -1], "o", color=f"C{k}", ms=5 - k)
+            ax.set(xlim=(-EDGE, EDGE), ylim=(-EDGE, EDGE), aspect="equal")
     for ax, (on_energy, on_force) in zip(axes[0], WEIGHTS, strict=True):
         ax.set_title(f"$\\lambda_H$ = {on_energy:g}, $\\lambda_F$ = {on_force:g}")
     for ax in axes[-1]:
         ax.set_xlabel("q (-)")
-    handles, names = axes[0, 0].get_legend_handles_labels()
-    fig.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
-    save(fig, "thesis/regularization.png", dpi=120)
-
-
-def _panel(ax: plt.Axes, parts: Sequence[ph.Model]) -> None:
-    """Orbits of one part of the models of all starts, thinner from start to start."""
-    angle = np.linspace(0, 2 * np.pi, 200)
-    circle = np.linalg.norm(START) * np.array([np.cos(angle), np.sin(angle)])
-    ax.plot(*circle, color="0.75", lw=6, label="truth")
-    for k, part in enumerate(parts):
-        orbit = _orbit(part)
-        look: Any = {"color": f"C{k}", "lw": 2.4 - 0.7 * k, "ls": ("-", "--", ":")[k]}
-        ax.plot(*orbit, label=f"random start {k}", **look)
-        ax.plot(*orbit[:, -1], "o", color=f"C{k}", ms=5 - k)
-    ax.plot(*START, "k+", ms=9)
-    ax.set(xlim=(-EDGE, EDGE), ylim=(-EDGE, EDGE), aspect="equal")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    save(figure, "thesis/regularization.png", dpi=110)
 
 
 def _orbit(part: ph.Model) -> np.ndarray:
-    """Trajectory (2, n) from `START` over one period of the truth.
-
-    Cut where it leaves the picture.
-    """
-    rhs = part.rhs()
-    theta = part.theta
+    """Trajectory (2, n) over one period, cut where it leaves the picture."""
+    rhs, theta = part.rhs(), part.theta
 
     def rates(t: float, x: np.ndarray) -> np.ndarray:
         return np.array(rhs(x, [], t, theta)).ravel()
@@ -251,25 +182,3 @@ def _orbit(part: ph.Model) -> np.ndarray:
     inside.terminal = True  # type: ignore[attr-defined]
     limits = {"rtol": 1e-8, "atol": 1e-8, "max_step": 0.05, "events": inside}
     return solve_ivp(rates, (0.0, 2 * np.pi), START, "RK45", **limits).y
-
-
-def main(quick: bool = False) -> dict[str, pd.DataFrame]:
-    """Tables attribution and warnings; written under results/thesis unless ``quick``
-    (few data, one start, solver only).
-    """
-    measured = data(n=6 if quick else 30)
-    starts = range(1 if quick else 3)
-    runs = list(by_solver(measured, starts))
-    if not quick:
-        runs += by_descent(measured, starts)
-    table, warnings = attribution(runs, measured), warnings_of(runs)
-    text = page(table, warnings)
-    print(text)
-    if not quick:
-        figure(runs)
-        write("thesis/regularization.md", text)
-    return {"attribution": table, "warnings": warnings}
-
-
-if __name__ == "__main__":
-    main(quick=flag("quick"))

@@ -12,8 +12,7 @@ import numpy as np
 import phsi_opt as ph
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
-from problems.thesis.systems import System, thesis_data_present
-from problems.tools.data_paths import folder
+from problems.thesis.systems import System
 from problems.tools.intervals import HALF_WIDTH
 
 KNOWN_FORM = ("slope", "limit")  # of the tanks' leak where its form is given; no terms
@@ -113,20 +112,6 @@ def trained(system: System, t: np.ndarray) -> np.ndarray:
     return t <= system.n_steps * system.step + 1e-9
 
 
-def inside_and_beyond(
-    system: System, result: Any, n_tests: int | None = None
-) -> tuple[float, float]:
-    """Mean l2 error of free runs within the training time, and over the whole test
-    time, from unseen starts: so many, else those of the thesis where present.
-    """
-    t, truth = system.tests(n_tests or 10)
-    if n_tests is None and thesis_data_present():
-        with np.load(folder("thesis") / f"{system.name}.npz") as stored:
-            t, truth = stored["test_t"], stored["test_x"]
-    curve = free_run(result, t, truth)
-    return float(curve[trained(system, t)].mean()), float(curve.mean())
-
-
 def phsi_loss(result: Any, data: ph.Measurements, scheme: str = "srk4") -> float:
     """Mean over the intervals of the squared defect (thesis Eq. 5.6 without L1).
 
@@ -169,14 +154,8 @@ def leak_of(result: Any, levels: np.ndarray) -> np.ndarray:
     if hasattr(result, "force"):
         return np.asarray(result.force(x))[:, 0]
     t = np.zeros(len(levels))
-    return (rates(result, x, t) - rates(without_leak(result), x, t))[:, 8]
-
-
-def without_leak(result: Any) -> Any:
-    """The identified system with the leak shut."""
-    if hasattr(result, "without_force"):
-        return result.without_force()
-    return replace(result, model=replace(result.model, F={}))
+    shut = replace(result, model=replace(result.model, F={}))
+    return (rates(result, x, t) - rates(shut, x, t))[:, 8]
 
 
 def attempted(run: Any) -> Any:

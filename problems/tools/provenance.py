@@ -14,12 +14,13 @@ RESULTS = ROOT / "results"
 BEGIN = time.monotonic()
 
 
-def provenance() -> str:
-    """One line for the head of a result."""
+def provenance(made_by: str = "") -> str:
+    """One line for the head of a result, made by this process or by a given command."""
     system = f"{platform.system()} {platform.machine()}"
     machine = f"{system}, Python {platform.python_version()}"
     seconds = f"seconds: {time.monotonic() - BEGIN:.0f}"
-    return f"command: {command()}; commit: {commit()}; {seconds}; machine: {machine}"
+    made_by = made_by or command()
+    return f"command: {made_by}; commit: {commit()}; {seconds}; machine: {machine}"
 
 
 def command() -> str:
@@ -63,8 +64,8 @@ def commit() -> str:
     return run.stdout.strip() or "unknown"
 
 
-def write(name: str, text: str) -> Path:
-    """Write a text result under results/.
+def write(name: str, text: str, made_by: str = "") -> Path:
+    """Write a text result under results/; ``made_by``: as of `provenance`.
 
     Raises:
         RuntimeError: in a process that no command line of the project started, whose
@@ -77,4 +78,4 @@ def write(name: str, text: str) -> Path:
         )
     path = RESULTS / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    return write_whole(path, f"<!-- {provenance()} -->\n\n{text.rstrip()}\n")
+    return write_whole(path, f"<!-- {provenance(made_by)} -->\n\n{text.rstrip()}\n")
