@@ -1,6 +1,5 @@
 """What the catalogue offers a model: names, families, and what they need."""
 
-import pickle
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -73,13 +72,6 @@ def test_the_effects_of_a_body_are_in_the_family_of_their_cause() -> None:
     assert found.keys() == FAMILIES.keys()
     for family, names in FAMILIES.items():  # a further law needs no entry
         assert found[family] >= set(names.split(", "))
-
-
-def test_a_family_outlives_pickling_and_is_empty_for_an_effect_of_ones_own() -> None:
-    effect = ph.catalogue(driven_spring())[0]
-    assert pickle.loads(pickle.dumps(effect)).family == effect.family
-    own = ph.Effect("own", "F", "p", ph.formula("c*q", c=ph.Parameter()))
-    assert own.family == ""
 
 
 def test_only_effects_that_change_with_the_time_need_the_clock() -> None:
@@ -184,19 +176,14 @@ def test_a_volume_and_the_flow_of_its_pipe_have_leaks_and_pipe_friction() -> Non
     assert names_on(model, "q") == names_on(storage("hydraulic"), "x")
 
 
-@pytest.mark.parametrize(
-    ("kind", "noun"),
-    [
-        ({}, "force"),
-        ("mechanical", "force"),
-        ("hydraulic", "inflow"),
-        ("electrical", "source"),
-        ("thermal", "heat input"),
-    ],
-)
-def test_what_comes_from_outside_has_the_word_of_the_field(
-    kind: Any, noun: str
-) -> None:
+@pytest.mark.parametrize(("kind", "noun"), [
+    ({}, "force"),
+    ("mechanical", "force"),
+    ("hydraulic", "inflow"),
+    ("electrical", "source"),
+    ("thermal", "heat input"),
+])  # fmt: skip
+def test_what_comes_from_outside_has_the_word_of_the_field(kind, noun) -> None:
     names = names_on(storage(kind), "x", "F")
     of_time = {name for name in names if "storage" not in name}
     assert of_time == {f"{how} {noun}" for how in ("constant", "drifting", "harmonic")}
@@ -215,16 +202,6 @@ def test_what_runs_between_two_storages_is_water_or_heat() -> None:
     }
     assert between("mechanical") == set() == between("electrical")
     assert between({"a": "hydraulic", "b": "thermal"}) == set()
-
-
-def test_positions_of_two_fields_are_not_coupled() -> None:
-    def couplings(kind: Any) -> set[str]:
-        found = ph.catalogue(replace(two_masses(), kind=kind))
-        return {e.name for e in found if e.name.startswith("coupling")}
-
-    assert couplings({}) == {"coupling stiffness"}
-    assert couplings("electrical") == {"coupling capacitance"}
-    assert couplings({"p1": "electrical"}) == set()
 
 
 def test_units_tell_the_kind_where_the_model_does_not() -> None:
@@ -312,15 +289,12 @@ def test_heat_is_exchanged_with_an_input_that_may_be_a_temperature() -> None:
 
 
 @pytest.mark.parametrize("kind", EVERY_KIND)
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("linear leak", "viscous damping", "coulomb friction", "quadratic drag"),
-        *("cubic drag", "stribeck friction", "turbulent leak", "saturating leak"),
-        *("overflow", "constant force", "drifting force", "harmonic force"),
-        *("linear resistance", "heat loss"),
-    ],
-)
+@pytest.mark.parametrize("name", [
+    *("linear leak", "viscous damping", "coulomb friction", "quadratic drag"),
+    *("cubic drag", "stribeck friction", "turbulent leak", "saturating leak"),
+    *("overflow", "constant force", "drifting force", "harmonic force"),
+    *("linear resistance", "heat loss"),
+])  # fmt: skip
 def test_an_effect_may_be_added_by_the_name_of_any_kind(name: str, kind: Any) -> None:
     assert effect_named(storage(kind), name, "x").name == name
     assert effect_named(first_order(kind), name, "a").name == name
@@ -335,16 +309,6 @@ def test_what_the_model_has_by_another_name_cannot_be_added_again() -> None:
         rolls.add("air drag").add("quadratic drag")
 
 
-@pytest.mark.parametrize("name", ["viscous damping", "linear resistance on x"])
-def test_what_is_chosen_by_a_name_of_another_kind_is_found(name: str) -> None:
-    model = storage("hydraulic")
-    chosen = EffectChoice([name]).checked(model).candidates(model)
-    assert [str(effect) for effect in chosen] == ["linear leak on x"]
-    left = EffectChoice(without=[name]).checked(model).candidates(model)
-    expected = [e for e in ph.catalogue(model) if e.name != "linear leak"]
-    assert left == expected
-
-
 def pushed() -> ph.PseudoHamiltonian:
     """A mass with a spring and a force, without losses."""
     energy = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, lower=0))
@@ -354,18 +318,15 @@ def pushed() -> ph.PseudoHamiltonian:
     )
 
 
-@pytest.mark.parametrize(
-    ("other", "name"),
-    [
-        ("air drag", "quadratic drag"),
-        ("Windage", "quadratic drag"),
-        ("backlash", "gap"),
-        ("free play", "gap"),
-        ("dead time", "input delay"),
-        ("stiction", "stribeck friction"),
-        ("dashpot", "viscous damping"),
-    ],
-)
+@pytest.mark.parametrize(("other", "name"), [
+    ("air drag", "quadratic drag"),
+    ("Windage", "quadratic drag"),
+    ("backlash", "gap"),
+    ("free play", "gap"),
+    ("dead time", "input delay"),
+    ("stiction", "stribeck friction"),
+    ("dashpot", "viscous damping"),
+])  # fmt: skip
 def test_an_effect_is_found_by_what_people_call_it(other: str, name: str) -> None:
     model = pushed()
     assert str(effect_named(model, other)) == f"{name} on p"
@@ -376,16 +337,13 @@ def test_an_effect_is_found_by_what_people_call_it(other: str, name: str) -> Non
     assert [str(e) for e in chosen] == [f"{name} on p"] * (name != "gap")
 
 
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        ("offset on p", "'offset' may be constant force or sensor offset; say which"),
-        ("rope friction", "Did you mean 'viscous damping' or 'coulomb friction'"),
-        ("wind", "Did you mean 'quadratic drag'?"),
-        ("coulom friction", "Did you mean 'coulomb friction'?"),
-        ("voodoo", "'voodoo' in the catalogue. ph.catalogue(model)"),
-    ],
-)
+@pytest.mark.parametrize(("asked", "words"), [
+    ("offset on p", "'offset' may be constant force or sensor offset; say which"),
+    ("rope friction", "Did you mean 'viscous damping' or 'coulomb friction'"),
+    ("wind", "Did you mean 'quadratic drag'?"),
+    ("coulom friction", "Did you mean 'coulomb friction'?"),
+    ("voodoo", "'voodoo' in the catalogue. ph.catalogue(model)"),
+])  # fmt: skip
 def test_an_unknown_name_is_answered_by_meaning(asked: str, words: str) -> None:
     with pytest.raises(ph.ModelError) as refused:
         pushed().add(asked)
@@ -456,16 +414,6 @@ def test_a_spring_without_an_energy_is_offered_what_one_with_it_is() -> None:
             )
 
 
-def test_two_velocities_are_not_coupled_without_their_masses() -> None:
-    rates = {"x": "v", "v": "-x", "y": "w", "w": "-y"}
-    model = ph.FirstOrder(
-        ["x", "v", "y", "w"], {name: ph.formula(rate) for name, rate in rates.items()}
-    )
-    names = {effect.name for effect in ph.catalogue(model)}
-    assert "cubic stiffness" in names
-    assert "coupling stiffness" not in names
-
-
 @pytest.mark.parametrize(("unit", "zero"), [("degC", 273.15), ("°F", 459.67)])
 def test_radiation_counts_from_the_zero_of_the_scale(unit: str, zero: float) -> None:
     bare = ph.FirstOrder(["T"], {"T": ph.formula("0")}, kind="thermal")
@@ -479,23 +427,12 @@ def test_radiation_counts_from_the_zero_of_the_scale(unit: str, zero: float) -> 
     assert in_kelvin[0].term.terms[0].body == "abs(T)**3"
 
 
-def test_with_an_energy_radiation_needs_kelvin() -> None:
-    model = ph.PseudoHamiltonian(
-        states=["T"], S=[[0.0]], H=ph.formula("T**2/2"), kind="thermal"
-    )
-    names = {effect.name for effect in ph.catalogue(model, {"T": "degC"})}
-    assert "heat loss" in names and "radiation" not in names
-    assert "radiation" in {effect.name for effect in ph.catalogue(model, {"T": "K"})}
-
-
 @pytest.mark.parametrize(
     ("unit", "half_turn"),
     [("", np.pi), ("rad", np.pi), ("mrad", 1000 * np.pi), ("deg", 180.0), ("rev", 0.5)],
 )
 @pytest.mark.parametrize("has_energy", [True, False])
-def test_gravity_turns_with_the_angle_in_its_unit(
-    unit: str, half_turn: float, has_energy: bool
-) -> None:
+def test_gravity_turns_with_the_angle_in_its_unit(unit, half_turn, has_energy) -> None:
     model: ph.Model = ph.FirstOrder(
         ["q", "p"], {"q": ph.formula("p"), "p": ph.formula("0")}
     )
@@ -514,19 +451,6 @@ def test_gravity_turns_with_the_angle_in_its_unit(
     assert torque(half_turn) == pytest.approx(0.0, abs=1e-9)
     assert torque(half_turn / 2) < 0 < torque(-half_turn / 2)
     assert torque(half_turn / 6) == pytest.approx(torque(half_turn / 2) / 2)
-
-
-def test_a_length_has_no_gravity_torque() -> None:
-    names = {effect.name for effect in ph.catalogue(driven_spring(), {"q": "mm"})}
-    assert "cubic stiffness" in names and "gravity torque" not in names
-
-
-def test_an_effect_by_name_is_that_of_the_units() -> None:
-    spring = driven_spring()
-    turned = effect_named(spring, "gravity torque", units={"q": "deg"})
-    assert turned.term.terms[0].body == "-cos(pi*q/180)"
-    # A length has none, but a name that is given is meant.
-    assert effect_named(spring, "gravity torque", units={"q": "m"}).slot == "H"
 
 
 def test_what_units_rule_out_may_be_chosen_by_name() -> None:
@@ -562,12 +486,6 @@ def test_heat_and_charge_may_have_a_second_storage(kind: str, name: str) -> None
     assert not [one for one in ph.catalogue(larger) if is_second_storage(one)]
 
 
-def test_bodies_and_tanks_have_none() -> None:
-    for kind in ("mechanical", "hydraulic"):
-        model = ph.FirstOrder(["x"], {"x": ph.formula("-c*x", c=1.0)}, kind=kind)
-        assert not any(is_second_storage(one) for one in ph.catalogue(model))
-
-
 def test_a_second_storage_that_follows_at_once_changes_nothing_at_rest() -> None:
     model = room().add("second heat storage", "T")
     model = model.with_values({"second_heat_storage_T": 3.0, "following_time_T": 2.0})
@@ -596,11 +514,6 @@ def listed(choice: EffectChoice, model: ph.Model) -> list[str]:
     return [str(effect) for effect in choice.checked(model).candidates(model)]
 
 
-def test_without_a_choice_the_whole_catalogue_is_considered() -> None:
-    model = coupled_masses()
-    assert EffectChoice().checked(model).candidates(model) == ph.catalogue(model)
-
-
 def test_a_name_means_every_equation_that_can_have_the_effect() -> None:
     choice = EffectChoice(["coulomb friction", "gap on p2", own_effect()])
     assert listed(choice, coupled_masses()) == [
@@ -611,27 +524,14 @@ def test_a_name_means_every_equation_that_can_have_the_effect() -> None:
     ]
 
 
-def test_an_effect_chosen_twice_is_considered_once() -> None:
-    choice = EffectChoice(["gap on p2", "gap", *ph.catalogue(coupled_masses())])
-    assert sorted(listed(choice, coupled_masses())) == sorted(
-        str(effect) for effect in ph.catalogue(coupled_masses())
-    )
-
-
-@pytest.mark.parametrize(
-    ("without", "left"),
-    [
-        (["coulomb friction"], {"gap on p1", "gap on p2", "own on p1"}),
-        (
-            ["gap on p2", "own"],
-            {"gap on p1", "coulomb friction on p1", "coulomb friction on p2"},
-        ),
-        (
-            ["gap", own_effect("d")],  # by its name and place
-            {"coulomb friction on p1", "coulomb friction on p2"},
-        ),
-    ],
-)
+@pytest.mark.parametrize(("without", "left"), [
+    (["coulomb friction"], {"gap on p1", "gap on p2", "own on p1"}),
+    (["gap on p2", "own"], {"gap on p1", "coulomb friction on p1", "coulomb friction on p2"}),
+    (
+        ["gap", own_effect("d")],  # by its name and place
+        {"coulomb friction on p1", "coulomb friction on p2"},
+    ),
+])  # fmt: skip
 def test_what_is_left_out_is_never_considered(without: list[Any], left: set) -> None:
     choice = EffectChoice(["gap", "coulomb friction", own_effect()], without)
     assert set(listed(choice, coupled_masses())) == left
@@ -650,41 +550,18 @@ def test_an_effect_that_was_added_since_is_not_offered_again() -> None:
     assert len(found[1].term) == 1  # the rise alone: the model has the level
 
 
-def test_an_effect_of_the_catalogue_changes_with_what_the_model_has() -> None:
-    model = coupled_masses()
-    by_object = EffectChoice(ph.catalogue(model)).checked(model)
-    larger = model.add("coulomb friction", "p1")
-    found = by_object.candidates(larger)
-    (stribeck,) = (e for e in found if str(e) == "stribeck friction on p1")
-    both = larger.add(stribeck)
-    assert set(both.entries) - set(larger.entries) == {
-        name for name in both.entries if name.startswith("stribeck_friction_p1")
-    }
-    assert "stribeck_friction_p1" in both.entries
-
-
-@pytest.mark.parametrize(
-    ("effects", "without", "said"),
-    [
-        (["coulom friction"], (), "in effects is not in .* mean 'coulomb friction'"),
-        (None, ["gap on p3"], "'gap on p3' in without .* Did you mean 'gap on p"),
-        (None, ["overflow"], "'overflow' in without is not in the catalogue"),
-        (None, [own_effect()], "'own on p1' in without is not in the catalogue"),
-        (None, "gap", "without='gap' must be a list"),
-        (own_effect(), (), "must be a list of effects or of their names"),
-        ([3], (), "3 in effects is neither an Effect nor the name of one"),
-    ],
-)
-def test_what_no_equation_can_have_is_refused(
-    effects: Any, without: Any, said: str
-) -> None:
+@pytest.mark.parametrize(("effects", "without", "said"), [
+    (["coulom friction"], (), "in effects is not in .* mean 'coulomb friction'"),
+    (None, ["gap on p3"], "'gap on p3' in without .* Did you mean 'gap on p"),
+    (None, ["overflow"], "'overflow' in without is not in the catalogue"),
+    (None, [own_effect()], "'own on p1' in without is not in the catalogue"),
+    (None, "gap", "without='gap' must be a list"),
+    (own_effect(), (), "must be a list of effects or of their names"),
+    ([3], (), "3 in effects is neither an Effect nor the name of one"),
+])  # fmt: skip
+def test_what_no_equation_can_have_is_refused(effects, without, said) -> None:
     with pytest.raises(ph.ModelError, match=said):
         EffectChoice(effects, without).checked(coupled_masses())
-
-
-def test_an_effect_of_ones_own_that_the_model_has_is_refused() -> None:
-    with pytest.raises(ph.ModelError, match="'own on p1' in effects is in the"):
-        EffectChoice([own_effect()]).checked(coupled_masses().add(own_effect()))
 
 
 def test_a_narrower_choice_takes_other_effects_and_leaves_more_out() -> None:

@@ -8,7 +8,6 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.command_line.file_jobs import checked
 from phsi_opt.data.copies import check_can_judge, copies_in, sentence_about
-from phsi_opt.sweeps.local_workers import InThisProcess
 
 T = np.linspace(0, 5, 51)
 SPRING = ph.PseudoHamiltonian(
@@ -37,9 +36,7 @@ def runs(
 
 
 @pytest.mark.parametrize("loss", [ph.MaximumLikelihood(), ph.PHSILoss()])
-def test_copies_of_a_run_leave_the_fit_of_that_run(
-    loss: ph.MaximumLikelihood | ph.PHSILoss,
-) -> None:
+def test_copies_of_a_run_leave_the_fit_of_that_run(loss) -> None:
     one = ph.identify(SPRING, runs(swing(1)), loss)
     data = runs(*[swing(1)] * 200)
     fit = ph.identify(SPRING, data, loss)
@@ -49,23 +46,6 @@ def test_copies_of_a_run_leave_the_fit_of_that_run(
     assert warning.startswith("'run 2', 'run 3', 'run 4', ")
     assert " more are exact copies of 'run 1': used only once" in warning
     assert data.n_trajectories == 200
-
-
-def test_what_follows_a_fit_counts_copies_once_too() -> None:
-    alone = runs(swing(1, 1), swing(2, 1))
-    copied = runs(swing(1, 1), swing(2, 1), swing(1, 1))
-    one, fit = ph.identify(SPRING, alone), ph.identify(SPRING, copied)
-    assert fit.std_errors == one.std_errors
-    compared = ph.compare(fit, copied)
-    assert compared.rmse == ph.compare(one, alone).rmse
-    assert compared.record.is_of_training
-    pairs = ((fit, copied), (one, alone))
-    limits = [ph.profile(*pair, "k").ci_lower for pair in pairs]
-    assert limits[0] == limits[1]
-    drawn = [
-        ph.bootstrap(*pair, 2, executor=InThisProcess()).estimates for pair in pairs
-    ]
-    assert drawn[0].equals(drawn[1])
 
 
 def test_a_copy_is_told_by_what_was_measured_whatever_its_name_and_clock() -> None:
@@ -152,12 +132,3 @@ def test_a_study_file_tells_copies(tmp_path: Path) -> None:
     assert "'b' is an exact copy of 'a': used only once" in answer.text
     with pytest.raises(ph.StudyFileError, match=r"held out: 'c' is an exact copy of"):
         ph.StudyFile.read(study_file(tmp_path, swing(1), swing(2), swing(1)))
-
-
-@pytest.mark.parametrize("second", ["one.csv", "./one.csv", "link.csv"])
-def test_a_file_that_is_listed_twice_is_refused(tmp_path: Path, second: str) -> None:
-    (tmp_path / "link.csv").symlink_to(tmp_path / "one.csv")
-    text = STUDY.replace('["one.csv"]', f'["one.csv", "{second}"]')
-    path = study_file(tmp_path, swing(1), swing(2), swing(3), text=text)
-    with pytest.raises(ph.StudyFileError, match=r"one.csv' is listed 2 times, .* once"):
-        ph.StudyFile.read(path)

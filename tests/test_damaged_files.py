@@ -18,7 +18,6 @@ import phsi_opt as ph
 from phsi_opt import reading
 from phsi_opt.command_line.file_jobs import first_study
 from phsi_opt.data import excel_tables, matlab_tables
-from phsi_opt.sweeps.sweep import KeptResults
 
 T = np.arange(40.0)
 N_DAMAGED = 60  # workbooks; always the same ones
@@ -70,9 +69,7 @@ def _fail(*_: Any) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-def test_a_pipe_is_refused_and_not_waited_for(
-    entry: tuple[Path, Any], held_pipe: Callable[[Path], None]
-) -> None:
+def test_a_pipe_is_refused_and_not_waited_for(entry, held_pipe) -> None:
     path, read = entry
     held_pipe(path)
     with pytest.raises(ph.DataError, match="it is a pipe, not a regular file"):
@@ -159,16 +156,12 @@ def read_or_refused(content: bytes, read: Any, path: Path) -> None:
 
 # Seeds with which SciPy 1.17 alone crashed (83, 217), ran out of memory (200, 826),
 # raised what it does not promise (85, 118, 0), refused or read the file.
-@pytest.mark.parametrize(
-    ("content", "seeds"),
-    [
-        (mat_file(), (0, 83, 85, 200)),
-        (mat_file()[:520], (118, 217, 826)),
-        (mat_file(do_compression=True), (34,)),
-        (mat_file(format="4"), (1,)),
-    ],
-    ids=["matlab 5", "matlab 5, short", "matlab 7", "matlab 4"],
-)
+@pytest.mark.parametrize(("content", "seeds"), [
+    (mat_file(), (0, 83, 85, 200)),
+    (mat_file()[:520], (118, 217, 826)),
+    (mat_file(do_compression=True), (34,)),
+    (mat_file(format="4"), (1,)),
+], ids=["matlab 5", "matlab 5, short", "matlab 7", "matlab 4"])  # fmt: skip
 def test_a_matlab_file_with_flipped_bytes_is_read_or_refused_by_name(
     content: bytes, seeds: tuple[int, ...], tmp_path: Path
 ) -> None:
@@ -177,9 +170,7 @@ def test_a_matlab_file_with_flipped_bytes_is_read_or_refused_by_name(
         read_or_refused(damaged, from_mat, tmp_path / "bench.mat")
 
 
-def test_a_workbook_with_flipped_bytes_is_read_or_refused_by_name(
-    tmp_path: Path,
-) -> None:
+def test_a_workbook_with_flipped_bytes_is_read_or_refused_by_name(tmp_path) -> None:
     rng = np.random.default_rng(0)
     for _ in range(N_DAMAGED):
         read_or_refused(flipped(workbook(), rng), from_excel, tmp_path / "bench.xlsx")
@@ -207,33 +198,7 @@ def test_a_workbook_whose_xml_is_damaged_is_read_or_refused_by_name() -> None:
 # ---- MATLAB --------------------------------------------------------------------------
 
 
-def elements(order: str, *parts: tuple[int, bytes]) -> bytes:
-    """Elements of a MATLAB file: the number of their type, and their bytes."""
-    written = b""
-    for kind, stored in parts:
-        written += np.array([kind, len(stored)], f"{order}u4").tobytes()
-        written += stored + bytes(-len(stored) % 8)
-    return written
-
-
-def test_matlab_files_of_other_machines_are_read() -> None:
-    """With the highest byte first, as SPARC wrote them."""
-    matrix = elements(
-        ">",
-        (6, np.array([6, 0], ">u4").tobytes()),
-        (5, np.array([3, 1], ">i4").tobytes()),
-        (1, b"q"),
-        (9, np.array([1.5, -2.0, 3.0], ">f8").tobytes()),
-    )
-    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
-    content = header + elements(">", (14, matrix))
-    data = from_mat(io.BytesIO(content), step=1, states=["q"])
-    assert data.trajectories[0].x[:, 0].tolist() == [1.5, -2.0, 3.0]
-
-
-def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(monkeypatch) -> None:
     zeros = io.BytesIO()
     savemat(zeros, {"t": np.zeros(10_000)}, do_compression=True)
     zeros.seek(0)
@@ -242,15 +207,11 @@ def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(
         from_mat(zeros, **COLUMNS)
 
 
-@pytest.mark.parametrize(
-    ("worker", "time_limit", "why"),
-    [
-        ("import os; os.abort()", 60.0, "is damaged: the reader ended with exit code"),
-        ("import time; time.sleep(600)", 0.5, "it was not read in 0.5 s"),
-        ("import no_such_library", 60.0, "No module named 'no_such_library'"),
-    ],
-    ids=["crash", "endless", "no library"],
-)
+@pytest.mark.parametrize(("worker", "time_limit", "why"), [
+    ("import os; os.abort()", 60.0, "is damaged: the reader ended with exit code"),
+    ("import time; time.sleep(600)", 0.5, "it was not read in 0.5 s"),
+    ("import no_such_library", 60.0, "No module named 'no_such_library'"),
+], ids=["crash", "endless", "no library"])  # fmt: skip
 def test_a_matlab_file_whose_reading_crashes_or_never_ends_is_refused(
     worker: str,
     time_limit: float,
@@ -268,28 +229,16 @@ def test_a_matlab_file_whose_reading_crashes_or_never_ends_is_refused(
         from_mat(io.BytesIO(mat_file()), **COLUMNS)
 
 
-def test_a_program_without_a_python_interpreter_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """As frozen programs are, which would start themselves again."""
-    monkeypatch.setattr("sys.frozen", True, raising=False)
-    with pytest.raises(ph.DataError, match="needs a Python interpreter"):
-        from_mat(io.BytesIO(mat_file()), **COLUMNS)
-
-
 # ---- Excel ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (rb"A1:B41", b"A1:B3"),
-        (rb"A1:B41", b"C1:D9"),
-        (rb"<row ", b"<row spans='1:2' "),
-        (rb' r="[A-Z]*\d+"', b""),
-        (rb'<row r="\d+"', b"<row"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new"), [
+    (rb"A1:B41", b"A1:B3"),
+    (rb"A1:B41", b"C1:D9"),
+    (rb"<row ", b"<row spans='1:2' "),
+    (rb' r="[A-Z]*\d+"', b""),
+    (rb'<row r="\d+"', b"<row"),
+])  # fmt: skip
 def test_a_sheet_is_read_whole_whatever_dimension_and_places_it_states(
     old: bytes, new: bytes
 ) -> None:
@@ -298,21 +247,16 @@ def test_a_sheet_is_read_whole_whatever_dimension_and_places_it_states(
     np.testing.assert_array_equal(data.trajectories[0].x[:, 0], T**2)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (b'<row r="41"', b'<row r="4"', "row or cell 4 out of order"),
-        (b'<row r="41"', b'<row r="40"', "row or cell 40 out of order"),
-        (b'r="A41"', b'r="C41"', "row or cell B41 out of order"),
-        (b'r="B41"', b'r="ABCD41"', "row or cell ABCD41 out of order"),
-        (b'<row r="41"', b'<row r="999999999999"', "more than 1048576 rows"),
-        (b"<worksheet", b"<!DOCTYPE a []><worksheet", "defines XML entities"),
-        (b"<worksheet", "<wörksheet".encode("utf-16"), "is not XML in UTF-8"),
-    ],
-)
-def test_a_sheet_that_would_lose_rows_or_grow_is_refused(
-    old: bytes, new: bytes, message: str
-) -> None:
+@pytest.mark.parametrize(("old", "new", "message"), [
+    (b'<row r="41"', b'<row r="4"', "row or cell 4 out of order"),
+    (b'<row r="41"', b'<row r="40"', "row or cell 40 out of order"),
+    (b'r="A41"', b'r="C41"', "row or cell B41 out of order"),
+    (b'r="B41"', b'r="ABCD41"', "row or cell ABCD41 out of order"),
+    (b'<row r="41"', b'<row r="999999999999"', "more than 1048576 rows"),
+    (b"<worksheet", b"<!DOCTYPE a []><worksheet", "defines XML entities"),
+    (b"<worksheet", "<wörksheet".encode("utf-16"), "is not XML in UTF-8"),
+])  # fmt: skip
+def test_a_sheet_that_would_lose_rows_or_grow_is_refused(old, new, message) -> None:
     def change(xml: bytes) -> bytes:
         assert xml.count(old) == 1
         return new + xml if new.startswith(b"\xff") else xml.replace(old, new)
@@ -330,9 +274,7 @@ def test_one_filled_cell_far_away_does_not_make_a_sheet_that_fills_the_memory(
         from_excel(book, **COLUMNS)
 
 
-def test_a_workbook_that_grows_beyond_the_bound_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_workbook_that_grows_beyond_the_bound_is_refused(monkeypatch) -> None:
     book = with_part("docProps/app.xml", lambda xml: xml + bytes(10**6))
     monkeypatch.setattr(reading, "LARGEST_FILE", 10**6)
     with pytest.raises(
@@ -346,34 +288,17 @@ def test_a_workbook_that_grows_beyond_the_bound_is_refused(
 DEEP = 50_000
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (".".join("a" * DEEP) + " = 1", "line 1 has a key of more than 32 parts"),
-        ("\n[" + ".".join("a" * DEEP) + "]", "line 2 has a key of more than 32"),
-        ("a = " + "[" * DEEP + "]" * DEEP, "more than 32 tables or lists"),
-        ("a = " + "{ a = " * 40 + "1" + "}" * 40, "more than 32 tables or lists"),
-        ("a = { b = 1, " + ".".join("c" * DEEP) + " = 1 }", "key of more than 32"),
-        ("a = 0x" + "f" * DEEP, "a whole number has more than 300 digits"),
-        ('"\\' * DEEP, "this is not TOML"),
-        ("#" + "x" * 1_000_000, "at most 1 MB are read"),
-        (
-            "".join(f"k{i} = 1\n" for i in range(DEEP)),
-            "the rest of the file was not checked",
-        ),
-    ],
-    ids=[
-        "key",
-        "header",
-        "list",
-        "table",
-        "inner",
-        "number",
-        "quotes",
-        "long",
-        "wrong",
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    (".".join("a" * DEEP) + " = 1", "line 1 has a key of more than 32 parts"),
+    ("\n[" + ".".join("a" * DEEP) + "]", "line 2 has a key of more than 32"),
+    ("a = " + "[" * DEEP + "]" * DEEP, "more than 32 tables or lists"),
+    ("a = " + "{ a = " * 40 + "1" + "}" * 40, "more than 32 tables or lists"),
+    ("a = { b = 1, " + ".".join("c" * DEEP) + " = 1 }", "key of more than 32"),
+    ("a = 0x" + "f" * DEEP, "a whole number has more than 300 digits"),
+    ('"\\' * DEEP, "this is not TOML"),
+    ("#" + "x" * 1_000_000, "at most 1 MB are read"),
+    ("".join(f"k{i} = 1\n" for i in range(DEEP)), "the rest of the file was not checked"),
+], ids=["key", "header", "list", "table", "inner", "number", "quotes", "long", "wrong"])  # fmt: skip
 def test_a_study_file_made_to_do_harm_is_refused_at_once(
     tmp_path: Path, text: str, message: str
 ) -> None:
@@ -381,13 +306,6 @@ def test_a_study_file_made_to_do_harm_is_refused_at_once(
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ph.StudyFileError, match=message):
         ph.StudyFile.read(path)
-
-
-def test_lists_in_lists_of_a_fit_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "fit.json"
-    path.write_text("[" * DEEP + "]" * DEEP)
-    with pytest.raises(ph.DataError, match="fit: its lists or mappings are nested too"):
-        ph.Fit.load(path)
 
 
 # ---- open files ----------------------------------------------------------------------
@@ -407,18 +325,7 @@ class Endless:
     ("part", "read"),
     [("0", ph.Measurements.from_csv), (b"\0", from_mat), (b"\0", from_excel)],
 )
-def test_an_open_file_without_end_is_refused(
-    part: str | bytes, read: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_open_file_without_end_is_refused(part, read, monkeypatch) -> None:
     monkeypatch.setattr(reading, "LARGEST_FILE", 3_000_000)
     with pytest.raises(ph.DataError, match=r"cannot be read: .* at most 3 MB are read"):
         read(Endless(part), **COLUMNS)
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-def test_a_kept_result_that_is_a_pipe_counts_as_none(
-    tmp_path: Path, held_pipe: Callable[[Path], None]
-) -> None:
-    kept = KeptResults(tmp_path)
-    held_pipe(kept.path_of("a"))
-    assert list(kept.found(["a"])) == []

@@ -113,39 +113,33 @@ def test_numbers_beside_the_name_of_a_result_stand_there() -> None:
     assert n_numbers >= 1
 
 
-@pytest.mark.parametrize(
-    ("shown", "printed", "right"),
-    [
-        ("k = 1.23", "k = 1.24", True),
-        ("k = 1.23", "k = 1.25", False),
-        ("k = 1.23", "k = 1.2349", True),
-        ("the error falls", "the error rises", False),
-        ("2 runs ...", "2 runs and more", True),
-        ("3.0 m ...", "2.9 m and more", True),
-        ("3 runs ...", "2 runs and more", False),
-        ("hysteresis | ...", "hysteresis | lost", True),
-        ("hysteresis | ...", "gap | lost", False),
-        ("1e-05", "2e-05", True),
-        ("1e-05", "1e-03", False),
-    ],
-)
+@pytest.mark.parametrize(("shown", "printed", "right"), [
+    ("k = 1.23", "k = 1.24", True),
+    ("k = 1.23", "k = 1.25", False),
+    ("k = 1.23", "k = 1.2349", True),
+    ("the error falls", "the error rises", False),
+    ("2 runs ...", "2 runs and more", True),
+    ("3.0 m ...", "2.9 m and more", True),
+    ("3 runs ...", "2 runs and more", False),
+    ("hysteresis | ...", "hysteresis | lost", True),
+    ("hysteresis | ...", "gap | lost", False),
+    ("1e-05", "2e-05", True),
+    ("1e-05", "1e-03", False),
+])  # fmt: skip
 def test_lines_agree_in_words_and_to_a_unit_of_the_last_digit(
     shown: str, printed: str, right: bool
 ) -> None:
     assert agree(shown, printed) is right
 
 
-@pytest.mark.parametrize(
-    ("shown", "right"),
-    [
-        ("one\ntwo\nthree", True),
-        ("one\n...\nthree", True),
-        ("...\ntwo\n...", True),
-        ("one\nthree", False),
-        ("one\ntwo", False),
-        ("two\none\n...", False),
-    ],
-)
+@pytest.mark.parametrize(("shown", "right"), [
+    ("one\ntwo\nthree", True),
+    ("one\n...\nthree", True),
+    ("...\ntwo\n...", True),
+    ("one\nthree", False),
+    ("one\ntwo", False),
+    ("two\none\n...", False),
+])  # fmt: skip
 def test_shown_lines_must_be_printed_in_their_order(shown: str, right: bool) -> None:
     difference = first_difference(shown, "one\n\ntwo\nthree\n")
     assert (difference == "") is right

@@ -214,17 +214,14 @@ def test_every_public_name_has_its_place_on_one_page_for_users() -> None:
     assert sorted(on_pages) == sorted(phsi_opt.__all__)
 
 
-@pytest.mark.parametrize(
-    ("docstring", "has_first_line"),
-    [
-        ("Find it.", True),
-        ("Find it.\n\nAnd more.", True),
-        ("", False),
-        ("Find it", False),
-        ("Find it\nat last.", False),
-        (f"{'x' * (WIDTH - 2 * QUOTES)}.", False),
-    ],
-)
+@pytest.mark.parametrize(("docstring", "has_first_line"), [
+    ("Find it.", True),
+    ("Find it.\n\nAnd more.", True),
+    ("", False),
+    ("Find it", False),
+    ("Find it\nat last.", False),
+    (f"{'x' * (WIDTH - 2 * QUOTES)}.", False),
+])  # fmt: skip
 def test_a_first_line_is_one_sentence_within_the_width(
     docstring: str, has_first_line: bool
 ) -> None:

@@ -123,9 +123,7 @@ LEAKS = [
 @pytest.mark.parametrize(
     ("name", "values", "expected"), LEAKS, ids=[case[0] for case in LEAKS]
 )
-def test_a_leak_takes_what_its_name_says_from_a_tank(
-    name: str, values: dict[str, float], expected: float
-) -> None:
+def test_a_leak_takes_what_its_name_says_from_a_tank(name, values, expected) -> None:
     np.testing.assert_allclose(
         change(tank(), name, "h", values), [expected, 0.0], atol=1e-6
     )
@@ -204,27 +202,6 @@ def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
     np.testing.assert_allclose(
         shown, expected, atol=0.05
     )  # of a jump of 2: Pade rings behind it, and steps of 0.125
-
-
-def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimated() -> (
-    None
-):
-    t = np.linspace(0.0, 12.0, 241)
-    rng = np.random.default_rng(1)
-    u = np.repeat(rng.uniform(-1, 1, 25), 10)[:241, None]
-    model = spring().add("input lag", "p")
-    truth = model.with_values({"lag_u_p": 0.5})
-    x = ph.simulate(truth, t, [0.1, 0.0, u[0, 0]], u)[:, :2]
-    data = ph.Measurements.from_arrays(
-        t, x + 0.01 * rng.normal(size=x.shape), u, states=["q", "p"], inputs=["u"]
-    )
-    fit = ph.identify(model.with_values({"lag_u_p": 0.3}), data)
-    assert abs(fit.values["lag_u_p"] - 0.5) < 3 * fit.std_errors["lag_u_p"]
-    assert 0 < fit.std_errors["lag_u_p"] < 0.05
-    assert ph.compare(fit, data).table["state"].tolist() == [
-        "q",
-        "p",
-    ]  # the lagged input is nobody's channel
 
 
 def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> None:

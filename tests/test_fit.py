@@ -157,13 +157,6 @@ def test_equations_have_the_names_of_formulas_and_the_numbers_of_other_terms() -
     assert "b*u - c*tanh(dH_dp/eps)" in text and "m = 2.5 kg" in text
 
 
-def test_the_report_names_every_parameter_with_its_error_and_every_warning() -> None:
-    text = str(rich_fit())
-    parts = ("1.875 +- ", "N/m^2", "H[p]", "take care", "R_p", "b = 1.5 (fixed)")
-    for part in (*parts, "q 0.01 m", "local optimum"):
-        assert part in text
-
-
 def test_the_tables_have_a_row_per_parameter_with_its_bounds_and_limits() -> None:
     fit = rich_fit()
     table = fit.parameters.set_index("name")
@@ -196,17 +189,6 @@ def test_a_trajectory_is_known_by_its_name_and_by_its_number() -> None:
 
 
 # ---- picture -------------------------------------------------------------------------
-
-
-def test_the_picture_draws_every_estimate_relative_to_its_size() -> None:
-    fit = loaded_fit()
-    _, ax = plt.subplots()
-    assert fit.plot(ax) is ax
-    labels = [text.get_text() for text in ax.get_yticklabels()]
-    # Student's t with 318 degrees of freedom at 97.5 %: 1.967 standard errors.
-    assert labels == ["m[run 1] = 1.5 ± 0.2 kg", "m[run 2] = 2.5 ± 0.39 kg"]
-    assert ax.get_title() == "m[run 2] is the least certain, to 16 % of its size"
-    plt.close("all")
 
 
 def test_the_picture_says_which_estimates_are_not_to_be_relied_on() -> None:
@@ -276,25 +258,22 @@ def damaged(tmp_path: Path, change: Callable[[Any], object]) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "attack",
-    [
-        "__import__('os').system('touch ran')",
-        "().__class__.__bases__",
-        'exec(\'open("ran", "w")\')',
-        "q.real",
-        "q[0]",
-        "(lambda: q)()",
-        "9**64**64**64",
-        "((9**64)**64)**64",
-        "2**(64*64*64*64*64)",
-        "q" + "+q" * 3000,
-        "sin(" * 150 + "q" + ")" * 150 + "+" + "-" * 900 + "q",
-        "9" * 400 + "*q",
-        "q if q else p",
-        "f'{q}'",
-    ],
-)
+@pytest.mark.parametrize("attack", [
+    "__import__('os').system('touch ran')",
+    "().__class__.__bases__",
+    'exec(\'open("ran", "w")\')',
+    "q.real",
+    "q[0]",
+    "(lambda: q)()",
+    "9**64**64**64",
+    "((9**64)**64)**64",
+    "2**(64*64*64*64*64)",
+    "q" + "+q" * 3000,
+    "sin(" * 150 + "q" + ")" * 150 + "+" + "-" * 900 + "q",
+    "9" * 400 + "*q",
+    "q if q else p",
+    "f'{q}'",
+])  # fmt: skip
 def test_a_formula_that_is_not_a_formula_is_refused_and_never_run(
     attack: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -314,31 +293,28 @@ def k_of(content: Any) -> Any:
     return first(content)["inner"]["k"]
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda c: c.pop("covariance"),
-        lambda c: c.update(covariance=[[1.0]]),
-        lambda c: c.update(loss_value="a lot"),
-        lambda c: c.update(noise={"q": "small"}),
-        lambda c: c.update(noise=[1.0]),
-        lambda c: c.update(noise={"q": -1.0}),
-        lambda c: c.update(noise={"z": 1.0}),
-        lambda c: c.update(freedom=[1.0]),
-        lambda c: c.update(hold="spline"),
-        lambda c: c.update(outcome={}),
-        lambda c: c["outcome"].update(seconds=None),
-        lambda c: c["model"].update(kind="os"),
-        lambda c: c["model"].update(states="qp"),
-        lambda c: c["model"].update(S=[[0.0, 1.0], [1.0, 0.0]]),
-        lambda c: first(c).update(body=5),
-        lambda c: k_of(c).update(value="x"),
-        lambda c: k_of(c).update(value=10**400),
-        lambda c: k_of(c).update(guess=["Popen", "ls"]),
-        lambda c: k_of(c).update(extra=1),
-        lambda c: c["model"].update(R={"x": []}),
-    ],
-)
+@pytest.mark.parametrize("change", [
+    lambda c: c.pop("covariance"),
+    lambda c: c.update(covariance=[[1.0]]),
+    lambda c: c.update(loss_value="a lot"),
+    lambda c: c.update(noise={"q": "small"}),
+    lambda c: c.update(noise=[1.0]),
+    lambda c: c.update(noise={"q": -1.0}),
+    lambda c: c.update(noise={"z": 1.0}),
+    lambda c: c.update(freedom=[1.0]),
+    lambda c: c.update(hold="spline"),
+    lambda c: c.update(outcome={}),
+    lambda c: c["outcome"].update(seconds=None),
+    lambda c: c["model"].update(kind="os"),
+    lambda c: c["model"].update(states="qp"),
+    lambda c: c["model"].update(S=[[0.0, 1.0], [1.0, 0.0]]),
+    lambda c: first(c).update(body=5),
+    lambda c: k_of(c).update(value="x"),
+    lambda c: k_of(c).update(value=10**400),
+    lambda c: k_of(c).update(guess=["Popen", "ls"]),
+    lambda c: k_of(c).update(extra=1),
+    lambda c: c["model"].update(R={"x": []}),
+])  # fmt: skip
 def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
     said = r"fit\.json (is damaged|contains a model that is not valid)"
     with pytest.raises(ph.DataError, match=said):

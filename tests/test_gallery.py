@@ -103,26 +103,19 @@ def test_a_base_model_stands_without_inputs_and_has_a_drawing(base: BaseModel) -
     assert colours == {"none", "currentColor"}, "readable in light and dark"
 
 
-@pytest.mark.parametrize(
-    ("name", "header", "states", "inputs"),
-    [
-        ("mass", "t [s],v [m/s],Weg [mm],F [N]", {"q": "Weg [mm]"}, {"u": "F [N]"}),
-        ("mass", "t [s],x", {"q": "x"}, {}),
-        ("two-masses", "t [s],x1,x2,u", {"q1": "x1", "q2": "x2"}, {"u": "u"}),
-        ("pendulum", "t [s],angle [deg]", {"q": "angle [deg]"}, {}),
-        ("room", "t [s],outdoor [degC],Ti [degC],heater [W]", {"Ti": "Ti [degC]"},
-         {"P": "heater [W]", "Ta": "outdoor [degC]"}),
-        ("rlc", "t [s],u_in [V],u_C [V],i [A]", {"uC": "u_C [V]", "i": "i [A]"},
-         {"u": "u_in [V]"}),
-        ("rlc", "t [s],Spannung [V],Strom [mA]", {"i": "Strom [mA]"},
-         {"u": "Spannung [V]"}),
-        ("motor", "t [s],U [mV],speed [rpm]", {"w": "speed [rpm]"}, {"u": "U [mV]"}),
-        ("pump-tank", "t [min],level [cm],flow [l/min]", {"h": "level [cm]"},
-         {"u": "flow [l/min]"}),
-        ("pump-tank", "t [s],level [m],pump [V]", {"h": "level [m]"}, {"u": "pump [V]"}),
-        ("cell", "t [s],I [A],U [V]", {"U": "U [V]"}, {"I": "I [A]"}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "header", "states", "inputs"), [
+    ("mass", "t [s],v [m/s],Weg [mm],F [N]", {"q": "Weg [mm]"}, {"u": "F [N]"}),
+    ("mass", "t [s],x", {"q": "x"}, {}),
+    ("two-masses", "t [s],x1,x2,u", {"q1": "x1", "q2": "x2"}, {"u": "u"}),
+    ("pendulum", "t [s],angle [deg]", {"q": "angle [deg]"}, {}),
+    ("room", "t [s],outdoor [degC],Ti [degC],heater [W]", {"Ti": "Ti [degC]"}, {"P": "heater [W]", "Ta": "outdoor [degC]"}),
+    ("rlc", "t [s],u_in [V],u_C [V],i [A]", {"uC": "u_C [V]", "i": "i [A]"}, {"u": "u_in [V]"}),
+    ("rlc", "t [s],Spannung [V],Strom [mA]", {"i": "Strom [mA]"}, {"u": "Spannung [V]"}),
+    ("motor", "t [s],U [mV],speed [rpm]", {"w": "speed [rpm]"}, {"u": "U [mV]"}),
+    ("pump-tank", "t [min],level [cm],flow [l/min]", {"h": "level [cm]"}, {"u": "flow [l/min]"}),
+    ("pump-tank", "t [s],level [m],pump [V]", {"h": "level [m]"}, {"u": "pump [V]"}),
+    ("cell", "t [s],I [A],U [V]", {"U": "U [V]"}, {"I": "I [A]"}),
+])  # fmt: skip
 def test_columns_are_states_and_inputs_by_name_unit_and_order(
     name: str,
     header: str,

@@ -31,25 +31,17 @@ def test_terms_without_significance_are_not_called_a_common_factor() -> None:
         assert silent.parameters == ()
 
 
-@pytest.mark.parametrize(
-    ("theta", "direction", "members", "said"),
-    [
-        (
-            [3.0, 2.0, 0.5, 1.0, -4.0],
-            [3.0, 2.0, 0.5, 0.0, 0.0],  # the first three times one number
-            (0, 1, 2),
-            "c0, c1, c2: a common factor of all does not change",
-        ),
-        ([3.0, 2.0], [3.0, 2.0], (0, 1), "only c0/c1 is identifiable"),
-        ([3.0, 2.0], [3.0, -2.0], (0, 1), "only c0*c1 is identifiable"),
-        (
-            [1.0, 1.0, 1.0],
-            [0.0, 1.0, 0.0],
-            (1,),
-            "the data contain no information about c1: fix it to a known value or remove it",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("theta", "direction", "members", "said"), [
+    (
+        [3.0, 2.0, 0.5, 1.0, -4.0],
+        [3.0, 2.0, 0.5, 0.0, 0.0],  # the first three times one number
+        (0, 1, 2),
+        "c0, c1, c2: a common factor of all does not change",
+    ),
+    ([3.0, 2.0], [3.0, 2.0], (0, 1), "only c0/c1 is identifiable"),
+    ([3.0, 2.0], [3.0, -2.0], (0, 1), "only c0*c1 is identifiable"),
+    ([1.0, 1.0, 1.0], [0.0, 1.0, 0.0], (1,), "the data contain no information about c1: fix it to a known value or remove it"),
+])  # fmt: skip
 def test_an_open_direction_is_named_by_its_members(
     theta: list[float], direction: list[float], members: tuple[int, ...], said: str
 ) -> None:
@@ -105,9 +97,7 @@ def test_little_noise_gives_the_interval_of_the_curvature() -> None:
     assert found.ci_upper == pytest.approx(upper, abs=0.02 * (upper - lower))
 
 
-def test_much_noise_gives_a_longer_arm_to_the_fast_side(
-    loose: tuple[ph.Fit, ph.Measurements],
-) -> None:
+def test_much_noise_gives_a_longer_arm_to_the_fast_side(loose) -> None:
     fit, data = loose
     found = ph.profile(fit, data, "r")
     assert found.is_curved
@@ -115,9 +105,7 @@ def test_much_noise_gives_a_longer_arm_to_the_fast_side(
     assert "from the standard error: " in str(found)
 
 
-def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(
-    loose: tuple[ph.Fit, ph.Measurements],
-) -> None:
+def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(loose) -> None:
     fit, data = loose
     found = ph.profile(fit, data, "r")
     run = data.trajectories[0]
@@ -140,9 +128,7 @@ def test_an_end_is_the_bound_where_the_profile_meets_it_first() -> None:
     assert ph.profile(fit, data, "r").ci_lower == 0.7
 
 
-def test_a_parameter_without_a_profile_is_refused(
-    loose: tuple[ph.Fit, ph.Measurements],
-) -> None:
+def test_a_parameter_without_a_profile_is_refused(loose) -> None:
     fit, data = loose
     with pytest.raises(
         ph.ModelError, match="parameter 's' is not a free parameter that all"

@@ -16,7 +16,7 @@ from phsi_opt.page.drafts import StudyDraft, look_at
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.study_file.survey import first_text, survey
 from phsi_opt.study_file.toml_text import toml_tables
-from phsi_opt.transcription.grid import AlignedData, aligned, grid_of
+from phsi_opt.transcription.grid import AlignedData, grid_of
 from tests.machines import pushed_mass
 
 # ---- smooth inputs
@@ -118,16 +118,13 @@ UNKNOWN_NAME = r"hold names the unknown 'valv'; expected one of push, valve\. Di
 UNKNOWN_WAY = "hold: 'valve' has the hold 'zeros'; expected 'linear', 'zero' or 'cubic'"
 
 
-@pytest.mark.parametrize(
-    ("hold", "message"),
-    [
-        ({"valv": "zero"}, UNKNOWN_NAME + r"mean 'valve'\?"),
-        ({"q": "zero"}, "hold names the unknown 'q'"),
-        ({"valve": "zeros"}, UNKNOWN_WAY + r". Did you mean 'zero'\?"),
-        ({"valve": None}, "hold: 'valve' has the hold None"),
-        (["zero", "linear"], r"hold=\['zero', 'linear'\] is unknown"),
-    ],
-)
+@pytest.mark.parametrize(("hold", "message"), [
+    ({"valv": "zero"}, UNKNOWN_NAME + r"mean 'valve'\?"),
+    ({"q": "zero"}, "hold names the unknown 'q'"),
+    ({"valve": "zeros"}, UNKNOWN_WAY + r". Did you mean 'zero'\?"),
+    ({"valve": None}, "hold: 'valve' has the hold None"),
+    (["zero", "linear"], r"hold=\['zero', 'linear'\] is unknown"),
+])  # fmt: skip
 def test_an_unknown_input_or_way_is_refused(hold: Any, message: str) -> None:
     with pytest.raises(ph.DataError, match=message):
         record(hold)
@@ -177,36 +174,6 @@ def test_a_fit_needs_the_right_way_for_each_input_and_keeps_it(tmp_path: Path) -
         np.testing.assert_array_equal(again.simulate(T, [0.5], U), expected)
     # As long as the record is, errors of the integrators and of k show.
     assert ph.compare(fit, record()).rmse < 1e-3
-
-
-def test_columns_in_another_order_or_left_out_keep_their_way() -> None:
-    rate = ph.formula("push + valve - q")
-    turned = ph.FirstOrder(["q"], {"q": rate}, inputs=["valve", "push"])
-    assert aligned(turned, record()).hold == HOLD
-    of_turned = grid_of(aligned(turned, record())).u1
-    np.testing.assert_array_equal(of_turned, grid_of(record()).u1[:, ::-1])
-    rate = ph.formula("valve - k*q", k=ph.Parameter(1.0))
-    alone = ph.FirstOrder(["q"], {"q": rate}, inputs=["valve"])
-    assert ph.identify(alone, record()).hold == "zero"
-
-
-def test_only_inputs_that_are_not_held_separate_pairs() -> None:
-    pairs: dict[str, Any] = {
-        "x_start": [1.0, 2.0, 3.0],
-        "x_end": [2.0, 3.0, 4.0],
-        "t_start": [0, 1, 2],
-        "t_end": [1, 2, 3],
-        "u_start": [[0.0, 5.0], [1.0, 6.0], [3.0, 6.0]],
-        "u_end": [[1.0, 5.0], [2.0, 6.0], [4.0, 6.0]],
-        "inputs": ["push", "valve"],
-    }
-    data = ph.Measurements.from_pairs(**pairs, hold={"valve": "zero"})
-    assert [run.n_samples for run in data] == [3, 2]  # the push jumps at t = 2
-    with pytest.raises(ph.DataError, match="only one of u_start and u_end"):
-        ph.Measurements.from_pairs(**(pairs | {"u_end": None}), hold={"valve": "zero"})
-    both = dict.fromkeys(pairs["inputs"], "zero")
-    held = ph.Measurements.from_pairs(**(pairs | {"u_end": None}), hold=both)
-    assert held.n_samples == 4
 
 
 STUDY = """

@@ -65,9 +65,7 @@ def test_the_solver_ends_after_the_iteration_in_which_ctrl_c_is_pressed(
     assert ph.identify(SPRING, record(), loss).values == expected
 
 
-def test_full_steps_end_where_ctrl_c_is_pressed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_full_steps_end_where_ctrl_c_is_pressed(monkeypatch) -> None:
     expected = ph.identify(SPRING, record()).values
     lower = JointProblem._lower
     begun = []

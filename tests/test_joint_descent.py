@@ -1,9 +1,7 @@
 """Gradient descent beside a force network, and with the test of significance."""
 
-import pickle
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ import torch
 
 import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
-from phsi_opt.baselines.result import Baseline
 from phsi_opt.sweeps.local_workers import one_thread
 from problems.peers.joint_force import HybridBaseline, JointForce
 from problems.thesis.joint_descent import _JointRun, joint_descent
@@ -110,9 +107,7 @@ def hybrid() -> HybridBaseline:
     return fit
 
 
-def test_the_network_learns_the_force_beside_the_dictionary(
-    hybrid: HybridBaseline,
-) -> None:
+def test_the_network_learns_the_force_beside_the_dictionary(hybrid) -> None:
     v = np.linspace(-1, 1, 41)
     force = hybrid.force(np.column_stack([np.zeros(41), v]))
     assert force.shape == (41, 1)
@@ -120,44 +115,3 @@ def test_the_network_learns_the_force_beside_the_dictionary(
         np.sqrt(np.mean((force[:, 0] + 0.5 * np.tanh(3 * v)) ** 2)) < 0.1
     )  # a fifth of the force, after 450 steps
     assert hybrid.values["k"] == pytest.approx(1.0, abs=0.05)
-
-
-def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -> None:
-    t = np.linspace(0, 3, 31)
-    with_force, without = (
-        hybrid.simulate(t, [1.0, 0.0]),
-        hybrid.without_force().simulate(t, [1.0, 0.0]),
-    )
-    energy = [np.sum(x[-1] ** 2) for x in (with_force, without)]
-    assert energy[0] < 0.6 < 0.9 < energy[1]  # only the force takes energy
-    assert "network_p(p)" in hybrid.equations()[1] and "network" not in "".join(
-        hybrid.without_force().equations()
-    )
-    assert type(hybrid.without_force()) is Baseline
-
-
-@pytest.mark.parametrize(
-    ("force", "message"),
-    [
-        ({"equations": (), "variables": ("p",)}, r"equations=\(\)"),
-        ({"equations": ("p",), "variables": ("p", "p")}, "variables=.*only once"),
-        ({"equations": ("p",), "variables": ("p",), "hidden": (0,)}, r"hidden=\(0,\)"),
-        ({"equations": ("p",), "variables": ("p",), "first": "sine"}, "first='sine'"),
-        ({"equations": ("p",), "variables": ("p",), "rate": 0.0}, "rate=0.0 .* above 0"),
-        ({"equations": ("p",), "variables": ("v",)}, "variable 'v' of the neural force is unknown"),
-        ({"equations": ("v",), "variables": ("p",)}, "equation of the neural force 'v' is not a state"),
-    ],
-)  # fmt: skip
-def test_a_force_that_makes_no_sense_is_refused(
-    force: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ph.ModelError, match=message):
-        joint_descent(driven(), record(), Descent(epochs=1), force=JointForce(**force))
-
-
-def test_a_hybrid_can_be_printed_and_pickled(hybrid: HybridBaseline) -> None:
-    copy = pickle.loads(pickle.dumps(hybrid))
-    np.testing.assert_array_equal(copy.force([[0.1, 0.2]]), hybrid.force([[0.1, 0.2]]))
-    text = str(hybrid)
-    assert text.startswith("gradient descent with a neural force: loss ")
-    assert "dp/dt" in text

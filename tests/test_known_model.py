@@ -14,7 +14,6 @@ import phsi_opt as ph
 from problems.examples.friction_spring import CSV
 from tests.machines import NOISE, STARTS, TIMES, damped_spring, swings
 
-WITH_CUBIC = "2.3*q**2/2 + 0.5*q**4/4 + p**2/2"
 WITH_FRICTION = "0.1 + 0.08*(p**4 + 0.03**4)**(-0.25)"
 
 
@@ -55,25 +54,11 @@ def test_a_model_without_free_parameters_gets_noise_and_states_alone(
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-def test_known_parameters_stay_in_the_table_as_fixed(data: ph.Measurements) -> None:
-    k = ph.Parameter(2.3, fixed=True, unit="N/m")
-    model = damped_spring("k*q**2/2 + p**2/2", k=k)
-    row = ph.identify(model, data).parameters.set_index("name").loc["k"]
-    assert row["fixed"] and row["value"] == 2.3 and np.isnan(row["std_error"])
-
-
 @pytest.mark.parametrize("option", [{"starts": 2}, {"huber": 1.345}, {"steps": 2}])
-def test_every_likelihood_takes_a_model_without_free_parameters(
-    option: dict[str, float], data: ph.Measurements
-) -> None:
+def test_every_likelihood_takes_a_model_without_free_parameters(option, data) -> None:
     loss = ph.MaximumLikelihood(**option)  # type: ignore[arg-type]
     found = ph.identify(damped_spring(), data, loss)
     assert found.noise["q"] == pytest.approx(NOISE, rel=0.1)
-
-
-def test_l1_and_pruning_find_nothing_to_remove(data: ph.Measurements) -> None:
-    pruning = ph.Pruning(threshold=0.1, significance=0.01)
-    assert ph.identify(damped_spring(), data, l1=0.1, pruning=pruning).removed == ()
 
 
 # ---- compared ------------------------------------------------------------------------
@@ -108,25 +93,7 @@ def test_the_noise_floor_is_an_estimate_with_an_interval() -> None:
     assert declared.noise_floor_interval == (NOISE, NOISE)
 
 
-def test_a_model_is_compared_as_its_fit_is() -> None:
-    data = swings(damped_spring(WITH_CUBIC), seed=5)
-    comparison = ph.compare(damped_spring(), data)
-    assert comparison.rmse > 3 * comparison.noise_floor
-    assert comparison.noise_floor == pytest.approx(NOISE, rel=0.15)
-    of_fit = ph.compare(ph.identify(damped_spring(), data), data)
-    assert comparison.rmse == of_fit.rmse
-    assert str(comparison) == str(of_fit)
-
-
 # ---- diagnosed and studied -----------------------------------------------------------
-
-
-def test_the_values_of_a_known_model_stay_where_an_effect_is_proposed() -> None:
-    train, test = swings(damped_spring(loss=WITH_FRICTION), 6).split(0.6)
-    found = ph.diagnose(damped_spring(), train, test, effects=["coulomb friction"])
-    assert found.proposed_fit is not None
-    added = set(damped_spring().add(found.effects[0]).entries)
-    assert set(found.proposed_fit.model.free) <= added - set(damped_spring().entries)
 
 
 def test_a_study_of_a_known_model_adds_takes_back_and_goes_on_by_itself() -> None:
@@ -146,22 +113,10 @@ def test_a_study_of_a_known_model_adds_takes_back_and_goes_on_by_itself() -> Non
     assert study.remove("coulomb friction").names == ()
 
 
-def test_a_learned_force_takes_the_place_of_what_a_known_model_lacks() -> None:
-    pytest.importorskip("torch")
-    data = swings(damped_spring(WITH_CUBIC), seed=9)
-    learned = ph.diagnose(damped_spring(), data, effects=[]).learned_force(
-        "p", on=["q"]
-    )
-    assert learned.explains > 0.8
-    assert learned.physics.names == ()
-
-
 # ---- refusals ------------------------------------------------------------------------
 
 
-def test_what_has_to_be_fitted_or_is_no_model_is_refused(
-    fit: ph.Fit, data: ph.Measurements
-) -> None:
+def test_what_has_to_be_fitted_or_is_no_model_is_refused(fit, data) -> None:
     k = ph.Parameter(2.0, lower=0)
     model = damped_spring("k*q**2/2 + p**2/2", k=k)
     with pytest.raises(ph.ModelError, match=r"free parameters \(k\).*identify\(model"):

@@ -60,10 +60,6 @@ def swinging(
     return ph.Measurements.from_arrays(T, y, states=["q", "p"])
 
 
-def with_cubic(size: float) -> ph.Measurements:
-    return swinging(oscillator(f"1.7*q**2/2 + {size}*q**4 + p**2/3", "0.15"))
-
-
 def assert_same(fit: ph.Fit, other: ph.Fit, share: float) -> None:
     """The values agree within a share of their standard errors."""
     for name in other.names:
@@ -145,14 +141,6 @@ def test_a_brief_solve_of_a_larger_model_begins_with_full_steps() -> None:
     assert_same(fit, best, 1e-3)
 
 
-def test_a_crude_start_leads_to_the_optimum_where_the_model_lacks_something() -> None:
-    data = with_cubic(1.0)
-    fit = ph.identify(unknown(), data)
-    near = ph.identify(unknown(fit.values["k"], fit.values["c"]), data)
-    assert fit.bic == pytest.approx(near.bic, abs=1e-3)
-    assert fit.noise["q"] > 2 * NOISE
-
-
 def test_states_that_nothing_tells_begin_at_the_size_of_what_they_drive() -> None:
     """Two slow voltages of a cell, of which a first look at the data says nothing."""
     t = np.arange(0.0, 2400.0, 5.0)
@@ -188,9 +176,7 @@ def cell(numbers: Mapping[str, Number]) -> ph.Model:
 
 @pytest.mark.parametrize("mass", [0.7, 1.9])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_what_the_data_are_silent_about_stays_where_it_was(
-    seed: int, mass: float
-) -> None:
+def test_what_the_data_are_silent_about_stays_where_it_was(seed, mass) -> None:
     """The position alone does not tell the scale of momentum, mass, and all forces.
 
     Nor may defects that do not hold yet, of a start that is off, seem to tell it.
@@ -299,17 +285,6 @@ def test_a_body_that_sticks_is_fitted_beside_a_sharp_corner() -> None:
     for name, value in (("f", FRICTION), ("c", DAMPING)):
         assert abs(fit.estimates[name] - value) < 4 * fit.std_errors[name]
     assert fit.noise["q"] == pytest.approx(FINE_NOISE, rel=0.15)
-
-
-def test_friction_that_begins_at_its_bound_leaves_it_and_ends_at_another() -> None:
-    # Both begin at zero: friction is there and leaves it.
-    data = rubbed(0.3)
-    fit = ph.identify(rubbing(0.3, positive(0.0), positive(0.0)), data)
-    assert fit.estimates["f"] == pytest.approx(FRICTION, rel=0.2)
-    capped = rubbing(0.3, positive(0.2, upper=0.22), positive(0.0))
-    fit = ph.identify(capped, data)
-    assert fit.outcome.at_bounds == ("f",)
-    assert fit.values["f"] == 0.22
 
 
 def test_the_limit_of_time_is_told() -> None:

@@ -89,9 +89,7 @@ FILES: dict[str, tuple[str, tuple[str, str, str], tuple[str, str, str]]] = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_logger_file_is_read_as_its_author_meant_it(
-    name: str, tmp_path: Path
-) -> None:
+def test_a_logger_file_is_read_as_its_author_meant_it(name, tmp_path) -> None:
     text, columns, units = FILES[name]
     time, q, u = columns
     data = read(text, time=time, states={"q": q}, inputs={"u": u})
@@ -112,14 +110,6 @@ def test_a_logger_file_is_read_as_its_author_meant_it(
                 tmp_path / "log.xlsx", time=time, states={"q": q}, inputs={"u": u}
             )
             assert again.trajectories[0].x.tolist() == run.x.tolist()
-
-
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
-def test_a_row_of_units_is_read_in_any_encoding(encoding: str, tmp_path: Path) -> None:
-    text = "Zeit\tWeg\tWärme\ns\tµm\t°C\n" + body("{t}\t{q}\t{u}")
-    seen = looked_at(text, tmp_path, encoding)
-    assert [one.unit for one in seen.columns] == ["s", "µm", "°C"]
-    assert seen.columns[0].part == "time"
 
 
 def test_a_row_of_units_is_believed_where_nobody_says_otherwise() -> None:
@@ -188,21 +178,16 @@ def test_tables_with_the_same_header_are_runs(tmp_path: Path) -> None:
         read(text, time="t", states=["q"])
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("t,q\n0,1\nOL,OL\n1,2\n2,3\n", "has 2 tables"),
-        ("t,q\n#REF!,1\n1,2\n2,3\n", "line 2: '#REF!' is neither a number nor a date"),
-        ("t,q\n0,1\n#VALUE!,2\n2,3\n", "line 3: '#VALUE!'"),
-        ("t,q\n0,1\n1,2\nMean,0.5\n", "line 4: 'Mean'"),
-        ("t,q\n0,1\n1,1_000\n2,3\n", "line 3: '1_000'"),
-        ("t\tq\n0\t1,000\n1\t1,500\n", "'1,000' is not a real number.*decimal = "),
-        ("t,q\n0,1\n1,2\n\n3\n4\n", "line 5 has 1 cell"),
-    ],
-)
-def test_no_sample_and_no_sign_is_dropped_or_read_otherwise(
-    text: str, said: str
-) -> None:
+@pytest.mark.parametrize(("text", "said"), [
+    ("t,q\n0,1\nOL,OL\n1,2\n2,3\n", "has 2 tables"),
+    ("t,q\n#REF!,1\n1,2\n2,3\n", "line 2: '#REF!' is neither a number nor a date"),
+    ("t,q\n0,1\n#VALUE!,2\n2,3\n", "line 3: '#VALUE!'"),
+    ("t,q\n0,1\n1,2\nMean,0.5\n", "line 4: 'Mean'"),
+    ("t,q\n0,1\n1,1_000\n2,3\n", "line 3: '1_000'"),
+    ("t\tq\n0\t1,000\n1\t1,500\n", "'1,000' is not a real number.*decimal = "),
+    ("t,q\n0,1\n1,2\n\n3\n4\n", "line 5 has 1 cell"),
+])  # fmt: skip
+def test_no_sample_and_no_sign_is_dropped_or_read_otherwise(text, said) -> None:
     with pytest.raises(ph.DataError, match=said):
         read(text, time="t", states=["q"])
 
@@ -210,9 +195,7 @@ def test_no_sample_and_no_sign_is_dropped_or_read_otherwise(
 @pytest.mark.parametrize(
     ("decimal", "values"), [(None, [1234.0, 1.0]), (".", [1234.0, 1.0]), (",", None)]
 )
-def test_digits_behind_a_comma_are_what_other_cells_say(
-    decimal: str | None, values: list[float] | None
-) -> None:
+def test_digits_behind_a_comma_are_what_other_cells_say(decimal, values) -> None:
     text = "t;q\n0.5;1,234\n1.5;1\n"
     if values is None:
         with pytest.raises(ph.DataError, match=r"'0\.5' is not a real number"):
@@ -229,19 +212,16 @@ SERIAL = (BEGIN - dt.datetime(1899, 12, 30)) / dt.timedelta(days=1)
 UNIX = (BEGIN - dt.datetime(1970, 1, 1)) / dt.timedelta(seconds=1)
 
 
-@pytest.mark.parametrize(
-    ("header", "form", "column", "date_format"),
-    [
-        ("Date,Time", "2024-03-05,14:30:{0:06.3f}", ("Date", "Time"), ""),
-        ("Datum,Uhrzeit", "05.03.2024,14:30:{0:06.3f}", ("Datum", "Uhrzeit"), "%d.%m.%Y %H:%M:%S.%f"),
-        ("Time,Millis", "2024-03-05 14:30:{1:02d},{2}", ("Time", "Millis"), ""),
-        ("Date&Time,ms", "2024/03/05 14:30:{1:02d},{2:03d}", ("Date&Time", "ms"), "%Y/%m/%d %H:%M:%S"),
-        ("time", "03/15/24 02:30:{1:02d} PM", "time", "%m/%d/%y %I:%M:%S %p"),
-        ("timestamp", "{unix:.1f}", "timestamp", "unix"),
-        ("timestamp", "{unix_ms:.0f}", "timestamp", "unix ms"),
-        ("Date", "{serial:.9f}", "Date", "excel"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("header", "form", "column", "date_format"), [
+    ("Date,Time", "2024-03-05,14:30:{0:06.3f}", ("Date", "Time"), ""),
+    ("Datum,Uhrzeit", "05.03.2024,14:30:{0:06.3f}", ("Datum", "Uhrzeit"), "%d.%m.%Y %H:%M:%S.%f"),
+    ("Time,Millis", "2024-03-05 14:30:{1:02d},{2}", ("Time", "Millis"), ""),
+    ("Date&Time,ms", "2024/03/05 14:30:{1:02d},{2:03d}", ("Date&Time", "ms"), "%Y/%m/%d %H:%M:%S"),
+    ("time", "03/15/24 02:30:{1:02d} PM", "time", "%m/%d/%y %I:%M:%S %p"),
+    ("timestamp", "{unix:.1f}", "timestamp", "unix"),
+    ("timestamp", "{unix_ms:.0f}", "timestamp", "unix ms"),
+    ("Date", "{serial:.9f}", "Date", "excel"),
+])  # fmt: skip
 def test_clocks_of_loggers_become_seconds(
     header: str, form: str, column: Any, date_format: str, tmp_path: Path
 ) -> None:
@@ -347,15 +327,7 @@ def test_a_group_of_channels_is_a_table_and_groups_are_never_mixed(
     assert seen.read[0].is_set and str(seen.read[0]) == 'group = "fast"    others: slow'
 
 
-def test_what_is_no_tdms_file_is_refused() -> None:
-    pytest.importorskip("nptdms")
-    with pytest.raises(ph.DataError, match="cannot be read by nptdms"):
-        ph.Measurements.from_tdms(io.BytesIO(b"t,q\n0,1\n" * 9), step=1, states=["q"])
-
-
-def test_a_library_that_is_not_installed_is_named_with_its_extra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(ph.DataError, match=r'needs asammdf.*"phsi_opt\[loggers\]"'):
         ph.Measurements.from_mdf(io.BytesIO(b"MDF"), time="time", states=["q"])

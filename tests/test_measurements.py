@@ -2,7 +2,6 @@
 and changes nothing.
 """
 
-import copy
 import hashlib
 import pickle
 from pathlib import Path
@@ -73,20 +72,6 @@ def test_a_table_gives_back_exactly_the_numbers_that_were_written(
 # ---- arrays and pairs ----
 
 
-def test_one_trajectory_or_several_come_from_arrays() -> None:
-    one = ph.Measurements.from_arrays([0, 1, 2], [1, 2, 3], [4, 5, 6], states=["q"])
-    assert (one.n_trajectories, one.n_states, one.inputs) == (1, 1, ("u1",))
-    two = ph.Measurements.from_arrays(
-        [[0, 1], [0, 1, 2]], [np.ones((2, 2)), np.ones((3, 2))], states=["q", "p"]
-    )
-    assert [run.name for run in two] == ["run 1", "run 2"]
-    assert (len(two), two.n_samples, two.n_inputs) == (2, 5, 0)
-    named = ph.Measurements.from_arrays(
-        [[0, 1]], [[1, 2]], states=["q"], names=["swing"]
-    )
-    assert named.trajectories[0].name == "swing"
-
-
 def test_arrays_of_the_user_are_neither_changed_nor_shared() -> None:
     t, x, u = np.arange(3.0), np.ones((3, 1)), np.zeros((3, 1))
     units, noise = {"q": "m"}, {"q": 0.1}
@@ -111,29 +96,10 @@ def test_the_record_is_read_only() -> None:
         data.hold = "linear"  # type: ignore[misc]
 
 
-@pytest.mark.parametrize(
-    "duplicate", [copy.deepcopy, lambda data: pickle.loads(pickle.dumps(data))]
-)
-def test_a_copy_in_another_process_is_the_same_and_read_only(duplicate: Any) -> None:
-    data = record()
-    again = duplicate(data)
-    assert_same(again, data)
-    assert not again.trajectories[0].x.flags.writeable
-
-
 def test_masked_entries_are_missing_samples() -> None:
     x = np.ma.masked_array([1.0, -999.0, 3.0], mask=[False, True, False])
     data = ph.Measurements.from_arrays([0, 1, 2], x, states=["q"])
     np.testing.assert_array_equal(data.trajectories[0].x, [[1], [np.nan], [3]])
-
-
-def test_an_entirely_empty_channel_of_one_trajectory_is_fine() -> None:
-    empty = np.array([[np.nan, 1.0], [np.nan, 2.0]])
-    data = ph.Measurements.from_arrays(
-        [[0, 1], [0, 1]], [empty, empty[:, ::-1]], states=["q", "p"]
-    )
-    assert data.measured == ("q", "p")
-    assert data[0].measured == ("p",)
 
 
 def pairs(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -167,22 +133,17 @@ def test_a_jump_separates_pairs_unless_it_is_of_a_held_input() -> None:
         np.testing.assert_array_equal(held.trajectories[0].u, [[5], [6], [6]])
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"x_end": [[1.0]]}, r"x_start has the shape \(2, 1\) and x_end \(1, 1\); expected the same shape"),
-        ({"t_start": [0], "t_end": [1]}, "lengths differ: .*'x_start': 2, 't_start': 1.*one row per pair"),
-        ({"t_end": [1, 1]}, r"pair 1: t_end\[1\]=1.0 is not after t_start\[1\]=1.0"),
-        ({"u_start": [1, 2]}, "only one of u_start and u_end is given.*hold='zero'"),
-        ({"u_end": [1, 2], "hold": "zero"}, "only one of u_start and u_end"),
-        ({"states": ["a", "b"]}, r"has 1 state column; expected 2, one for each of \['a', 'b'\]"),
-        ({"x_start": ["a", "b"]}, "x_start has the type"),
-        ({"x_start": [], "x_end": [], "t_start": [], "t_end": []}, "there are no pairs"),
-    ],
-)  # fmt: skip
-def test_pairs_that_cannot_be_used_are_refused(
-    changes: dict[str, Any], message: str
-) -> None:
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"x_end": [[1.0]]}, r"x_start has the shape \(2, 1\) and x_end \(1, 1\); expected the same shape"),
+    ({"t_start": [0], "t_end": [1]}, "lengths differ: .*'x_start': 2, 't_start': 1.*one row per pair"),
+    ({"t_end": [1, 1]}, r"pair 1: t_end\[1\]=1.0 is not after t_start\[1\]=1.0"),
+    ({"u_start": [1, 2]}, "only one of u_start and u_end is given.*hold='zero'"),
+    ({"u_end": [1, 2], "hold": "zero"}, "only one of u_start and u_end"),
+    ({"states": ["a", "b"]}, r"has 1 state column; expected 2, one for each of \['a', 'b'\]"),
+    ({"x_start": ["a", "b"]}, "x_start has the type"),
+    ({"x_start": [], "x_end": [], "t_start": [], "t_end": []}, "there are no pairs"),
+])  # fmt: skip
+def test_pairs_that_cannot_be_used_are_refused(changes, message) -> None:
     good: dict[str, Any] = {
         "x_start": [1.0, 2.0],
         "x_end": [2.0, 3.0],
@@ -193,65 +154,47 @@ def test_pairs_that_cannot_be_used_are_refused(
         ph.Measurements.from_pairs(**(good | changes))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"t": [0, 2, 1]}, r"trajectory 'run 1': t\[2\]=1.0 is not after t\[1\]=2.0; .*Sort the samples or drop"),
-        ({"t": [0, np.nan, 1]}, r"trajectory 'run 1': t\[1\] is nan"),
-        ({"t": np.zeros((3, 1))}, r"trajectory 'run 1': t has the shape \(3, 1\); expected \(n_samples,\)"),
-        ({"t": [0, 1]}, "x has 3 rows and t has 2; expected one row per time"),
-        ({"x": np.zeros((3, 1, 1))}, r"x has the shape \(3, 1, 1\); expected \(n_samples, n_channels\)"),
-        ({"x": np.zeros((3, 2))}, "trajectory 'run 1' has 2 state columns; expected 1"),
-        ({"x": [[1], [2, 3], [4]]}, "x is not a regular array"),
-        ({"x": np.array([1, 2, 1j])}, "x has the type complex128; expected real numbers"),
-        ({"x": np.array([1, None, 2])}, "x has the type object; expected real numbers, and NaN for"),
-        ({"x": [1, np.inf, 2]}, r"trajectory 'run 1': state 'q' at sample 1 \(t=1.0\) is inf; expected a finite value"),
-        ({"x": [1, 2, -2e100]}, r"state 'q' at sample 2 \(t=2.0\) is -2e\+100; expected at most 1e\+100 in size"),
-        ({"x": [np.nan] * 3}, r"trajectory 'run 1' has no measured value in any of the states \['q'\]"),
-        ({"u": [1, np.nan, 2]}, r"input 'u1' at sample 1 \(t=1.0\) is nan; times and inputs must be known"),
-        ({"u": [1, 2, 3], "inputs": ["a", "b"]}, "has 1 input column; expected 2"),
-        ({"t": [0], "x": [1]}, "trajectory 'run 1' has 1 sample; expected at least 2"),
-        ({"states": "q"}, "states='q' is not a list of names"),
-        ({"states": []}, "names no state"),
-        ({"states": ["1q"]}, "states: '1q' cannot be used in a formula"),
-        ({"states": ["t"]}, "states: the name 't' is reserved"),
-        ({"states": ["dH_dq"]}, "the name 'dH_dq' is reserved"),
-        ({"u": [1, 2, 3], "inputs": ["dH_d"]}, "inputs: the name 'dH_d' is reserved"),
-        ({"u": [1, 2, 3], "inputs": ["q"]}, "the name 'q' is used 2 times"),
-        ({"hold": "zeros"}, r"hold='zeros' is unknown; expected one of linear, zero, cubic\. Did you mean 'zero'\?"),
-        ({"noise": {"q": 0}}, "noise: 'q' has the standard deviation 0; expected a positive number"),
-        ({"noise": {"q": "1"}}, "standard deviation '1'"),
-        ({"noise": {"Q": 1.0}}, r"noise names the unknown 'Q'; expected one of q\. Did you mean 'q'\?"),
-        ({"noise": 0.1}, "noise=0.1 is not a mapping"),
-        ({"units": {"w": "m"}}, r"units names the unknown 'w'; expected one of t, q\."),
-        ({"units": {"q": None}}, "units: 'q' has the unit None; expected text"),
-        ({"units": ""}, "units='' is not a mapping"),
-        ({"names": ["a", "b"]}, "the lengths differ: .*'names': 2.*one entry per trajectory"),
-        ({"names": [""]}, "trajectory name '' is not a text"),
-        ({"names": ["a\nb"]}, "is not a text of one line"),
-        ({"t": [[0, 1], [0, 1]], "x": [[1, 2]]}, "the lengths differ: {'t': 2, 'x': 1"),
-        ({"t": [[0, 1], [0, 1]], "x": [[1, 2], [1, 2]], "names": ["a", "a"]}, "trajectory name 'a' is used 2 times"),
-    ],
-)  # fmt: skip
-def test_arrays_that_cannot_be_used_are_refused(
-    changes: dict[str, Any], message: str
-) -> None:
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"t": [0, 2, 1]}, r"trajectory 'run 1': t\[2\]=1.0 is not after t\[1\]=2.0; .*Sort the samples or drop"),
+    ({"t": [0, np.nan, 1]}, r"trajectory 'run 1': t\[1\] is nan"),
+    ({"t": np.zeros((3, 1))}, r"trajectory 'run 1': t has the shape \(3, 1\); expected \(n_samples,\)"),
+    ({"t": [0, 1]}, "x has 3 rows and t has 2; expected one row per time"),
+    ({"x": np.zeros((3, 1, 1))}, r"x has the shape \(3, 1, 1\); expected \(n_samples, n_channels\)"),
+    ({"x": np.zeros((3, 2))}, "trajectory 'run 1' has 2 state columns; expected 1"),
+    ({"x": [[1], [2, 3], [4]]}, "x is not a regular array"),
+    ({"x": np.array([1, 2, 1j])}, "x has the type complex128; expected real numbers"),
+    ({"x": np.array([1, None, 2])}, "x has the type object; expected real numbers, and NaN for"),
+    ({"x": [1, np.inf, 2]}, r"trajectory 'run 1': state 'q' at sample 1 \(t=1.0\) is inf; expected a finite value"),
+    ({"x": [1, 2, -2e100]}, r"state 'q' at sample 2 \(t=2.0\) is -2e\+100; expected at most 1e\+100 in size"),
+    ({"x": [np.nan] * 3}, r"trajectory 'run 1' has no measured value in any of the states \['q'\]"),
+    ({"u": [1, np.nan, 2]}, r"input 'u1' at sample 1 \(t=1.0\) is nan; times and inputs must be known"),
+    ({"u": [1, 2, 3], "inputs": ["a", "b"]}, "has 1 input column; expected 2"),
+    ({"t": [0], "x": [1]}, "trajectory 'run 1' has 1 sample; expected at least 2"),
+    ({"states": "q"}, "states='q' is not a list of names"),
+    ({"states": []}, "names no state"),
+    ({"states": ["1q"]}, "states: '1q' cannot be used in a formula"),
+    ({"states": ["t"]}, "states: the name 't' is reserved"),
+    ({"states": ["dH_dq"]}, "the name 'dH_dq' is reserved"),
+    ({"u": [1, 2, 3], "inputs": ["dH_d"]}, "inputs: the name 'dH_d' is reserved"),
+    ({"u": [1, 2, 3], "inputs": ["q"]}, "the name 'q' is used 2 times"),
+    ({"hold": "zeros"}, r"hold='zeros' is unknown; expected one of linear, zero, cubic\. Did you mean 'zero'\?"),
+    ({"noise": {"q": 0}}, "noise: 'q' has the standard deviation 0; expected a positive number"),
+    ({"noise": {"q": "1"}}, "standard deviation '1'"),
+    ({"noise": {"Q": 1.0}}, r"noise names the unknown 'Q'; expected one of q\. Did you mean 'q'\?"),
+    ({"noise": 0.1}, "noise=0.1 is not a mapping"),
+    ({"units": {"w": "m"}}, r"units names the unknown 'w'; expected one of t, q\."),
+    ({"units": {"q": None}}, "units: 'q' has the unit None; expected text"),
+    ({"units": ""}, "units='' is not a mapping"),
+    ({"names": ["a", "b"]}, "the lengths differ: .*'names': 2.*one entry per trajectory"),
+    ({"names": [""]}, "trajectory name '' is not a text"),
+    ({"names": ["a\nb"]}, "is not a text of one line"),
+    ({"t": [[0, 1], [0, 1]], "x": [[1, 2]]}, "the lengths differ: {'t': 2, 'x': 1"),
+    ({"t": [[0, 1], [0, 1]], "x": [[1, 2], [1, 2]], "names": ["a", "a"]}, "trajectory name 'a' is used 2 times"),
+])  # fmt: skip
+def test_arrays_that_cannot_be_used_are_refused(changes, message) -> None:
     good: dict[str, Any] = {"t": [0, 1, 2], "x": [1, 2, 3], "states": ["q"]}
     with pytest.raises(ph.DataError, match=message):
         ph.Measurements.from_arrays(**(good | changes))
-
-
-@pytest.mark.parametrize(
-    ("trajectories", "message"),
-    [
-        ((), "expected a list or tuple of at least one"),
-        (3, "trajectories=3"),
-        ([3], r"trajectories\[0\] is a int"),
-    ],
-)
-def test_what_are_no_trajectories_is_refused(trajectories: Any, message: str) -> None:
-    with pytest.raises(ph.DataError, match=message):
-        ph.Measurements(trajectories, ("q",))
 
 
 # ---- looking, choosing, splitting ----
@@ -273,17 +216,14 @@ def test_a_trajectory_is_chosen_by_name_number_or_slice() -> None:
     assert type(data.trajectory_number(np.int64(1))) is int  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("key", "message"),
-    [
-        ("run 9", r"there is no trajectory 'run 9'; expected one of 'run 1', 'run 2'\. Did you mean 'run"),
-        (2, r"no trajectory 2; there are 2, counted from 0: run 1, run 2"),
-        (slice(5, 9), r"data\[5:9\] selects trajectories; there are 2"),
-        (slice(None, None, 10), r"data\[::10\] selects.*data.thinned\(n\)"),
-        (slice(0.0, 2.5), r"data\[0.0:2.5\] selects.*between"),
-        (1.5, r"trajectory 1.5 is unknown; expected a name \(run 1, run 2\)"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("key", "message"), [
+    ("run 9", r"there is no trajectory 'run 9'; expected one of 'run 1', 'run 2'\. Did you mean 'run"),
+    (2, r"no trajectory 2; there are 2, counted from 0: run 1, run 2"),
+    (slice(5, 9), r"data\[5:9\] selects trajectories; there are 2"),
+    (slice(None, None, 10), r"data\[::10\] selects.*data.thinned\(n\)"),
+    (slice(0.0, 2.5), r"data\[0.0:2.5\] selects.*between"),
+    (1.5, r"trajectory 1.5 is unknown; expected a name \(run 1, run 2\)"),
+])  # fmt: skip
 def test_a_trajectory_that_does_not_exist_is_refused(key: Any, message: str) -> None:
     with pytest.raises(ph.DataError, match=message):
         record(2)[key]
@@ -400,21 +340,16 @@ def test_a_part_in_time_keeps_the_clock_and_both_ends() -> None:
     assert whole.between(None, None).digest == whole.digest
 
 
-@pytest.mark.parametrize(
-    ("begin", "end", "message"),
-    [
-        (3.0, 9.0, "trajectory 'run 1' has 0 samples between 3 and 9.*from 0 to 2.75"),
-        (0.0, 1.0, "trajectory 'run 2' has 1 samples between 0 and 1; expected at least"),
-        (0.1, 0.2, "trajectory 'run 1' has 0 samples"),
-        (2.0, 1.0, "first time must be less than the last"),
-        ("0", 1.0, "'0' is not a time"),
-        (np.nan, 1.0, "nan is not a time"),
-        (True, 2.0, "True is not a time"),
-    ],
-)  # fmt: skip
-def test_a_part_that_cannot_be_had_is_refused(
-    begin: Any, end: Any, message: str
-) -> None:
+@pytest.mark.parametrize(("begin", "end", "message"), [
+    (3.0, 9.0, "trajectory 'run 1' has 0 samples between 3 and 9.*from 0 to 2.75"),
+    (0.0, 1.0, "trajectory 'run 2' has 1 samples between 0 and 1; expected at least"),
+    (0.1, 0.2, "trajectory 'run 1' has 0 samples"),
+    (2.0, 1.0, "first time must be less than the last"),
+    ("0", 1.0, "'0' is not a time"),
+    (np.nan, 1.0, "nan is not a time"),
+    (True, 2.0, "True is not a time"),
+])  # fmt: skip
+def test_a_part_that_cannot_be_had_is_refused(begin, end, message) -> None:
     with pytest.raises(ph.DataError, match=f"(?s){message}"):
         measurements().between(begin, end)
 
@@ -428,16 +363,6 @@ def test_the_mean_of_groups_stands_at_their_mean_time() -> None:
     np.testing.assert_array_equal(run.u[:, 0], [1, 1, 5, 5, 2, 2])
     assert thin.noise is not None
     assert thin.noise["q"] == 0.4 / np.sqrt(2)
-
-
-def test_the_mean_removes_what_picking_would_turn_into_something_slow() -> None:
-    t = np.arange(100) / 100
-    fast = np.where(np.arange(100) % 2, -1.0, 1.0)
-    data = ph.Measurements.from_arrays(t, fast, states=["q"])
-    np.testing.assert_array_equal(data.thinned(10).trajectories[0].x, 0)
-    picked = data.thinned(10, by="picking").trajectories[0]
-    np.testing.assert_array_equal(picked.x, 1)
-    np.testing.assert_array_equal(picked.t, t[::10])
 
 
 def test_a_held_input_is_averaged_from_each_new_sample_to_the_next() -> None:
@@ -455,17 +380,14 @@ def test_samples_that_fill_no_group_are_left_out_of_means_alone() -> None:
     assert [run.n_samples for run in data.thinned(5, by="picking")] == [3, 3]
 
 
-@pytest.mark.parametrize(
-    ("n", "by", "message"),
-    [
-        (0, "mean", r"thinned\(0\): expected the number"),
-        (2.5, "mean", r"thinned\(2.5\)"),
-        (True, "mean", r"thinned\(True\)"),
-        (2, "means", "by='means' is unknown; .*Did you mean 'mean'"),
-        (7, "mean", r"'run 1' has 12 samples, too few for thinned\(7\): 1 would remain"),
-        (12, "picking", r"too few for thinned\(12\): 1 would remain"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("n", "by", "message"), [
+    (0, "mean", r"thinned\(0\): expected the number"),
+    (2.5, "mean", r"thinned\(2.5\)"),
+    (True, "mean", r"thinned\(True\)"),
+    (2, "means", "by='means' is unknown; .*Did you mean 'mean'"),
+    (7, "mean", r"'run 1' has 12 samples, too few for thinned\(7\): 1 would remain"),
+    (12, "picking", r"too few for thinned\(12\): 1 would remain"),
+])  # fmt: skip
 def test_thinning_that_cannot_be_done_is_refused(n: Any, by: Any, message: str) -> None:
     with pytest.raises(ph.DataError, match=message):
         measurements().thinned(n, by)

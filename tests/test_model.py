@@ -13,7 +13,7 @@ import pytest
 import sympy as sp
 
 import phsi_opt as ph
-from phsi_opt.model.expressions import FUNCTIONS, NUMPY, evaluate, names_of, parse
+from phsi_opt.model.expressions import FUNCTIONS, NUMPY, evaluate, parse
 from phsi_opt.model.parameters import Scan, with_value
 from phsi_opt.model.sympy_backend import SYMPY
 from phsi_opt.model.terms import (
@@ -166,26 +166,15 @@ def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
     assert model.add(friction, "p") == model.add(friction)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ("coulom friction", "p"),
-            r"'coulom friction' on p .* Did you mean 'coulomb friction'\?",
-        ),
-        (("coulom friction",), r"Did you mean 'coulomb friction'\?"),
-        (("sensor offset",), r"can act in several equations: q, p; say which"),
-        (("coulomb friction", "v"), "'coulomb friction': 'v' is not a state"),
-        (
-            (ph.Effect("extra", "F", "p", ph.formula("1")), "q"),
-            "acts on 'p', not on 'q'",
-        ),
-        ((ph.formula("1"),), "is not an effect; give an Effect, or the name and"),
-    ],
-)
-def test_an_effect_that_cannot_be_added_is_refused(
-    arguments: tuple[Any, ...], message: str
-) -> None:
+@pytest.mark.parametrize(("arguments", "message"), [
+    (("coulom friction", "p"), r"'coulom friction' on p .* Did you mean 'coulomb friction'\?"),
+    (("coulom friction",), r"Did you mean 'coulomb friction'\?"),
+    (("sensor offset",), r"can act in several equations: q, p; say which"),
+    (("coulomb friction", "v"), "'coulomb friction': 'v' is not a state"),
+    ((ph.Effect("extra", "F", "p", ph.formula("1")), "q"), "acts on 'p', not on 'q'"),
+    ((ph.formula("1"),), "is not an effect; give an Effect, or the name and"),
+])  # fmt: skip
+def test_an_effect_that_cannot_be_added_is_refused(arguments, message) -> None:
     with pytest.raises(ph.ModelError, match=message):
         spring().add(*arguments)
 
@@ -220,34 +209,29 @@ def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
 # ---- refusals ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"S": None}, "S is missing"),
-        ({"S": [[0, 1], [1, 0]]}, r"S is not skew-symmetric: S\[0, 1\]=1 but S\[1, 0\]=1"),
-        ({"S": np.zeros((3, 3))}, r"S has shape \(3, 3\); expected \(2, 2\)"),
-        ({"S": [[0, np.nan], [np.nan, 0]]}, "S is not skew-symmetric"),
-        ({"S": "canonical"}, "is not a matrix of numbers"),
-        ({"states": "qp"}, "is not a list of names"),
-        ({"states": ("q", "q")}, "the name 'q' is used 2 times"),
-        ({"states": ("q", "t")}, "states: the name 't' is reserved"),
-        ({"states": ("q", "pi")}, "states: the name 'pi' is reserved"),
-        ({"inputs": ("q",)}, "the name 'q' is used 2 times"),
-        ({"H": Dictionary()}, "H has no term"),
-        ({"H": 2}, "H=2 is not a dictionary"),
-        ({"H": "q*u"}, "uses 'u', but an energy depends on the states alone"),
-        ({"H": ph.formula("q*u")}, "uses 'u', but an energy depends on the states alone"),
-        ({"H": ph.formula("k*q**2")}, "name 'k' in 'k\\*q\\*\\*2' .* If it is a parameter"),
-        ({"R": {"x": ph.formula("1")}}, "equation of R 'x' is not a state"),
-        ({"F": [ph.formula("u")]}, "must map a state to its terms"),
-        ({"F": {"p": ph.formula("dH_dx")}}, r"name 'dH_dx' .* Did you mean"),
-        ({"F": {"p": ph.formula("u*q", u=ph.Parameter(1.0))}}, "parameter name 'u' is also a state, an input"),
-        ({"F": {"p": ph.formula("k*u", k=ph.Parameter(1.0))}}, "parameter 'k' is defined twice and differently"),
-    ],
-)  # fmt: skip
-def test_a_model_that_contradicts_itself_is_refused(
-    changes: dict[str, Any], message: str
-) -> None:
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"S": None}, "S is missing"),
+    ({"S": [[0, 1], [1, 0]]}, r"S is not skew-symmetric: S\[0, 1\]=1 but S\[1, 0\]=1"),
+    ({"S": np.zeros((3, 3))}, r"S has shape \(3, 3\); expected \(2, 2\)"),
+    ({"S": [[0, np.nan], [np.nan, 0]]}, "S is not skew-symmetric"),
+    ({"S": "canonical"}, "is not a matrix of numbers"),
+    ({"states": "qp"}, "is not a list of names"),
+    ({"states": ("q", "q")}, "the name 'q' is used 2 times"),
+    ({"states": ("q", "t")}, "states: the name 't' is reserved"),
+    ({"states": ("q", "pi")}, "states: the name 'pi' is reserved"),
+    ({"inputs": ("q",)}, "the name 'q' is used 2 times"),
+    ({"H": Dictionary()}, "H has no term"),
+    ({"H": 2}, "H=2 is not a dictionary"),
+    ({"H": "q*u"}, "uses 'u', but an energy depends on the states alone"),
+    ({"H": ph.formula("q*u")}, "uses 'u', but an energy depends on the states alone"),
+    ({"H": ph.formula("k*q**2")}, "name 'k' in 'k\\*q\\*\\*2' .* If it is a parameter"),
+    ({"R": {"x": ph.formula("1")}}, "equation of R 'x' is not a state"),
+    ({"F": [ph.formula("u")]}, "must map a state to its terms"),
+    ({"F": {"p": ph.formula("dH_dx")}}, r"name 'dH_dx' .* Did you mean"),
+    ({"F": {"p": ph.formula("u*q", u=ph.Parameter(1.0))}}, "parameter name 'u' is also a state, an input"),
+    ({"F": {"p": ph.formula("k*u", k=ph.Parameter(1.0))}}, "parameter 'k' is defined twice and differently"),
+])  # fmt: skip
+def test_a_model_that_contradicts_itself_is_refused(changes, message) -> None:
     with pytest.raises(ph.ModelError, match=message):
         spring(**changes)
 
@@ -286,23 +270,6 @@ def test_a_first_order_model_refuses_an_energy_and_a_structure() -> None:
     assert model.with_values({"a": 2.0}).values["a"] == 2.0
 
 
-def test_a_change_that_changes_nothing_is_the_model_itself() -> None:
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0)),
-    )
-    assert model.with_values({"k": 2.0}) is model
-    assert model.with_values({"k": 2.5}).values == {"k": 2.5}
-    assert model.dynamics() is model
-    own = ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, per_trajectory=True))
-    of_each = replace(model, H=own)
-    (entry,) = of_each.dynamics().entries.values()
-    assert not entry.parameter.per_trajectory
-    shown = replace(model, sensor={"q": ph.formula("b", b=ph.Parameter(0.0))})
-    assert not shown.dynamics().sensor
-
-
 # ---- terms and parameters
 
 
@@ -315,22 +282,17 @@ def test_a_parameter_starts_at_its_value_or_where_its_bounds_are_nearest_to_zero
     assert ph.Parameter(upper=-0.5).start == -0.5
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"value": np.nan}, "value=nan is not finite"),
-        ({"value": np.inf}, "value=inf is not finite"),
-        ({"value": "two"}, "value='two' is not a number"),
-        ({"value": 10**400}, "is not a number"),
-        ({"lower": np.nan}, "lower=nan is not finite"),
-        ({"lower": 2.0, "upper": 1.0}, "bounds are crossed: lower=2 is above upper=1"),
-        ({"value": 3.0, "upper": 1.0}, r"value 3 lies outside its bounds \[-inf, 1\]"),
-        ({"fixed": True}, "a fixed parameter needs a value"),
-    ],
-)
-def test_a_parameter_that_contradicts_itself_is_refused(
-    arguments: dict[str, Any], message: str
-) -> None:
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"value": np.nan}, "value=nan is not finite"),
+    ({"value": np.inf}, "value=inf is not finite"),
+    ({"value": "two"}, "value='two' is not a number"),
+    ({"value": 10**400}, "is not a number"),
+    ({"lower": np.nan}, "lower=nan is not finite"),
+    ({"lower": 2.0, "upper": 1.0}, "bounds are crossed: lower=2 is above upper=1"),
+    ({"value": 3.0, "upper": 1.0}, r"value 3 lies outside its bounds \[-inf, 1\]"),
+    ({"fixed": True}, "a fixed parameter needs a value"),
+])  # fmt: skip
+def test_a_parameter_that_contradicts_itself_is_refused(arguments, message) -> None:
     with pytest.raises(ph.ModelError, match=message):
         ph.Parameter(**arguments)
 
@@ -355,14 +317,6 @@ def test_a_trigonometric_pair_shares_one_frequency_that_is_scanned() -> None:
     assert ph.trigonometric("t", frequency=2.0).terms[0].inner["omega_t"].value == 2.0
 
 
-def test_damping_is_never_negative() -> None:
-    terms = ph.damping("p1", "p2")
-    assert list(terms) == ["p1", "p2"]
-    coefficient = terms["p1"].terms[0].coefficient
-    assert coefficient is not None
-    assert coefficient.lower == 0.0
-
-
 def test_one_name_and_a_list_of_names_are_the_same() -> None:
     assert ph.damping("q", "p") == ph.damping(["q", "p"])
     assert ph.damping("p") == ph.damping(["p"])
@@ -378,46 +332,31 @@ def test_setting_a_value_keeps_the_bounds() -> None:
     assert with_value(term.coefficient, -1e-9) == ph.Parameter(0.0, lower=0.0)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: ph.polynomials(["q", "q"], 2), "no name twice"),
-        (lambda: ph.polynomials([], 2), "at least one name"),
-        (lambda: ph.polynomials(["sin"], 2), "variable 'sin' is not a usable name"),
-        (lambda: ph.polynomials(["q q"], 2), "variable 'q q' is not a usable name"),
-        (lambda: ph.polynomials(["q"], 0), "polynomials: degree=0 is not possible"),
-        (lambda: ph.polynomials(["q"], 1.5), "polynomials: degree=1.5 is not possible"),  # type: ignore[arg-type]
-        (lambda: ph.polynomials(["q"], 10**9), "degree=1000000000 .* exceeds 64"),
-        (lambda: ph.polynomials(["q"], 10**5000), "degree=a number beyond 10.* exceeds 64"),
-        (
-            lambda: ph.polynomials([f"x{i}" for i in range(20)], 5),
-            "degree=5 in 20 variables would have 53130 terms; at most 5000",
-        ),
-        (lambda: ph.polynomials(["q"], True), "polynomials: degree=True is not possible"),
-        (lambda: ph.trigonometric(["t", "q"], n=10**9), "n=1000000000 for 2 variables would have 4000000000 terms"),
-        (lambda: ph.trigonometric("t", n=10**5000), "n=a number beyond 10"),
-        (lambda: Dictionary(5001 * tuple(ph.formula("q"))), "would have 5001 terms"),
-        (lambda: ph.canonical(10**9), r"canonical: n=1000000000 .* from 1 to 1000"),
-        (lambda: ph.MaximumLikelihood(steps=10**9), "steps=1000000000 .* from 1 to 1000"),
-        (lambda: ph.damping("q", ["q", "p"]), "no name twice"),
-        (lambda: ph.trigonometric("t", n=0), "trigonometric: n=0 is not possible"),
-        (lambda: ph.polynomials(["q"], 2) + ph.polynomials(["q"], 1), "term 'q' is in the dictionary twice"),
-        (lambda: ph.polynomials(["q"], 2) + 3, "3 cannot be added to a dictionary"),  # type: ignore[operator]
-        (lambda: ph.formula("k*q", k=1.0, m=2.0), "parameter 'm' does not occur in 'k\\*q'"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: ph.polynomials(["q", "q"], 2), "no name twice"),
+    (lambda: ph.polynomials([], 2), "at least one name"),
+    (lambda: ph.polynomials(["sin"], 2), "variable 'sin' is not a usable name"),
+    (lambda: ph.polynomials(["q q"], 2), "variable 'q q' is not a usable name"),
+    (lambda: ph.polynomials(["q"], 0), "polynomials: degree=0 is not possible"),
+    (lambda: ph.polynomials(["q"], 1.5), "polynomials: degree=1.5 is not possible"),  # type: ignore[arg-type]
+    (lambda: ph.polynomials(["q"], 10**9), "degree=1000000000 .* exceeds 64"),
+    (lambda: ph.polynomials(["q"], 10**5000), "degree=a number beyond 10.* exceeds 64"),
+    (lambda: ph.polynomials([f"x{i}" for i in range(20)], 5), "degree=5 in 20 variables would have 53130 terms; at most 5000"),
+    (lambda: ph.polynomials(["q"], True), "polynomials: degree=True is not possible"),
+    (lambda: ph.trigonometric(["t", "q"], n=10**9), "n=1000000000 for 2 variables would have 4000000000 terms"),
+    (lambda: ph.trigonometric("t", n=10**5000), "n=a number beyond 10"),
+    (lambda: Dictionary(5001 * tuple(ph.formula("q"))), "would have 5001 terms"),
+    (lambda: ph.canonical(10**9), r"canonical: n=1000000000 .* from 1 to 1000"),
+    (lambda: ph.MaximumLikelihood(steps=10**9), "steps=1000000000 .* from 1 to 1000"),
+    (lambda: ph.damping("q", ["q", "p"]), "no name twice"),
+    (lambda: ph.trigonometric("t", n=0), "trigonometric: n=0 is not possible"),
+    (lambda: ph.polynomials(["q"], 2) + ph.polynomials(["q"], 1), "term 'q' is in the dictionary twice"),
+    (lambda: ph.polynomials(["q"], 2) + 3, "3 cannot be added to a dictionary"),  # type: ignore[operator]
+    (lambda: ph.formula("k*q", k=1.0, m=2.0), "parameter 'm' does not occur in 'k\\*q'"),
+])  # fmt: skip
 def test_a_dictionary_that_makes_no_sense_is_refused(make: Any, message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         make()
-
-
-def test_what_was_not_chosen_is_not_printed() -> None:
-    spring = ph.formula("k*q**2/2", k=ph.Parameter(2.0, lower=0, unit="N/m"))
-    assert repr(ph.Parameter()) == "Parameter()"
-    assert repr(spring) == (
-        "Dictionary(terms=(Term(body='k*q**2/2', "
-        "inner={'k': Parameter(value=2.0, lower=0.0, unit='N/m')}),))"
-    )
 
 
 # ---- formulas: read through a whitelist, never run
@@ -452,63 +391,51 @@ def test_casadi_sympy_and_numpy_agree(text: str) -> None:
     assert by_sympy == pytest.approx(by_numpy, rel=1e-14)
 
 
-def test_numpy_evaluates_whole_arrays() -> None:
-    q = np.linspace(0.0, 1.0, 5)
-    np.testing.assert_array_equal(evaluate("2*q + 1", {"q": q}, NUMPY), 2 * q + 1)
-
-
-def test_names_are_those_that_need_a_value() -> None:
-    assert names_of("k*sin(omega*t) + pi*q**2") == {"k", "omega", "t", "q"}
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "is not text"),
-        ("   ", "is not text"),
-        ("q^2", r"Write a power as \*\*"),
-        ("q +", "cannot be read"),
-        ("q; p", "cannot be read"),
-        ("sinn(q)", r"function 'sinn'.*Did you mean 'sin'\?"),
-        ("sin(q, p)", r"sin takes 1 argument\(s\)"),
-        ("min(q)", r"min takes 2 argument\(s\)"),
-        ("sin(x=q)", "takes 1 argument"),
-        ("sin(*q)", "not allowed"),
-        ("q.real", "not allowed"),
-        ("q[0]", "not allowed"),
-        ("q < p", "not allowed"),
-        ("not q", "not allowed"),
-        ("~q", "not allowed"),
-        ("q // 2", "operator"),
-        ("q @ p", "operator"),
-        ("'q'", "not a finite number"),
-        ("True*q", "not a finite number"),
-        ("1j*q", "not a finite number"),
-        ("1e999*q", "not a finite number"),
-        ("9" * 400, "not a finite number"),
-        ("q**65", "exceeds 64"),
-        ("q**(8*9)", "exceeds 64"),
-        ("q**-65", "exceeds 64"),
-        ("q**(2**7)", "exceeds 64"),
-        ("((9**64)**64)**64", "no finite value"),
-        ("q + 1/0", "no finite value"),
-        ("(-1)**0.5*q", "no finite value"),
-        ("log(0 - 1)*2 + q", "no finite value"),
-        ("-" * 300 + "q", "nested too deeply"),
-        ("+".join(["q"] * 300), "nested too deeply"),
-        ("q" * 10_001, "too long"),
-        ("(" * 9_000, r"^formula '\({60}\.\.\.' cannot be read"),
-        ("\ud800*q", "a character that is not valid"),
-        ("9**9**9", "exceeds 64"),
-        ("((((10/9)**16)**16)**16)*q", "too many digits"),
-        ("(((1/9)**64)**64)**64*q", "too many digits"),
-        ("((((2*q)**64)**64)**64)**64", "too many digits"),
-        ("sqrt(((9*q)**64)**64)", "too many digits"),
-        ("__import__('os')", "is not known"),
-        ("(lambda: 1)()", "is not known"),
-        ("[q for q in p]", "not allowed"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("", "is not text"),
+    ("   ", "is not text"),
+    ("q^2", r"Write a power as \*\*"),
+    ("q +", "cannot be read"),
+    ("q; p", "cannot be read"),
+    ("sinn(q)", r"function 'sinn'.*Did you mean 'sin'\?"),
+    ("sin(q, p)", r"sin takes 1 argument\(s\)"),
+    ("min(q)", r"min takes 2 argument\(s\)"),
+    ("sin(x=q)", "takes 1 argument"),
+    ("sin(*q)", "not allowed"),
+    ("q.real", "not allowed"),
+    ("q[0]", "not allowed"),
+    ("q < p", "not allowed"),
+    ("not q", "not allowed"),
+    ("~q", "not allowed"),
+    ("q // 2", "operator"),
+    ("q @ p", "operator"),
+    ("'q'", "not a finite number"),
+    ("True*q", "not a finite number"),
+    ("1j*q", "not a finite number"),
+    ("1e999*q", "not a finite number"),
+    ("9" * 400, "not a finite number"),
+    ("q**65", "exceeds 64"),
+    ("q**(8*9)", "exceeds 64"),
+    ("q**-65", "exceeds 64"),
+    ("q**(2**7)", "exceeds 64"),
+    ("((9**64)**64)**64", "no finite value"),
+    ("q + 1/0", "no finite value"),
+    ("(-1)**0.5*q", "no finite value"),
+    ("log(0 - 1)*2 + q", "no finite value"),
+    ("-" * 300 + "q", "nested too deeply"),
+    ("+".join(["q"] * 300), "nested too deeply"),
+    ("q" * 10_001, "too long"),
+    ("(" * 9_000, r"^formula '\({60}\.\.\.' cannot be read"),
+    ("\ud800*q", "a character that is not valid"),
+    ("9**9**9", "exceeds 64"),
+    ("((((10/9)**16)**16)**16)*q", "too many digits"),
+    ("(((1/9)**64)**64)**64*q", "too many digits"),
+    ("((((2*q)**64)**64)**64)**64", "too many digits"),
+    ("sqrt(((9*q)**64)**64)", "too many digits"),
+    ("__import__('os')", "is not known"),
+    ("(lambda: 1)()", "is not known"),
+    ("[q for q in p]", "not allowed"),
+])  # fmt: skip
 def test_what_is_not_a_formula_is_refused(text: str, message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         parse(text)
@@ -517,11 +444,6 @@ def test_what_is_not_a_formula_is_refused(text: str, message: str) -> None:
 def test_an_exponent_of_at_most_64_is_allowed() -> None:
     assert evaluate("q**(2**3)", {"q": 2.0}, NUMPY) == 256.0
     assert evaluate("q**-64", {"q": 1.0}, NUMPY) == 1.0
-
-
-def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(ph.ModelError, match=r"name 'omgea' .* Did you mean 'omega'\?"):
-        evaluate("sin(omgea)", {"omega": 1.0}, NUMPY)
 
 
 def test_a_sum_times_its_coefficient_is_printed_in_brackets() -> None:

@@ -236,29 +236,8 @@ def test_many_trajectories_say_by_their_scatter_how_uncertain_a_fit_is() -> None
     assert few.std_error_source == Source.DISTURBANCES
 
 
-def test_parameters_of_single_trajectories_get_standard_errors_from_model_error() -> (
-    None
-):
-    k = np.linspace(3.5, 4.5, 20)
-    data = simulated(2, n=100, runs=20, stiffness=k.tolist())
-    model = oscillator(ph.Parameter(3.0, lower=0.0, per_trajectory=True))
-    fit = ph.identify(model, data)
-    assert Source.TRAJECTORIES not in fit.covariances
-    assert fit.std_error_source == Source.DISTURBANCES
-    assert len(fit.standard_errors) == 22
-    assert np.isfinite(fit.standard_errors.to_numpy()).all()
-    z = []
-    for run, true in zip(fit.by_trajectory, k, strict=True):
-        name = f"k[{run}]"
-        z.append((fit.estimates[name] - true) / fit.std_errors[name])
-    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.5)
-    assert (widening(fit) > 2).all()
-
-
 @pytest.mark.parametrize("huber", [None, 1.345])
-def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
-    huber: float | None,
-) -> None:
+def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(huber) -> None:
     """Residuals that are cut move an estimate no more, and scatter less."""
     ratios = []
     agreement = []
@@ -276,32 +255,6 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.12)
     # Three p-values: their mean is known to 0.17.
     assert np.mean(agreement) == pytest.approx(0.5, abs=0.3)
-
-
-def test_outliers_cut_by_huber_leave_a_hidden_force_as_it_is() -> None:
-    """What is left of an outlier, four times the noise, may count as a sensor's."""
-    loss = ph.MaximumLikelihood(huber=1.345)
-    fit = ph.identify(oscillator(), simulated(1, n_outliers=6), loss)
-    clean = ph.identify(oscillator(), record(1), loss)
-    assert fit.std_error_source == Source.DISTURBANCES
-    force = fit.model_error.iloc[0]
-    assert (force["where"], force["kind"]) == ("dv/dt", "force")
-    assert force["size"] == pytest.approx(SIZE, rel=0.3)
-    assert (fit.model_error["size"][1:] < NOISE).all()
-    ratio = fit.standard_errors["std_error"] / clean.standard_errors["std_error"]
-    assert ratio.between(0.8, 1.25).all()
-    assert np.abs(errors_of(fit) - errors_of(clean)).max() < 0.03
-
-
-def test_a_parameter_at_a_bound_has_no_standard_error_from_any_source() -> None:
-    fit = ph.identify(oscillator(ph.Parameter(3.0, lower=0.0, upper=3.9)), record(0))
-    table = fit.standard_errors
-    assert fit.outcome.at_bounds == ("k",)
-    assert fit.std_error_source == Source.DISTURBANCES
-    assert table.loc["k", ["std_error", "white noise", "model error"]].isna().all()
-    assert np.isfinite(table.loc[["c", "g"]].to_numpy()).all()
-    assert np.isnan(fit.independent_share(["k"]))
-    assert 0 < fit.independent_share(["c", "g"]) < 1
 
 
 @pytest.mark.parametrize("loss", [ph.MaximumLikelihood(), WITH_FORCE])
@@ -435,9 +388,7 @@ def test_a_known_model_lets_a_force_in() -> None:
     assert fit.noise["q"] == pytest.approx(NOISE, rel=0.2)
 
 
-def test_where_the_plain_fit_fails_the_failure_is_returned(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_the_plain_fit_fails_the_failure_is_returned(monkeypatch) -> None:
     estimate = estimated(record(0), ph.MaximumLikelihood())
     outcome = replace(estimate.solution.outcome, success=False)
     failed = replace(estimate, solution=replace(estimate.solution, outcome=outcome))
@@ -466,9 +417,7 @@ BESIDE = {
 
 
 @pytest.mark.parametrize("kind", list(BESIDE))
-def test_the_steps_end_where_the_marginal_likelihood_says(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_steps_end_where_the_marginal_likelihood_says(kind, monkeypatch) -> None:
     """Linearised at the solution, nothing moves: neither parameters nor forces."""
     evidence = Evidence(BESIDE[kind], 0.0)
     monkeypatch.setattr(DisturbanceSearch, "found", lambda _: evidence)
@@ -689,16 +638,6 @@ def test_what_the_data_cannot_tell_is_named_and_the_rest_gets_standard_errors(
     told = " ".join(fit.warnings)
     assert all(n in told for n in silent)
     assert fit.std_error_source == Source.DISTURBANCES
-
-
-def test_the_rest_is_known_as_well_as_in_a_model_without_what_is_silent() -> None:
-    data = spring_data()
-    alone = ph.identify(SILENT["an offset"][0], data, WITH_FORCE)
-    fit = ph.identify(SILENT["offset and place of rest"][0], data, WITH_FORCE)
-    for told in ("k", "R_p"):  # to the tolerance of the solvers
-        assert fit.values[told] == pytest.approx(alone.values[told], rel=1e-4)
-        error = alone.std_errors[told]
-        assert fit.std_errors[told] == pytest.approx(error, rel=1e-4)
 
 
 def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() -> None:

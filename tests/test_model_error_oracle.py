@@ -306,9 +306,7 @@ def test_other_values_are_solved_for_by_the_same_factors(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RECORDS)
-def test_the_evidence_is_that_of_dense_restricted_likelihood(
-    name: str, kind: str
-) -> None:
+def test_the_evidence_is_that_of_dense_restricted_likelihood(name, kind) -> None:
     problem = problem_of(name)
     moving = np.arange(3)
     dense = Dense.of(problem, moving)
@@ -349,9 +347,7 @@ def test_estimate_and_covariance_are_those_of_generalised_least_squares(
 
 @pytest.mark.parametrize("taken", ["white", "longer force", "all"])
 @pytest.mark.parametrize("name", RECORDS)
-def test_the_sandwich_of_an_estimate_is_that_of_dense_matrices(
-    name: str, taken: str
-) -> None:
+def test_the_sandwich_of_an_estimate_is_that_of_dense_matrices(name, taken) -> None:
     """P Sigma P' with P the least squares of the estimate, Sigma of all errors."""
     problem = problem_of(name)
     moving = np.array([0, 2])

@@ -53,12 +53,6 @@ def test_gaps_are_counted_and_the_longest_is_placed() -> None:
     assert clock == "every 0.01 s, regular, 2 gaps up to 1.02 s, at t = 11.99 s"
 
 
-def test_a_logger_with_two_rates_has_no_gaps() -> None:
-    t = np.concatenate([T[:1000], 10 + np.arange(100.0)])
-    clock, _ = noticed(np.sin(t), t)
-    assert clock == "uneven, every 0.01 to 1 s"
-
-
 # ---- channels
 
 
@@ -68,25 +62,16 @@ def test_single_samples_far_from_both_neighbours_are_outliers() -> None:
     assert data_of(q).look.channels[0].outliers.tolist() == [400, 1200]
 
 
-@pytest.mark.parametrize(
-    "q",
-    [
-        np.where(T > 7, 1.0, 0.0) + NOISY,  # a step
-        np.abs(T % 2 - 1),  # corners
-        np.sin(2.2 / 0.01 * T),  # three samples in a period
-        np.exp(-(((T - 7) / 0.02) ** 2)),  # a pulse of some samples
-        RNG.normal(size=T.size),
-        np.round(NOISY, 1),
-    ],
-)
+@pytest.mark.parametrize("q", [
+    np.where(T > 7, 1.0, 0.0) + NOISY,  # a step
+    np.abs(T % 2 - 1),  # corners
+    np.sin(2.2 / 0.01 * T),  # three samples in a period
+    np.exp(-(((T - 7) / 0.02) ** 2)),  # a pulse of some samples
+    RNG.normal(size=T.size),
+    np.round(NOISY, 1),
+])  # fmt: skip
 def test_motions_are_no_outliers(q: np.ndarray) -> None:
     assert not len(data_of(q).look.channels[0].outliers)
-
-
-def test_outliers_do_not_reach_into_other_runs() -> None:
-    runs = [np.zeros(3), np.array([1.0, 0.0, 1.0]), np.zeros(3)]
-    data = data_of(runs, [np.arange(3.0)] * 3)  # type: ignore[arg-type]
-    assert "outlier" not in data.noticed["noticed"][1]
 
 
 def test_a_sensor_at_its_limit_is_told_and_the_top_of_a_quantised_wave_is_not() -> None:
@@ -146,17 +131,6 @@ def test_runs_stand_one_after_another_on_one_scale_of_time() -> None:
     assert np.ptp(first) == pytest.approx(2 * np.ptp(second), rel=0.01)
     assert -0.5 < first[0] < first[-1] < 0.5 < second[0] < second[-1] < 1.5
     assert chart.x_label == "runs one after another, up to 9.99 s long"
-
-
-def test_a_held_input_is_drawn_with_its_steps() -> None:
-    u = np.repeat([0.0, 1.0, -1.0, 0.0], 5)
-    for hold, n_points in (("zero", 39), ("linear", 20)):
-        names: Any = {"inputs": ["u"], "hold": hold}
-        chart = data_of(NOISY[:20], T[:20], u=u, **names).chart()
-        (line,) = chart.panels[1].curves
-        assert len(line.x) == n_points
-        slanted = (np.diff(line.x) != 0) & (np.diff(line.y) != 0)
-        assert slanted.any() == (hold == "linear")
 
 
 def test_gaps_limits_and_outliers_are_marked_where_they_are() -> None:

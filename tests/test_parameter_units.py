@@ -81,50 +81,35 @@ def test_a_measured_force_tells_the_unit_of_a_momentum_that_nobody_measures() ->
     assert state_units(spring(), {"t": "s", "q": "m"}) == {"q": "m", "p": ""}
 
 
-def test_without_any_force_or_momentum_a_mass_has_no_unit_that_is_known() -> None:
-    assert parameter_units(spring(), {"t": "s", "q": "m"}) == {"m": "", "k": ""}
-    assert parameter_units(spring(), {}) == {"m": "", "k": ""}
-
-
-@pytest.mark.parametrize(
-    ("model", "units", "name", "expected"),
-    [
-        (spring(), LENGTHS, "viscous damping", "N s/m"),
-        (spring(), LENGTHS, "coulomb friction", "N"),
-        (spring(), LENGTHS, "quadratic drag", "N s^2/m^2"),
-        (spring(), LENGTHS, "cubic stiffness", "N/m^3"),
-        (spring(), LENGTHS, "position-dependent damping", "N s/m^3"),
-        (spring(), LENGTHS, "drifting force", "N/s"),
-        (spring(), LENGTHS, "harmonic force", "N"),
-        (spring(), LENGTHS, "quadratic input", "1/N"),
-        (spring(), LENGTHS, "input lag", "s"),
-        (spring(), LENGTHS, "input gain", ""),
-        (spring(), LENGTHS, "hysteresis", "N"),
-        (pendulum(), ANGLES, "coulomb friction", "N m"),
-        (pendulum(), ANGLES, "linear stiffness", "N m/rad"),
-        (pendulum(), ANGLES, "quadratic drag", "N m s^2/rad^2"),
-        (house(), HOUSE, "harmonic heat input", "degC/h"),
-        (house(), HOUSE, "quadratic heat loss", "1/(degC h)"),
-        # Torque constants in N m/A lose the radian; the speed's own terms keep it.
-        (motor(), SPEED, "coulomb friction", "rad/s^2"),
-        (motor(), SPEED, "sensor offset", "rad/s"),
-        (tank(), VOLTS, "turbulent leak", "V^0.5/s"),
-        (tank(), VOLTS, "constant inflow", "V/s"),
-    ],
-)
+@pytest.mark.parametrize(("model", "units", "name", "expected"), [
+    (spring(), LENGTHS, "viscous damping", "N s/m"),
+    (spring(), LENGTHS, "coulomb friction", "N"),
+    (spring(), LENGTHS, "quadratic drag", "N s^2/m^2"),
+    (spring(), LENGTHS, "cubic stiffness", "N/m^3"),
+    (spring(), LENGTHS, "position-dependent damping", "N s/m^3"),
+    (spring(), LENGTHS, "drifting force", "N/s"),
+    (spring(), LENGTHS, "harmonic force", "N"),
+    (spring(), LENGTHS, "quadratic input", "1/N"),
+    (spring(), LENGTHS, "input lag", "s"),
+    (spring(), LENGTHS, "input gain", ""),
+    (spring(), LENGTHS, "hysteresis", "N"),
+    (pendulum(), ANGLES, "coulomb friction", "N m"),
+    (pendulum(), ANGLES, "linear stiffness", "N m/rad"),
+    (pendulum(), ANGLES, "quadratic drag", "N m s^2/rad^2"),
+    (house(), HOUSE, "harmonic heat input", "degC/h"),
+    (house(), HOUSE, "quadratic heat loss", "1/(degC h)"),
+    # Torque constants in N m/A lose the radian; the speed's own terms keep it.
+    (motor(), SPEED, "coulomb friction", "rad/s^2"),
+    (motor(), SPEED, "sensor offset", "rad/s"),
+    (tank(), VOLTS, "turbulent leak", "V^0.5/s"),
+    (tank(), VOLTS, "constant inflow", "V/s"),
+])  # fmt: skip
 def test_sizes_of_effects_have_the_unit_that_their_equation_gives(
     model: ph.Model, units: dict[str, str], name: str, expected: str
 ) -> None:
     equation = model.states[-1]
     effect = effect_named(model, name, equation)
     assert size_unit(model, effect, units) == expected
-
-
-def test_frequencies_and_lags_are_in_the_unit_of_the_time() -> None:
-    model = house().add("harmonic heat input", "T")
-    assert parameter_units(model, HOUSE)["F_T.omega"] == "rad/h"
-    delayed = effect_named(house(), "input delay of heating", "T")
-    assert size_unit(house(), delayed, HOUSE) == "h"
 
 
 def test_millimetres_are_no_metres_and_keep_their_name() -> None:
@@ -141,13 +126,6 @@ def test_a_number_that_may_have_a_unit_of_its_own_leaves_the_unit_open() -> None
     assert parameter_units(model, LENGTHS) == {"k": "N/m"}
     hidden = spring("p**2/2 + 9.81*k*q**2/2")
     assert parameter_units(hidden, LENGTHS) == {"k": ""}
-
-
-def test_a_number_in_a_sum_may_be_a_length() -> None:
-    law = ph.formula("c/(1 - q)**2", c=ph.Parameter(1.0))
-    model = spring().add(ph.Effect("magnet", "F", "p", law))
-    found = parameter_units(model, LENGTHS)
-    assert found == {"m": "kg", "k": "N/m", "c": "N m^2"}
 
 
 def test_a_unit_that_the_model_states_is_kept_and_tells_the_others() -> None:

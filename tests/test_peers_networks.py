@@ -1,6 +1,5 @@
 """PHNN and SSINN: derivatives, schemes against SciPy, recovery, records, refusals."""
 
-import pickle
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,7 +9,6 @@ import torch
 from scipy.optimize import approx_fprime
 
 import phsi_opt as ph
-from phsi_opt.baselines.result import Baseline
 from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import grid_of
 from problems.peers.joint_force import JointForce
@@ -82,24 +80,6 @@ def test_the_efforts_are_the_gradient_of_the_energy(trained: PHNN) -> None:
     assert trained.energy(np.zeros(2)) == pytest.approx(0.0)
 
 
-def test_the_record_can_be_simulated_printed_and_pickled(trained: PHNN) -> None:
-    t = np.linspace(0, 2, 21)
-    x = trained.simulate(t, [1.0, 0.5])
-    assert x.shape == (21, 2)
-    text = "\n".join(trained.equations())
-    assert "H(q, p) is a network of 30 x 30 units" in text and "+network_p(t)" in text
-    assert text.splitlines()[0] == "dq/dt = +1*dH_dp"
-    table = trained.parameters
-    assert table["name"].tolist() == ["R_p"] and table["slot"].tolist() == ["R"]
-    assert list(table.columns) == list(
-        Baseline(model=SPRING.model(), method="").parameters.columns
-    )
-    np.testing.assert_array_equal(
-        pickle.loads(pickle.dumps(trained)).simulate(t, [1.0, 0.5]), x
-    )
-    assert str(trained).startswith("PHNN: loss ")
-
-
 def test_without_force_and_damping_the_energy_is_kept() -> None:
     made = phnn(
         SYSTEMS["henon_heiles"].data(0, noise=0.0, n=60), ph.canonical(2), SMALL
@@ -117,27 +97,16 @@ def test_seeds_are_reproducible_to_the_bit_and_differ() -> None:
     assert one.loss_value != other.loss_value
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"S": np.eye(2)}, "S is not skew-symmetric"),
-        ({"damping": ["v"]}, "damping of 'v' is not a state"),
-        ({"damping": ["p", "p"]}, "damping=.*only once"),
-        ({"force": (["p"], ["v"])}, "variable 'v' of the neural force is unknown"),
-        ({"force": ([], ["t"])}, "equations="),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"S": np.eye(2)}, "S is not skew-symmetric"),
+    ({"damping": ["v"]}, "damping of 'v' is not a state"),
+    ({"damping": ["p", "p"]}, "damping=.*only once"),
+    ({"force": (["p"], ["v"])}, "variable 'v' of the neural force is unknown"),
+    ({"force": ([], ["t"])}, "equations="),
+])  # fmt: skip
 def test_what_does_not_suit_is_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         phnn(data(1), **{"S": ph.canonical(1), "settings": SMALL, **arguments})
-
-
-@pytest.mark.parametrize(
-    "settings", [{"hidden": ()}, {"hidden": (0,)}, {"penalty": -1.0}, {"epochs": 0}]
-)
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(ph.ModelError, match=next(iter(settings))):
-        NetworkDescent(**settings)
 
 
 # ---- SSINN
@@ -194,33 +163,3 @@ def test_clean_data_give_the_separable_energy(clean: Any) -> None:
     assert set(TRUTH) < set(clean.values)
     assert len(clean.values) == 18
     assert clean.history["loss"].iloc[-1] < 1e-3 * clean.history["loss"].iloc[0]
-
-
-def test_seeds_are_reproducible_to_the_bit_and_differ_peers_ssinn() -> None:
-    data = HENON.data(0, n=60)
-    one, again, other = (
-        ssinn(
-            data,
-            ["q1", "q2"],
-            ["p1", "p2"],
-            2,
-            SymplecticDescent(epochs=2),
-            seed=s,
-        )
-        for s in (0, 0, 1)
-    )
-    assert one.values == again.values
-    assert one.values != other.values
-
-
-def test_what_does_not_pair_up_or_makes_no_sense_is_refused() -> None:
-    data = HENON.data(0, n=10)
-    with pytest.raises(ph.ModelError, match="do not pair up the states"):
-        ssinn(data, ["q1", "q2"], ["p1"], 3)
-    for settings, message in (
-        ({"steps": 0}, "steps=0"),
-        ({"decay": ((0.5, 0.1), (0.4, 0.01))}, "decay=.*increasing"),
-        ({"dtype": "half"}, "dtype='half'"),
-    ):
-        with pytest.raises(ph.ModelError, match=message):
-            SymplecticDescent(**settings)

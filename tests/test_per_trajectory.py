@@ -91,19 +91,6 @@ def test_a_candidate_drives_parameters_of_trajectories_to_their_bounds(
 OFFSET = ph.formula("b", b=ph.Parameter(0.0, per_trajectory=True))
 
 
-def test_a_candidate_is_judged_with_the_offset_of_the_run_held_out() -> None:
-    data = recorded(dry, *OFFSETS)
-    study = ph.Study(spring(sensor={"q": OFFSET}), data[:3], held_out=data[3:])
-    listed = [one for one in ph.catalogue(study.model) if one.name in EFFECTS]
-    found = ph.diagnose(study.fit, data[:3], data[3:], effects=listed)
-    assert found.verdict == ph.Verdict.NAMED
-    first = found.candidates.iloc[0]
-    assert first["effect"] == "coulomb friction"
-    assert first["coefficient"] == pytest.approx(0.4, abs=3 * first["std_error"])
-    # With the mean of the offsets it would be off by 0.4 m.
-    assert first["held_out_rmse"] < 1.1 * NOISE
-
-
 @pytest.mark.parametrize("name", ["run 1", "run 4"])
 def test_the_offset_of_a_run_held_out_is_its_own_whatever_its_name(name: str) -> None:
     model = spring(sensor={"q": OFFSET}).add("coulomb friction", "p")

@@ -128,9 +128,7 @@ def test_any_bytes_are_a_table_or_refused(folder: Path, content: bytes) -> None:
     st.integers(-(2**62), 2**62),
     st.lists(st.integers(1, 10**9), min_size=1, max_size=9),
 )
-def test_whole_numbers_of_any_size_keep_their_differences(
-    first: int, steps: list[int]
-) -> None:
+def test_whole_numbers_of_any_size_keep_their_differences(first, steps) -> None:
     t = np.cumsum(np.array([first, *steps], dtype=np.int64))
     x = np.arange(len(t), dtype=float)
     (run,) = ph.Measurements.from_arrays(t, x, states=["q"]).trajectories
@@ -162,9 +160,7 @@ VALUES = st.fixed_dictionaries(dict.fromkeys(NAMES, st.floats(-10, 10)))
 
 @tried
 @given(FORMULAS, VALUES)
-def test_a_formula_has_one_value_in_every_library(
-    text: str, values: dict[str, float]
-) -> None:
+def test_a_formula_has_one_value_in_every_library(text, values) -> None:
     try:
         parse(text)
     except ph.ModelError as refused:  # a part without names that has no value
@@ -243,9 +239,7 @@ def places(content: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 @tried
 @given(st.data())
-def test_a_damaged_fit_is_loaded_or_refused(
-    folder: Path, saved: dict[str, Any], data: st.DataObject
-) -> None:
+def test_a_damaged_fit_is_loaded_or_refused(folder, saved, data) -> None:
     content = copy.deepcopy(saved)
     *above, key = data.draw(st.sampled_from(places(saved)))
     parent: Any = content
@@ -267,9 +261,7 @@ def test_a_damaged_fit_is_loaded_or_refused(
 
 @tried
 @given(st.data())
-def test_a_fit_keeps_every_number_in_its_file(
-    folder: Path, saved: dict[str, Any], data: st.DataObject
-) -> None:
+def test_a_fit_keeps_every_number_in_its_file(folder, saved, data) -> None:
     fit = ph.Fit.from_content(copy.deepcopy(saved))
     values = {name: data.draw(st.floats(0, 1e300)) for name in fit.values}
     path = folder / "kept.json"
@@ -302,9 +294,7 @@ added = []
 
 @tried
 @given(st.data())
-def test_a_damaged_study_file_is_read_or_refused(
-    folder: Path, data: st.DataObject
-) -> None:
+def test_a_damaged_study_file_is_read_or_refused(folder, data) -> None:
     (folder / "table.csv").write_text("t,q\n0,1\n1,0\n2,-1\n3,0\n4,1\n")
     first = data.draw(st.integers(0, len(STUDY)))
     last = data.draw(st.integers(first, min(first + 12, len(STUDY))))

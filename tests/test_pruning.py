@@ -84,19 +84,16 @@ def test_terms_that_go_together_are_tested_with_as_many_degrees_of_freedom(
     assert weak_terms(uneven, errors) == set(names[:-1])
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"significance": 0.0}, "between 0 and 1"),
-        ({"significance": 5}, "between 0 and 1"),
-        ({"significance": 1.0}, "between 0 and 1"),
-        ({"significance": "a"}, "between 0 and 1"),
-        ({"significance": 0.01, "debias": False}, "debias"),
-        ({"threshold": -1}, "threshold=-1 .* at least 0"),
-        ({"threshold": float("nan")}, "at least 0"),
-        ({"slots": ("H", "S")}, "slot='S' is not possible; expected one of H, R, F"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "message"), [
+    ({"significance": 0.0}, "between 0 and 1"),
+    ({"significance": 5}, "between 0 and 1"),
+    ({"significance": 1.0}, "between 0 and 1"),
+    ({"significance": "a"}, "between 0 and 1"),
+    ({"significance": 0.01, "debias": False}, "debias"),
+    ({"threshold": -1}, "threshold=-1 .* at least 0"),
+    ({"threshold": float("nan")}, "at least 0"),
+    ({"slots": ("H", "S")}, "slot='S' is not possible; expected one of H, R, F"),
+])  # fmt: skip
 def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         Pruning(**settings)

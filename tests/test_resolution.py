@@ -4,14 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.channel_noise import resolution
-from phsi_opt.data.noise import initial_noise
 from phsi_opt.diagnosis.candidate import Grade
-from problems.tools.data_paths import folder
 
 T = np.linspace(0.0, 14.0, 281)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
@@ -91,27 +88,6 @@ def test_the_step_scales_with_the_unit_and_does_not_ask_for_the_order() -> None:
     assert resolution(halves) == resolution([values])
 
 
-MEASURED = {
-    # set, columns: step of the converter, from the makers' numbers of bits and ranges
-    "heaters/tclab.txt": (3, 330 / 1024 / 10),  # 3.3 V over 10 bit, mean of ten
-    "battery_cell/hppc_25c.csv": (9, 0.001),
-}
-
-
-@pytest.mark.parametrize("name", MEASURED)
-def test_measured_channels_have_the_step_of_their_converter(name: str) -> None:
-    column, step = MEASURED[name]
-    values = measured_table(name).iloc[:, column].to_numpy()
-    assert resolution([values]) == pytest.approx(step, rel=1e-3)
-
-
-def measured_table(name: str) -> pd.DataFrame:
-    path = folder(name)
-    if not path.exists():
-        pytest.skip(f"{path.name} is not there")
-    return pd.read_csv(path, usecols=range(7 if path.suffix == ".txt" else 10))
-
-
 # ---- the noise that it makes ---------------------------------------------------------
 
 
@@ -151,15 +127,6 @@ def measured(
     return ph.Measurements.from_arrays(
         [T] * 3, runs, states=["q", "p"], units={"q": "mm"}, noise=declared
     )
-
-
-def test_declared_noise_stays_as_declared() -> None:
-    data = measured(truth(), 0.25, declared={"q": 0.001})
-    assert initial_noise(data, np.array([0.001, np.nan]))[0] == 0.001
-    fit = ph.identify(base(), data)
-    assert fit.noise == {"q": 0.001}
-    assert not any("quantised" in warning for warning in fit.warnings)
-    assert ph.compare(fit, data).noise == {"q": 0.001}
 
 
 @pytest.mark.parametrize("n_levels", [2, 30])
@@ -217,39 +184,3 @@ def test_what_is_missing_is_named_through_a_quantised_sensor() -> None:
     fit = ph.identify(base(), complete)
     nothing = ph.diagnose(fit, complete, test, effects=effects)
     assert nothing.verdict is ph.Verdict.NOTHING_MISSING
-
-
-def heaters(coupling: float = 0.0) -> ph.FirstOrder:
-    """Two heated bodies that lose heat to a room of 21 degC, and to one another."""
-    rates = {}
-    for own, other, power in (("T1", "T2", 0.25), ("T2", "T1", 0.15)):
-        loss = f"a_{own}"
-        gain = f"b_{own}"
-        rates[own] = ph.formula(
-            f"{loss}*(21 - {own}) + {gain}*Q_{own} + {coupling}*({other} - {own})",
-            **{
-                loss: ph.Parameter(0.006, lower=0),
-                gain: ph.Parameter(power, lower=0),
-            },
-        )
-    return ph.FirstOrder(["T1", "T2"], rates, inputs=["Q_T1", "Q_T2"])
-
-
-def test_the_noise_floor_of_a_wrong_model_is_that_of_the_steps() -> None:
-    step = 1.0
-    t = np.arange(0.0, 1200.0, 2.0)
-    on = np.column_stack([t % 400 > 150, t % 560 > 300]).astype(float)
-    exact = ph.simulate(heaters(coupling=0.004), t, [21.0, 21.0], on)
-    data = ph.Measurements.from_arrays(
-        t,
-        rounded_to(step, exact),
-        on,
-        states=["T1", "T2"],
-        inputs=["Q_T1", "Q_T2"],
-    )
-    fit = ph.identify(heaters(), data)
-    # Of the sizes of the residuals, a wrong model's, nothing is noise.
-    assert fit.noise["T1"] > 3 * step * PER_STEP
-    floor = ph.compare(fit, data).noise
-    assert floor["T1"] == pytest.approx(step * PER_STEP, rel=0.05)
-    assert floor["T2"] == pytest.approx(step * PER_STEP, rel=0.05)

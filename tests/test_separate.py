@@ -128,9 +128,7 @@ def test_another_amplitude_tells_dry_friction_from_drag_whichever_comes_first() 
         assert found.table["separation"].iloc[0] > 10 * found.in_record
 
 
-def test_a_steady_vibration_hides_what_other_frequencies_show(
-    resonant: Pair, found: Separation
-) -> None:
+def test_a_steady_vibration_hides_what_other_frequencies_show(resonant, found) -> None:
     stiff, heavy, data = resonant
     # The two models respond alike at the frequency of the record.
     response = 40.0 - heavy.values["m"] * 9.0

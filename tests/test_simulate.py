@@ -106,37 +106,29 @@ def test_the_right_hand_side_outlives_the_memory_it_was_made_in() -> None:
 
 
 @pytest.mark.parametrize("run", [ph.simulate, free_run])
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"t": [0.0]}, "at least two finite, strictly increasing times"),
-        ({"t": [0.0, 0.0]}, "strictly increasing"),
-        ({"t": [0.0, np.nan]}, "finite"),
-        ({"x0": [1.0]}, r"must be 2 finite numbers, one per state \(q, p\)"),
-        ({"x0": [1.0, np.nan]}, "must be 2 finite numbers"),
-        ({"u": np.zeros((3, 1))}, r"u has shape \(3, 1\); expected finite numbers of"),
-        ({"u": [np.nan, 0.0]}, r"expected finite numbers of shape \(2, 1\)"),
-        ({"u": None}, r"the model has inputs \(u\); give u of shape \(2, 1\)"),
-        ({"u": lambda t: [1.0, 2.0]}, "returned 2 numbers; expected 1"),
-        ({"hold": "spline"}, "hold='spline' is unknown"),
-    ],
-)
-def test_arguments_that_do_not_fit_are_refused(
-    run: Callable[..., np.ndarray], arguments: dict[str, Any], message: str
-) -> None:
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"t": [0.0]}, "at least two finite, strictly increasing times"),
+    ({"t": [0.0, 0.0]}, "strictly increasing"),
+    ({"t": [0.0, np.nan]}, "finite"),
+    ({"x0": [1.0]}, r"must be 2 finite numbers, one per state \(q, p\)"),
+    ({"x0": [1.0, np.nan]}, "must be 2 finite numbers"),
+    ({"u": np.zeros((3, 1))}, r"u has shape \(3, 1\); expected finite numbers of"),
+    ({"u": [np.nan, 0.0]}, r"expected finite numbers of shape \(2, 1\)"),
+    ({"u": None}, r"the model has inputs \(u\); give u of shape \(2, 1\)"),
+    ({"u": lambda t: [1.0, 2.0]}, "returned 2 numbers; expected 1"),
+    ({"hold": "spline"}, "hold='spline' is unknown"),
+])  # fmt: skip
+def test_arguments_that_do_not_fit_are_refused(run, arguments, message) -> None:
     given: dict[str, Any] = {"t": [0.0, 1.0], "x0": [1.0, 0.0], "u": np.zeros((2, 1))}
     with pytest.raises(ph.DataError, match=message):
         run(spring(), **(given | arguments))
 
 
-@pytest.mark.parametrize(
-    ("rate", "run"),
-    [
-        ("x**2", ph.simulate),
-        ("x**2", free_run),
-        ("10*x**3", ph.simulate),  # before the first sample
-    ],
-)
+@pytest.mark.parametrize(("rate", "run"), [
+    ("x**2", ph.simulate),
+    ("x**2", free_run),
+    ("10*x**3", ph.simulate),  # before the first sample
+])  # fmt: skip
 def test_a_solution_that_escapes_to_infinity_is_refused_where_it_ends(
     rate: str, run: Callable[..., np.ndarray]
 ) -> None:
@@ -144,9 +136,7 @@ def test_a_solution_that_escapes_to_infinity_is_refused_where_it_ends(
         run(first_order(x=rate), np.linspace(0.0, 2.0, 21), [1.0])
 
 
-def test_a_model_that_is_far_too_fast_for_its_samples_is_given_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_model_that_is_far_too_fast_for_its_samples_is_given_up(monkeypatch) -> None:
     monkeypatch.setattr(simulating, "ALWAYS_ALLOWED", 10_000)
     monkeypatch.setattr(simulating, "MOST_PER_SAMPLE", 10)
     t = np.linspace(0, 10, 21)
@@ -186,18 +176,15 @@ def without_scipy(*_: object, **__: object) -> np.ndarray:
     raise AssertionError("the run was left to SciPy")
 
 
-@pytest.mark.parametrize(
-    ("model", "t", "hold"),
-    [
-        pytest.param(spring(), regular(0.05), "linear", id="mass-spring"),
-        pytest.param(DUFFING, irregular(), "linear", id="Duffing, irregular times"),
-        pytest.param(DUFFING, regular(0.1), "zero", id="zero-order hold"),
-        pytest.param(rubbing(), regular(0.05), "linear", id="Coulomb friction"),
-        pytest.param(GAP, regular(0.05), "linear", id="gap"),
-        pytest.param(TANKS, regular(0.05), "zero", id="tanks"),
-        pytest.param(RUSHING, regular(0.1), "zero", id="stiff"),
-    ],
-)
+@pytest.mark.parametrize(("model", "t", "hold"), [
+    pytest.param(spring(), regular(0.05), "linear", id="mass-spring"),
+    pytest.param(DUFFING, irregular(), "linear", id="Duffing, irregular times"),
+    pytest.param(DUFFING, regular(0.1), "zero", id="zero-order hold"),
+    pytest.param(rubbing(), regular(0.05), "linear", id="Coulomb friction"),
+    pytest.param(GAP, regular(0.05), "linear", id="gap"),
+    pytest.param(TANKS, regular(0.05), "zero", id="tanks"),
+    pytest.param(RUSHING, regular(0.1), "zero", id="stiff"),
+])  # fmt: skip
 def test_the_free_run_is_that_of_scipy_without_its_help(
     model: ph.Model, t: np.ndarray, hold: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

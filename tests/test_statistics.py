@@ -66,15 +66,12 @@ def test_the_time_is_that_of_its_definition(lengths: tuple[int, ...]) -> None:
     assert max(times) > 1.0
 
 
-@pytest.mark.parametrize(
-    ("values", "whole", "last"),
-    [
-        ([2.0, 1.0, 3.0, 3.0, 0.0, 1.0], [1, 0, 1, 1, 0, 1], [1, 0, 0, 1, 0, 1]),
-        ([-5.0], [1], [1]),
-        ([-1.0, -2.0], [1, 0], [1, 0]),
-        ([], [], []),
-    ],
-)
+@pytest.mark.parametrize(("values", "whole", "last"), [
+    ([2.0, 1.0, 3.0, 3.0, 0.0, 1.0], [1, 0, 1, 1, 0, 1], [1, 0, 0, 1, 0, 1]),
+    ([-5.0], [1], [1]),
+    ([-1.0, -2.0], [1, 0], [1, 0]),
+    ([], [], []),
+])  # fmt: skip
 def test_a_plateau_counts_as_a_peak_as_a_whole_or_by_its_last_value(
     values: list[float], whole: list[int], last: list[int]
 ) -> None:

@@ -1,16 +1,13 @@
 """Which state is what: read from the structure matrix, kinds and units."""
 
 import pickle
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.estimation.fit_file import model_content, model_from
 from phsi_opt.model.kinds import kind_of_unit
 from phsi_opt.model.structure import (
     forced_rows,
@@ -50,12 +47,6 @@ def test_canonical_is_the_structure_matrix_of_hamilton() -> None:
     np.testing.assert_array_equal(
         ph.canonical(2), [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]]
     )
-
-
-@pytest.mark.parametrize("n", [0, -1, 1.0, "2"])
-def test_canonical_needs_a_whole_number_of_positions(n: Any) -> None:
-    with pytest.raises(ph.ModelError, match=r"canonical: n=.* expected the number of"):
-        ph.canonical(n)
 
 
 def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
@@ -130,19 +121,14 @@ def test_a_gyrator_is_known_by_its_units_too() -> None:
     assert position_of_momentum(known) == {}
 
 
-@pytest.mark.parametrize(
-    "rate",
-    [
-        ph.formula("v"),
-        ph.formula("3.6*v"),
-        ph.formula("c*v", c=3.6),
-        ph.formula("v/(2 + 2)"),
-        Dictionary((Term("v", ph.Parameter(2.0, fixed=True)),)),
-    ],
-)
-def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(
-    rate: Dictionary,
-) -> None:
+@pytest.mark.parametrize("rate", [
+    ph.formula("v"),
+    ph.formula("3.6*v"),
+    ph.formula("c*v", c=3.6),
+    ph.formula("v/(2 + 2)"),
+    Dictionary((Term("v", ph.Parameter(2.0, fixed=True)),)),
+])  # fmt: skip
+def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(rate) -> None:
     model = ph.FirstOrder(["x", "v"], {"x": rate, "v": ph.formula("-x")})
     assert position_of_momentum(model) == {"v": "x"}
     assert forced_rows(model) == (1,)
@@ -161,23 +147,20 @@ def test_a_voltage_is_the_position_of_the_current_that_charges_it() -> None:
     assert position_of_momentum(replace(circuit, F=rates)) == {}
 
 
-@pytest.mark.parametrize(
-    "rate",
-    [
-        ph.formula("c*v", c=ph.Parameter(1.0)),
-        ph.formula("-v"),
-        ph.formula("v**2"),
-        ph.formula("v + 1"),
-        ph.formula("v + x"),
-        ph.formula("v*0"),
-        ph.formula("sqrt(v)"),  # of a level: without a value at some of the velocities
-        ph.formula("1/(v - 1)"),
-        ph.formula("u"),
-        ph.formula("x"),
-        ph.polynomials("v", 1),
-        ph.formula("v") + ph.formula("u"),
-    ],
-)
+@pytest.mark.parametrize("rate", [
+    ph.formula("c*v", c=ph.Parameter(1.0)),
+    ph.formula("-v"),
+    ph.formula("v**2"),
+    ph.formula("v + 1"),
+    ph.formula("v + x"),
+    ph.formula("v*0"),
+    ph.formula("sqrt(v)"),  # of a level: without a value at some of the velocities
+    ph.formula("1/(v - 1)"),
+    ph.formula("u"),
+    ph.formula("x"),
+    ph.polynomials("v", 1),
+    ph.formula("v") + ph.formula("u"),
+])  # fmt: skip
 def test_no_other_equation_is(rate: Dictionary) -> None:
     model = ph.FirstOrder(["x", "v"], {"x": rate, "v": ph.formula("-x")}, inputs=["u"])
     assert position_of_momentum(model) == {}
@@ -189,12 +172,6 @@ def test_no_other_equation_is(rate: Dictionary) -> None:
     assert forced_rows(lossy) == (0, 1)
 
 
-def test_of_two_positions_of_one_velocity_the_first_is_taken() -> None:
-    rates = {"a": ph.formula("v"), "b": ph.formula("2*v"), "v": ph.formula("-a - b")}
-    model = ph.FirstOrder(["a", "b", "v"], rates)
-    assert position_of_momentum(model) == {"v": "a"}
-
-
 def test_a_state_of_a_pair_is_mechanical_or_of_the_kind_of_the_other_one() -> None:
     lossless = replace(motor(), S=ph.canonical(1))
     assert kind_of(lossless, "turn") == kind_of(lossless, "flux") == "mechanical"
@@ -203,44 +180,29 @@ def test_a_state_of_a_pair_is_mechanical_or_of_the_kind_of_the_other_one() -> No
     assert kind_of(two_tanks(), "left") == ""
 
 
-@pytest.mark.parametrize(
-    ("kind", "storages"),
-    [
-        ({}, ("left", "right", "flow")),  # nobody says which
-        ("hydraulic", ("left", "right", "flow")),
-        ({"flow": "mechanical"}, ("left", "right")),
-        ("mechanical", ()),
-        ("thermal", ()),
-    ],
-)
-def test_storages_are_tanks_or_of_an_unknown_kind(
-    kind: Any, storages: tuple[str, ...]
-) -> None:
+@pytest.mark.parametrize(("kind", "storages"), [
+    ({}, ("left", "right", "flow")),  # nobody says which
+    ("hydraulic", ("left", "right", "flow")),
+    ({"flow": "mechanical"}, ("left", "right")),
+    ("mechanical", ()),
+    ("thermal", ()),
+])  # fmt: skip
+def test_storages_are_tanks_or_of_an_unknown_kind(kind, storages) -> None:
     assert storage_states(replace(two_tanks(), kind=kind)) == storages
 
 
-@pytest.mark.parametrize(
-    ("units", "kinds"),
-    [
-        ({}, {}),
-        ({"flow": "m^3/s"}, {"flow": "hydraulic"}),
-        ({"left": "m", "right": "cm", "flow": "m^3/s"}, dict.fromkeys(["left", "right", "flow"], "hydraulic")),
-        ({"left": "m", "right": "m"}, {}),  # the third may be a speed
-        ({"left": "m", "right": "m", "flow": "m/s"}, dict.fromkeys(["left", "right", "flow"], "mechanical")),
-        ({"left": "V", "right": "V", "flow": "V"}, {}),  # of any sensor
-        ({"left": "V", "right": "V", "flow": "A"}, dict.fromkeys(["left", "right", "flow"], "electrical")),
-        ({"left": "degC", "t": "s"}, {"left": "thermal"}),
-    ],
-)  # fmt: skip
-def test_units_tell_kinds_outside_the_pairs(
-    units: dict[str, str], kinds: dict[str, str]
-) -> None:
+@pytest.mark.parametrize(("units", "kinds"), [
+    ({}, {}),
+    ({"flow": "m^3/s"}, {"flow": "hydraulic"}),
+    ({"left": "m", "right": "cm", "flow": "m^3/s"}, dict.fromkeys(["left", "right", "flow"], "hydraulic")),
+    ({"left": "m", "right": "m"}, {}),  # the third may be a speed
+    ({"left": "m", "right": "m", "flow": "m/s"}, dict.fromkeys(["left", "right", "flow"], "mechanical")),
+    ({"left": "V", "right": "V", "flow": "V"}, {}),  # of any sensor
+    ({"left": "V", "right": "V", "flow": "A"}, dict.fromkeys(["left", "right", "flow"], "electrical")),
+    ({"left": "degC", "t": "s"}, {"left": "thermal"}),
+])  # fmt: skip
+def test_units_tell_kinds_outside_the_pairs(units, kinds) -> None:
     assert with_kinds_of_units(two_tanks(), units).kind == kinds
-
-
-def test_what_the_model_tells_goes_before_units() -> None:
-    told = replace(two_tanks(), kind={"flow": "mechanical"})
-    assert with_kinds_of_units(told, {"flow": "A"}).kind == {"flow": "mechanical"}
 
 
 def test_units_tell_the_kind_of_a_pair() -> None:
@@ -290,16 +252,13 @@ def test_one_kind_is_that_of_all_states_and_a_mapping_that_of_some() -> None:
     assert heater(None).kind == {} == circuit({}).kind
 
 
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        ("thermic", "kind 'thermic' is unknown; .* Did you mean 'thermal'"),
-        ({"T1": "Electrical"}, "kind of 'T1': 'Electrical' .* mean 'electrical'"),
-        ({"T": "thermal"}, "kind of 'T', which is not a state .* Did you mean 'T"),
-        (["thermal"], "must be one of mechanical, hydraulic, electrical, thermal"),
-        ({"T1": None}, "kind of 'T1': None is unknown"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "said"), [
+    ("thermic", "kind 'thermic' is unknown; .* Did you mean 'thermal'"),
+    ({"T1": "Electrical"}, "kind of 'T1': 'Electrical' .* mean 'electrical'"),
+    ({"T": "thermal"}, "kind of 'T', which is not a state .* Did you mean 'T"),
+    (["thermal"], "must be one of mechanical, hydraulic, electrical, thermal"),
+    ({"T1": None}, "kind of 'T1': None is unknown"),
+])  # fmt: skip
 def test_a_kind_that_there_is_not_is_refused(kind: Any, said: str) -> None:
     with pytest.raises(ph.ModelError, match=said):
         heater(kind)
@@ -313,68 +272,14 @@ def test_a_model_that_changes_keeps_its_kinds(model: ph.Model) -> None:
     assert pickle.loads(pickle.dumps(model)) == model
 
 
-@pytest.mark.parametrize("model", [heater(), circuit()], ids=["heater", "circuit"])
-def test_the_content_of_a_model_holds_its_kinds_and_old_content_has_none(
-    model: ph.Model,
-) -> None:
-    content = model_content(model)
-    assert model_from(content) == model
-    del content["kinds"]
-    assert model_from(content).kind == {}
-
-
-@pytest.mark.parametrize(
-    ("unit", "kind"),
-    [
-        *((unit, "mechanical") for unit in ("m", "mm", "rad", "deg", "m/s", "mrad/s")),
-        *((unit, "mechanical") for unit in ("N", "kN", "N m", "N*s", "kg m/s", "rpm")),
-        *((unit, "hydraulic") for unit in ("m^3", "m³", "L", "mL", "Pa", "mbar")),
-        *((unit, "hydraulic") for unit in ("m**3/s", "L/min", "m^3/h")),
-        *((unit, "electrical") for unit in ("A", "mA", "C", "Wb", "V s", "Ah")),
-        *((unit, "thermal") for unit in ("K", "degC", "°C", "J", "kJ", "kWh")),
-        *((unit, "") for unit in ("", "V", "mV", "1", "kg", "s", "%", "W")),
-    ],
-)
-def test_a_unit_tells_the_kind_where_it_belongs_to_one_field(
-    unit: str, kind: str
-) -> None:
+@pytest.mark.parametrize(("unit", "kind"), [
+    *((unit, "mechanical") for unit in ("m", "mm", "rad", "deg", "m/s", "mrad/s")),
+    *((unit, "mechanical") for unit in ("N", "kN", "N m", "N*s", "kg m/s", "rpm")),
+    *((unit, "hydraulic") for unit in ("m^3", "m³", "L", "mL", "Pa", "mbar")),
+    *((unit, "hydraulic") for unit in ("m**3/s", "L/min", "m^3/h")),
+    *((unit, "electrical") for unit in ("A", "mA", "C", "Wb", "V s", "Ah")),
+    *((unit, "thermal") for unit in ("K", "degC", "°C", "J", "kJ", "kWh")),
+    *((unit, "") for unit in ("", "V", "mV", "1", "kg", "s", "%", "W")),
+])  # fmt: skip
+def test_a_unit_tells_the_kind_where_it_belongs_to_one_field(unit, kind) -> None:
     assert kind_of_unit(unit) == kind
-
-
-# ---- nothing is missing in dx/dt = v
-
-TIMES = np.linspace(0.0, 8.0, 121)
-
-
-def records(
-    rates: Callable[..., list[float]], *starts: list[float], **about: Any
-) -> ph.Measurements:
-    """Runs of which only the first state is seen."""
-    random = np.random.default_rng(5)
-    runs = []
-    for start in starts:
-        x = solve_ivp(
-            rates, TIMES[[0, -1]], start, t_eval=TIMES, rtol=1e-9, atol=1e-9
-        ).y.T
-        x += 0.005 * random.normal(size=x.shape)
-        x[:, 1] = np.nan
-        runs.append(x)
-    return ph.Measurements.from_arrays([TIMES] * len(runs), runs, **about)
-
-
-def test_a_spring_written_with_its_velocity_is_diagnosed_as_one() -> None:
-    def rates(_: float, x: list[float]) -> list[float]:
-        return [x[1], -4.0 * x[0] - 0.5 * x[0] ** 2 - 0.1 * x[1]]
-
-    starts = ([1.0, 0.0], [-0.7, 1.0], [0.4, -1.2])
-    units = {"t": "s", "x": "m", "v": "m/s"}
-    data = records(rates, *starts, states=["x", "v"], units=units)
-    w, d = ph.Parameter(2.0, lower=0), ph.Parameter(0.2, lower=0)
-    terms = {"x": ph.formula("v"), "v": ph.formula("-w*x - d*v", w=w, d=d)}
-    fit = ph.identify(ph.FirstOrder(["x", "v"], terms), data[:2])
-    assert fit.model.kind == {"x": "mechanical", "v": "mechanical"}
-    found = ph.diagnose(fit, data[:2], data[2:])
-    assert found.verdict == ph.Verdict.NAMED
-    assert str(found.proposed[0]) == "quadratic stiffness on v"
-    assert set(found.missing_force) == {"trajectory", "t", "v", "std_v"}
-    assert not any("dx/dt" in sentence for sentence in found.sentences)

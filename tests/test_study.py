@@ -5,7 +5,6 @@ effects, pictures.
 import io
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -178,18 +177,14 @@ def test_data_for_the_end_are_no_copies_of_others() -> None:
         ph.Study(spring(), data[:1], data[1:2], final=data[1:2])
 
 
-def test_the_noise_given_to_a_study_holds_for_the_candidates_too(
-    hidden: ph.Study,
-) -> None:
+def test_the_noise_given_to_a_study_holds_for_the_candidates_too(hidden) -> None:
     loss = ph.MaximumLikelihood(noise={"q": 0.08})
     study = ph.Study(spring(), hidden.train, loss=loss, effects=["coulomb friction"])
     study.diagnose()
     assert study.add("coulomb friction", "p").noise == {"q": 0.08}
 
 
-def test_pictures_use_the_axes_given_and_the_report_is_text(
-    hidden: ph.Study, tmp_path: Path
-) -> None:
+def test_pictures_use_the_axes_given_and_the_report_is_text(hidden, tmp_path) -> None:
     _, ax = plt.subplots()
     assert hidden.compare().plot(ax) is ax
     upper, lower = ax.figure.axes  # residuals below, with the band of the noise
@@ -312,13 +307,10 @@ def test_measured_and_estimated_states_are_drawn_a_panel_each(hidden: ph.Study) 
         hidden.fit.plot_states(hidden.train, ax=ax, state="v")
 
 
-@pytest.mark.parametrize(
-    ("q", "said"),
-    [
-        (np.ones(50), "nothing moves"),
-        (np.array([1.0, 0.9, 0.7]), "3 measured values are too few for 4 unknowns"),
-    ],
-)
+@pytest.mark.parametrize(("q", "said"), [
+    (np.ones(50), "nothing moves"),
+    (np.array([1.0, 0.9, 0.7]), "3 measured values are too few for 4 unknowns"),
+])  # fmt: skip
 def test_measurements_that_tell_nothing_are_refused(q: np.ndarray, said: str) -> None:
     t = 0.1 * np.arange(len(q))
     x = np.column_stack([q, np.full(len(q), np.nan)])
@@ -338,9 +330,7 @@ def test_the_data_that_a_comparison_is_on_can_be_named(complete: ph.Study) -> No
         alone.compare("held out")
 
 
-def test_effects_of_ones_own_that_cannot_be_found_are_refused(
-    complete: ph.Study,
-) -> None:
+def test_effects_of_ones_own_that_cannot_be_found_are_refused(complete) -> None:
     fit, data = complete.fit, complete.train
     without = ph.Effect("mine", "F", "p", ph.formula("c*q**2", c=0.1))
     with pytest.raises(ph.ModelError, match="'mine on p' has no free parameter"):

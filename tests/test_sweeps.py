@@ -69,9 +69,7 @@ def serial() -> dict[str, Any]:
     return results(ph.sweep(sweep_tasks.estimates, draws(6), executor=InThisProcess()))
 
 
-def test_processes_and_threads_give_the_bits_of_one_process(
-    serial: dict[str, Any],
-) -> None:
+def test_processes_and_threads_give_the_bits_of_one_process(serial) -> None:
     assert len({one["k"] for one in serial.values()}) == len(serial)
     cases = {str(n): n for n in range(8)}
     with local_workers(N_WORKERS) as workers, ThreadPoolExecutor(N_WORKERS) as threads:
@@ -173,9 +171,7 @@ def test_keys_of_any_kind_have_files_of_their_own(tmp_path: Path) -> None:
         kept.keep("object", object())
 
 
-def test_a_file_is_whole_or_what_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_whole_or_what_it_was(tmp_path, monkeypatch) -> None:
     path = tmp_path / "a.json"
     write_whole(path, "first")
 
@@ -189,15 +185,12 @@ def test_a_file_is_whole_or_what_it_was(
     assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
 
 
-@pytest.mark.parametrize(
-    ("function", "cases", "in_flight", "said"),
-    [
-        (lambda n: n, {"a": 1}, 1, "top level"),
-        (sweep_tasks.square, {1: 1}, 1, "not a text"),
-        (sweep_tasks.square, {"": 1}, 1, "not a text"),
-        (sweep_tasks.square, {"a": 1}, 0, "in_flight=0"),
-    ],
-)
+@pytest.mark.parametrize(("function", "cases", "in_flight", "said"), [
+    (lambda n: n, {"a": 1}, 1, "top level"),
+    (sweep_tasks.square, {1: 1}, 1, "not a text"),
+    (sweep_tasks.square, {"": 1}, 1, "not a text"),
+    (sweep_tasks.square, {"a": 1}, 0, "in_flight=0"),
+])  # fmt: skip
 def test_what_cannot_be_swept_is_refused_at_once(
     function: Any, cases: Any, in_flight: int, said: str
 ) -> None:
@@ -227,15 +220,12 @@ if __name__ != "__main__":
 """
 
 
-@pytest.mark.parametrize(
-    ("script", "sent", "is_for_all"),
-    [
-        (COMPUTING, signal.SIGKILL, False),
-        (COMPUTING, signal.SIGINT, False),
-        (STARTING, signal.SIGINT, False),
-        (STARTING, signal.SIGINT, True),  # as a terminal sends it
-    ],
-)
+@pytest.mark.parametrize(("script", "sent", "is_for_all"), [
+    (COMPUTING, signal.SIGKILL, False),
+    (COMPUTING, signal.SIGINT, False),
+    (STARTING, signal.SIGINT, False),
+    (STARTING, signal.SIGINT, True),  # as a terminal sends it
+])  # fmt: skip
 def test_workers_end_with_their_parent_and_at_ctrl_c(
     tmp_path: Path, script: str, sent: signal.Signals, is_for_all: bool
 ) -> None:
@@ -288,9 +278,7 @@ def fitted() -> ph.Fit:
     return ph.identify(sweep_tasks.model(), sweep_tasks.data(3))
 
 
-def test_a_bootstrap_scatters_as_the_standard_errors_say(
-    fitted: ph.Fit, tmp_path: Path
-) -> None:
+def test_a_bootstrap_scatters_as_the_standard_errors_say(fitted, tmp_path) -> None:
     data = sweep_tasks.data(3)
     drawn = partial(
         ph.bootstrap, fitted, data, folder=tmp_path, executor=InThisProcess()
@@ -317,9 +305,7 @@ def test_a_bootstrap_scatters_as_the_standard_errors_say(
         found.intervals(2)
 
 
-def test_a_bootstrap_refuses_what_it_cannot_draw(
-    fitted: ph.Fit, tmp_path: Path
-) -> None:
+def test_a_bootstrap_refuses_what_it_cannot_draw(fitted, tmp_path) -> None:
     data = sweep_tasks.data(3)
     fitted.save(tmp_path / "fit.json")
     with pytest.raises(ph.DataError, match="has no estimated states"):
@@ -337,9 +323,7 @@ def test_a_bootstrap_refuses_what_it_cannot_draw(
         )
 
 
-def test_a_table_grows_by_whole_lines_and_a_cut_one_is_computed_again(
-    tmp_path: Path,
-) -> None:
+def test_a_table_grows_by_whole_lines_and_a_cut_one_is_computed_again(tmp_path) -> None:
     path = tmp_path / "kept" / "table.csv"
     append_rows(path, pd.DataFrame({"seed": [1], "x": [0.1]}), "%.6g")
     append_rows(path, pd.DataFrame({"seed": [2], "x": [0.25]}), "%.6g")

@@ -94,40 +94,35 @@ def complaints(path: Path) -> dict[str, str]:
 # ---- one unit ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("unit", "powers", "size"),
-    [
-        ("rpm", {"rad": 1, "s": -1}, 2 * np.pi / 60),
-        ("deg", {"rad": 1}, np.pi / 180),
-        ("°", {"rad": 1}, np.pi / 180),
-        ("%", {}, 0.01),
-        ("bar", {"kg": 1, "m": -1, "s": -2}, 1e5),
-        ("kWh", {"kg": 1, "m": 2, "s": -2}, 3.6e6),
-        ("km/h", {"m": 1, "s": -1}, 1 / 3.6),
-        ("min", {"s": 1}, 60.0),
-        ("mA", {"A": 1}, 1e-3),
-        ("l/min", {"m": 3, "s": -1}, 1e-3 / 60),
-        ("Nm", {"kg": 1, "m": 2, "s": -2}, 1.0),
-        ("mNm", {"kg": 1, "m": 2, "s": -2}, 1e-3),
-        ("N*s", {"kg": 1, "m": 1, "s": -1}, 1.0),
-        ("Vs", {"kg": 1, "m": 2, "s": -2, "A": -1}, 1.0),
-        ("kgm2/s", {"kg": 1, "m": 2, "s": -1}, 1.0),
-        ("m2", {"m": 2}, 1.0),
-        ("m^2", {"m": 2}, 1.0),
-        ("cm³", {"m": 3}, 1e-6),
-        ("µm", {"m": 1}, 1e-6),
-        ("W/degF", {"kg": 1, "m": 2, "s": -3, "K": -1}, 1.8),
-        ("mmH2O", {"kg": 1, "m": -1, "s": -2}, 9.80665),
-        ("kOhm", {"kg": 1, "m": 2, "s": -3, "A": -2}, 1e3),
-        ("counts", {"counts": 1}, 1.0),
-        ("a.u.", {"a": 1, "u": 1}, 1.0),
-        ("C", {"C": 1}, 1.0),
-        ("foo", {"foo": 1}, 1.0),
-    ],
-)
-def test_a_unit_is_powers_of_si_and_a_size(
-    unit: str, powers: dict[str, float], size: float
-) -> None:
+@pytest.mark.parametrize(("unit", "powers", "size"), [
+    ("rpm", {"rad": 1, "s": -1}, 2 * np.pi / 60),
+    ("deg", {"rad": 1}, np.pi / 180),
+    ("°", {"rad": 1}, np.pi / 180),
+    ("%", {}, 0.01),
+    ("bar", {"kg": 1, "m": -1, "s": -2}, 1e5),
+    ("kWh", {"kg": 1, "m": 2, "s": -2}, 3.6e6),
+    ("km/h", {"m": 1, "s": -1}, 1 / 3.6),
+    ("min", {"s": 1}, 60.0),
+    ("mA", {"A": 1}, 1e-3),
+    ("l/min", {"m": 3, "s": -1}, 1e-3 / 60),
+    ("Nm", {"kg": 1, "m": 2, "s": -2}, 1.0),
+    ("mNm", {"kg": 1, "m": 2, "s": -2}, 1e-3),
+    ("N*s", {"kg": 1, "m": 1, "s": -1}, 1.0),
+    ("Vs", {"kg": 1, "m": 2, "s": -2, "A": -1}, 1.0),
+    ("kgm2/s", {"kg": 1, "m": 2, "s": -1}, 1.0),
+    ("m2", {"m": 2}, 1.0),
+    ("m^2", {"m": 2}, 1.0),
+    ("cm³", {"m": 3}, 1e-6),
+    ("µm", {"m": 1}, 1e-6),
+    ("W/degF", {"kg": 1, "m": 2, "s": -3, "K": -1}, 1.8),
+    ("mmH2O", {"kg": 1, "m": -1, "s": -2}, 9.80665),
+    ("kOhm", {"kg": 1, "m": 2, "s": -3, "A": -2}, 1e3),
+    ("counts", {"counts": 1}, 1.0),
+    ("a.u.", {"a": 1, "u": 1}, 1.0),
+    ("C", {"C": 1}, 1.0),
+    ("foo", {"foo": 1}, 1.0),
+])  # fmt: skip
+def test_a_unit_is_powers_of_si_and_a_size(unit, powers, size) -> None:
     found = measure_of(unit)
     assert found is not None
     assert found.powers == powers
@@ -301,9 +296,7 @@ def test_a_number_without_a_unit_is_asked_for_where_the_data_are_not_in_si(
     assert 'm = { value = 2.5, unit = "kg" }' in found["parameters.m"]
 
 
-def test_a_study_in_mm_and_ms_finds_the_stiffness_and_tells_mm_and_ms(
-    tmp_path: Path,
-) -> None:
+def test_a_study_in_mm_and_ms_finds_the_stiffness_and_tells_mm_and_ms(tmp_path) -> None:
     data = swings(MM, 1e-3, 1e3)
     text = 'k = { start = 0.05, unit = "N/mm" }\nm = { value = 2500, unit = "g" }'
     file = ph.StudyFile.read(written(tmp_path, data, MM, text))
@@ -345,9 +338,7 @@ def test_times_of_a_study_file_are_in_the_unit_of_the_times(tmp_path: Path) -> N
     assert held_out.stacked("t").min() == pytest.approx(3.0)
 
 
-def test_without_a_unit_of_the_time_nothing_is_converted_in_silence(
-    tmp_path: Path,
-) -> None:
+def test_without_a_unit_of_the_time_nothing_is_converted_in_silence(tmp_path) -> None:
     units = {"q": "mm", "t": ""}
     found = complaints(written(tmp_path, swings(MM, 1e-3), units, "k = 50\nm = 2.5"))
     assert list(found) == ["data.time.unit"]

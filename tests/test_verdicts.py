@@ -474,9 +474,7 @@ TABLE += [
 
 
 @pytest.mark.parametrize(("diagnose", "expected"), TABLE)
-def test_what_is_missing_is_named_and_nothing_else(
-    diagnose: Callable[[], ph.Diagnosis], expected: Answer
-) -> None:
+def test_what_is_missing_is_named_and_nothing_else(diagnose, expected) -> None:
     found = diagnose()
     named = [set(finding) for finding in findings_of(found)]
     if expected.named is None:
@@ -548,23 +546,18 @@ def test_a_finding_says_its_unit_and_share_and_shows_itself() -> None:
     assert found.ranking[0].lost
 
 
-@pytest.mark.parametrize(
-    ("row", "seed", "effects", "few"),
-    [
-        # Near twice the natural frequency the size of a trace changes twentyfold within
-        # a twentieth of the frequency.
-        ("parametric_stiffness_0.03", 15, ["parametric stiffness on p"], False),
-        # What the sensor remembers at the start keeps the free run beside the fit.
-        pytest.param("sensor_delay", 3, ["sensor delay on q"], True, marks=pytest.mark.slow),
-        # It is shorter than half a sample.
-        pytest.param("input_delay_0.01", 7, ["input lag on p", "input delay on p"], False, marks=pytest.mark.slow),
-        # Its corner falls between samples.
-        pytest.param("gap_0.01", 3, ["gap on p2"], True, marks=pytest.mark.slow),
-    ],
-)  # fmt: skip
-def test_one_effect_is_named_with_its_size(
-    row: str, seed: int, effects: list[str], few: bool
-) -> None:
+@pytest.mark.parametrize(("row", "seed", "effects", "few"), [
+    # Near twice the natural frequency the size of a trace changes twentyfold within
+    # a twentieth of the frequency.
+    ("parametric_stiffness_0.03", 15, ["parametric stiffness on p"], False),
+    # What the sensor remembers at the start keeps the free run beside the fit.
+    pytest.param("sensor_delay", 3, ["sensor delay on q"], True, marks=pytest.mark.slow),
+    # It is shorter than half a sample.
+    pytest.param("input_delay_0.01", 7, ["input lag on p", "input delay on p"], False, marks=pytest.mark.slow),
+    # Its corner falls between samples.
+    pytest.param("gap_0.01", 3, ["gap on p2"], True, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_one_effect_is_named_with_its_size(row, seed, effects, few) -> None:
     found, case = drawn(row, seed, *effects, few=few), case_of(row, seed, few)
     best, (true,) = found.ranking[0], case.truths
     assert found.verdict == NAMED and str(best.effect) == effects[-1]
@@ -585,53 +578,17 @@ def test_one_effect_is_named_with_its_size(
         assert all(abs(x[0, place]) <= 3.5 * largest for x in nearest.states)
 
 
-@pytest.mark.parametrize(
-    ("row", "seed", "rivals", "best"),
-    [
-        # Data held out count where those of the fit do not tell.
-        pytest.param(
-            "gravity_torque_0.03", 5, ("cubic stiffness on p1", "gravity torque on p1"), "gravity torque", marks=pytest.mark.slow
-        ),
-        # A hysteresis that never yields is a spring with a parameter more.
-        ("linear_stiffness_0.1", 2, ("hysteresis on p", "linear stiffness on p"), "linear stiffness"),
-    ],
-)  # fmt: skip
-def test_of_two_that_are_alike_the_true_one_is_first(
-    row: str, seed: int, rivals: tuple[str, ...], best: str
-) -> None:
+@pytest.mark.parametrize(("row", "seed", "rivals", "best"), [
+    # Data held out count where those of the fit do not tell.
+    pytest.param("gravity_torque_0.03", 5, ("cubic stiffness on p1", "gravity torque on p1"), "gravity torque", marks=pytest.mark.slow),
+    # A hysteresis that never yields is a spring with a parameter more.
+    ("linear_stiffness_0.1", 2, ("hysteresis on p", "linear stiffness on p"), "linear stiffness"),
+])  # fmt: skip
+def test_of_two_that_are_alike_the_true_one_is_first(row, seed, rivals, best) -> None:
     judged = drawn(row, seed, *rivals).candidates.iloc[0]
     assert judged.effect == best
     numbers = ["coefficient", "std_error", "log_bayes", "log_predictive"]
     assert np.isfinite(judged[numbers].astype(float)).all()
-
-
-@pytest.mark.slow
-def test_a_coast_down_lacks_rolling_resistance_and_no_step_makes_it_worse() -> None:
-    rng = np.random.default_rng(21)
-    times, speeds = [], []
-    for slope in (0.005, -0.005, 0.005, -0.005):
-        t = np.arange(0.0, 220.0, 2.0)
-
-        def rate(s: float, v: np.ndarray, slope: float = slope) -> np.ndarray:
-            wind = 0.015 * np.cos(2 * np.pi * s / 35)
-            rolling = 0.03 * np.tanh(v / 0.02)
-            return np.asarray(-7e-4 * v * abs(v) - rolling - slope + wind)
-
-        solved = solve_ivp(rate, (0, t[-1]), [8.0], t_eval=t, rtol=1e-8, max_step=1.0)
-        v = solved.y[0]
-        end = int(np.argmax(v < 0.3)) if (v < 0.3).any() else len(v)
-        times.append(t[:end])
-        speeds.append((v + 0.25 * rng.normal(size=len(v)))[:end, None])
-    data = ph.Measurements.from_arrays(
-        times, speeds, states=["v"], units={"t": "s", "v": "m/s"}
-    )
-    air = ph.formula("-k*v*abs(v)", k=ph.Parameter(5e-4, lower=0))
-    model = ph.FirstOrder(["v"], {"v": air}, kind="mechanical")
-    study = ph.Study(model, data[:2], held_out=data[2:])
-    study.auto()
-    errors = study.history["held_out_rmse"].to_numpy()
-    assert np.all(errors[1:] < errors[:-1])
-    assert study.added[0].name in ("coulomb friction", "constant force")
 
 
 def test_walls_that_nobody_measures_are_measured() -> None:

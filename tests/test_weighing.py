@@ -336,16 +336,7 @@ def test_a_grade_is_that_of_all_data_and_of_what_was_weighed_alone() -> None:
     assert replace(one, was_weighed=False).grade == Grade.NONE
 
 
-def test_a_study_refuses_a_reach_that_is_no_grade_of_its_own() -> None:
-    study = ph.Study(spring(), measured("0.1"))
-    with pytest.raises(ph.ModelError, match="reach='weak' is not possible"):
-        study.auto(reach="weak")
-    assert study.added == ()
-
-
 # ---- the evidence of a fit
-
-DECISIVE_GAIN = np.log(100)
 
 
 def rubbed(friction: float) -> ph.Measurements:
@@ -362,38 +353,6 @@ def rubbed(friction: float) -> ph.Measurements:
 def rubbing() -> tuple[ph.Measurements, ph.Fit]:
     train, _ = rubbed(2.0).split(0.6)
     return train, ph.identify(demo_spring(), train)
-
-
-def gain_of(data: ph.Measurements, fit: ph.Fit, name: str) -> float:
-    """Logarithm of the Bayes factor of an effect over the model beside a force."""
-    effect = effect_named(demo_spring(), name, "p")
-    larger = ph.identify(demo_spring().add(effect), data, start=fit)
-    return larger.log_evidence - fit.log_evidence
-
-
-def test_the_true_effect_is_decisive_and_others_are_not(
-    rubbing: tuple[ph.Measurements, ph.Fit],
-) -> None:
-    train, fit = rubbing
-    assert fit.has_model_error or len(fit.model_error)
-    assert gain_of(train, fit, "coulomb friction") > DECISIVE_GAIN
-    for other in (
-        "quadratic drag",
-        "constant force",
-        "cubic stiffness",
-    ):
-        assert gain_of(train, fit, other) < 0.1
-
-
-def test_where_nothing_is_missing_no_effect_gains() -> None:
-    train, _ = rubbed(0.0).split(0.6)
-    fit = ph.identify(demo_spring(), train)
-    for effect in (
-        "coulomb friction",
-        "quadratic drag",
-        "constant force",
-    ):
-        assert gain_of(train, fit, effect) < np.log(20)
 
 
 def test_it_is_kept_with_the_fit_and_unknown_without_a_likelihood(

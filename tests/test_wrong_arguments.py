@@ -43,9 +43,7 @@ def test_names_of_derivatives_are_refused_everywhere(name: str) -> None:
         ph.Measurements.from_arrays(T, X, states=["q", name])
 
 
-def test_whole_times_that_no_float_holds_are_counted_from_the_first(
-    tmp_path: Path,
-) -> None:
+def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) -> None:
     expected = 1000.0 * np.arange(51)
     assert np.array_equal(measured(NANOSECONDS).trajectories[0].t, expected)
     two = measured([NANOSECONDS, NANOSECONDS + 7], [X, X])
@@ -63,69 +61,46 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(
     assert small.trajectories[0].t[0] == 10.0
 
 
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: measured(x=X + 1j), "complex"),
-        (lambda: measured(t=T + 0j), "complex"),
-        (lambda: measured(t=None), "t has the type object"),
-        (lambda: measured(x=[[1, 2], [3]]), "not a regular array"),
-        (lambda: ph.Parameter(1 + 2j), "not a number"),  # type: ignore[arg-type]
-        (lambda: spring().with_values({"k": 1j}), "not a number"),  # type: ignore[dict-item]
-        (lambda: spring().with_values({"k": np.complex128(1)}), "not a number"),  # type: ignore[dict-item]
-        (lambda: ph.simulate(spring(), T, [1 + 1j, 0]), "x0=.*real numbers"),
-        (lambda: ph.simulate(spring(), T, "a"), "x0='a'"),
-        (lambda: ph.simulate(spring(), None, [1.0, 0.0]), "t=None"),
-        (lambda: ph.simulate(forced("sqrt(q)"), T, [1.0, 0.0]), "is not finite there"),
-        (lambda: ph.identify(None, measured()), "model=None"),  # type: ignore[arg-type]
-        (lambda: ph.identify(spring(), None), "data=None"),  # type: ignore[arg-type]
-        (lambda: ph.identify(spring(), measured(), "likelihood"), "is not a loss"),  # type: ignore[arg-type]
-        (
-            lambda: ph.identify(spring(), measured(), ph.PHSILoss(), [1]),  # type: ignore[arg-type]
-            r"l1=\[1\]",
-        ),
-        (lambda: ph.identify(spring(), measured(x=0 * X), ph.PHSILoss()), "every state is zero"),
-        (lambda: ph.SolverSettings(max_iterations=0), "max_iterations=0"),
-        (lambda: ph.SolverSettings(max_iterations=1.5), "max_iterations=1.5"),  # type: ignore[arg-type]
-        (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
-        (lambda: ph.MaximumLikelihood("a"), "noise='a'"),  # type: ignore[arg-type]
-        (lambda: ph.MaximumLikelihood({"q": -1.0}), r"noise\['q'\]=-1"),
-        (lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]), "cannot contain NUL"),
-        (lambda: ph.Fit.load(None), "None cannot be read"),  # type: ignore[arg-type]
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("call", "said"), [
+    (lambda: measured(x=X + 1j), "complex"),
+    (lambda: measured(t=T + 0j), "complex"),
+    (lambda: measured(t=None), "t has the type object"),
+    (lambda: measured(x=[[1, 2], [3]]), "not a regular array"),
+    (lambda: ph.Parameter(1 + 2j), "not a number"),  # type: ignore[arg-type]
+    (lambda: spring().with_values({"k": 1j}), "not a number"),  # type: ignore[dict-item]
+    (lambda: spring().with_values({"k": np.complex128(1)}), "not a number"),  # type: ignore[dict-item]
+    (lambda: ph.simulate(spring(), T, [1 + 1j, 0]), "x0=.*real numbers"),
+    (lambda: ph.simulate(spring(), T, "a"), "x0='a'"),
+    (lambda: ph.simulate(spring(), None, [1.0, 0.0]), "t=None"),
+    (lambda: ph.simulate(forced("sqrt(q)"), T, [1.0, 0.0]), "is not finite there"),
+    (lambda: ph.identify(None, measured()), "model=None"),  # type: ignore[arg-type]
+    (lambda: ph.identify(spring(), None), "data=None"),  # type: ignore[arg-type]
+    (lambda: ph.identify(spring(), measured(), "likelihood"), "is not a loss"),  # type: ignore[arg-type]
+    (
+        lambda: ph.identify(spring(), measured(), ph.PHSILoss(), [1]),  # type: ignore[arg-type]
+        r"l1=\[1\]",
+    ),
+    (lambda: ph.identify(spring(), measured(x=0 * X), ph.PHSILoss()), "every state is zero"),
+    (lambda: ph.SolverSettings(max_iterations=0), "max_iterations=0"),
+    (lambda: ph.SolverSettings(max_iterations=1.5), "max_iterations=1.5"),  # type: ignore[arg-type]
+    (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
+    (lambda: ph.MaximumLikelihood("a"), "noise='a'"),  # type: ignore[arg-type]
+    (lambda: ph.MaximumLikelihood({"q": -1.0}), r"noise\['q'\]=-1"),
+    (lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]), "cannot contain NUL"),
+    (lambda: ph.Fit.load(None), "None cannot be read"),  # type: ignore[arg-type]
+])  # fmt: skip
 def test_a_wrong_argument_is_named(call: Callable[[], Any], said: str) -> None:
     with pytest.raises(ph.PhsiOptError, match=said):
         call()
 
 
-@pytest.mark.parametrize(
-    ("force", "term"),
-    [
-        ("a*log(q)", r"term 'a\*log\(q\)' in F of p"),
-        ("a/(q - q)", r"term 'a/\(q - q\)' in F of p"),
-        ("a*exp(1000*q)", r"term 'a\*exp\(1000\*q\)' in F of p"),
-    ],
-)
-def test_a_term_without_a_value_is_named_with_its_place(force: str, term: str) -> None:
-    model = forced(force, a=ph.Parameter(0.1))
-    two = measured([T, T], [X, 1.01 * X])
-    with pytest.raises(ph.ModelError, match=f"(?s){term}.*of trajectory 1"):
-        ph.identify(model, two)
-
-
-@pytest.mark.parametrize(
-    ("place", "said"),
-    [
-        ("", "it is a folder"),
-        ("no folder/fit.json", "its folder does not exist"),
-        ("a\0b", "expected a path"),
-        (None, "expected a path"),
-    ],
-)
-def test_what_cannot_be_written_is_said(
-    tmp_path: Path, place: str | None, said: str
-) -> None:
+@pytest.mark.parametrize(("place", "said"), [
+    ("", "it is a folder"),
+    ("no folder/fit.json", "its folder does not exist"),
+    ("a\0b", "expected a path"),
+    (None, "expected a path"),
+])  # fmt: skip
+def test_what_cannot_be_written_is_said(tmp_path, place, said) -> None:
     path: Any = None if place is None else f"{tmp_path}/{place}"
     with pytest.raises(ph.DataError, match=said):
         write_whole(path, "text")
@@ -142,12 +117,6 @@ def test_a_file_behind_a_link_is_replaced_and_keeps_its_rights(tmp_path: Path) -
     assert link.is_symlink()
     assert file.read_bytes() == b"after\r\n"
     assert file.stat().st_mode & 0o777 == 0o600
-
-
-def test_data_errors_are_value_errors_and_errors_of_this_package() -> None:
-    assert issubclass(ph.DataError, ValueError) and issubclass(
-        ph.DataError, ph.PhsiOptError
-    )
 
 
 def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None:
