@@ -1,12 +1,9 @@
 """Runs that are exact copies of one another count once, and that is told."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.command_line.file_jobs import checked
 from phsi_opt.data.copies import check_can_judge, copies_in, sentence_about
 
 T = np.linspace(0, 5, 51)
@@ -93,42 +90,3 @@ def test_a_study_tells_copies_and_refuses_a_judge_that_was_fitted() -> None:
     check_can_judge(train, held_out[:1])
     with pytest.raises(ph.DataError, match="'run 1' is an exact copy of 'run 1'"):
         check_can_judge(train, train[:1])
-
-
-STUDY = """
-[data]
-files = ["one.csv"]
-trajectory = "run"
-time = { column = "t", unit = "s" }
-
-[data.states]
-q = { column = "q" }
-p = { column = "p" }
-
-[held_out]
-runs = ["c"]
-
-[model]
-states = ["q", "p"]
-pairs = [["q", "p"]]
-H = "k*q**2/2 + p**2/2"
-
-[parameters]
-k = { start = 1.0 }
-"""
-
-
-def study_file(folder: Path, *x: np.ndarray, text: str = STUDY) -> Path:
-    named = runs(*x, names=["a", "b", "c"][: len(x)])
-    table = named.to_dataframe().rename(columns={"trajectory": "run"})
-    table.to_csv(folder / "one.csv", index=False)
-    path = folder / "study.toml"
-    path.write_text(text)
-    return path
-
-
-def test_a_study_file_tells_copies(tmp_path: Path) -> None:
-    answer = checked(study_file(tmp_path, swing(1), swing(1), swing(2)))
-    assert "'b' is an exact copy of 'a': used only once" in answer.text
-    with pytest.raises(ph.StudyFileError, match=r"held out: 'c' is an exact copy of"):
-        ph.StudyFile.read(study_file(tmp_path, swing(1), swing(2), swing(1)))

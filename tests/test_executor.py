@@ -18,7 +18,6 @@ from tests.sweep_tasks import Counted
 
 EFFECTS = ["coulomb friction", "quadratic drag", "cubic stiffness", "gravity torque"]
 STIFFENS = "1.2*q**3"
-STICKS = "0.8*tanh(200*dH_dp)"
 
 
 def spring(
@@ -128,28 +127,9 @@ def test_what_cannot_compute_is_refused(fit: ph.Fit) -> None:
         study.diagnose(executor=nothing)
 
 
-@pytest.mark.slow
-def test_a_study_gives_the_bits_of_one_process(workers: Executor) -> None:
-    train, held_out = record(120, 0, STICKS), record(60, 1, STICKS)
-    model = fitted(train).model
-    found = []
-    for executor in (None, workers):
-        study = ph.Study(model, train, held_out, effects=EFFECTS)
-        study.auto(max_steps=1, executor=executor)
-        found.append(study)
-    one, other = found
-    assert one.added == other.added
-    assert [effect.name for effect in one.added] == ["coulomb friction"]
-    assert one.stopped == other.stopped
-    assert one.history.equals(other.history)
-    assert one.fit.estimates == other.fit.estimates
-    assert_same(other.record.diagnoses[0], one.record.diagnoses[0])
-
-
 # ---- starts side by side
 
 STARTS = ph.MaximumLikelihood(starts=4)
-NOT_AN_EXECUTOR: Any = print
 
 
 # ---- what is computed ahead ----------------------------------------------------------
@@ -224,13 +204,6 @@ def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:
     with pytest.raises(KeyboardInterrupt):
         identified(Pressed())
     assert [future.cancelled() for future in Pressed.begun] == [True, True]
-
-
-def test_what_cannot_compute_is_refused_ahead() -> None:
-    with pytest.raises(ph.DataError, match="has no method submit"):
-        identified(NOT_AN_EXECUTOR)
-    with pytest.raises(ph.DataError, match="has no method submit"):
-        ph.sweep(sweep_tasks.square, {"a": 1}, executor=NOT_AN_EXECUTOR)
 
 
 def test_what_is_weighed_goes_to_the_executor(fit: ph.Fit) -> None:

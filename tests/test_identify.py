@@ -131,20 +131,6 @@ def test_measuring_in_millimetres_changes_only_the_units(position_fit: ph.Fit) -
     assert fit.noise["q"] == pytest.approx(1e3 * position_fit.noise["q"], rel=1e-4)
 
 
-def test_the_order_of_trajectories_and_columns_does_not_matter(position_fit) -> None:
-    data = positions_only()
-    runs = data.trajectories[::-1]
-    swapped = ph.Measurements.from_arrays(
-        [run.t for run in runs],
-        [run.x[:, ::-1] for run in runs],
-        states=["p", "q"],
-        units=data.units,
-    )
-    # The same sums in another order, solved to 1e-8 of scaled conditions.
-    fit = ph.identify(spring(), swapped)
-    assert fit.values == pytest.approx(position_fit.values, rel=1e-5)
-
-
 def test_two_runs_agree_to_the_last_bit_and_work_out_errors_when_they_are_asked_for(
     position_fit: ph.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:

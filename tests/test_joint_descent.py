@@ -10,7 +10,7 @@ import torch
 import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
 from phsi_opt.sweeps.local_workers import one_thread
-from problems.peers.joint_force import HybridBaseline, JointForce
+from problems.peers.joint_force import JointForce
 from problems.thesis.joint_descent import _JointRun, joint_descent
 from problems.thesis.systems import SYSTEMS
 
@@ -74,44 +74,3 @@ def test_significance_removes_what_the_size_keeps_of_noisy_data() -> None:
     assert len(both.values) <= len(HENON.truth) + 1
     first_half = both.history["n_terms"].iloc[: FAST.epochs // 2 - 1].tolist()
     assert first_half == by_size.history["n_terms"].iloc[: len(first_half)].tolist()
-
-
-@pytest.fixture(scope="module")
-def hybrid() -> HybridBaseline:
-    t = np.linspace(0, 8, 161)
-    rng = np.random.default_rng(0)
-
-    def rhs(x: np.ndarray) -> np.ndarray:
-        return np.array([x[1], -x[0] - 0.5 * np.tanh(3 * x[1])])
-
-    runs = []
-    for _ in range(6):
-        x = [rng.uniform(-1.5, 1.5, 2)]
-        for h in np.diff(t):
-            k1 = rhs(x[-1])
-            k2 = rhs(x[-1] + h / 2 * k1)
-            k3 = rhs(x[-1] + h / 2 * k2)
-            x.append(x[-1] + h / 6 * (k1 + 2 * k2 + 2 * k3 + rhs(x[-1] + h * k3)))
-        runs.append(np.array(x))
-    data = ph.Measurements.from_arrays([t] * 6, runs, states=["q", "p"])
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(0.5)),
-    )
-    force = JointForce(("p",), ("p",), hidden=(20, 20), first="tanh")
-    fit = joint_descent(
-        model, data, Descent(learning_rate=5e-3, epochs=15), force=force
-    )
-    assert isinstance(fit, HybridBaseline)
-    return fit
-
-
-def test_the_network_learns_the_force_beside_the_dictionary(hybrid) -> None:
-    v = np.linspace(-1, 1, 41)
-    force = hybrid.force(np.column_stack([np.zeros(41), v]))
-    assert force.shape == (41, 1)
-    assert (
-        np.sqrt(np.mean((force[:, 0] + 0.5 * np.tanh(3 * v)) ** 2)) < 0.1
-    )  # a fifth of the force, after 450 steps
-    assert hybrid.values["k"] == pytest.approx(1.0, abs=0.05)

@@ -11,7 +11,6 @@ import pytest
 from scipy import stats
 
 import phsi_opt as ph
-from problems.examples.friction_spring import CSV
 from tests.machines import NOISE, STARTS, TIMES, damped_spring, swings
 
 WITH_FRICTION = "0.1 + 0.08*(p**4 + 0.03**4)**(-0.25)"
@@ -130,25 +129,3 @@ def test_what_has_to_be_fitted_or_is_no_model_is_refused(fit, data) -> None:
         ph.identify(damped_spring(), data, ph.PHSILoss())
     with pytest.raises(ph.ModelError, match="the fit has no free parameter"):
         ph.profile(fit, data, "k")
-
-
-# ---- a model that is complete
-
-
-def test_nothing_is_missing_on_data_held_out_beside_a_sharp_corner() -> None:
-    # A search from a generous force does not end beside it.
-    data = ph.Measurements.from_csv(
-        CSV, states={"q": "position_m", "p": None}, time="t_s", trajectory="run"
-    )
-    _, held_out = data.split(0.7)
-    known = {"c": 0.836825, "f": 1.92092, "v0": 0.00493531}
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=39.9625, m=2.5),
-        R={"p": ph.formula("c + f*(dH_dp**4 + v0**4)**(-0.25)", **known)},
-    )
-    compared = ph.compare(model, held_out)
-    assert compared.rmse == pytest.approx(0.0427, abs=0.0005)
-    force = compared.record.estimate.w
-    assert np.sqrt(np.mean(force**2)) < 0.05  # N; the friction is 1.9 N

@@ -151,20 +151,3 @@ def test_names_are_parameters_and_inputs_as_they_are_given() -> None:
 def test_what_is_no_mechanics_is_refused(arguments: Any, message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         ph.mechanical(*arguments)
-
-
-def test_positions_alone_identify_the_forces() -> None:
-    model = ph.mechanical(["x"], 2.0, "-k*x - c*v + u", k=ph.Parameter(30, lower=0))
-    truth = model.with_values({"k": 50.0, "c": 1.5})
-    t = np.linspace(0, 5, 201)
-    u = np.repeat(np.random.default_rng(0).normal(size=21), 10)[:201]
-    x = ph.simulate(truth, t, [0.1, 0], u, hold="zero")
-    noisy = x[:, :1] + 1e-4 * np.random.default_rng(1).normal(size=(201, 1))
-    data = ph.Measurements.from_arrays(
-        t, noisy, states=["x"], u=u, inputs=["u"], hold="zero"
-    )
-    fit = ph.identify(model, data)
-    for name in ("k", "c"):
-        assert abs(fit.values[name] - truth.values[name]) < 4 * fit.std_errors[name]
-    assert ph.compare(fit, data).rmse < 2e-4
-    assert fit.equations() == ["dx/dt = p/m", "dp/dt = -c*p/m - k*x + u"]

@@ -70,23 +70,6 @@ def test_without_loss_and_force_the_energy_does_not_change() -> None:
         assert abs(flow) < 1e-12 * np.linalg.norm(gradient) ** 2
 
 
-def test_the_efforts_are_the_gradient_of_the_energy() -> None:
-    model = spring().with_values({"k": 30.0})
-    theta = model.theta
-    function = model.function("dH_dq", "dH_dp", "k*q**2/2 + p**2/(2*m)")
-    at = np.array([0.4, 0.9])
-    step = 1e-5
-    energy = [
-        float(function(at + d, 0.0, 0.0, theta)[2])
-        for d in (*(step * np.eye(2)), *(-step * np.eye(2)))
-    ]
-    numeric = (np.array(energy[:2]) - energy[2:]) / (2 * step)
-    # Central differences of a quadratic: rounding over the step, 1e-16 * 4 / 1e-5.
-    np.testing.assert_allclose(
-        np.array(function(at, 0.0, 0.0, theta)).ravel()[:2], numeric, atol=1e-9
-    )
-
-
 def test_a_first_order_model_takes_its_states_as_efforts() -> None:
     model = ph.FirstOrder(
         states=("a", "b"),
@@ -97,20 +80,6 @@ def test_a_first_order_model_takes_its_states_as_efforts() -> None:
 
 
 # ---- parameters ----------------------------------------------------------------------
-
-
-def test_every_parameter_has_one_entry_in_its_place() -> None:
-    model = spring()
-    assert [
-        (e.name, e.slot, e.equation, e.prunable) for e in model.entries.values()
-    ] == [
-        ("k", "H", "", False),
-        ("m", "H", "", False),
-        ("R_p", "R", "p", True),
-        ("b", "F", "p", False),
-        ("c", "F", "p", False),
-    ]
-    assert model.free == ("k", "R_p", "c")
 
 
 def test_a_parameter_of_formulas_may_stand_in_several_places() -> None:
@@ -177,21 +146,6 @@ def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
 def test_an_effect_that_cannot_be_added_is_refused(arguments, message) -> None:
     with pytest.raises(ph.ModelError, match=message):
         spring().add(*arguments)
-
-
-def test_what_is_built_serves_all_values_of_unknown_parameters() -> None:
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(3.0), m=2.0),
-    )
-    moved = model.with_values({"k": 5.0})
-    assert moved.rhs() is model.rhs()
-    assert moved.function("k*q") is model.function("k*q")
-    heavier = model.with_values({"m": 4.0})
-    assert heavier.rhs() is not model.rhs()
-    rates = heavier.rhs()([1.0, 2.0], [], 0.0, heavier.theta)
-    np.testing.assert_allclose(np.array(rates).ravel(), [0.5, -3.0])
 
 
 def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:

@@ -281,19 +281,6 @@ def test_intervals_use_the_degrees_of_freedom_of_each_standard_error() -> None:
     np.testing.assert_allclose(half, expected, rtol=1e-12)
 
 
-def test_the_independent_share_is_the_ratio_of_the_variances() -> None:
-    fit = plain_fit(0)
-    white = fit.covariances[Source.NOISE]
-    for place, name in enumerate(fit.names):
-        share = fit.independent_share([name])
-        ratio = white[place, place] / fit.covariance[place, place]
-        assert share == pytest.approx(ratio, rel=1e-9)
-    all_of_them = fit.independent_share(list(TRUE))
-    directions = np.linalg.eigvals(np.linalg.solve(white, fit.covariance)).real
-    assert all_of_them == pytest.approx(1 / directions.mean(), rel=1e-9)
-    assert np.isnan(fit.independent_share(["unknown"]))
-
-
 def test_the_profile_means_what_the_standard_error_means() -> None:
     fit = plain_fit(0)
     found = ph.profile(fit, record(0), "k")
@@ -310,26 +297,6 @@ def test_the_profile_means_what_the_standard_error_means() -> None:
     half = (upper - lower) / 2
     assert found.ci_lower == pytest.approx(lower, abs=0.1 * half)
     assert found.ci_upper == pytest.approx(upper, abs=0.1 * half)
-
-
-# --- Files
-
-
-def test_what_was_found_beside_the_model_survives_a_file(tmp_path: Path) -> None:
-    fit = forced_fit(0)
-    fit.save(tmp_path / "fit.json")
-    loaded = ph.Fit.load(tmp_path / "fit.json")
-    assert loaded.std_error_source is Source.DISTURBANCES
-    assert loaded.model_error_rows == fit.model_error_rows
-    assert loaded.has_model_error == fit.has_model_error
-    np.testing.assert_array_equal(loaded.freedom, fit.freedom)
-    assert list(loaded.covariances) == list(fit.covariances)
-    for source, covariance in fit.covariances.items():
-        np.testing.assert_array_equal(loaded.covariances[source], covariance)
-    assert loaded.standard_errors.equals(fit.standard_errors)
-    assert loaded.intervals().equals(fit.intervals())
-    assert loaded.independent_share(["k"]) == fit.independent_share(["k"])
-    assert str(loaded) == str(fit)
 
 
 # --- Estimates with a model error

@@ -174,25 +174,3 @@ def test_the_separation_is_what_a_search_over_the_parameters_leaves(
     # 5 %: the record's part is taken as linear in the parameters.
     expected = np.sqrt(added / truth.size)
     assert row["separation"] == pytest.approx(expected, rel=0.05)
-
-
-def test_memory_that_the_measurements_do_not_hold_is_imitated_too() -> None:
-    t = np.linspace(0.0, 8.0, 201)
-    u = np.sign(np.sin(2.0 * t))[:, None]
-    a, b = ph.Parameter(2.0), ph.Parameter(9.0)
-    plain = ph.FirstOrder(["x"], {"x": ph.formula("a*(u - x)", a=a)}, inputs=["u"])
-    rates = {"x": ph.formula("2*(z - x)"), "z": ph.formula("b*(u - z)", b=b)}
-    lagged = ph.FirstOrder(["x", "z"], rates, inputs=["u"])
-    x = free_run(lagged, t, [0.0, 0.0], u)[:, :1]
-    x = x + NOISE * np.random.default_rng(0).normal(size=x.shape)
-
-    def data(*states: str) -> ph.Measurements:
-        hidden = np.full((len(t), len(states) - 1), np.nan)
-        shown = np.column_stack([x, hidden])
-        return ph.Measurements.from_arrays(t, shown, u, states=states, inputs=["u"])
-
-    fits = ph.identify(lagged, data("x", "z")), ph.identify(plain, data("x"))
-    found = separating(*fits, data("x"), SIGMA)
-    assert found.table["separates"].any()
-    # Nobody can measure or move z.
-    assert not any("z" in name.split() for name in found.table["experiment"])

@@ -1,6 +1,5 @@
 """A learned force as a stop-gap, and the terms it is written as."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -151,24 +150,6 @@ def test_a_saved_force_is_the_same_when_loaded(coupled: Case, tmp_path: Path) ->
     assert again.explains == learned.explains and str(again) == str(learned)
     terms = [effect.term for effect in distil(learned, coupled.train)]
     assert [effect.term for effect in distil(again, coupled.train)] == terms
-
-
-@pytest.mark.parametrize("damage", [
-    lambda c: c.update(format="other"),
-    lambda c: c.update(on=["z"]),
-    lambda c: c.update(equation="z"),
-    lambda c: c["hidden"][1].pop(),
-    lambda c: c["record"].pop("w"),
-    lambda c: c["record"]["w"].pop(),
-])  # fmt: skip
-def test_a_damaged_file_is_refused(pulse: Case, tmp_path: Path, damage) -> None:
-    path = tmp_path / "force.json"
-    pulse.learned.save(path)
-    content = json.loads(path.read_text())
-    damage(content)
-    path.write_text(json.dumps(content))
-    with pytest.raises(ph.DataError, match=r"force\.json"):
-        LearnedForce.load(path)
 
 
 @pytest.mark.parametrize(("changed", "message"), [

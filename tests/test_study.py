@@ -17,7 +17,7 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
-from phsi_opt.presentation.charts import LOG, draw, errors_chart
+from phsi_opt.presentation.charts import draw, errors_chart
 from phsi_opt.presentation.content import ErrorStep
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import CSV, TIMES, simulated, table
@@ -256,25 +256,6 @@ def test_what_a_study_prints_loses_no_column_and_shows_itself_as_html_and_rich(
     assert hidden.stopped in str(hidden)
 
 
-def test_the_history_is_drawn_with_its_values_and_a_log_axis_over_decades(
-    hidden: ph.Study,
-) -> None:
-    axes = hidden.plot_history()
-    texts = [text.get_text() for text in axes.texts]
-    for error in (*hidden.history["train_rmse"], *hidden.history["held_out_rmse"]):
-        assert f"{error:.3g}" in texts
-    _, names = axes.get_legend_handles_labels()
-    floor = hidden.history["noise_floor"].iloc[-1]
-    assert any(one.startswith(f"noise floor {floor:.3g} (95 %: ") for one in names)
-    # Numbers stand below and above: of two equal errors both are seen.
-    assert {text.get_verticalalignment() for text in axes.texts[:2]} == {"top"}
-    assert {text.get_verticalalignment() for text in axes.texts[2:]} == {"bottom"}
-    assert axes.get_yscale() == "linear"
-    steps = (ErrorStep("base", 5.0, 6.0, 0.03), ErrorStep("drag", 0.04, 0.05, 0.03))
-    assert errors_chart(steps, "m").panels[0].scale == LOG
-    plt.close("all")
-
-
 def test_the_law_of_the_added_friction_is_a_step_of_its_size(hidden: ph.Study) -> None:
     _, ax = plt.subplots()
     assert hidden.plot_effect("coulomb friction", ax=ax) is ax
@@ -291,20 +272,6 @@ def test_the_law_of_the_added_friction_is_a_step_of_its_size(hidden: ph.Study) -
     plt.close("all")
     with pytest.raises(ph.ModelError, match="were added"):
         hidden.plot_effect("gap")
-
-
-def test_measured_and_estimated_states_are_drawn_a_panel_each(hidden: ph.Study) -> None:
-    upper = hidden.fit.plot_states(hidden.train)
-    panels = upper.figure.axes
-    assert [panel.get_ylabel() for panel in panels] == ["q (m)", "p"]
-    assert "not measured" in str(panels[1].get_legend_handles_labels()[1])
-    _, ax = plt.subplots()
-    assert hidden.fit.plot_states(hidden.train, "run 2", ax, "p") is ax
-    plt.close("all")
-    with pytest.raises(ph.DataError, match="were fitted"):
-        hidden.fit.plot_states(hidden.train[:1])
-    with pytest.raises(ph.DataError, match="state='v'"):
-        hidden.fit.plot_states(hidden.train, ax=ax, state="v")
 
 
 @pytest.mark.parametrize(("q", "said"), [
@@ -328,16 +295,6 @@ def test_the_data_that_a_comparison_is_on_can_be_named(complete: ph.Study) -> No
     assert alone.compare() is alone.compare("training")
     with pytest.raises(ph.DataError, match="no data were held out"):
         alone.compare("held out")
-
-
-def test_effects_of_ones_own_that_cannot_be_found_are_refused(complete) -> None:
-    fit, data = complete.fit, complete.train
-    without = ph.Effect("mine", "F", "p", ph.formula("c*q**2", c=0.1))
-    with pytest.raises(ph.ModelError, match="'mine on p' has no free parameter"):
-        ph.diagnose(fit, data, effects=[without])
-    elsewhere = ph.Effect("mine", "F", "z", ph.formula("c*q", c=ph.Parameter()))
-    with pytest.raises(ph.ModelError, match="'z'"):
-        ph.diagnose(fit, data, effects=[elsewhere])
 
 
 def test_a_study_considers_what_it_was_told_to() -> None:

@@ -16,14 +16,11 @@ from typing import Any
 import dask
 import distributed
 import numpy as np
-import pandas as pd
 import pytest
 
 import phsi_opt as ph
 from phsi_opt.sweeps.local_workers import InThisProcess, local_workers
 from phsi_opt.sweeps.sweep import KeptResults
-from phsi_opt.writing import write_whole
-from problems.tools.kept_tables import append_rows
 from tests import sweep_tasks
 
 N_WORKERS = 2
@@ -171,20 +168,6 @@ def test_keys_of_any_kind_have_files_of_their_own(tmp_path: Path) -> None:
         kept.keep("object", object())
 
 
-def test_a_file_is_whole_or_what_it_was(tmp_path, monkeypatch) -> None:
-    path = tmp_path / "a.json"
-    write_whole(path, "first")
-
-    def killed(*names: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", killed)
-    with pytest.raises(KeyboardInterrupt):
-        write_whole(path, "second")
-    assert path.read_text() == "first"
-    assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
-
-
 @pytest.mark.parametrize(("function", "cases", "in_flight", "said"), [
     (lambda n: n, {"a": 1}, 1, "top level"),
     (sweep_tasks.square, {1: 1}, 1, "not a text"),
@@ -303,31 +286,3 @@ def test_a_bootstrap_scatters_as_the_standard_errors_say(fitted, tmp_path) -> No
         ph.bootstrap(fitted, data, 8, seed=1, folder=tmp_path)
     with pytest.raises(ph.DataError, match="level=2"):
         found.intervals(2)
-
-
-def test_a_bootstrap_refuses_what_it_cannot_draw(fitted, tmp_path) -> None:
-    data = sweep_tasks.data(3)
-    fitted.save(tmp_path / "fit.json")
-    with pytest.raises(ph.DataError, match="has no estimated states"):
-        ph.bootstrap(ph.Fit.load(tmp_path / "fit.json"), data)
-    with pytest.raises(ph.DataError, match="samples"):
-        ph.bootstrap(fitted, data.split(0.5)[0])
-    with pytest.raises(ph.DataError, match="n_draws=1"):
-        ph.bootstrap(fitted, data, 1)
-    both = data.trajectories[0].x.copy()
-    both[:, 1] = np.gradient(both[:, 0], data.trajectories[0].t)
-    measured = type(data).from_arrays(data.trajectories[0].t, both, states=["x", "v"])
-    with pytest.raises(ph.ModelError, match="PHSILoss"):
-        ph.bootstrap(
-            ph.identify(sweep_tasks.model(), measured, ph.PHSILoss()), measured
-        )
-
-
-def test_a_table_grows_by_whole_lines_and_a_cut_one_is_computed_again(tmp_path) -> None:
-    path = tmp_path / "kept" / "table.csv"
-    append_rows(path, pd.DataFrame({"seed": [1], "x": [0.1]}), "%.6g")
-    append_rows(path, pd.DataFrame({"seed": [2], "x": [0.25]}), "%.6g")
-    assert path.read_text() == "seed,x\n1,0.1\n2,0.25\n"
-    path.write_text("seed,x\n1,0.1\n2,0.2")  # as a kill left it
-    append_rows(path, pd.DataFrame({"seed": [2], "x": [0.25]}), "%.6g")
-    assert path.read_text() == "seed,x\n1,0.1\n2,0.25\n"

@@ -393,42 +393,6 @@ def of_logger(
     )
 
 
-def test_a_pendulum_in_degrees() -> None:
-    energy = "-m*g*l*cos(q) + p**2/(2*m*l**2)"
-    g = known(9.81, "m/s^2")
-    fixed = {"m": known(1.2, "kg"), "g": g}
-    parts = CARTESIAN
-    truth = ph.PseudoHamiltonian(**parts, H=ph.formula(energy, l=0.4, m=1.2, g=9.81))
-    units = {"q": "deg", "t": "ms"}
-    t = np.arange(300) * 0.02
-    swing = of_logger(truth.with_fixed({"R_p": 0.02}), [1.2, 0], None, t, units, 0.01)
-    length = ph.Parameter(0.5, lower=0.1, unit="m")
-    model = ph.PseudoHamiltonian(**parts, H=ph.formula(energy, l=length, **fixed))
-    fit = ph.identify(model, swing.in_si())
-    assert abs(fit.values["l"] - 0.4) < 4 * fit.std_errors["l"]
-    assert re.search(r"noise: q 0\.[56]\d* deg", str(fit))
-
-
-def test_a_motor_in_rpm_and_milliamperes() -> None:
-    rate = "(k*i - c*w)/J"
-    values = {"k": 0.05, "c": 1e-3, "J": 2e-4}
-    truth = ph.FirstOrder(["w"], {"w": ph.formula(rate, **values)}, inputs=["i"])
-    units = {"w": "rpm", "i": "mA", "t": "ms"}
-    t = np.arange(300) * 0.01
-    u = np.sign(np.sin(3 * t))[:, None] * 2.0
-    data = of_logger(truth, [0.0], u, t, units, 0.3)
-    free = {
-        "k": ph.Parameter(0.01, unit="N m/A"),
-        "c": ph.Parameter(0.01, unit="N m s/rad"),
-        "J": known(2e-4, "kg m^2"),
-    }
-    model = ph.FirstOrder(["w"], {"w": ph.formula(rate, **free)}, inputs=["i"])
-    fit = ph.identify(model, data.in_si())
-    for name in ("k", "c"):
-        assert abs(fit.values[name] - values[name]) < 5 * fit.std_errors[name]
-    assert "rpm" in str(ph.compare(fit, data.in_si()))
-
-
 def test_a_house_in_hours_kilowatts_and_degrees_fahrenheit() -> None:
     rate = "(a*(To - T) + P)/C"
     truth = ph.FirstOrder(

@@ -259,23 +259,6 @@ def test_a_place_is_told_as_people_say_it(cases: dict[str, ForceAnalysis]) -> No
     assert range_words(force, "q", [inside]) == "where q is 0.1 to 0.2 m"
 
 
-@pytest.mark.parametrize(("name", "causes", "expected"), [
-    ("friction", None, r"\. It depends on the velocity of q\. It changes the losses.*"),
-    ("wave", None, r"\. It depends on the time, not on a position\..*"),
-    ("cubic", None, r"\. It depends on the position q; largest where q is high.*"),
-    ("cubic", Causes({}, {}), r"; no state, input or time explains it\. It is largest where q is highest " r"\(above [\d.]+ m\).*"),
-])  # fmt: skip
-def test_a_place_never_contradicts_what_the_force_follows(
-    cases: dict[str, ForceAnalysis], name: str, causes: Causes | None, expected: str
-) -> None:
-    force = cases[name].force_in()
-    if causes is not None:
-        force = with_found(force, causes=causes)
-    said = str(place_answer(force, is_named=False, is_known=False))
-    assert re.fullmatch(r"In dp/dt, the force on q" + expected, said)
-    assert "alike" not in said
-
-
 def test_what_moves_together_is_said_not_to_be_separable(cases) -> None:
     driven = Causes({"inputs": 0.82}, {"inputs": 0.82}, goes_together=True)
     closed_loop = with_found(cases["friction"].force_in(), causes=driven)
@@ -305,15 +288,6 @@ def test_a_force_far_faster_than_the_motion_is_called_a_vibration(cases) -> None
     # A lag in steps that are held for minutes: it moves within four seconds.
     stepped = Pace(0.08, 0.002, 4.0, 0.1, 0.6, 1.4)
     assert not stepped.is_vibration and replace(stepped, time=20.0).is_vibration
-
-
-@pytest.mark.parametrize(("strength", "own", "words"), [
-    (5.0, 2.0, "2.5 times the size of the model's own dp/dt"),
-    (1.0, 2.0, "50 % of the model's own dp/dt"),
-    (1.0, 0.0, ""),
-])  # fmt: skip
-def test_a_force_is_told_beside_the_models_own_rate(strength, own, words) -> None:
-    assert Pace(1.0, 1.0, 0.2, 0.1, strength, own).size_words("dp/dt") == words
 
 
 # ---- pictures ------------------------------------------------------------------------
@@ -495,16 +469,6 @@ def test_it_is_told_what_to_write_and_that_finds_the_cogging() -> None:
     assert study.fit.values[omega] == pytest.approx(6.0, rel=2e-3)
     last = study.history.iloc[-1]
     assert last["train_rmse"] < 1.1 * last["noise_floor"]
-
-
-def test_turns_are_told_in_the_unit_of_the_angle() -> None:
-    (sentence,) = analysed(cogging, "deg").sentences
-    found = sentence.split("repeats every ")[1]
-    degrees, times = found.split(" deg, ")
-    assert float(degrees) == pytest.approx(60, rel=0.02)
-    assert float(times.split()[0]) == pytest.approx(6, rel=0.02)
-    (sentence,) = analysed(cogging, "").sentences
-    assert "a turn" not in sentence
 
 
 def test_a_law_of_the_position_that_does_not_repeat_is_no_wave() -> None:
