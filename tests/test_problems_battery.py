@@ -3,7 +3,6 @@ diagnosis: that is what it examines).
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,7 +14,7 @@ from problems.battery import experiments as field
 from problems.battery.ask import CLASS, FALSE, NAME, SILENT, Task
 from problems.battery.draw import KINDS, ROWS, Row, draw
 from problems.battery.effects import Hidden
-from problems.battery.field_machines import cubic, spring, viscous
+from problems.battery.field_machines import spring, viscous
 from problems.battery.masses import Machine, measured, simulate
 from problems.battery.records import (
     FIELD,
@@ -28,7 +27,6 @@ from problems.battery.records import (
 from problems.battery.tanks import tank_states
 from problems.judges import battery
 
-ROOT = Path(__file__).resolve().parents[1]
 ZERO = np.zeros(1)
 # A seed of each kind in which the catalogue's one effect is all that is hidden.
 COMPLETED = [
@@ -94,38 +92,19 @@ def test_the_integration_of_a_motion_that_ends_in_infinity_ends(power: int) -> N
         integrated(lambda _, x: x**power, np.ones(1), times, float(times[1]))
 
 
-def test_a_random_function_has_nothing_in_common_with_known_laws() -> None:
-    t = np.linspace(0.0, 20.0, 200)
-    starts = np.array([[1.0, 0.0], [-0.5, 0.3]])
-    e = spring(1.0, 2.0, 0.1, cubic(0.3), t, starts, 1)
-    motion = field.simulate(e, 0.0)
-    rng = np.random.default_rng(0)
-    function = field.disturbance(rng, field.FUNCTION, e, motion, 1.0)
-    x = motion.x.reshape(-1, 2)
-    values = function(0.0, x)
-    laws = field.known_laws(x / np.sqrt(np.mean(x**2, axis=0)))
-    assert np.sqrt(np.mean(values**2)) == pytest.approx(1.0)
-    # Rounding of a least squares with columns as much alike as powers are.
-    assert np.abs(laws.T @ values / len(values)).max() < 1e-6
-
-
 # --- cases
 
 
-@pytest.mark.parametrize(
-    ("row", "seed"),
-    [
-        (ROWS["linear_stiffness_0.01"], 4),
-        (ROWS["tanks"], 4),
-        (KINDS["falling"], 4),
-        (KINDS["closed_loop"], 4),
-        (KINDS["chamber"], 4),
-        (KINDS["starts_off"], 7),
-        (KINDS["sensors"], 4),
-        (KINDS["nothing"], 4),
-    ],
-    ids=lambda x: x if isinstance(x, int) else x.name,
-)
+@pytest.mark.parametrize(("row", "seed"), [
+    (ROWS["linear_stiffness_0.01"], 4),
+    (ROWS["tanks"], 4),
+    (KINDS["falling"], 4),
+    (KINDS["closed_loop"], 4),
+    (KINDS["chamber"], 4),
+    (KINDS["starts_off"], 7),
+    (KINDS["sensors"], 4),
+    (KINDS["nothing"], 4),
+], ids=lambda x: x if isinstance(x, int) else x.name)  # fmt: skip
 def test_a_case_depends_on_row_and_seed_alone(row: Row, seed: int) -> None:
     first, again = draw(row, seed), draw(row, seed)
     assert first.train.digest == again.train.digest
@@ -155,9 +134,7 @@ def true_effect(case: Case) -> ph.Effect:
 
 
 @pytest.mark.parametrize(("name", "seed"), COMPLETED)
-def test_with_the_true_effect_added_a_case_reaches_its_floor(
-    name: str, seed: int
-) -> None:
+def test_with_the_true_effect_added_a_case_reaches_its_floor(name, seed) -> None:
     case = draw(replace(KINDS[name], model_error=0.0), seed)
     fit = ph.identify(case.model.add(true_effect(case)), case.train)
     comparison = ph.compare(fit, case.test)
@@ -232,9 +209,7 @@ def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -
     assert list(score.scored(pd.DataFrame(rows))["seed"]) == [1, 2]
 
 
-def test_a_diagnosis_that_fails_is_recorded_and_counted(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_diagnosis_that_fails_is_recorded_and_counted(monkeypatch) -> None:
     def broken(*arguments: object, **options: object) -> None:
         raise ph.SolveError("no way")
 

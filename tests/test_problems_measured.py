@@ -8,7 +8,7 @@ from scipy.io import loadmat
 
 import phsi_opt as ph
 from problems.examples import demo
-from problems.measured import long_stories, machines, sets, storages, stories
+from problems.measured import long_stories, machines, sets, stories
 from problems.tools import provenance
 from problems.tools.data_paths import folder
 
@@ -53,37 +53,6 @@ def test_the_drive_is_identified_from_its_position_alone() -> None:
         assert fit.values[name] == pytest.approx(value, rel=0.10)
 
 
-def test_the_ball_and_hoop_study_reaches_the_reference() -> None:
-    present("ball_and_hoop")
-    # A quarter of the training record keeps the test short; the script uses all of it.
-    train, rest = machines.hoop().split(0.25)
-    model = sets.with_effects(machines.hoop_model(), ("quadratic drag on y",))
-    fit = ph.identify(model, train)
-    for name in machines.HOOP_TESTS:
-        # 0.30 V: plain least squares with quadratic drag reaches 0.283 and 0.267 V
-        assert ph.compare(fit, machines.hoop(name)).rmse < 0.30
-    assert rest.n_samples > train.n_samples
-
-
-@pytest.mark.parametrize("number", [1, 3])
-def test_houses_have_one_temperature_and_three_inputs(number: int) -> None:
-    present("building")
-    data = storages.house(number)
-    (run,) = data.trajectories
-    assert data.measured == ("Ti",)
-    assert np.allclose(np.diff(run.t), 0.25)
-    outdoor, sun, heat = run.u.T
-    assert np.all(heat >= 0) and np.all(sun >= 0)
-    assert np.mean(outdoor) < np.mean(run.x[:, 0])  # a winter
-
-
-def test_the_second_heater_is_the_weaker_one() -> None:
-    present("heaters")
-    fit = ph.identify(storages.heaters_model(), storages.heaters())
-    assert fit.values["a2"] < fit.values["a1"]
-    assert fit.values["coupling"] > 0
-
-
 def test_signs_of_the_coupled_drives_unfold_the_speed() -> None:
     content = loadmat(present("coupled_drives") / machines.DRIVES_FILE)
     for record, run in zip((1, 2, 3), machines.drives(), strict=True):
@@ -97,9 +66,7 @@ def test_signs_of_the_coupled_drives_unfold_the_speed() -> None:
 # --- stories
 
 
-def test_a_story_tells_each_step_and_why_it_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_story_tells_each_step_and_why_it_ends(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
     train, held_out = demo.measurements()[:2].split(0.5)
     study = ph.Study(demo.model(), train, held_out=held_out)
