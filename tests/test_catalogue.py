@@ -34,9 +34,7 @@ def driven_spring() -> ph.PseudoHamiltonian:
 
 def two_tanks() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["a", "b"],
-        S=[[0.0, 0.0], [0.0, 0.0]],
-        H=ph.formula("(a**2 + b**2)/2"),
+        states=["a", "b"], S=[[0.0, 0.0], [0.0, 0.0]], H=ph.formula("(a**2 + b**2)/2")
     )
 
 
@@ -167,28 +165,6 @@ def test_a_circuit_of_charge_and_flux_has_resistances_and_a_coil_that_saturates(
     assert not coil & capacitor
 
 
-def test_a_volume_and_the_flow_of_its_pipe_have_leaks_and_pipe_friction() -> None:
-    model = replace(driven_spring(), kind="hydraulic")
-    assert names_on(model, "p", "R") == {
-        "laminar pipe friction",
-        "turbulent pipe friction",
-    }
-    assert names_on(model, "q") == names_on(storage("hydraulic"), "x")
-
-
-@pytest.mark.parametrize(("kind", "noun"), [
-    ({}, "force"),
-    ("mechanical", "force"),
-    ("hydraulic", "inflow"),
-    ("electrical", "source"),
-    ("thermal", "heat input"),
-])  # fmt: skip
-def test_what_comes_from_outside_has_the_word_of_the_field(kind, noun) -> None:
-    names = names_on(storage(kind), "x", "F")
-    of_time = {name for name in names if "storage" not in name}
-    assert of_time == {f"{how} {noun}" for how in ("constant", "drifting", "harmonic")}
-
-
 def test_what_runs_between_two_storages_is_water_or_heat() -> None:
     def between(kind: Any) -> set[str]:
         found = ph.catalogue(replace(two_tanks(), kind=kind))
@@ -215,47 +191,6 @@ def test_units_tell_the_kind_where_the_model_does_not() -> None:
     assert losses(storage("thermal"), "°C") == {"heat loss", "quadratic heat loss"}
     assert "viscous damping" in losses(storage({}), "m/s")
     assert losses(storage("hydraulic"), "m/s") == losses(storage("hydraulic"), "")
-
-
-X = 0.7  # the state; the effort dH/dx is the same
-LAWS = [
-    ("mechanical", "viscous damping", {}, -0.3 * X),
-    ("mechanical", "quadratic drag", {}, -0.3 * X**2),
-    ("mechanical", "cubic drag", {}, -0.3 * X**3),
-    ("hydraulic", "quadratic leak", {}, -0.3 * X**2),
-    ("electrical", "linear resistance", {}, -0.3 * X),
-    ("electrical", "quadratic resistance", {}, -0.3 * X**2),
-    ("electrical", "contact voltage drop", {"v0": 1e-6}, -0.3),
-    ("thermal", "heat loss", {}, -0.3 * X),
-    ("thermal", "quadratic heat loss", {}, -0.3 * X**2),
-    ("thermal", "radiation", {}, -0.3 * X**4),
-    ("hydraulic", "constant inflow", {}, 0.3),
-    ("thermal", "drifting heat input", {}, 0.3 * 0.4),
-]
-
-
-@pytest.mark.parametrize(("kind", "name", "inner", "rate"), LAWS)
-@pytest.mark.parametrize("sign", [1, -1])
-def test_a_law_takes_from_its_state_what_its_name_says(
-    kind: str, name: str, inner: dict[str, float], rate: float, sign: int
-) -> None:
-    larger = storage(kind).add(name, "x")
-    coefficient = f"{name.replace(' ', '_')}_x"
-    values = {f"{coefficient}.{key}": value for key, value in inner.items()}
-    larger = larger.with_values({coefficient: 0.3, **values})
-    is_loss = larger.entries[coefficient].slot == "R"
-    found = float(larger.rhs()([sign * X], [], 0.4, larger.theta))
-    assert found == pytest.approx(sign * rate if is_loss else rate, abs=1e-9)
-
-
-def test_energies_of_a_circuit_act_on_the_other_state() -> None:
-    model = replace(driven_spring(), kind="electrical")  # H = flux^2/2, the input is 1
-    coil = model.add("coil saturation", "p").with_values({"coil_saturation_p": 0.3})
-    current_and_voltage = np.array(coil.rhs()([0.2, X], [1.0], 0.0, coil.theta))
-    np.testing.assert_allclose(current_and_voltage.ravel(), [X + 0.3 * X**3, 1.0])
-    charged = model.add("cubic elastance", "p").with_values({"cubic_elastance_q": 0.3})
-    voltage = np.array(charged.rhs()([X, 0.2], [1.0], 0.0, charged.theta)).ravel()[1]
-    assert voltage == pytest.approx(1.0 - 0.3 * X**3)
 
 
 def test_heat_is_taken_from_the_hotter_storage() -> None:
@@ -286,18 +221,6 @@ def test_heat_is_exchanged_with_an_input_that_may_be_a_temperature() -> None:
 
 
 # --- names of all kinds
-
-
-@pytest.mark.parametrize("kind", EVERY_KIND)
-@pytest.mark.parametrize("name", [
-    *("linear leak", "viscous damping", "coulomb friction", "quadratic drag"),
-    *("cubic drag", "stribeck friction", "turbulent leak", "saturating leak"),
-    *("overflow", "constant force", "drifting force", "harmonic force"),
-    *("linear resistance", "heat loss"),
-])  # fmt: skip
-def test_an_effect_may_be_added_by_the_name_of_any_kind(name: str, kind: Any) -> None:
-    assert effect_named(storage(kind), name, "x").name == name
-    assert effect_named(first_order(kind), name, "a").name == name
 
 
 def test_what_the_model_has_by_another_name_cannot_be_added_again() -> None:
@@ -524,19 +447,6 @@ def test_a_name_means_every_equation_that_can_have_the_effect() -> None:
     ]
 
 
-@pytest.mark.parametrize(("without", "left"), [
-    (["coulomb friction"], {"gap on p1", "gap on p2", "own on p1"}),
-    (["gap on p2", "own"], {"gap on p1", "coulomb friction on p1", "coulomb friction on p2"}),
-    (
-        ["gap", own_effect("d")],  # by its name and place
-        {"coulomb friction on p1", "coulomb friction on p2"},
-    ),
-])  # fmt: skip
-def test_what_is_left_out_is_never_considered(without: list[Any], left: set) -> None:
-    choice = EffectChoice(["gap", "coulomb friction", own_effect()], without)
-    assert set(listed(choice, coupled_masses())) == left
-
-
 def test_an_effect_that_was_added_since_is_not_offered_again() -> None:
     model = coupled_masses()
     choice = EffectChoice(["coulomb friction", "stribeck friction on p1", own_effect()])
@@ -562,11 +472,3 @@ def test_an_effect_that_was_added_since_is_not_offered_again() -> None:
 def test_what_no_equation_can_have_is_refused(effects, without, said) -> None:
     with pytest.raises(ph.ModelError, match=said):
         EffectChoice(effects, without).checked(coupled_masses())
-
-
-def test_a_narrower_choice_takes_other_effects_and_leaves_more_out() -> None:
-    choice = EffectChoice(["gap", "hysteresis"], ["gap on p1"])
-    assert choice.narrowed(None, ["hysteresis"]) == EffectChoice(
-        ["gap", "hysteresis"], ["gap on p1", "hysteresis"]
-    )
-    assert choice.narrowed(["gap"], ()) == EffectChoice(["gap"], ["gap on p1"])

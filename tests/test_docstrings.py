@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 import phsi_opt
 from phsi_opt import errors
 
@@ -212,26 +210,3 @@ def test_every_public_name_has_its_place_on_one_page_for_users() -> None:
     text = "\n".join(page.read_text() for page in sorted(pages.glob("*.rst")))
     on_pages = re.findall(r"^\.\. auto\w+:: (\w+)$", text, re.MULTILINE)
     assert sorted(on_pages) == sorted(phsi_opt.__all__)
-
-
-@pytest.mark.parametrize(("docstring", "has_first_line"), [
-    ("Find it.", True),
-    ("Find it.\n\nAnd more.", True),
-    ("", False),
-    ("Find it", False),
-    ("Find it\nat last.", False),
-    (f"{'x' * (WIDTH - 2 * QUOTES)}.", False),
-])  # fmt: skip
-def test_a_first_line_is_one_sentence_within_the_width(
-    docstring: str, has_first_line: bool
-) -> None:
-    assert Documented("name", docstring).has_first_line == has_first_line
-
-
-def test_an_array_needs_a_shape_and_an_error_its_section() -> None:
-    array = Documented("name", "The rates.", annotations="np.ndarray | None")
-    assert not array.has_shapes
-    shaped = Documented("name", "The rates (n_samples,).", annotations="np.ndarray")
-    assert shaped.has_shapes
-    silent = Documented("name", "See DataError: it.", raised=frozenset({"DataError"}))
-    assert not silent.has_errors

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.transcription.augmented_states import MemoryIntegration, with_memory
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import grid_of
 
 M, K, X, U, T = 2.0, 3.0, np.array([0.7, -1.2]), np.array([0.9]), 0.4
@@ -173,35 +173,11 @@ def test_a_delayed_input_arrives_late_and_a_lagged_one_smoothed() -> None:
     # samples
     np.testing.assert_allclose(arrived[200:], np.sin(1.3 * (t[200:] - 0.4)), atol=0.002)
     lagged = model.add("input lag", "p").with_values({"lag_u_p": 0.4})
-    z = with_memory(
-        lagged,
-        grid,
-        np.zeros((801, 2)),
-        lagged.theta,
-    )[200:, 2]
+    z = with_memory(lagged, grid, np.zeros((801, 2)), lagged.theta)[200:, 2]
     gain = 1 / np.sqrt(1 + (0.4 * 1.3) ** 2)
     np.testing.assert_allclose(
         z, gain * np.sin(1.3 * t[200:] - np.arctan(0.4 * 1.3)), atol=0.002
     )
-
-
-def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
-    t = np.arange(0.0, 20.0, 0.5)
-    u = np.sign(np.sin(0.9 * t))[:, None]
-    # Each input holds until the next sample, so that a delay of a fifth leaves a fifth
-    # of the last one in the mean.
-    data = ph.Measurements.from_arrays(
-        t, np.zeros((len(t), 2)), u, states=["q", "p"], inputs=["u"], hold="zero"
-    )
-    late = spring().add("input delay", "p").with_values({"delay_u_p": 0.1})
-    grid = grid_of(data)
-    theta = late.theta
-    means = MemoryIntegration(late, grid, np.zeros((len(t), 2)))(theta).interval_means
-    shown = u[:-1, 0] + 2 * (means[:, 0] - u[:-1, 0]) + 0.1**2 / 5 * means[:, 2]
-    expected = u[:-1, 0] - 0.2 * np.diff(u[:-1, 0], prepend=u[0, 0])
-    np.testing.assert_allclose(
-        shown, expected, atol=0.05
-    )  # of a jump of 2: Pade rings behind it, and steps of 0.125
 
 
 def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> None:

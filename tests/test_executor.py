@@ -1,6 +1,5 @@
 """Diagnoses, starts and re-fits side by side: the bits of one after the other."""
 
-import pickle
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -204,14 +203,3 @@ def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:
     with pytest.raises(KeyboardInterrupt):
         identified(Pressed())
     assert [future.cancelled() for future in Pressed.begun] == [True, True]
-
-
-def test_what_is_weighed_goes_to_the_executor(fit: ph.Fit) -> None:
-    counted = Counted()
-    found, said = diagnosed(fit, counted)
-    n_weighed = sum(line.startswith("computing the evidence of") for line in said)
-    assert len(counted.begun) >= n_weighed > 1
-    for one in found.ranking[1:]:  # the first is what a study adds
-        if one.trained is not None:
-            assert one.trained.record.estimate is found.record.estimate
-    pickle.dumps(found.proposed_fit)

@@ -157,20 +157,6 @@ def test_equations_have_the_names_of_formulas_and_the_numbers_of_other_terms() -
     assert "b*u - c*tanh(dH_dp/eps)" in text and "m = 2.5 kg" in text
 
 
-def test_the_tables_have_a_row_per_parameter_with_its_bounds_and_limits() -> None:
-    fit = rich_fit()
-    table = fit.parameters.set_index("name")
-    assert list(table.index) == list(fit.model.entries)
-    assert tuple(table.loc["k", ["value", "unit", "lower"]]) == (1.875, "N/m^2", 0.0)
-    assert bool(table.loc["m", "fixed"]) and np.isnan(table["std_error"]["m"])
-    intervals = fit.intervals(0.9)
-    assert list(intervals.columns) == ["value", "ci_lower", "ci_upper"]
-    assert list(intervals.index) == list(fit.names)
-    assert 1.8 < intervals["ci_lower"]["k"] < 1.875 < intervals["ci_upper"]["k"]
-    with pytest.raises(ph.DataError, match="level=1 must lie between 0 and 1"):
-        fit.intervals(1)
-
-
 def test_a_trajectory_is_known_by_its_name_and_by_its_number() -> None:
     fit, x0 = loaded_fit(), [1.0, 0.0]
     assert fit.model_of("run 2").values["m"] == 2.5

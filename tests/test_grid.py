@@ -13,12 +13,7 @@ from phsi_opt.transcription.defects import (
     defect,
     defects,
 )
-from phsi_opt.transcription.grid import (
-    AlignedData,
-    Grid,
-    aligned,
-    grid_of,
-)
+from phsi_opt.transcription.grid import AlignedData, Grid, aligned, grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS, Integrator
 
 

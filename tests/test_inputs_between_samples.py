@@ -147,18 +147,6 @@ def test_each_column_is_that_of_its_own_way() -> None:
         np.testing.assert_array_equal(thin.trajectories[0].u[:, number], thinned)
 
 
-@pytest.mark.parametrize("way", ["linear", "cubic"])
-def test_a_simulation_is_the_sum_of_what_each_input_does(way: str) -> None:
-    """A linear system adds up the responses to its inputs."""
-    both = {"push": way, "valve": "zero"}
-    x = ph.simulate(tank(), T, [0.0], U, hold=both)
-    of_push = ph.simulate(tank(), T, [0.0], U * [1, 0], hold=way)
-    of_valve = ph.simulate(tank(), T, [0.0], U * [0, 1], hold="zero")
-    np.testing.assert_allclose(x, of_push + of_valve, atol=1e-6)  # of the integrator
-    fast = free_run(tank(), T, np.zeros(1), U, both)
-    np.testing.assert_allclose(fast, x, atol=1e-5)  # its tolerance, of the spread
-
-
 def test_a_fit_needs_the_right_way_for_each_input_and_keeps_it(tmp_path: Path) -> None:
     model = tank(ph.Parameter(1.0, lower=0))
     fit = ph.identify(model, record())

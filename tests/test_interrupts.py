@@ -5,7 +5,6 @@ is different.
 import contextlib
 import signal
 import threading
-from types import FrameType
 from typing import Any
 
 import casadi as ca
@@ -125,22 +124,6 @@ def test_a_second_ctrl_c_does_not_wait_for_the_solver() -> None:
         reached.append(2)
     assert reached == [1]
     assert is_quiet()
-
-
-def test_a_handler_that_is_not_pythons_own_stays() -> None:
-    heard = []
-
-    def own(number: int, frame: FrameType | None) -> None:
-        heard.append(number)
-
-    before = signal.signal(signal.SIGINT, own)
-    try:
-        with solving():
-            press()
-            assert signal.getsignal(signal.SIGINT) is own
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert heard == [signal.SIGINT]
 
 
 def test_a_study_goes_on_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,13 +53,6 @@ def test_a_model_without_free_parameters_gets_noise_and_states_alone(
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-@pytest.mark.parametrize("option", [{"starts": 2}, {"huber": 1.345}, {"steps": 2}])
-def test_every_likelihood_takes_a_model_without_free_parameters(option, data) -> None:
-    loss = ph.MaximumLikelihood(**option)  # type: ignore[arg-type]
-    found = ph.identify(damped_spring(), data, loss)
-    assert found.noise["q"] == pytest.approx(NOISE, rel=0.1)
-
-
 # ---- compared ------------------------------------------------------------------------
 
 

@@ -12,8 +12,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.model.parameters import Scan
-from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
@@ -323,9 +322,7 @@ NOISE_OF_X = 0.02
 HUBER = ph.MaximumLikelihood(huber=1.345)
 
 
-def decay(
-    sensor: dict[str, Dictionary] | None = None,
-) -> ph.FirstOrder:
+def decay(sensor: dict[str, Dictionary] | None = None) -> ph.FirstOrder:
     falling = ph.formula("-a*x", a=ph.Parameter(0.5))
     return ph.FirstOrder(["x"], {"x": falling}, sensor=sensor or {})
 
@@ -340,26 +337,6 @@ def decaying(
 
 def of_x(t: np.ndarray, y: np.ndarray) -> ph.Measurements:
     return ph.Measurements.from_arrays(t, y, states=["x"])
-
-
-# ---- names ---------------------------------------------------------------------------
-
-
-def test_a_name_that_would_stand_for_two_parameters_is_refused() -> None:
-    t, y = decaying()
-    own = Dictionary((Term("1", ph.Parameter(per_trajectory=True)),))
-    model = ph.FirstOrder(["x"], {"x": own + ph.polynomials(["x"], 2)})
-
-    def named(*names: str) -> ph.Measurements:
-        runs = [y, 1.01 * y]
-        return ph.Measurements.from_arrays([t, t], runs, states=["x"], names=names)
-
-    said = r"the name 'F_x\[x\]' belongs to two parameters"
-    with pytest.raises(ph.ModelError, match=said):
-        ph.identify(model, named("x", "b"))
-    assert ph.identify(model, named("x 1", "b 1")).parameters["name"].is_unique
-    with pytest.raises(ph.ModelError, match="a scanned frequency is common to all"):
-        ph.Parameter(guess=Scan("t"), per_trajectory=True)
 
 
 # ---- sensors -------------------------------------------------------------------------

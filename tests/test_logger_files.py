@@ -139,21 +139,6 @@ def test_what_was_understood_is_told_with_its_keys(tmp_path: Path) -> None:
     ]
 
 
-def test_keys_say_otherwise() -> None:
-    text = "t,q\nV,A\n0,1\n1,2\n"
-    options: dict[str, Any] = {"time": 0, "states": {"q": 1}}
-    assert read(text, time="t", states=["q"]).n_samples == 2
-    for key in ({"units_row": 0}, {"skip": 1}):  # these are names
-        assert read(text, time="V", states={"q": "A"}, **key).n_samples == 2
-    assert read("t,q\nkm,counts\n0,1\n1,2\n", units_row=2, **options).n_samples == 2
-    for wrong, said in (
-        ({"skip": 4}, "skip=4, and there is no such"),
-        ({"skip": -1}, "skip=-1 is not a number of"),
-    ):
-        with pytest.raises(ph.DataError, match=said):
-            read(text, **wrong, **options)
-
-
 def test_one_of_several_tables_is_chosen_and_none_in_silence(tmp_path: Path) -> None:
     text = "a,b\n0,1\n1,2\n\nt,q,u\n" + body("{t},{q},{u}")
     options: dict[str, Any] = {"time": 0, "states": {"q": 1}}
@@ -190,19 +175,6 @@ def test_tables_with_the_same_header_are_runs(tmp_path: Path) -> None:
 def test_no_sample_and_no_sign_is_dropped_or_read_otherwise(text, said) -> None:
     with pytest.raises(ph.DataError, match=said):
         read(text, time="t", states=["q"])
-
-
-@pytest.mark.parametrize(
-    ("decimal", "values"), [(None, [1234.0, 1.0]), (".", [1234.0, 1.0]), (",", None)]
-)
-def test_digits_behind_a_comma_are_what_other_cells_say(decimal, values) -> None:
-    text = "t;q\n0.5;1,234\n1.5;1\n"
-    if values is None:
-        with pytest.raises(ph.DataError, match=r"'0\.5' is not a real number"):
-            read(text, time="t", states=["q"], decimal=decimal)
-    else:
-        data = read(text, time="t", states=["q"], decimal=decimal)
-        assert data.trajectories[0].x[:, 0].tolist() == values
 
 
 # ---- clocks ----

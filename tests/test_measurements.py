@@ -283,33 +283,6 @@ def test_a_share_outside_zero_and_one_is_refused(fraction: Any) -> None:
         short.split()
 
 
-def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
-    x = np.array([[1.0, np.nan, np.nan], [-2.5, 3.0, np.nan]])
-    data = ph.Measurements.from_arrays(
-        [0, 2.5],
-        x,
-        [0, 1],
-        states=["q", "p", "r"],
-        inputs=["u"],
-        units={"q": "m", "t": "s"},
-        noise={"q": 0.1},
-    )
-    lines = repr(data).splitlines()
-    assert lines[0] == "Measurements: 1 trajectory, 2 samples, t = 0 to 2.5 [s]"
-    assert [line.split() for line in lines[1:]] == [
-        ["channel", "part", "unit", "lowest", "highest", "resolution", "noise"],
-        ["q", "state", "m", "-2.5", "1", "-", "0.1"],
-        ["p", "state", "3", "3", "-", "-"],
-        ["r", "state", "-", "-", "-", "-"],
-        ["u", "input", "0", "1", "-", "-"],
-        ["t:", "every", "2.5", "s,", "regular"],
-        ["p:", "1", "of", "2", "missing"],
-        ["r:", "not", "measured"],
-    ]
-    assert str(data) == repr(data)
-    assert repr(data.trajectories[0]) == "Trajectory('run 1', 2 samples, t = 0 to 2.5)"
-
-
 # ---- parts in time, and fewer samples ----
 
 T = np.arange(12.0) / 4  # quarters: all sums and means below are exact

@@ -16,9 +16,7 @@ import phsi_opt as ph
 from phsi_opt.model.expressions import FUNCTIONS, NUMPY, evaluate, parse
 from phsi_opt.model.parameters import Scan, with_value
 from phsi_opt.model.sympy_backend import SYMPY
-from phsi_opt.model.terms import (
-    Dictionary,
-)
+from phsi_opt.model.terms import Dictionary
 
 
 def spring(**changes: Any) -> ph.PseudoHamiltonian:

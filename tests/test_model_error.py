@@ -1,7 +1,6 @@
 """What acts beside a model: found, counted in standard errors, let into the estimate."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from scipy.stats import t as student_t
 
 import phsi_opt as ph
 from phsi_opt.criteria import STRONG_EVIDENCE
-from phsi_opt.estimation import identify as identify_module
 from phsi_opt.estimation.estimate import Estimate, Task
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import (
@@ -31,11 +29,7 @@ from phsi_opt.model_error.disturbances import (
     smooth_functions,
 )
 from phsi_opt.model_error.marginal_likelihood import Border
-from phsi_opt.model_error.standard_errors import (
-    Clusters,
-    Source,
-    degrees_of_freedom,
-)
+from phsi_opt.model_error.standard_errors import Clusters, Source, degrees_of_freedom
 from phsi_opt.transcription.grid import AlignedData
 from problems.benchmarks import chains
 
@@ -302,23 +296,6 @@ def test_the_profile_means_what_the_standard_error_means() -> None:
 # --- Estimates with a model error
 
 
-@pytest.mark.slow
-def test_estimates_of_long_records_are_nearer_to_the_truth_and_to_no_side_of_it() -> (
-    None
-):
-    """The most likely parameters together with forces had a damping two errors low."""
-    plain, forced, z = [], [], []
-    for seed in range(4):
-        data = simulated(seed, n=1500, size=0.5)
-        plain.append(errors_of(ph.identify(oscillator(), data)))
-        fit = ph.identify(oscillator(), data, WITH_FORCE)
-        forced.append(errors_of(fit))
-        z.append(forced[-1] / fit.standard_errors["std_error"].to_numpy())
-    assert np.all(np.abs(np.mean(z, axis=0)) < 2.5 / np.sqrt(len(z)))
-    ratio = np.linalg.norm(forced, axis=0) / np.linalg.norm(plain, axis=0)
-    assert np.all(ratio[1:] < 0.8)  # of what the force hides: damping and gain
-
-
 def test_the_standard_errors_of_estimates_with_a_force_hold() -> None:
     z = []
     for seed in range(6):
@@ -353,18 +330,6 @@ def test_a_known_model_lets_a_force_in() -> None:
     (row,) = fit.model_error.to_dict("records")
     assert SIZE / 1.5 < row["size"] < 1.5 * SIZE
     assert fit.noise["q"] == pytest.approx(NOISE, rel=0.2)
-
-
-def test_where_the_plain_fit_fails_the_failure_is_returned(monkeypatch) -> None:
-    estimate = estimated(record(0), ph.MaximumLikelihood())
-    outcome = replace(estimate.solution.outcome, success=False)
-    failed = replace(estimate, solution=replace(estimate.solution, outcome=outcome))
-    monkeypatch.setattr(identify_module, "by_likelihood", lambda *_: failed)
-    with pytest.raises(ph.SolveError, match="The solver failed"):
-        ph.identify(oscillator(), record(0), WITH_FORCE)
-    fit = ph.identify(oscillator(), record(0), WITH_FORCE, raise_on_failure=False)
-    assert not fit.outcome.success
-    assert np.isnan(fit.standard_errors["std_error"]).all()
 
 
 BESIDE = {

@@ -423,40 +423,6 @@ def test_a_trajectory_says_what_it_says_by_itself() -> None:
         assert part.constant == pytest.approx(expected.constant, rel=1e-9)
 
 
-def held_between_samples(fine: Linearization, force: Process, n: int) -> np.ndarray:
-    """What a force shows that is held from sample to sample, (n_values, n_values)."""
-    grid = fine.grid
-    dense = Dense.of(fine, NONE)
-    gap = np.cumsum(grid.sample)[grid.begin] - 1
-    _, gap = np.unique(gap, return_inverse=True)
-    to_steps = np.eye(n)[gap]
-    slopes = dense.force_slopes(force.place) @ to_steps
-    samples = grid.t[grid.sample]
-    same = np.diff(grid.trajectory[grid.sample]) == 0
-    middles = ((samples[1:] + samples[:-1]) / 2)[same]
-    runs = grid.trajectory[grid.sample][1:][same]
-    covariance: np.ndarray = slopes @ kernel(force, middles, runs) @ slopes.T
-    return covariance
-
-
-def test_one_interval_between_samples_is_the_same_record_with_a_force_held() -> None:
-    fine = problem_of("several runs, all steps")
-    coarse = problem_of("several runs")
-    assert fine.grid.n_intervals == 2 * coarse.grid.n_intervals
-    of_fine = Dense.of(fine, np.arange(3))
-    of_coarse = Dense.of(coarse, np.arange(3))
-    np.testing.assert_allclose(of_coarse.of_start, of_fine.of_start, atol=1e-10)
-    np.testing.assert_allclose(of_coarse.of_theta, of_fine.of_theta, atol=1e-10)
-    np.testing.assert_allclose(of_coarse.y, of_fine.y, atol=1e-10)
-    for force in (Process(1, 0.4, 0.7), Process(0, 0.05, 2.0)):
-        slopes = of_coarse.force_slopes(force.place)
-        grid = coarse.grid
-        middles = (grid.t[grid.begin] + grid.t[grid.begin + 1]) / 2
-        found = slopes @ kernel(force, middles, coarse.grid.runs) @ slopes.T
-        expected = held_between_samples(fine, force, grid.n_intervals)
-        np.testing.assert_allclose(found, expected, atol=1e-10)
-
-
 # --- Slopes of the evidence, against differences of the dense one
 
 

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.noise import (
-    difference_noise,
-    initial_noise,
-    scatter_by_run,
-)
+from phsi_opt.data.noise import difference_noise, initial_noise, scatter_by_run
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.transcription.grid import Grid, grid_of
 
@@ -103,10 +99,7 @@ def updated(grid: Grid, residual: np.ndarray, **known: Any) -> np.ndarray:
 
 
 def iteration(
-    grid: Grid,
-    *is_estimated: bool,
-    has_l1: bool = False,
-    huber: float | None = None,
+    grid: Grid, *is_estimated: bool, has_l1: bool = False, huber: float | None = None
 ) -> NoiseIteration:
     estimated = np.array(is_estimated or (True, True))
     return NoiseIteration(grid, estimated, N_THETA, huber, has_l1)

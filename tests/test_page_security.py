@@ -19,11 +19,7 @@ from phsi_opt.page.drafts import MOST_FILES
 from phsi_opt.page.guards import is_own_origin
 from phsi_opt.page.serve import MOST_SESSIONS, Sessions
 from phsi_opt.page.session import Session
-from tests.page_tools import (
-    loaded_table,
-    served,
-    wait_for,
-)
+from tests.page_tools import loaded_table, served, wait_for
 
 FORBIDDEN = 403
 SWITCHED = 101  # to a websocket

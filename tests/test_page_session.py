@@ -37,10 +37,7 @@ from phsi_opt.page.session import Look, Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Order, Shown, WorkerHandle
-from phsi_opt.presentation.content import (
-    ErrorStep,
-    Glance,
-)
+from phsi_opt.presentation.content import ErrorStep, Glance
 from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.writing import write_whole

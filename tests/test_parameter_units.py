@@ -138,15 +138,7 @@ def test_a_unit_that_the_model_states_is_kept_and_tells_the_others() -> None:
 
 
 def test_written_powers_are_read_and_written_alike() -> None:
-    for unit in (
-        "N s/m",
-        "kg m^2",
-        "1/s",
-        "m/s^2",
-        "degC/(W h)",
-        "W",
-        "%",
-    ):
+    for unit in ("N s/m", "kg m^2", "1/s", "m/s^2", "degC/(W h)", "W", "%"):
         powers = powers_as_written(unit)
         assert powers is not None
         assert coefficient_unit(powers) == unit

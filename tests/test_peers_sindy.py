@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import pytest
 pytest.importorskip("pysindy", reason="needs the extra 'peers'")
 import phsi_opt as ph
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.model.terms import Dictionary
 from problems.peers.sindy import lasso, regressions, sindy
 from problems.thesis.systems import SYSTEMS
 
@@ -105,32 +103,3 @@ def test_the_lasso_satisfies_its_optimality_conditions(weight: float) -> None:
         assert np.all(np.abs(slope[xi == 0]) <= weight * (1 + 1e-4))
         zeros += int(np.sum(xi == 0))
     assert zeros == len(found.removed) > 0
-
-
-def one_state(force: Dictionary, **more: Any) -> ph.FirstOrder:
-    return ph.FirstOrder(["x"], {"x": force}, **more)
-
-
-def decay(x: Any = None, t: Any = None, states: Any = ("x",)) -> ph.Measurements:
-    t = np.linspace(0, 1, 30) if t is None else t
-    column = (np.exp(-t) if x is None else x)[:, None]
-    return ph.Measurements.from_arrays(
-        [t], [np.tile(column, len(states))], states=states
-    )
-
-
-LINEAR = one_state(ph.polynomials(["x"], 1))
-
-
-@pytest.mark.parametrize(("model", "message"), [
-    (ph.PseudoHamiltonian(states=["x"], S=[[0]], H=ph.formula("x**2")), "needs a FirstOrder model, not Pseudo"),
-    (one_state(ph.trigonometric("t")), r"'F_x.omega_t' does not enter linearly.*fixed=\{'F_x.omega_t': 1.0\}"),
-    (one_state(ph.formula("exp(-k*x)", k=ph.Parameter())), "'k' does not enter linearly"),
-    (one_state(ph.polynomials(["x"], 2), R=ph.damping("x")), r"'R_x' has bounds \[0, inf\]"),
-    (LINEAR.frozen(), "no free coefficient"),
-    (ph.FirstOrder(["x", "y"], dict.fromkeys("xy", ph.formula("a*x", a=ph.Parameter()))), "'a' stands in the equations of x and y"),
-])  # fmt: skip
-def test_a_model_that_is_no_linear_regression_is_refused(model, message) -> None:
-    for method in (sindy, lambda m, d: lasso(m, d, 1.0)):
-        with pytest.raises(ph.ModelError, match=message):
-            method(model, decay(states=model.states))

@@ -154,10 +154,7 @@ def test_with_the_true_effect_added_a_case_reaches_its_floor(name, seed) -> None
 
 def test_two_effects_are_right_only_when_each_is_found_once_and_nothing_else() -> None:
     gap, coupling = "gap on p1", "coupling stiffness on p2"
-    truths = (
-        Truth(("gap",), ("p1",)),
-        Truth(("coupling stiffness",), ("p1", "p2")),
-    )
+    truths = (Truth(("gap",), ("p1",)), Truth(("coupling stiffness",), ("p1", "p2")))
     assert ask.matches(truths, [{coupling}, {gap}])
     assert ask.matches(truths, [{coupling}, {"cubic stiffness on p1", gap}])
     assert not ask.matches(truths, [{gap}])

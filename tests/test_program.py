@@ -14,11 +14,7 @@ import phsi_opt as ph
 from phsi_opt.initialization.scaling import MOST_RATIO, theta_scale
 from phsi_opt.model.expressions import evaluate
 from phsi_opt.optimization import ipopt
-from phsi_opt.optimization.column_function import (
-    AT_ONCE,
-    in_numbers,
-    in_rows,
-)
+from phsi_opt.optimization.column_function import AT_ONCE, in_numbers
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.grid import grid_of
@@ -52,9 +48,7 @@ def test_ipopt_with_slacks_agrees_with_cvxpy_where_the_loss_is_convex(
     x = np.column_stack([np.cos(1.5 * t) + 0.4, -1.5 * np.sin(1.5 * t)])
     x = x + 0.02 * rng.normal(size=x.shape)
     model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.polynomials(["q", "p"], 3),
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], 3)
     )
     grid = grid_of(ph.Measurements.from_arrays([t], [x], states=["q", "p"]))
     point = Point(np.zeros(9), grid.y, np.ones(9), np.ones(2))
@@ -279,27 +273,9 @@ def test_it_finds_what_casadi_finds(n: int) -> None:
         np.testing.assert_allclose(own, expected, rtol=1e-12, atol=1e-14)
 
 
-def test_results_that_follow_no_argument_stand_at_every_place() -> None:
-    a, b = ca.SX.sym("a"), ca.SX.sym("b")
-    function = ca.Function("constant", [a, b], [ca.vertcat(2.0, b, 3 * b, a)])
-    (found,) = in_numbers(function, np.arange(3.0)[None], np.array([5.0]))
-    np.testing.assert_array_equal(found, [[2] * 3, [5] * 3, [15] * 3, [0, 1, 2]])
-
-
 def test_a_place_without_a_number_has_none_and_leaves_the_others() -> None:
     function = function_of(("log(a) + 1/b",))
     a = np.array([[1.0, -1.0, 2.0], [1.0, 1.0, 1.0]])
     values, _ = in_numbers(function, a, np.array([[1.0, 1.0, 0.0]]))
     assert np.isfinite(values[0]).tolist() == [True, False, False]
     assert values[1, 0] == 1.0
-
-
-def test_rows_of_a_table_have_the_results_of_each_column() -> None:
-    a, theta = ca.SX.sym("a", 2), ca.SX.sym("theta")
-    results = [ca.vertcat(a[0] * theta, ca.exp(a[1]), theta), ca.SX.zeros(2)]
-    function = ca.Function("values", [a, theta], results)
-    table = np.random.default_rng(0).normal(size=(5, 2))
-    found, zeros = (one.full() for one in in_rows(function, 5)(table, 3.0))
-    expected = np.column_stack((3 * table[:, 0], np.exp(table[:, 1]), np.full(5, 3.0)))
-    np.testing.assert_allclose(found, expected, rtol=1e-14)
-    assert zeros.shape == (5, 2) and not np.any(zeros)

@@ -9,7 +9,6 @@ import json
 import math
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -92,26 +91,6 @@ def test_a_table_is_read_exactly_however_it_is_separated(
 
 
 @tried
-@given(tables(), FORMATS, st.data())
-def test_a_cell_that_is_no_number_is_named_by_line_and_column(
-    folder: Path, table: np.ndarray, kind: tuple[str, str], data: st.DataObject
-) -> None:
-    separator, point = kind
-    lines = written(table, separator, point).splitlines()
-    line = data.draw(st.integers(1, len(table)))
-    column = data.draw(st.integers(0, 2))
-    cells = lines[line].split(separator)
-    cells[column] = data.draw(st.sampled_from(["abc", "1.2.3", "#REF!", "--1", "1e"]))
-    lines[line] = separator.join(cells)
-    path = folder / "cell.csv"
-    path.write_text("\n".join(lines))
-    with pytest.raises(ph.DataError) as refused:
-        read(path)
-    assert f"line {line + 1}" in str(refused.value)
-    assert f"'{'tqu'[column]}'" in str(refused.value)
-
-
-@tried
 @given(st.one_of(TEXTS.map(str.encode), st.binary(max_size=80)))
 def test_any_bytes_are_a_table_or_refused(folder: Path, content: bytes) -> None:
     path = folder / "bytes.csv"
@@ -121,18 +100,6 @@ def test_any_bytes_are_a_table_or_refused(folder: Path, content: bytes) -> None:
     except ph.DataError:
         return
     assert all(np.all(np.diff(run.t) > 0) for run in data.trajectories)
-
-
-@tried
-@given(
-    st.integers(-(2**62), 2**62),
-    st.lists(st.integers(1, 10**9), min_size=1, max_size=9),
-)
-def test_whole_numbers_of_any_size_keep_their_differences(first, steps) -> None:
-    t = np.cumsum(np.array([first, *steps], dtype=np.int64))
-    x = np.arange(len(t), dtype=float)
-    (run,) = ph.Measurements.from_arrays(t, x, states=["q"]).trajectories
-    assert np.array_equal(np.diff(run.t), np.array(steps, dtype=float))
 
 
 # ---- formulas ------------------------------------------------------------------------
@@ -257,16 +224,6 @@ def test_a_damaged_fit_is_loaded_or_refused(folder, saved, data) -> None:
         return
     assert str(fit)
     assert set(fit.std_errors) == set(fit.values)
-
-
-@tried
-@given(st.data())
-def test_a_fit_keeps_every_number_in_its_file(folder, saved, data) -> None:
-    fit = ph.Fit.from_content(copy.deepcopy(saved))
-    values = {name: data.draw(st.floats(0, 1e300)) for name in fit.values}
-    path = folder / "kept.json"
-    replace(fit, model=fit.model.with_values(values)).save(path)
-    assert dict(ph.Fit.load(path).values) == values
 
 
 STUDY = """

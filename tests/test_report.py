@@ -47,10 +47,7 @@ from phsi_opt.presentation.content import (
     StudyContent,
     thinned,
 )
-from phsi_opt.presentation.html_report import (
-    html_report,
-    markdown_report,
-)
+from phsi_opt.presentation.html_report import html_report, markdown_report
 from phsi_opt.presentation.numbers import (
     estimate_text,
     number,
@@ -62,10 +59,7 @@ from phsi_opt.presentation.numbers import (
     with_error,
 )
 from phsi_opt.presentation.sentences import say
-from phsi_opt.presentation.units import (
-    rate_unit,
-    times_words,
-)
+from phsi_opt.presentation.units import rate_unit, times_words
 from phsi_opt.study.answers import (
     answer,
     disturbance_word,
@@ -74,12 +68,7 @@ from phsi_opt.study.answers import (
     undetermined_words,
     where_answer,
 )
-from phsi_opt.study.content import (
-    _errors,
-    ends_within,
-    glance_of,
-    study_content,
-)
+from phsi_opt.study.content import _errors, ends_within, glance_of, study_content
 from phsi_opt.study.record import StudyRecord
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table

@@ -42,13 +42,6 @@ def test_trajectories_may_have_offsets_of_their_own() -> None:
     assert resolution([*runs, decaying()]) == 0.0
 
 
-@pytest.mark.parametrize("step", [0.1, 0.32, 1 / 256])
-def test_the_step_of_single_precision_is_that_of_the_sensor(step: float) -> None:
-    values = rounded_to(step, 5 * decaying()).astype(np.float32).astype(float)
-    # Numbers of single precision have 7 digits.
-    assert resolution([values]) == pytest.approx(step, rel=1e-4)
-
-
 def test_printed_digits_do_not_hide_the_step_of_the_converter() -> None:
     values = np.round(rounded_to(0.0322265625, 30 * decaying(2000)), 2)
     # A thousand steps, each printed to a sixth of a step at most.
@@ -172,15 +165,3 @@ def test_steps_coarser_than_the_motion_are_not_taken_for_an_effect() -> None:
         in found.reason
     )
     assert found.proposed == ()
-
-
-def test_what_is_missing_is_named_through_a_quantised_sensor() -> None:
-    train, test = measured(truth(friction=0.08), 2 / 30).split(0.6)
-    effects = ["coulomb friction", "quadratic drag", "cubic stiffness"]
-    found = ph.diagnose(ph.identify(base(), train), train, test, effects=effects)
-    assert found.verdict is ph.Verdict.NAMED
-    assert [str(effect) for effect in found.proposed] == ["coulomb friction on p"]
-    complete, test = measured(truth(), 2 / 30).split(0.6)
-    fit = ph.identify(base(), complete)
-    nothing = ph.diagnose(fit, complete, test, effects=effects)
-    assert nothing.verdict is ph.Verdict.NOTHING_MISSING

@@ -9,10 +9,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.experiments import (
-    Separation,
-    separating,
-)
+from phsi_opt.diagnosis.experiments import Separation, separating
 from phsi_opt.simulation.simulate import free_run
 
 NOISE = 0.02
@@ -109,23 +106,6 @@ def test_on_a_hardening_spring_a_longer_record_tells_an_offset_from_a_force() ->
     further = table.loc["initial states 3 times as far from the mean"]
     assert further["separation"] == pytest.approx(found.in_record, rel=0.1)
     assert "noise standard deviations; in this record by" in found.sentence
-
-
-def test_another_amplitude_tells_dry_friction_from_drag_whichever_comes_first() -> None:
-    dry = spring().add("coulomb friction", "p")
-    friction = {"coulomb_friction_p": 1.0, "coulomb_friction_p.v0": 0.05}
-    dry = dry.with_values({**friction, "R_p": 0.3})
-    drag = spring().add("quadratic drag", "p").with_values({"quadratic_drag_p": 0.1})
-    data = positions(dry, np.linspace(0.0, 3.0, 201), [1.0, 0.0])
-    base = ph.identify(spring(), data)
-    fits = [ph.identify(model, data, start=base) for model in (dry, drag)]
-    for first, second in (fits, fits[::-1]):
-        found = separating(first, second, data, SIGMA)
-        assert (
-            "times as far from the mean: the two predictions then differ by"
-            in found.sentence
-        )
-        assert found.table["separation"].iloc[0] > 10 * found.in_record
 
 
 def test_a_steady_vibration_hides_what_other_frequencies_show(resonant, found) -> None:

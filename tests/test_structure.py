@@ -89,38 +89,6 @@ def test_a_capacitor_may_leak_and_the_position_of_a_body_may_not() -> None:
     assert forced_rows(motor("mechanical")) == (1,)
 
 
-def piston(kind: Any = None) -> ph.PseudoHamiltonian:
-    """A piston of place q and momentum p before oil of pressure z."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p", "z"],
-        S=[[0, 1, 0], [-1, 0, 0.5], [0, -0.5, 0]],
-        H=ph.formula("q**2/2 + p**2/2 + z**2/2"),
-        kind=kind or {},
-    )
-
-
-MOVES = {"q": "mechanical", "p": "mechanical"}
-
-
-def test_a_momentum_coupled_to_more_than_its_position_is_told_to_be_mechanical() -> (
-    None
-):
-    assert position_of_momentum(piston()) == {}  # it may be a tank beside a pipe
-    assert position_of_momentum(piston(MOVES)) == {"p": "q"}
-    assert forced_rows(piston(MOVES)) == (1, 2)
-    by_units = with_kinds_of_units(piston(), {"q": "mm", "p": "kg m/s", "z": "kPa"})
-    assert by_units.kind == {**MOVES, "z": "hydraulic"}
-    assert position_of_momentum(by_units) == {"p": "q"}
-
-
-def test_a_gyrator_is_known_by_its_units_too() -> None:
-    lossless = replace(motor(), S=ph.canonical(1))
-    assert position_of_momentum(lossless) == {"flux": "turn"}
-    known = with_kinds_of_units(lossless, {"turn": "N m s", "flux": "V s"})
-    assert known.kind == {"turn": "mechanical", "flux": "electrical"}
-    assert position_of_momentum(known) == {}
-
-
 @pytest.mark.parametrize("rate", [
     ph.formula("v"),
     ph.formula("3.6*v"),
@@ -134,17 +102,6 @@ def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(rate) ->
     assert forced_rows(model) == (1,)
     heat = replace(model, kind="thermal")
     assert position_of_momentum(heat) == {}
-
-
-def test_a_voltage_is_the_position_of_the_current_that_charges_it() -> None:
-    capacity = ph.Parameter(2.2e-5, lower=0)
-    rates = {"u": ph.formula("i/C", C=capacity), "i": ph.formula("-u")}
-    circuit = ph.FirstOrder(["u", "i"], rates, kind="electrical")
-    assert position_of_momentum(circuit) == {"i": "u"}
-    assert ph.catalogue(circuit, called="cubic elastance")[0].equation == "i"
-    assert position_of_momentum(replace(circuit, kind={})) == {}
-    rates["u"] = ph.formula("i/C", C=replace(capacity, lower=-1.0))
-    assert position_of_momentum(replace(circuit, F=rates)) == {}
 
 
 @pytest.mark.parametrize("rate", [

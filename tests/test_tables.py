@@ -183,18 +183,6 @@ def test_a_text_is_read_in_the_encodings_of_spreadsheets(tmp_path, encoding) -> 
     assert data.trajectories[0].x[:, 0].tolist() == [1.5, 2.0]
 
 
-@pytest.mark.parametrize(("source", "message"), [
-    (3, "source is a int; expected a path"),
-    (b"bench.csv", "source is a bytes"),
-    ({"a": "b.csv"}, "source is a dict"),
-    ([], "source is an empty list"),
-    ([3], "source contains a int"),
-])  # fmt: skip
-def test_a_source_of_the_wrong_type_is_refused(source: Any, message: str) -> None:
-    with pytest.raises(ph.DataError, match=message):
-        ph.Measurements.from_csv(source, time="t", states=["q"])
-
-
 # ---- data frames ----
 
 
@@ -206,22 +194,6 @@ def test_a_data_frame_is_not_changed() -> None:
     )
     pd.testing.assert_frame_equal(table, before)
     table.loc[0, "q"] = 99.0
-    assert data.trajectories[0].x[0, 0] == 1.0
-
-
-@pytest.mark.parametrize("column", [
-    pd.Series([1, 2, 3]),
-    pd.Series([1, None, 3], dtype="Int64"),
-    pd.Series([1.0, None, 3.0], dtype="Float64"),
-    pd.Series([1.0, None, 3.0], dtype=object),
-    pd.Series(["1", "", "3"]),
-    pd.Series([1.0, pd.NA, 3.0], dtype=object),
-    pd.Series([True, False, True]),
-    pd.Series([1, 2, 3], dtype="float32"),
-])  # fmt: skip
-def test_every_numeric_kind_of_column_is_read(column: pd.Series) -> None:
-    data = ph.Measurements.from_dataframe(frame(q=column), time="t", states=["q"])
-    assert data.trajectories[0].x.dtype == np.float64
     assert data.trajectories[0].x[0, 0] == 1.0
 
 
@@ -282,38 +254,6 @@ def test_a_table_without_a_header_reads_the_same_however_it_is_written(text) -> 
         text, columns=["t", "q", "u"], time="t", states=["q"], inputs=["u"], **options
     )
     assert named.digest == data.digest
-
-
-def test_columns_with_a_header_may_be_given_by_position() -> None:
-    text = "Loop,Loop,t (s),V\n1,7,0,3\n1,8,1,4\n"
-    data = read_text(text, time="t (s)", states={"v": 3, "n": 1})
-    np.testing.assert_array_equal(data.trajectories[0].x, [[3, 7], [4, 8]])
-
-
-def test_what_pandas_writes_above_columns_without_names_is_a_header() -> None:
-    text = pd.DataFrame([[0.0, 5.0], [1.0, 6.0]]).to_csv()
-    data = read_text(text, time="0", states={"q": "1"})
-    np.testing.assert_array_equal(data.trajectories[0].x, [[5], [6]])
-
-
-def test_names_of_runs_do_not_make_a_first_line_a_header_where_columns_are_named() -> (
-    None
-):
-    data = read_text(
-        "a 0 1\na 1 2\nb 0 3\nb 1 4\n",
-        columns=["run", "t", "q"],
-        time="t",
-        states=["q"],
-        trajectory="run",
-    )
-    assert [run.name for run in data] == ["a", "b"]
-
-
-def test_headers_between_blanks_and_a_separator_that_is_given() -> None:
-    data = read_text("t   x_m\n0   1\n1   2\n", time="t", states={"q": "x_m"})
-    assert data.n_samples == 2
-    data = read_text("t|q\n0|1\n1|2\n", time="t", states=["q"], separator="|")
-    assert data.n_samples == 2
 
 
 def test_rows_may_be_counted_where_no_column_has_the_times() -> None:
@@ -519,24 +459,6 @@ def test_a_workbook_that_cannot_be_used_is_refused_by_place(
     path = workbook(tmp_path / "bench.xlsx", sheets)
     with pytest.raises(ph.DataError, match=f"(?s)file '.*bench.xlsx'.*{message}"):
         ph.Measurements.from_excel(path, **({"time": "t", "states": ["q"]} | options))
-
-
-def test_a_file_of_another_kind_is_refused_with_the_reader_it_needs(tmp_path) -> None:
-    for name, message in (
-        ("a.xlsx", "not a text table; read it with Measurements.from_excel"),
-        ("a.mat", "not a text table; read it with Measurements.from_mat"),
-        ("a.xls", "not a text table; save it as .xlsx or CSV"),
-    ):
-        path = tmp_path / name
-        path.write_bytes(b"t,q\n0,1\n1,2\n")
-        with pytest.raises(ph.DataError, match=message):
-            ph.Measurements.from_csv(path, time="t", states=["q"])
-    with pytest.raises(ph.DataError, match=r"is not an \.xlsx workbook"):
-        ph.Measurements.from_excel(path, time="t", states=["q"])
-    with pytest.raises(ph.DataError, match="it is not a MATLAB file, or it is damaged"):
-        ph.Measurements.from_mat(path, time="t", states=["q"])
-    with pytest.raises(ph.DataError, match="gives str; expected bytes"):
-        ph.Measurements.from_excel(io.StringIO("t"), time="t", states=["q"])
 
 
 # ---- MATLAB ----

@@ -12,7 +12,6 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.model.unit_checks import UnitCheck
 from phsi_opt.presentation.units import (
-    computed_unit,
     in_si,
     measure_of,
     scale_of,
@@ -274,15 +273,6 @@ def test_a_fit_of_converted_data_is_that_of_data_in_si() -> None:
     assert re.search(r"noise: q 0\.[45]\d* mm", str(converted))
 
 
-def test_a_fit_from_a_file_tells_the_units_that_were_written(tmp_path: Path) -> None:
-    stiffness = ph.Parameter(50.0, unit=computed_unit("N/mm"))
-    data = swings(MM, 1e-3, 1e3).in_si()
-    fit = ph.identify(cart(k=stiffness, m=2.5), data)
-    fit.save(tmp_path / "fit.json")
-    assert re.search(r"k = \S+ \+- \S+ N/mm\n", str(fit))
-    assert str(ph.Fit.load(tmp_path / "fit.json")) == str(fit)
-
-
 # ---- study files ---------------------------------------------------------------------
 
 
@@ -354,15 +344,6 @@ def test_a_unit_that_is_not_known_cannot_be_converted(tmp_path: Path) -> None:
     assert "N/m" in found["parameters.k.unit"]
 
 
-def test_a_study_in_si_is_read_as_before(tmp_path: Path) -> None:
-    units = {"q": "m", "t": "s"}
-    text = 'k = { start = 50, unit = "N/m" }\nm = 2.5'
-    data = swings(units)
-    file = ph.StudyFile.read(written(tmp_path, data, units, text))
-    np.testing.assert_array_equal(file.measurements().stacked("x"), data.stacked("x"))
-    assert file.base.entries["k"].parameter == ph.Parameter(50.0, unit="N/m")
-
-
 # ---- machines in the units of their loggers ------------------------------------------
 
 
@@ -407,9 +388,7 @@ def test_a_house_in_hours_kilowatts_and_degrees_fahrenheit() -> None:
         ["T"],
         {
             "T": ph.formula(
-                rate,
-                a=ph.Parameter(100.0, unit="W/K"),
-                C=ph.Parameter(1e6, unit="J/K"),
+                rate, a=ph.Parameter(100.0, unit="W/K"), C=ph.Parameter(1e6, unit="J/K")
             )
         },
         inputs=["To", "P"],

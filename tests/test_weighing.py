@@ -16,8 +16,6 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.sensitivities import Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
-from problems.examples.demo import model as demo_spring
-from problems.examples.friction_spring import table
 
 T = np.linspace(0.0, 8.0, 81)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.8, -0.7])
@@ -220,21 +218,6 @@ def test_the_same_bits_come_out_twice() -> None:
     np.testing.assert_array_equal(one.states, other.states)
 
 
-def test_no_force_is_needed_where_nothing_is_missing() -> None:
-    data = measured("0.1")
-    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
-    record = record_of("0.1")
-    alone = record.without_force([ph.compare(fit, data)])
-    assert alone.force_share(1) == 0
-    gain = record.base.log_evidence - alone.log_evidence
-    assert gain < DECISIVE_EVIDENCE
-    lossy = measured(LOSSES["quadratic drag"])
-    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), lossy)
-    record = record_of(LOSSES["quadratic drag"])
-    alone = record.without_force([ph.compare(fit, lossy)])
-    assert record.base.log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
-
-
 # --- an effect with a memory
 
 
@@ -281,18 +264,6 @@ def test_a_memory_is_weighed_and_begins_near_rest(name: str) -> None:
 # --- screening
 
 
-def test_screening_expects_the_coefficient_that_is_weighed() -> None:
-    record = record_of(LOSSES["quadratic drag"])
-    expected = screened(record, "quadratic drag")
-    found = record.weighed(expected.model, expected.values)
-    place = found.names.index("quadratic_drag_p")
-    error = np.sqrt(found.covariance[place, place])
-    assert abs(expected.coefficient - found.theta[place]) < 2 * error
-    # It is expected beside the whole force, and found beside what is left of it.
-    assert expected.std_error > error
-    assert expected.gain > DECISIVE_EVIDENCE
-
-
 @pytest.mark.parametrize(
     ("name", "equation"),
     [("constant force", "p"), ("cubic stiffness", "p"), ("sensor offset", "q")],
@@ -334,35 +305,3 @@ def test_a_grade_is_that_of_all_data_and_of_what_was_weighed_alone() -> None:
     assert replace(one, log_predictive=-4.0).grade == Grade.NONE
     assert replace(one, log_bayes=np.nan).grade == Grade.NONE
     assert replace(one, was_weighed=False).grade == Grade.NONE
-
-
-# ---- the evidence of a fit
-
-
-def rubbed(friction: float) -> ph.Measurements:
-    return ph.Measurements.from_dataframe(
-        table(3, friction),
-        time="t_s",
-        states={"q": "position_m", "p": None},
-        trajectory="run",
-        units={"q": "m", "p": "kg m/s", "t": "s"},
-    )
-
-
-@pytest.fixture(scope="module")
-def rubbing() -> tuple[ph.Measurements, ph.Fit]:
-    train, _ = rubbed(2.0).split(0.6)
-    return train, ph.identify(demo_spring(), train)
-
-
-def test_it_is_kept_with_the_fit_and_unknown_without_a_likelihood(
-    rubbing: tuple[ph.Measurements, ph.Fit], tmp_path: object
-) -> None:
-    _, fit = rubbing
-    path = f"{tmp_path}/fit.json"
-    fit.save(path)
-    assert ph.Fit.load(path).log_evidence == fit.log_evidence
-    t = np.linspace(0, 5, 51)
-    model = ph.FirstOrder(states=["x"], F={"x": ph.formula("-a*x", a=ph.Parameter(1))})
-    data = ph.Measurements.from_arrays(t, np.exp(-0.5 * t)[:, None], states=["x"])
-    assert np.isnan(ph.identify(model, data, ph.PHSILoss()).log_evidence)

@@ -1,6 +1,5 @@
 """Where a model fails: in time, states and frequency, and what the force follows."""
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -16,10 +15,6 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import (
     ForceAnalysis,
     _said,
-    place_answer,
-    place_words,
-    plain_name,
-    range_words,
     sentence,
     step_without_name,
 )
@@ -30,9 +25,8 @@ from phsi_opt.force_analysis.cross_validation import (
     piecewise_linear_basis,
     product_basis,
 )
-from phsi_opt.force_analysis.dependence import Causes
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import Pace, StrongRange
+from phsi_opt.force_analysis.localization import Pace
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.waves import spectrum
 
@@ -243,35 +237,6 @@ def test_sentences_say_size_place_and_cause_with_units(cases) -> None:
     size, *others = "dp/dt lacks a force of rms 2.", " N, ", " Hz", "period 2.5"
     for part in (size, *others, "Best predictor: t"):
         assert part in said
-
-
-def test_a_place_is_told_as_people_say_it(cases: dict[str, ForceAnalysis]) -> None:
-    force = cases["cubic"].force_in()
-    assert re.search(r"where q is highest \(above 0\.\d+ m\)", place_words(force))
-    assert plain_name(force, "dH_dp") == "the velocity of q"
-    ends = [StrongRange(-2.0, -1.0, True, False), StrongRange(1.0, 2.0, False, True)]
-    assert range_words(force, "dH_dp", ends) == (
-        "at high speed, either way (the velocity of q below -1 or above 1 m/s)"
-    )
-    assert range_words(force, "q", ends[:1]) == "where q is lowest (below -1 m)"
-    assert range_words(force, "q", ends[1:]) == "where q is highest (above 1 m)"
-    inside = StrongRange(0.1, 0.2, False, False)
-    assert range_words(force, "q", [inside]) == "where q is 0.1 to 0.2 m"
-
-
-def test_what_moves_together_is_said_not_to_be_separable(cases) -> None:
-    driven = Causes({"inputs": 0.82}, {"inputs": 0.82}, goes_together=True)
-    closed_loop = with_found(cases["friction"].force_in(), causes=driven)
-    assert cause_of(closed_loop) == (
-        "follows the input u, which explains 82 % of it; the data cannot distinguish "
-        "the input from the velocity of q, which is correlated with it here"
-    )
-    said = str(place_answer(closed_loop, is_named=True, is_known=False))
-    assert "It depends on the velocity of q or on the input u" in said
-    assert (
-        "82 % of it is explained by the velocity of q or by the input u; these data "
-        "cannot distinguish the two."
-    ) in said
 
 
 def test_a_force_far_faster_than_the_motion_is_called_a_vibration(cases) -> None:
