@@ -2,7 +2,6 @@
 
 import os
 import re
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,10 +9,8 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tests.page_tools import (
-    bad_table,
     browser_path,
     loaded_table,
-    long_spring_table,
     plain_spring_table,
     served,
     spring_table,
@@ -24,7 +21,6 @@ pytestmark = pytest.mark.slow
 
 SHOWN_WITHIN = 20_000  # ms, for what needs no solve; a busy machine takes its time
 SOLVED_WITHIN = 90_000  # ms
-CANCELLED_WITHIN = 2.0  # s
 CLICKED = re.compile("^At t = ")
 CALLED = "Coulomb friction on p"
 NAMED = re.compile(f"{CALLED}, .* N, is missing\\.")
@@ -179,46 +175,6 @@ def unlabelled_fields(page: Page) -> list[str]:
     return found
 
 
-def test_a_bad_file_is_refused_with_row_and_column(page: Page) -> None:
-    drop(page, "bad.csv", bad_table())
-    alert = page.get_by_role("alert")
-    expect(alert).to_contain_text("column 't_s', line 8: 'abc' is not a real number")
-    drop(page, "spring.csv", spring_table())
-    expect(page.get_by_text("spring.csv: 302 samples, 3 runs")).to_be_visible()
-    expect(alert).to_be_hidden()
-    page.get_by_label("unit of t_s").fill("s")
-    page.get_by_role("tab", name="2 Model").click()
-    page.get_by_role("button", name="Mass with forces A mass").click()
-    energy = page.get_by_label("energy H")
-    expect(energy).to_have_value("k*q**2/2 + p**2/(2*m)")
-    energy.fill("kk*q**2/2 + p**2/(2*m)")
-    expect(page.get_by_text("'kk' is not known here")).to_be_visible()
-    expect(page.get_by_role("button", name="Fit", exact=True)).to_be_disabled()
-    page.get_by_role("button", name="Make kk a parameter").click()
-    expect(page.get_by_label("start of kk")).to_be_visible()
-    page.get_by_role("button", name="Remove k", exact=True).click()
-    expect(page.get_by_text("Model and data are valid.")).to_be_visible()
-
-
-def test_a_solve_is_cancelled_and_what_was_found_is_kept(page: Page) -> None:
-    prepare(page, long_spring_table())
-    press_fit(page)
-    searching = page.get_by_text(re.compile("screening|re-fitting with"))
-    expect(searching.first).to_be_visible(timeout=SOLVED_WITHIN)
-    cancel = page.get_by_role("button", name="Cancel")
-    cancel.click(trial=True)  # it can be pressed; the charts of the fit are drawn
-    began = time.monotonic()
-    cancel.click()
-    expect(page.get_by_text("Fitted; the diagnosis was cancelled")).to_be_visible()
-    assert time.monotonic() - began < CANCELLED_WITHIN
-    expect(page.get_by_text("Fitted, but not diagnosed yet")).to_be_visible()
-    # It goes on from the fit; what comes of that is tested without a browser.
-    page.get_by_role("button", name="Diagnose").click()
-    expect(searching.first).to_be_visible(timeout=SOLVED_WITHIN)
-    cancel.click()
-    nothing_is_solved(page)
-
-
 def test_neither_a_reload_nor_another_browser_nor_a_strange_file_disturbs_a_study(
     page: Page, browser: Browser, address: str, tmp_path: Path
 ) -> None:
@@ -292,34 +248,3 @@ def press(page: Page, name: str) -> None:
     look = button.evaluate("one => getComputedStyle(one).boxShadow")
     assert "5px" in look, "nobody sees where the focus is"
     page.keyboard.press("Enter")
-
-
-def test_a_link_of_another_site_leads_to_the_session_that_is_there(
-    page: Page, address: str
-) -> None:
-    drop(page, "spring.csv", spring_table())
-    table = page.get_by_text("spring.csv: 302 samples, 3 runs")
-    expect(table).to_be_visible()
-    page.goto(f"data:text/html,<a href='{address}'>phsi_opt</a>")
-    page.get_by_role("link", name="phsi_opt").click()
-    page.get_by_role("tab", name="1 Data").click()
-    expect(table).to_be_visible()
-
-
-def test_a_study_that_is_forgotten_is_gone_in_every_window(
-    page: Page, address: str
-) -> None:
-    drop(page, "spring.csv", spring_table())
-    other = page.context.new_page()
-    other.goto(address, timeout=SOLVED_WITHIN)
-    other.get_by_role("tab", name="1 Data").click()
-    table = other.get_by_text("spring.csv: 302 samples, 3 runs")
-    expect(table).to_be_visible()
-    page.get_by_role("button", name="Menu").click()
-    page.get_by_text("Begin again: delete this study").click()
-    page.get_by_role("button", name="Delete it").click()
-    for window in (page, other):
-        expect(
-            window.get_by_text("Start with the measurements: part 1.")
-        ).to_be_visible()
-    expect(table).to_have_count(0)

@@ -8,8 +8,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,9 +21,7 @@ from phsi_opt.page.drafts import (
     INPUT,
     MOST_UPLOADED,
     NOT_USED,
-    RUN,
     STATE,
-    TIME,
     ColumnDraft,
     DataDraft,
 )
@@ -33,15 +29,13 @@ from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.guards import UploadLimit
 from phsi_opt.page.parts import complaint_words, words
 from phsi_opt.page.serve import is_loopback, serve
-from phsi_opt.page.session import Look, Session
+from phsi_opt.page.session import Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
-from phsi_opt.page.worker import Order, Shown, WorkerHandle
-from phsi_opt.presentation.content import ErrorStep, Glance
+from phsi_opt.page.worker import Shown
+from phsi_opt.presentation.content import ErrorStep
 from phsi_opt.study_file.gallery import GALLERY
-from phsi_opt.study_file.kept_fits import KeptFits
-from phsi_opt.writing import write_whole
-from tests.page_tools import bad_table, contrast, spring_table, wait_for
+from tests.page_tools import contrast, spring_table, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
 ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
@@ -98,36 +92,12 @@ def studied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
 # ---- the table -----------------------------------------------------------------------
 
 
-def test_the_columns_of_a_table_are_guessed(session: Session) -> None:
-    assert session.draft.data is not None
-    found = {one.column: (one.role, one.unit) for one in session.draft.data.columns}
-    assert found == {
-        "run": (RUN, ""),
-        "t_s": (TIME, "s"),
-        "position_m": (STATE, "m"),
-    }
-    assert session.draft.data.runs == ["run 1", "run 2", "run 3"]
-
-
-def test_a_bad_table_is_refused_with_its_line_and_column(session: Session) -> None:
-    assert not session.upload("bad.csv", bad_table())
-    assert "column 't_s', line 8: 'abc' is not a real number" in session.upload_error
-    assert str(session.folder) not in session.upload_error
-    assert session.draft.data is not None
-    assert session.draft.data.files == ["spring.csv"], "what was there stays"
-    assert len(list((session.folder / "uploads").iterdir())) == 1
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"", "is empty"),
-        (b"t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
-        (b"t,q,q\n0,1,1\n1,2,2\n", "q: 2 columns have this name"),
-        (b"0" * (MOST_UPLOADED + 1), "at most 20 MB"),
-    ],
-    ids=["empty", "short", "twice", "large"],
-)
+@pytest.mark.parametrize(("content", "said"), [
+    (b"", "is empty"),
+    (b"t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
+    (b"t,q,q\n0,1,1\n1,2,2\n", "q: 2 columns have this name"),
+    (b"0" * (MOST_UPLOADED + 1), "at most 20 MB"),
+], ids=["empty", "short", "twice", "large"])  # fmt: skip
 def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     session = Session(tmp_path / "own")
     assert not session.upload("../../x.csv", content)
@@ -189,30 +159,6 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     assert (force.name, draft.names("inputs")) == ("u", ["u"])
     assert draft.table["F"] == {"p": "u"}
     assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"
-
-
-def test_what_the_gallery_assumes_or_cannot_use_is_told(session: Session) -> None:
-    session.choose(GALLERY["pendulum"])
-    assert session.left_over.startswith(
-        "position_m in m fits no state of Pendulum (q in rad,"
-    )
-    session.choose(GALLERY["mass"])
-    assert session.left_over == ""
-    parameters = session.draft.model.parameters
-    (mass,) = [one for one in parameters if one.is_assumed]
-    assert mass.words == "m = 1 kg"
-    mass.table["value"] = 0
-    (found,) = session.check()
-    assert "has no finite value at" in found.said
-    assert "m = 0" in found.said
-
-
-def test_a_state_that_is_taken_out_leaves_nothing_of_itself(session: Session) -> None:
-    session.choose(GALLERY["motor-circuit"])
-    model = session.draft.model
-    model.table["states"] = ["w"]
-    model.table["F"]["w"] = "(K*(u - K*w)/Ra - b*w)/J"
-    assert model.content()["kind"] == {"w": "mechanical"}
 
 
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
@@ -309,21 +255,6 @@ def test_a_study_file_becomes_drafts_and_comes_back(text: str, tmp_path: Path) -
     assert again.text() == ph.StudyFile.read(path).text()
 
 
-def test_an_opened_study_file_has_the_fits_that_commands_kept(tmp_path: Path) -> None:
-    shipped = files("phsi_opt.study_file") / "examples" / "spring"
-    for name in ("study.toml", "friction_spring.csv"):
-        (tmp_path / name).write_bytes((shipped / name).read_bytes())
-    path = tmp_path / "study.toml"
-    session = Session(tmp_path / "session", path)
-    draft = session.draft.as_it_is()
-    copy = write_whole(tmp_path / "copy.toml", draft.text)
-    keys = set()
-    for file in (ph.StudyFile.read(path), ph.StudyFile.read(copy, draft.places)):
-        keys.add(KeptFits.of(path, file, file.split()[0]).key)
-    assert len(keys) == 1
-    session.close()
-
-
 def test_the_measurements_are_drawn_before_there_is_a_model(tmp_path: Path) -> None:
     session = Session(tmp_path)
     assert session.seen_data.chart is None
@@ -363,17 +294,14 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert ranked["quadratic drag on p"].unit == "N s^2/m^2"
 
 
-@pytest.mark.parametrize(
-    ("held_out", "after", "expected"),
-    [
-        (0.06, 0.043, "Held-out error 0.06 m → 0.043 m (28 % less, at the noise floor)"),
-        (0.06, 0.05, "Held-out error 0.06 m → 0.05 m (17 % less)"),
-        (0.043, 0.042, "Held-out error 0.043 m → 0.042 m (2 % less)"),
-        (0.06, 0.07, "Held-out error 0.06 m → 0.07 m (17 % more)"),
-        (0.06, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
-        (None, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("held_out", "after", "expected"), [
+    (0.06, 0.043, "Held-out error 0.06 m → 0.043 m (28 % less, at the noise floor)"),
+    (0.06, 0.05, "Held-out error 0.06 m → 0.05 m (17 % less)"),
+    (0.043, 0.042, "Held-out error 0.043 m → 0.042 m (2 % less)"),
+    (0.06, 0.07, "Held-out error 0.06 m → 0.07 m (17 % more)"),
+    (0.06, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
+    (None, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
+])  # fmt: skip
 def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all(
     held_out: float | None, after: float | None, expected: str
 ) -> None:
@@ -383,37 +311,7 @@ def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all
     assert " ".join(said.replace("&nbsp;", " ").split()) == expected
 
 
-def test_the_page_has_every_run_with_its_missing_force(studied: Session) -> None:
-    content = studied.content
-    assert content is not None
-    assert [run.title for run in content.runs] == [
-        "run 2 (held out)",  # run 3 is kept for the end
-        "run 1 (training)",
-    ]
-    for run in content.runs:
-        (force,) = content.forces_along(run)
-        assert force.equation == "p"
-        assert force.unit == "N"
-        assert run.holds(force.t[0]) and run.holds(force.t[-1])
-        assert "dp/dt lacks" in words("at_time", [force], run, 1.0, content.time, 2.0)
-
-
-def test_the_charts_open_at_the_run_held_out(studied: Session) -> None:
-    known = studied.content
-    assert known is not None and known.glance is not None
-    assert studied.look == Look(known.shown, 0)
-    assert known.runs[studied.look.run].part == "held out"
-    # Of a model that lacks nothing, no moment is the worst one.
-    assert Look.worst(known) is None
-    lacks = replace(known, diagnoses=known.diagnoses[:1])
-    lacks = replace(lacks, glance=Glance(2, 0, "", t=3.5))
-    assert Look.worst(lacks) == Look(2, 0, 3.5)
-    assert known.runs[0].holds(1.0) and not known.runs[0].holds(99.0)
-
-
-def test_the_exported_script_reproduces_every_step(
-    studied: Session, tmp_path: Path
-) -> None:
+def test_the_exported_script_reproduces_every_step(studied, tmp_path) -> None:
     assert studied.content is not None
     (tmp_path / "spring.csv").write_bytes(spring_table())
     script = tmp_path / "study.py"
@@ -437,25 +335,6 @@ def test_the_exported_script_reproduces_every_step(
     assert ph.StudyFile.read(tmp_path / "study.toml").steps.added == (
         "coulomb friction on p",
     )
-
-
-def test_samples_are_averaged_and_fitted_again(session: Session) -> None:
-    session.average(2)
-    assert session.job is not None
-    wait_for(lambda: session.content is not None)  # fitted; the diagnosis goes on
-    session.cancel()
-    assert session.draft.content()["data"]["thinned"] == 2
-    assert session.content is not None, session.message
-    n_whole = session.draft.data.n_samples if session.draft.data is not None else 0
-    n_left = sum(len(run.channels[0].t) for run in session.content.runs)
-    # Of three runs one is kept for the end.
-    assert abs(n_left - n_whole / 3) <= len(session.content.runs)
-    session.draft.model.table["H"] = "broken +"
-    session.average(3)
-    assert session.job is None, "what cannot be fitted is told, not begun"
-    assert session.draft.content()["data"]["thinned"] == 6
-    session.draft.data.settings["thinned"] = "two"
-    assert any("thinned" in one.key for one in session.check())
 
 
 def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None:
@@ -533,32 +412,7 @@ def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
     assert words.startswith("Column of x: it is in the model: choose its column")
 
 
-def test_what_was_added_before_a_cancel_is_said_to_be_added(
-    session: Session, monkeypatch: pytest.MonkeyPatch, studied: Session
-) -> None:
-    told: list[Order] = []
-    monkeypatch.setattr(
-        WorkerHandle, "tell", lambda _, order, study: told.append(order)
-    )
-    assert studied.content is not None
-    for is_shown, said in (
-        (False, "Cancelled: Adding coulomb friction on p."),
-        (True, "Added coulomb friction on p; the diagnosis was"),
-    ):
-        session.add("coulomb friction on p")  # twice: a second order is taken
-        worker = session._worker
-        assert worker is not None
-        if is_shown:
-            session._receive(worker, Shown(studied.content, b""))
-        session.cancel()
-        assert session.message.startswith(said)
-        assert session.job is None
-    assert len(told) == 2
-
-
-def test_a_solve_is_cancelled_and_what_was_found_is_kept(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solve_is_cancelled_and_what_was_found_is_kept(session, monkeypatch) -> None:
     counted_as_made = []
     show = Session._show
 
@@ -615,9 +469,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_worker_ends_with_its_parent_in_the_middle_of_a_solve(
-    tmp_path: Path,
-) -> None:
+def test_a_worker_ends_with_its_parent_in_the_middle_of_a_solve(tmp_path) -> None:
     script = tmp_path / "parent.py"
     script.write_text(PARENT)
     root = Path(__file__).resolve().parents[1]
@@ -654,9 +506,7 @@ def received(limit: UploadLimit, body: bytes, told: int | None) -> int:
     ("n_bytes", "told", "status"),
     [(10, 10, 200), (10, None, 200), (11, 11, 413), (5, 11, 413), (11, 5, 400)],
 )
-def test_requests_that_are_too_large_are_refused(
-    n_bytes: int, told: int | None, status: int
-) -> None:
+def test_requests_that_are_too_large_are_refused(n_bytes, told, status) -> None:
     async def application(scope: Any, receive: Any, send: Any) -> None:
         message = await receive()
         is_whole = message["type"] == "http.request"
@@ -666,9 +516,7 @@ def test_requests_that_are_too_large_are_refused(
     assert received(limit, b"0" * n_bytes, told) == status
 
 
-def test_the_page_is_for_this_machine_alone_unless_told_otherwise(
-    tmp_path: Path,
-) -> None:
+def test_the_page_is_for_this_machine_alone_unless_told_otherwise(tmp_path) -> None:
     assert serve.__defaults__ is not None
     for host in (serve.__defaults__[1], "localhost", "::1"):
         assert is_loopback(host)

@@ -22,7 +22,7 @@ import phsi_opt as ph
 from phsi_opt.model.expressions import CASADI, NUMPY, evaluate, parse
 
 N_INPUTS = int(os.environ.get("PHSI_OPT_INPUTS", "1000"))
-N_PROPERTIES = 9
+N_PROPERTIES = 6
 Test = TypeVar("Test", bound=Callable[..., Any])
 
 NUMBERS = st.floats(-1e100, 1e100)  # larger ones are refused

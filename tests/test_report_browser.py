@@ -110,9 +110,7 @@ def test_charts_are_drawn_zoomed_chosen_and_read(report: Page) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 1280])
-def test_nothing_is_wider_than_the_screen_and_paper_has_pictures(
-    report: Page, width: int
-) -> None:
+def test_nothing_is_wider_than_the_screen_and_paper_has_pictures(report, width) -> None:
     report.set_viewport_size({"width": width, "height": 900})
     assert report.evaluate("document.documentElement.scrollWidth") <= width
     report.emulate_media(media="print")
