@@ -225,22 +225,6 @@ def test_the_same_seed_gives_the_same_bits_and_another_start_another_result() ->
     assert all(first.values[name] != other.values[name] for name in first.values)
 
 
-def test_the_threads_of_torch_are_restored() -> None:
-    def stop(line: str) -> None:
-        raise KeyboardInterrupt
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        descended(epochs=1)
-        assert torch.get_num_threads() == 2
-        with pytest.raises(KeyboardInterrupt):
-            gradient_descent(HENON.model(), henon_data(), FAST, progress=stop)
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)
-
-
 # ---- refusals and records ------------------------------------------------------------
 
 
@@ -264,19 +248,6 @@ def test_the_threads_of_torch_are_restored() -> None:
 def test_settings_that_make_no_sense_are_refused(settings, message) -> None:
     with pytest.raises(ph.ModelError, match=message):
         Descent(**settings)
-
-
-def test_a_descent_that_cannot_end_well_says_what_to_do() -> None:
-    diverging = Descent(learning_rate=1e200, epochs=4)
-    with pytest.raises(ph.SolveError, match="learning_rate below"):
-        gradient_descent(HENON.first_order(), henon_data(n=60), diverging)
-    with pytest.raises(ph.SolveError, match="removed every term of H"):
-        descended(epochs=1, prune_every=1, threshold=9.0)
-    said = "state 'q1' of the model is not in the measurements"
-    with pytest.raises(ph.DataError, match=said):
-        gradient_descent(HENON.model(), record())
-    with pytest.raises(ph.ModelError, match="no free parameter"):
-        gradient_descent(HENON.model().frozen(), henon_data())
 
 
 @pytest.mark.parametrize("modules", [

@@ -376,23 +376,7 @@ def test_gravity_turns_with_the_angle_in_its_unit(unit, half_turn, has_energy) -
     assert torque(half_turn / 6) == pytest.approx(torque(half_turn / 2) / 2)
 
 
-def test_what_units_rule_out_may_be_chosen_by_name() -> None:
-    spring = driven_spring()
-    units = {"q": "m"}
-    chosen = EffectChoice(["gravity torque", "gap"]).checked(spring, units)
-    names = [effect.name for effect in chosen.candidates(spring, units)]
-    assert names == ["gravity torque", "gap"]
-    without = EffectChoice(None, ["gravity torque"]).checked(spring, units)
-    assert without.candidates(spring, units) == list(ph.catalogue(spring, units))
-
-
 # ---- a storage that nobody measures
-
-
-def room() -> ph.FirstOrder:
-    """Air and walls as one capacity."""
-    rate = ph.formula("(P - G*(T - To))/C", C=ph.Parameter(8.0), G=ph.Parameter(1.0))
-    return ph.FirstOrder(["T"], {"T": rate}, inputs=["P", "To"], kind="thermal")
 
 
 @pytest.mark.parametrize(
@@ -407,14 +391,6 @@ def test_heat_and_charge_may_have_a_second_storage(kind: str, name: str) -> None
     assert [one.name for one in offered] == [name]
     larger = model.add(offered[0])
     assert not [one for one in ph.catalogue(larger) if is_second_storage(one)]
-
-
-def test_a_second_storage_that_follows_at_once_changes_nothing_at_rest() -> None:
-    model = room().add("second heat storage", "T")
-    model = model.with_values({"second_heat_storage_T": 3.0, "following_time_T": 2.0})
-    rates = model.rhs()([1.5, 1.5], [0.75, 0.0], 0.0, model.theta).full().ravel()
-    alone = room().rhs()([1.5], [0.75, 0.0], 0.0, room().theta).full().ravel()
-    np.testing.assert_allclose(rates, [alone[0], 0.0], atol=1e-12)
 
 
 # ---- effects that are considered

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.io import savemat
 from typer.testing import CliRunner
 
 import phsi_opt as ph
@@ -372,39 +371,6 @@ def test_init_takes_the_first_sheet_and_names_the_others(tmp_path: Path) -> None
         'data.files[1] = "book.xlsx": the first file is .csv; all files must be of the same kind'
         in told
     )
-
-
-def test_init_takes_matlab_vectors_as_columns(tmp_path: Path) -> None:
-    log = {"y": [1.0, 4, 2, 3], "u": [[3.0], [1], [2], [2]], "X": np.eye(4)[:, :2]}
-    savemat(tmp_path / "log.mat", {**log, "Ts": 0.5, "m": 2.0, "who": "me"})
-    study = tmp_path / "study.toml"
-    result = said("init", tmp_path / "log.mat", "-o", study)
-    assert result.code == ExitCode.DONE, result.err
-    assert "m: left out; the number 2" in result.out
-    text = study.read_text()
-    for words in [
-        'time = { step = 0.5, unit = "s" }',
-        'y = { column = "y" }  # 1 to 4',
-        'X_2 = { column = "X(:,2)" }',
-        "#   who: text",
-        'states = ["y", "X_1", "X_2"]',
-    ]:
-        assert words in text
-    study.write_text(text.replace('H = ""', 'H = "y**2"'))
-    assert ph.StudyFile.read(study).measurements().n_samples == 4
-    assert "units: no unit is given for y, X_1, X_2, u" in said("check", study).out
-    values = {"t": [0.0, 1, 1, 2], "q": [1.0, np.inf, 2, 3], "v": [1.0, 2, 3, 1]}
-    savemat(tmp_path / "log.mat", values)
-    assert (
-        'row 2 contains "inf"'
-        in said("init", tmp_path / "log.mat", "-o", study, "--force").out
-    )
-    assert complained(study) == ["data.time.column", "data.states.q.column", "model.H"]
-    savemat(tmp_path / "log.mat", {"k": 2.0, "A": np.ones((30, 30)), "name": "x"})
-    refused = said("init", tmp_path / "log.mat", "-o", study, "--force")
-    assert refused.code == ExitCode.BAD_INPUT
-    held = "'k' (the number 2), 'A' (30 x 30 numbers: A(:,1), ...), 'name' (text)"
-    assert held in refused.err
 
 
 def complained(study: Path) -> list[str]:
@@ -789,10 +755,7 @@ def begun(at: Path, after: str, *arguments: str) -> "subprocess.Popen[str]":
 
 
 def stopped(at: Path, after: str, arguments: list[str], number: int) -> Said:
-    """A command that gets a signal, as Ctrl-C goes to all processes of a terminal.
-
-    One that does not hear it ends with another code, or not in time.
-    """
+    """A command that gets a signal, as Ctrl-C goes to all processes of a terminal."""
     process = begun(at, after, *arguments)
     os.killpg(process.pid, number)
     out, err = process.communicate(timeout=PATIENCE)

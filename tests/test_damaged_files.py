@@ -45,10 +45,7 @@ def entry(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Any]:
 
 @pytest.fixture
 def held_pipe() -> Iterator[Callable[[Path], None]]:
-    """Makes pipes that never end: each has a writer, who writes nothing more.
-
-    Who waits for one fails, after `LONGEST_WAIT`.
-    """
+    """Makes pipes that never end: each has a writer, who writes nothing more."""
     handles = []
     before = signal.signal(signal.SIGALRM, _fail)
     signal.alarm(LONGEST_WAIT)

@@ -226,21 +226,6 @@ def test_the_next_step_follows_from_the_verdict() -> None:
 # ---- in a study ----------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_two_effects_are_both_found_and_added() -> None:
-    data = swings(
-        damped_spring("2.3*q**2/2 + p**2/2 + 1.5*q**4/4", force="0.4"), seed=4
-    )
-    names = ["cubic stiffness", "gravity torque", "constant force", "sensor offset"]
-    effects = [*names, "coulomb friction", "quadratic drag", "cubic drag"]
-    study = ph.Study(base(), *data.split(0.7), effects=effects)
-    study.auto()
-    assert {effect.name for effect in study.added} == {names[0], names[2]}
-    last = study.history.iloc[-1]
-    # One held-out run of 141 values knows its error to 6 %; 1.7 of those.
-    assert last["held_out_rmse"] < 1.1 * last["noise_floor"]
-
-
 def test_an_effect_that_became_superfluous_is_taken_out_again() -> None:
     data = swings(damped_spring(loss="0.1 + 0.25*abs(dH_dp)"), seed=5)
     rivals = ["quadratic drag", "cubic drag", "coulomb friction", "sensor offset"]

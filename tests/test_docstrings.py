@@ -34,17 +34,7 @@ Raised = Mapping[str, set[str]]
 
 @dataclass(frozen=True)
 class Documented:
-    """A public module, class, function, method or property, as it stands in a file.
-
-    Attributes:
-        name: with its module and class.
-        docstring: its own.
-        column: where the docstring begins.
-        context: the docstring of its class, which may say the shapes of its arrays.
-        annotations: of arguments and result, or of a record's fields.
-        raised: errors of the package that its body raises, or a private function of
-            the file that it calls.
-    """
+    """A public module, class, function, method or property, as it stands in a file."""
 
     name: str
     docstring: str

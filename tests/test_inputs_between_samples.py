@@ -12,7 +12,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.trajectory import SmoothInputs, is_stepped
-from phsi_opt.page.drafts import StudyDraft, look_at
+from phsi_opt.page.drafts import look_at
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.study_file.survey import first_text, survey
 from phsi_opt.study_file.toml_text import toml_tables
@@ -162,54 +162,6 @@ def test_a_fit_needs_the_right_way_for_each_input_and_keeps_it(tmp_path: Path) -
         np.testing.assert_array_equal(again.simulate(T, [0.5], U), expected)
     # As long as the record is, errors of the integrators and of k show.
     assert ph.compare(fit, record()).rmse < 1e-3
-
-
-STUDY = """
-[data]
-files = "tank.csv"
-hold = "cubic"
-time = { column = "t" }
-
-[data.states]
-q = { column = "q" }
-
-[data.inputs]
-push = { column = "push" }
-valve = { column = "valve", hold = "zero" }
-
-[model]
-type = "FirstOrder"
-states = ["q"]
-inputs = ["push", "valve"]
-F = { q = "push + valve - k*q" }
-
-[parameters]
-k = { start = 1.0 }
-"""
-
-
-def test_a_study_file_its_page_and_its_report_say_it(tmp_path: Path) -> None:
-    table = tmp_path / "tank.csv"
-    record().to_dataframe().to_csv(table, index=False)
-    path = tmp_path / "study.toml"
-    path.write_text(STUDY)
-    file = ph.StudyFile.read(path)
-    assert file.measurements().hold == HOLD
-    again = ph.StudyFile.read(file.write(path.with_name("again.toml")))
-    assert again.data == file.data
-    assert again.measurements().hold == HOLD
-    seen: dict[str, Any] = {"__file__": str(path)}
-    exec(file.script().partition("study = ph.Study(")[0], seen)
-    assert seen["data"].hold == HOLD
-    draft = StudyDraft.of(toml_tables(STUDY), {table.name: table})
-    inputs = {"push": {"column": "push"}, "valve": {"column": "valve", "hold": "zero"}}
-    assert draft.content()["data"]["inputs"] == inputs
-    report = file.study().report(path.with_name("report.html")).read_text()
-    assert "push: smooth, by a cubic spline" in report
-    assert "valve: constant until the next sample" in report
-    path.write_text(STUDY.replace('"zero"', '"zeros"'))
-    with pytest.raises(ph.StudyFileError, match=r"data.inputs.valve.hold = .*'zero'\?"):
-        ph.StudyFile.read(path)
 
 
 # ---- an input that is constant between jumps

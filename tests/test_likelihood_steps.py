@@ -177,10 +177,7 @@ def cell(numbers: Mapping[str, Number]) -> ph.Model:
 @pytest.mark.parametrize("mass", [0.7, 1.9])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_the_data_are_silent_about_stays_where_it_was(seed, mass) -> None:
-    """The position alone does not tell the scale of momentum, mass, and all forces.
-
-    Nor may defects that do not hold yet, of a start that is off, seem to tell it.
-    """
+    """The position alone does not tell the scale of momentum, mass, and all forces."""
     model = spring(positive(1.0), positive(0.1), ph.Parameter(mass))
     fit = ph.identify(model, swinging(seed=seed))
     assert fit.outcome.success

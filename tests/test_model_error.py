@@ -55,18 +55,7 @@ def simulated(
     stiffness: Sequence[float] = (TRUE["k"],),
     n_outliers: int = 0,
 ) -> ph.Measurements:
-    """q'' = -k q - c q' + g u + w with a force w that wanders; q is measured.
-
-    Args:
-        seed: of everything random.
-        n: samples of every trajectory.
-        runs: number of trajectories.
-        size: of the force.
-        noise: of the sensor.
-        kept: share of the sensor's error that stays from sample to sample.
-        stiffness: of every trajectory, or of all.
-        n_outliers: samples in every trajectory that are off by 15 times the noise.
-    """
+    """q'' = -k q - c q' + g u + w with a force w that wanders; q is measured."""
     rng = np.random.default_rng(seed)
     t = DT * np.arange(n)
     frequency = np.linspace(0.3, 6.0, 30)
@@ -442,11 +431,7 @@ def test_the_jackknife_leaves_out_one_trajectory_at_a_time() -> None:
 
 
 def of_chi_squares(freedom: np.ndarray, weights: np.ndarray) -> float:
-    """Freedom of a sum of two variances that are estimated from normals.
-
-    Minus the restricted likelihood of s^2 ~ v chi^2 / freedom in x = log(s/s_found) is
-    freedom x + freedom exp(-2 x)/2; its curvature at zero is 2 freedom.
-    """
+    """Freedom of a sum of two variances that are estimated from normals."""
     information = np.diag(2 * freedom)
 
     def log_variances(x: np.ndarray) -> np.ndarray:
@@ -470,16 +455,6 @@ def test_degrees_of_freedom_are_those_of_the_chi_square_that_scatters_alike(
     draws = rng.chisquare(freedom, size=(200_000, 2)) / freedom @ both
     simulated_freedom = 2 * np.mean(draws) ** 2 / np.var(draws)
     assert found == pytest.approx(simulated_freedom, rel=0.04)
-
-
-def test_what_is_missing_is_looked_for_without_a_force_that_hides_it() -> None:
-    fit = forced_fit(0)
-    effects = [e for e in ph.catalogue(fit.model) if e.name == "cubic stiffness"]
-    found = ph.diagnose(fit, record(0), effects=effects)
-    plain = ph.diagnose(plain_fit(0), record(0), effects=effects)
-    assert found.verdict == plain.verdict
-    assert not found.record.fit.has_model_error
-    assert found.record.fit.values["k"] == pytest.approx(plain_fit(0).values["k"])
 
 
 def test_noise_that_lasts_from_sample_to_sample_is_not_called_unexplained() -> None:

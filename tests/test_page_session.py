@@ -451,39 +451,6 @@ def test_a_worker_that_is_lost_is_told(session: Session) -> None:
     assert "ended unexpectedly" in session.message
 
 
-PARENT = """
-import sys, tempfile, time
-from pathlib import Path
-from tests.test_page_session import filled
-
-def main():
-    session = filled(Path(tempfile.mkdtemp()))
-    session.fit()
-    while not (session.job and session.job.line):
-        time.sleep(0.02)
-    print(session._worker.pid, flush=True)
-    time.sleep(60)
-
-if __name__ == "__main__":
-    main()
-"""
-
-
-def test_a_worker_ends_with_its_parent_in_the_middle_of_a_solve(tmp_path) -> None:
-    script = tmp_path / "parent.py"
-    script.write_text(PARENT)
-    root = Path(__file__).resolve().parents[1]
-    environment = {**os.environ, "PYTHONPATH": str(root), "TMPDIR": str(tmp_path)}
-    with subprocess.Popen(
-        [sys.executable, script], env=environment, stdout=subprocess.PIPE, text=True
-    ) as parent:
-        assert parent.stdout is not None
-        pid = int(parent.stdout.readline())
-        assert is_running(pid)
-        parent.kill()
-    wait_for(lambda: not is_running(pid), ENDS_WITHIN)
-
-
 # ---- sessions and limits -------------------------------------------------------------
 
 

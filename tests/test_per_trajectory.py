@@ -28,12 +28,7 @@ def dry(x: np.ndarray) -> float:
 
 
 def recorded(force: Callable[[np.ndarray], float], *offsets: float) -> ph.Measurements:
-    """Positions of a mass on a spring of 4 N/m with a force more.
-
-    Args:
-        force: by the state.
-        offsets: of the sensor in each run, m; their number is that of the runs.
-    """
+    """Positions of a mass on a spring of 4 N/m with a force more."""
     rng = np.random.default_rng(3)
     runs = []
 

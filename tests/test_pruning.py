@@ -33,10 +33,7 @@ def weak_terms(
     n_tests: int = 6,
     correlation: float = 0.0,
 ) -> set[str]:
-    """Those that go, of terms with these values and errors among well-known ones.
-
-    The first two have a correlation.
-    """
+    """Those that go, of terms with these values and errors among well-known ones."""
     found = dict.fromkeys(NAMES, 1.0) | values
     std_errors = [errors.get(name, 1e-3) for name in NAMES]
     covariance = np.diag(std_errors) ** 2

@@ -5,7 +5,6 @@ effects, pictures.
 import io
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import matplotlib
 
@@ -256,24 +255,6 @@ def test_what_a_study_prints_loses_no_column_and_shows_itself_as_html_and_rich(
     assert hidden.stopped in str(hidden)
 
 
-def test_the_law_of_the_added_friction_is_a_step_of_its_size(hidden: ph.Study) -> None:
-    _, ax = plt.subplots()
-    assert hidden.plot_effect("coulomb friction", ax=ax) is ax
-    assert ax.get_xlabel() == "velocity of q (m/s)"
-    curves = {str(line.get_label()): line for line in ax.lines}
-    # The estimate smooths the jump; beyond it the friction of 2 N opposes the motion.
-    for name, tolerance in (("force", 0.6), ("the law that was found", 0.3)):
-        velocity = np.asarray(curves[name].get_xdata())
-        force = np.asarray(curves[name].get_ydata())
-        for side in (-1, 1):
-            beyond = (side * velocity > 0.8) & (side * velocity < 2.5)
-            assert beyond.any()
-            assert abs(side * force[beyond].mean() + 2.0) < tolerance
-    plt.close("all")
-    with pytest.raises(ph.ModelError, match="were added"):
-        hidden.plot_effect("gap")
-
-
 @pytest.mark.parametrize(("q", "said"), [
     (np.ones(50), "nothing moves"),
     (np.array([1.0, 0.9, 0.7]), "3 measured values are too few for 4 unknowns"),
@@ -316,17 +297,3 @@ def test_a_study_considers_what_it_was_told_to() -> None:
     assert (
         study.added == () and study.steps[-1].label == "without coulomb friction on p"
     )
-
-
-@pytest.mark.parametrize("argument", ["effects", "without"])
-def test_an_unknown_effect_is_refused_wherever_one_can_be_chosen(
-    complete: ph.Study, argument: str
-) -> None:
-    unknown: dict[str, Any] = {argument: ["coulom friction"]}
-    said = f"in {argument} is not in .* Did you mean 'coulomb friction'"
-    with pytest.raises(ph.ModelError, match=said):
-        ph.Study(spring(), complete.train, **unknown)
-    with pytest.raises(ph.ModelError, match=said):
-        complete.auto(**unknown)
-    with pytest.raises(ph.ModelError, match=said):
-        ph.diagnose(complete.fit, complete.train, **unknown)

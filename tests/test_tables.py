@@ -71,16 +71,6 @@ def test_harmless_variations_of_a_file_read_the_same(text: str, tmp_path: Path) 
         np.testing.assert_array_equal(data.trajectories[0].x, [[1], [2]])
 
 
-def test_an_open_file_is_read_and_left_open(tmp_path: Path) -> None:
-    path = tmp_path / "swing.csv"
-    path.write_text("t,q\n0,1\n1,2\n", encoding="utf-8")
-    with path.open(encoding="utf-8") as file:
-        data = ph.Measurements.from_csv(file, time="t", states=["q"])
-        assert not file.closed
-    assert [run.name for run in data] == ["swing"]
-    assert [run.name for run in read("t,q\n0,1\n1,2\n")] == ["run 1"]
-
-
 def test_several_files_are_several_trajectories_in_the_order_given(tmp_path) -> None:
     paths = [tmp_path / name for name in ("b.csv", "a.csv")]
     for i, path in enumerate(paths):
@@ -331,21 +321,6 @@ def test_numbers_that_look_like_dates_are_refused_until_told_what_they_are(
         np.testing.assert_array_equal(table.trajectories[0].t, t)
         table = ph.Measurements.from_dataframe(frame, date_format=kind, **options)
         np.testing.assert_array_equal(table.trajectories[0].t, t)
-
-
-@pytest.mark.parametrize("times", [
-    (20210131, 20210132),  # seconds: there is no 32nd of January
-    (20210131, 20210131.5),
-    (1612051200, 1612051260),  # seconds since 1970
-    (1612051200000, 1612051260000),  # milliseconds
-    (44227, 44228),  # days, as Excel counts them
-    (99991231, 99991232),
-    (0, 1),
-])  # fmt: skip
-def test_other_numbers_are_times(times: tuple[float, float]) -> None:
-    text = f"t,q\n{times[0]},1\n{times[1]},2\n"
-    data = read_text(text, time="t", states=["q"])
-    np.testing.assert_array_equal(data.trajectories[0].t, times)
 
 
 def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:

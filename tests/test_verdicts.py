@@ -70,10 +70,7 @@ def only_first(y: np.ndarray) -> np.ndarray:
 def recorded(
     force: Force, noise: float, seed: int, t: np.ndarray
 ) -> tuple[ph.Measurements, ph.Measurements]:
-    """Positions of two runs for training and of one held out.
-
-    ``noise``: as a share of the deviation.
-    """
+    """Positions of two runs for training and of one held out."""
     rng = np.random.default_rng(seed)
     runs = [moved(force, x0, t) for x0 in ([1.0, 0.0], [-0.8, 0.3], [0.9, -0.2])]
     size = noise * np.concatenate(runs).std(axis=0)
@@ -87,11 +84,7 @@ def recorded(
 def falling(
     power: int = 2, slowest: float = 1.0, is_late: bool = False
 ) -> ph.Diagnosis:
-    """Three drops whose drag, a power of the speed, is missing.
-
-    ``slowest``: terminal speed over that of the highest drop without drag; ``is_late``:
-    each clock began some time before. Gravity is free beside linear drag.
-    """
+    """Three drops whose drag, a power of the speed, is missing."""
     rng, clocks = np.random.default_rng(0), np.random.default_rng(1)
     heights = (10.0, 6.0, 8.0)
     speed = slowest * np.sqrt(2 * GRAVITY * max(heights))
@@ -147,10 +140,7 @@ def closed_loop(
     effects: list[str],
     shows_p: bool = False,
 ) -> ph.Diagnosis:
-    """Dry friction under proportional and differential control.
-
-    The controller's force is measured and held between samples.
-    """
+    """Dry friction under proportional and differential control."""
     rng = np.random.default_rng(seed)
     t = np.linspace(0.0, 30.0, 151)
     moves, forces = [], []
@@ -259,15 +249,7 @@ def known(truth: ph.Model, seed: int = 6, shows_p: bool = False) -> ph.Diagnosis
 
 @dataclass(frozen=True)
 class Answer:
-    """What must come of a diagnosis.
-
-    Attributes:
-        named: the effect that the only finding holds, perhaps as one of a class; a set:
-            all effects of that class; None: nothing is named.
-        verdict: None: any.
-        size: of the first candidate, within four standard errors.
-        never: what no finding holds.
-    """
+    """What must come of a diagnosis."""
 
     named: str | set[str] | None
     verdict: ph.Verdict | None = None

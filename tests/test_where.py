@@ -15,7 +15,6 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import (
     ForceAnalysis,
     _said,
-    sentence,
     step_without_name,
 )
 from phsi_opt.force_analysis.cross_validation import (
@@ -26,7 +25,6 @@ from phsi_opt.force_analysis.cross_validation import (
     product_basis,
 )
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import Pace
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.waves import spectrum
 
@@ -225,34 +223,11 @@ def test_a_sine_has_its_amplitude_in_the_spectrum(even: bool) -> None:
 # ---- in words ------------------------------------------------------------------------
 
 
-def with_found(force: EquationForce, **found: object) -> EquationForce:
-    """The force, of which something else was found."""
-    other = replace(force)
-    other.__dict__.update(found)
-    return other
-
-
 def test_sentences_say_size_place_and_cause_with_units(cases) -> None:
     (said,) = cases["wave"].sentences
     size, *others = "dp/dt lacks a force of rms 2.", " N, ", " Hz", "period 2.5"
     for part in (size, *others, "Best predictor: t"):
         assert part in said
-
-
-def test_a_force_far_faster_than_the_motion_is_called_a_vibration(cases) -> None:
-    force = cases["wave"].force_in("p")
-    pace = force.pace
-    assert not pace.is_vibration
-    # Of a sine, the deviation over that of its rate is a period over two pi.
-    assert pace.time == pytest.approx(1 / (2 * np.pi * pace.motion), rel=0.3)
-    fast = replace(pace, frequency=20 * pace.motion)
-    assert fast.is_vibration and fast.samples_per_cycle >= 2
-    assert "20 times as fast as the motion" in fast.speed_words({"t": "s"})
-    said = sentence(with_found(force, pace=fast))
-    assert "a vibration or a sensor error" in said
-    # A lag in steps that are held for minutes: it moves within four seconds.
-    stepped = Pace(0.08, 0.002, 4.0, 0.1, 0.6, 1.4)
-    assert not stepped.is_vibration and replace(stepped, time=20.0).is_vibration
 
 
 # ---- pictures ------------------------------------------------------------------------
