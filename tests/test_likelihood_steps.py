@@ -15,7 +15,6 @@ from phsi_opt.estimation.maximum_likelihood import crude_start
 from phsi_opt.model.model import built_of
 from phsi_opt.model_error import joint_estimate
 from phsi_opt.optimization import banded
-from phsi_opt.optimization.banded import FEWEST_STATES
 from phsi_opt.optimization.ipopt import DIRECT_STEPS
 from phsi_opt.transcription.defects import mapped
 from phsi_opt.transcription.grid import AlignedData
@@ -99,17 +98,6 @@ def test_an_optimum_at_a_bound_is_that_of_ipopt(c: ph.Parameter) -> None:
     expected = pytest.approx(by_ipopt.std_errors, rel=1e-4, nan_ok=True)
     assert fit.std_errors == expected and np.isnan(fit.std_errors["c"])
     assert fit.bic == pytest.approx(by_ipopt.bic, abs=1e-3)
-
-
-def test_many_states_are_solved_as_few_are() -> None:
-    chain = chains.model(MANY_MASSES)
-    data = chains.data(MANY_MASSES, 100)
-    assert 2 * MANY_MASSES >= FEWEST_STATES
-    loss = ph.MaximumLikelihood(steps=1)
-    fit = ph.identify(chain, data, loss)
-    assert fit.outcome.status == DIRECT_STEPS
-    by_ipopt = ph.identify(chain, data, loss, start=fit, settings=BY_IPOPT)
-    assert_same(fit, by_ipopt, 1e-2)
 
 
 def test_the_band_of_many_states_that_samples_measure_is_never_filled(

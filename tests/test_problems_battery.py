@@ -2,8 +2,6 @@
 diagnosis: that is what it examines).
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -28,16 +26,6 @@ from problems.battery.tanks import tank_states
 from problems.judges import battery
 
 ZERO = np.zeros(1)
-# A seed of each kind in which the catalogue's one effect is all that is hidden.
-COMPLETED = [
-    *(("short_run", 2), ("falling", 1), ("roll_decay", 2), ("closed_loop", 2)),
-    ("chamber", 0),
-    *(
-        pytest.param(name, seed, marks=pytest.mark.slow)
-        for name, seed in (("pendulum", 2), ("circuit", 1), ("thermal", 2))
-    ),
-]
-OF_ONE_NUMBER = ("short_run", "thermal", "chamber")  # the effects of these
 
 
 def damped(t: np.ndarray, m: float, k: float, c: float) -> np.ndarray:
@@ -131,22 +119,6 @@ def true_effect(case: Case) -> ph.Effect:
     """The catalogue's effect that was hidden."""
     (truth,) = case.truths
     return next(e for e in ph.catalogue(case.model) if str(e) in truth.places)
-
-
-@pytest.mark.parametrize(("name", "seed"), COMPLETED)
-def test_with_the_true_effect_added_a_case_reaches_its_floor(name, seed) -> None:
-    case = draw(replace(KINDS[name], model_error=0.0), seed)
-    fit = ph.identify(case.model.add(true_effect(case)), case.train)
-    comparison = ph.compare(fit, case.test)
-    # 100 values and more that are held out: their noise is known to 7 %.
-    assert comparison.rmse < 1.15 * comparison.noise_floor
-    base = ph.compare(ph.identify(case.model, case.train), case.train)
-    assert base.rmse > 2 * ph.compare(fit, case.train).rmse
-    if name in OF_ONE_NUMBER:
-        (new,) = [p for p in fit.names if p not in case.model.entries]
-        truth = case.size * case.truths[0].coefficient
-        # Four standard errors: a chance of one in ten thousand.
-        assert abs(fit.values[new] - truth) < 4 * fit.std_errors[new]
 
 
 # --- answers and scores
