@@ -2,8 +2,6 @@
 refusals.
 """
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -248,12 +246,3 @@ def test_the_same_seed_gives_the_same_bits_and_another_start_another_result() ->
 def test_settings_that_make_no_sense_are_refused(settings, message) -> None:
     with pytest.raises(ph.ModelError, match=message):
         Descent(**settings)
-
-
-@pytest.mark.parametrize("modules", [
-    "phsi_opt, phsi_opt.baselines, phsi_opt.baselines.result",
-    "phsi_opt.baselines.descent, problems.peers.joint_force",
-])  # fmt: skip
-def test_torch_is_imported_for_a_descent_alone(modules: str) -> None:
-    code = f"import sys, {modules}; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -28,7 +28,7 @@ from phsi_opt.model_error.disturbances import (
     StateFunction,
 )
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Smoothed
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.standard_errors import PlainEstimate, covariance_under
 from phsi_opt.optimization.bounded_step import REGULAR
 from phsi_opt.transcription.grid import AlignedData
@@ -264,16 +264,6 @@ KINDS = (
 )
 
 
-def likelihood_of(
-    problem: Linearization, d: Disturbances, moving: np.ndarray
-) -> MarginalLikelihood:
-    return MarginalLikelihood(problem, d, moving)
-
-
-def smoothed_by(likelihood: MarginalLikelihood, d: Disturbances) -> Smoothed:
-    return likelihood.at(d, REGULAR).smoothed()
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_evidence_is_that_of_dense_restricted_likelihood(name, kind) -> None:
@@ -282,8 +272,8 @@ def test_the_evidence_is_that_of_dense_restricted_likelihood(name, kind) -> None
     dense = Dense.of(problem, moving)
     white = cases(problem)["white"]
     d = cases(problem)[kind]
-    one = likelihood_of(problem, d, moving)
-    other = likelihood_of(problem, white, moving)
+    one = MarginalLikelihood(problem, d, moving)
+    other = MarginalLikelihood(problem, white, moving)
 
     gain = one.at(d).log_evidence - other.at(white).log_evidence
     expected = dense.log_evidence(d, moving) - dense.log_evidence(white, moving)
@@ -305,7 +295,7 @@ def test_estimate_and_covariance_are_those_of_generalised_least_squares(
     places = np.array(moving)
     dense = Dense.of(problem, places)
     d = cases(problem)[kind]
-    found = likelihood_of(problem, d, places).at(d)
+    found = MarginalLikelihood(problem, d, places).at(d)
     to_theta = dense.to_theta(d, places)
     covariance = to_theta @ dense.errors(d) @ to_theta.T
     std_error = np.sqrt(np.diag(covariance))
@@ -327,7 +317,7 @@ def test_the_sandwich_of_an_estimate_is_that_of_dense_matrices(name, taken) -> N
     to_theta = dense.to_theta(estimate, moving)
     expected = np.zeros((3, 3))
     expected[np.ix_(moving, moving)] = to_theta @ dense.errors(truth) @ to_theta.T
-    response = likelihood_of(problem, estimate, moving).at(estimate).response
+    response = MarginalLikelihood(problem, estimate, moving).at(estimate).response
     found = covariance_under(problem, response, truth)
     np.testing.assert_allclose(found, expected, rtol=ROUNDING, atol=1e-20)
 
@@ -343,7 +333,7 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
     moving = np.arange(3)
     dense = Dense.of(problem, moving)
     d = cases(problem)[kind]
-    found = smoothed_by(likelihood_of(problem, d, moving), d)
+    found = MarginalLikelihood(problem, d, moving).at(d, REGULAR).smoothed()
 
     inverse = np.linalg.inv(dense.errors(d))
     design = dense.design
@@ -382,12 +372,12 @@ def test_a_trajectory_says_what_it_says_by_itself() -> None:
     moving = np.arange(3)
     every = cases(problem)["sensors"]
     d = replace(every, forces=(Process(1, 0.4, 0.7),))
-    parts = likelihood_of(problem, d, moving).at(d).borders_by_trajectory()
+    parts = MarginalLikelihood(problem, d, moving).at(d).borders_by_trajectory()
     for run, part in enumerate(parts):
         piece = np.where(problem.grid.trajectory == run, 0, -1)
         alone = replace(d, sigma=d.sigma[[run]])
         cut = problem.cut(piece)
-        expected = likelihood_of(cut, alone, moving).at(alone).border
+        expected = MarginalLikelihood(cut, alone, moving).at(alone).border
         np.testing.assert_allclose(part.information, expected.information, rtol=1e-8)
         np.testing.assert_allclose(part.gradient, expected.gradient, rtol=1e-8)
         assert part.constant == pytest.approx(expected.constant, rel=1e-9)
@@ -452,7 +442,7 @@ def test_slopes_and_average_information_are_those_of_dense_algebra(
     d = cases(problem)[kind]
     if kind == "two forces":  # a time of its own, however short, has a slope
         d = replace(d, forces=(d.forces[0], replace(d.forces[1], time=0.05)))
-    likelihood = likelihood_of(problem, d, moving)
+    likelihood = MarginalLikelihood(problem, d, moving)
     monkeypatch.setattr(ascent, "LEAST_PROBES", N_SIGNS)
     monkeypatch.setattr(ascent, "MOST_PROBES", N_SIGNS)
     monkeypatch.setattr(np.random, "default_rng", lambda _: OrthogonalSigns())
@@ -506,7 +496,7 @@ def test_slopes_in_coordinates_are_sums_of_those_that_move_together(
         monkeypatch.setattr("phsi_opt.model_error.disturbances.MOST_SIZES", 0)
     coordinates = coordinates_of(d, (0, 1))
     to_coordinates = coordinates.among_slopes()
-    likelihood = likelihood_of(problem, d, np.arange(3))
+    likelihood = MarginalLikelihood(problem, d, np.arange(3))
     single = ascent.slopes(likelihood, d, (0, 1))
     summed = ascent.slopes(likelihood, d, (0, 1), to_coordinates)
     information = to_coordinates @ single.information @ to_coordinates.T
@@ -535,11 +525,11 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     moving = np.arange(3)
     d = cases(problem)[kind]
     coordinates = coordinates_of(d, (0,))
-    likelihood = likelihood_of(problem, d, moving)
+    likelihood = MarginalLikelihood(problem, d, moving)
     found = ascent.climbed(likelihood, coordinates, (0,), ascent.MOST_STEPS)
     dense = Dense.of(problem, moving)
     white = cases(problem)["white"]
-    constant = likelihood_of(problem, white, moving).at(white).log_evidence
+    constant = MarginalLikelihood(problem, white, moving).at(white).log_evidence
     constant -= dense.log_evidence(white, moving)
     lower, upper = np.array(coordinates.bounds).T
 
@@ -658,6 +648,6 @@ def test_the_likelihood_of_different_models_is_that_of_a_kalman_filter() -> None
         estimate = estimated(data, ph.FirstOrder(states=("q", "v"), F=F), steps=16)
         problem = estimate.linearized()
         k = float(estimate.theta[0])
-        ours = likelihood_of(problem, d, NONE).at(d).log_likelihood
+        ours = MarginalLikelihood(problem, d, NONE).at(d).log_likelihood
         there = Continuous(k, damping, force).smoothed(run.t, run.x[:, 0], NOISE)
         assert ours == pytest.approx(there.llf + flat, abs=0.02)  # held over a step

@@ -11,21 +11,23 @@ import pytest
 import phsi_opt
 
 
-def test_importing_the_core_imports_no_extra() -> None:
-    extras = {"torch", "pysindy", "nicegui", "dask"}
-    assert imported_by("from phsi_opt import *") & extras == set()
-
-
-def test_importing_the_package_alone_does_not_wait_for_libraries() -> None:
-    slow = {"casadi", "numpy", "pandas", "scipy", "sympy", "matplotlib"}
-    assert imported_by("import phsi_opt") & slow == set()
-
-
-def test_identify_and_study_do_not_wait_for_what_they_may_not_need() -> None:
-    slow = {"cvxpy", "jinja2", "matplotlib", "openpyxl", "pandas", "rich"}
-    slow |= {"scipy.interpolate", "scipy.signal", "scipy.stats", "sympy", "typer"}
-    imported = imported_by("from phsi_opt import Study, identify")
-    assert imported & slow == set()
+@pytest.mark.parametrize(("statement", "loads", "never"), [
+    ("from phsi_opt import *", "numpy", "torch pysindy nicegui dask"),
+    ("import phsi_opt", "phsi_opt", "casadi numpy pandas scipy sympy matplotlib"),
+    ("from phsi_opt import Study, identify", "casadi", "cvxpy jinja2 matplotlib openpyxl pandas rich sympy typer "
+     "scipy.interpolate scipy.signal scipy.stats"),
+    ("import phsi_opt.baselines.result, phsi_opt.baselines.descent, problems.peers.joint_force", "numpy", "torch"),
+    ("import phsi_opt.command_line.app", "typer", "numpy casadi pandas scipy"),
+    ("import phsi_opt.command_line.worker, phsi_opt.command_line.__main__", "phsi_opt.command_line.worker",
+     "typer rich tomlkit numpy"),
+    ("import phsi_opt.command_line.file_jobs", "casadi", "scipy.linalg scipy.special sympy phsi_opt.study.study"),
+])  # fmt: skip
+def test_what_is_imported_waits_for_nothing_it_may_not_need(
+    statement: str, loads: str, never: str
+) -> None:
+    imported = imported_by(statement)
+    assert loads in imported
+    assert not imported & set(never.split())
 
 
 def imported_by(statement: str) -> set[str]:

@@ -8,6 +8,7 @@ import copy
 import json
 import math
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -226,33 +227,14 @@ def test_a_damaged_fit_is_loaded_or_refused(folder, saved, data) -> None:
     assert set(fit.std_errors) == set(fit.values)
 
 
-STUDY = """
-[data]
-files = ["table.csv"]
-time = { column = "t" }
-[data.states]
-q = { column = "q", unit = "m" }
-p = { measured = false }
-[held_out]
-share = 0.3
-[model]
-states = ["q", "p"]
-pairs = [["q", "p"]]
-H = "k*q**2/2 + p**2/(2*m)"
-R = { p = "c" }
-[parameters]
-m = 2.5
-k = { start = 10.0, lower = 0, unit = "N/m" }
-c = { start = 1.0, lower = 0 }
-[study]
-added = []
-"""
+EXAMPLE = Path(ph.__file__).parent / "study_file" / "examples" / "spring"
+STUDY = (EXAMPLE / "study.toml").read_text()
 
 
 @tried
 @given(st.data())
 def test_a_damaged_study_file_is_read_or_refused(folder, data) -> None:
-    (folder / "table.csv").write_text("t,q\n0,1\n1,0\n2,-1\n3,0\n4,1\n")
+    shutil.copy(EXAMPLE / "friction_spring.csv", folder)
     first = data.draw(st.integers(0, len(STUDY)))
     last = data.draw(st.integers(first, min(first + 12, len(STUDY))))
     text = STUDY[:first] + data.draw(TEXTS) + STUDY[last:]
