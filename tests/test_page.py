@@ -10,11 +10,8 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tests.page_tools import (
     browser_path,
-    loaded_table,
-    plain_spring_table,
     served,
     spring_table,
-    workers_at_rest,
 )
 
 pytestmark = pytest.mark.slow
@@ -24,7 +21,6 @@ SOLVED_WITHIN = 90_000  # ms
 CLICKED = re.compile("^At t = ")
 CALLED = "Coulomb friction on p"
 NAMED = re.compile(f"{CALLED}, .* N, is missing\\.")
-UPLOADS = re.compile("/_nicegui/client/[^/]+/upload/[0-9]+")
 # What Chromium writes where the page breaks its own policy.
 POLICY = "Content Security Policy"
 expect.set_options(timeout=SHOWN_WITHIN)
@@ -173,47 +169,6 @@ def unlabelled_fields(page: Page) -> list[str]:
             .map(one => one.outerHTML.slice(0, 200))"""
     )
     return found
-
-
-def test_neither_a_reload_nor_another_browser_nor_a_strange_file_disturbs_a_study(
-    page: Page, browser: Browser, address: str, tmp_path: Path
-) -> None:
-    marker = tmp_path / "ran"
-    upload_tables_that_run(page, address, marker)
-    context = browser.new_context()
-    other = context.new_page()
-    other.set_default_timeout(SHOWN_WITHIN)
-    other.goto(address)
-    prepare(page, spring_table())
-    prepare(other, plain_spring_table())
-    with workers_at_rest(address):  # however long the reload takes, the study goes on
-        press_fit(page)
-        page.reload()
-        expect(page.get_by_role("button", name="Cancel")).to_be_visible()
-    press_fit(other)
-    assert NAMED.search(facts(page))
-    assert "Nothing is missing" in facts(other)
-    context.close()
-    nothing_is_solved(page)
-    page.reload()
-    assert NAMED.search(facts(page))
-    assert not marker.exists()
-    page.get_by_role("tab", name="2 Model").click()
-    expect(page.get_by_label("known value of m")).to_have_value("2.5")
-    page.get_by_role("tab", name="1 Data").click()
-    expect(page.get_by_text("spring.csv: 302 samples, 3 runs")).to_be_visible()
-
-
-def upload_tables_that_run(page: Page, address: str, marker: Path) -> None:
-    """What a program uploads beside the browser."""
-    found = UPLOADS.search(page.request.get(address).text())
-    assert found is not None
-    for name in ("study.checkpoint", "innocent.csv"):
-        content = loaded_table(marker)
-        file = {"name": name, "mimeType": "text/csv", "buffer": content}
-        answer = page.request.post(address + found[0], multipart={"f": file})  # type: ignore[dict-item]
-        assert answer.ok
-    expect(page.get_by_role("button", name="Remove innocent.csv")).to_be_visible()
 
 
 def test_an_example_is_worked_through_by_the_keyboard_alone(page: Page) -> None:

@@ -3,7 +3,6 @@ diagnosis: that is what it examines).
 """
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import phsi_opt as ph
@@ -144,38 +143,6 @@ def test_answers_are_right_false_or_silent() -> None:
     assert ask.answer(right, {one, wrong}) == FALSE
     assert ask.answer(set(), {one}) == FALSE
     assert ask.answer(right, set()) == SILENT
-
-
-def record(**changes: object) -> dict[str, object]:
-    """A kept case of hidden effects, right and with its coefficient covered."""
-    usual = {"row": "gap_0.01", "seed": 0, "noise": 0.01, "truth": "gap"}
-    usual |= {"equation": "p", "first": "gap", "first_equation": "p"}
-    usual |= {"verdict": "missing: named", "added": np.nan, "misfit": np.nan}
-    usual |= {"right": True, "tie": False, "covered": 1.0, "after": 1.0}
-    usual |= {"base_error": 5.0, "outcome": "examined", "seconds": 1.0}
-    return usual | changes
-
-
-def test_a_tie_counts_only_if_it_is_declared_and_true() -> None:
-    wrong = {"first": "cubic stiffness", "right": False, "covered": np.nan}
-    ties = ((True, 0.5), (True, 2.0), (False, 0.5))
-    records = [record()]
-    for seed, (tie, misfit) in enumerate(ties, start=1):
-        misfits = {"tie": tie, "misfit": misfit * ask.DETECTED}
-        records.append(record(seed=seed, **wrong, **misfits))
-    rows = pd.DataFrame(records)
-    line = score.summary_row("gap", rows)
-    assert (line["cases"], line["of these true ties"]) == (4, 1)
-    assert str(line["right"]).startswith("50%")
-    (came,) = score.confusions(rows).to_numpy().tolist()
-    assert came[:5] == ["gap on p", "cubic stiffness on p", 3, 2, 1]
-
-
-def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -> None:
-    wrong = {"row": "outside", "truth": "square wave", "right": False}
-    rows = [record(**wrong, misfit=1.0), record(**wrong, misfit=1e3, seed=1)]
-    rows.append(record(row="outside", verdict="missing: unexplained", seed=2))
-    assert list(score.scored(pd.DataFrame(rows))["seed"]) == [1, 2]
 
 
 def test_a_diagnosis_that_fails_is_recorded_and_counted(monkeypatch) -> None:

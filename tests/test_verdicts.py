@@ -18,7 +18,7 @@ import phsi_opt as ph
 from problems.battery.ask import findings_of
 from problems.battery.draw import KINDS, ROWS, Row, draw
 from problems.battery.records import Case
-from tests.machines import damped_spring, pushed_mass, swings
+from tests.machines import damped_spring, swings
 
 Force = Callable[[float, float], float]  # of position and velocity, at unit mass
 GRAVITY = 9.81
@@ -131,47 +131,6 @@ def far_off(hidden: Force, factor: float) -> ph.Diagnosis:
         R=ph.damping("p"),
     )
     return ph.diagnose(ph.identify(model, elsewhere), train, held_out=test)
-
-
-def closed_loop(
-    frequencies: tuple[float, float],
-    seed: int,
-    mass: float | ph.Parameter,
-    effects: list[str],
-    shows_p: bool = False,
-) -> ph.Diagnosis:
-    """Dry friction under proportional and differential control."""
-    rng = np.random.default_rng(seed)
-    t = np.linspace(0.0, 30.0, 151)
-    moves, forces = [], []
-    for _ in range(3):
-        size, slow = rng.uniform(0.7, 1.2), rng.uniform(*frequencies)
-        phase = rng.uniform(0.0, 6.0)
-        wanted = size * np.sin(slow * t + phase) + 0.3 * size * np.sin(2.3 * slow * t)
-        states, inputs = [np.array([wanted[0], 0.0])], []
-        for reference in wanted:
-            q, p = states[-1]
-            u = 9.0 * (reference - q) - 4.0 * p
-            inputs.append(u)
-
-            def force(q: float, v: float, u: float = u) -> float:
-                return u - 0.6 * float(np.tanh(v / 0.005))
-
-            states.append(moved(force, states[-1], t[:2])[-1])
-        moves.append(np.array(states[:-1]))
-        forces.append(np.array(inputs))
-    noise = np.random.default_rng(seed)
-    deviation = 0.02 * np.concatenate(moves).std(axis=0)
-    shown = [x + deviation * noise.normal(size=x.shape) for x in moves]
-    if not shows_p:
-        shown = [only_first(x[:, 0]) for x in shown]
-    data = ph.Measurements.from_arrays(
-        [t] * 3, shown, forces, states=["q", "p"], inputs=["u"], hold="zero"
-    )
-    model: ph.Model | ph.Fit = pushed_mass(mass)
-    if isinstance(mass, ph.Parameter):
-        model = ph.identify(pushed_mass(mass), data[:2])
-    return ph.diagnose(model, data[:2], held_out=data[2:], effects=effects)
 
 
 # ---- records as people take them
@@ -309,9 +268,6 @@ SLOW: dict[str, tuple[Callable[[], ph.Diagnosis], Answer]] = {
     ),
     "a smaller law where a larger one is hardly ahead": (partial(drawn, "chamber", 334), Answer("turbulent leak on n")),
     "hysteresis where nothing turns back": (partial(drawn, "falling", 108), Answer({DAMPED})),
-    "stribeck friction where it is coulombs": (
-        partial(closed_loop, (0.8, 1.4), 1, 1.0, [*DRY, "stribeck friction"], True), Answer(RUBBED)
-    ),
     "a known model, both states measured": (partial(known, RUBBING, 6, True), Answer({RUBBED}, NAMED, 0.08)),
     "no error of a sensor beside what is missing": (
         partial(drawn, "circuit", 309, "coil saturation", "leakage conductance", *OF_SENSORS), Answer({"coil saturation on flux"})
