@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +29,6 @@ from phsi_opt.command_line.job import (
     Finished,
     Job,
     Message,
-    Reach,
     answer_to,
 )
 from phsi_opt.command_line.jobs import plain
@@ -112,7 +110,7 @@ def left_over(at: Path) -> list[str]:
 # ---- help, names, codes --------------------------------------------------------------
 
 
-def test_help_tells_the_commands_and_the_exit_codes_and_loads_nothing_slow() -> None:
+def test_help_tells_the_commands_and_the_exit_codes() -> None:
     assert said("--version").out == f"phsi_opt {metadata.version('phsi_opt')}\n"
     text = said("--help").out
     for command in app.registered_commands:
@@ -121,26 +119,15 @@ def test_help_tells_the_commands_and_the_exit_codes_and_loads_nothing_slow() -> 
     for code, meaning in MEANINGS.items():
         assert f"{code.value}: {meaning[:20]}" in text
     assert said("chek").code == ExitCode.BAD_INPUT
-    script = "import sys, phsi_opt.command_line.app; print(*sys.modules)"
-    imported = subprocess.run(
-        [sys.executable, "-c", script], env=ENVIRONMENT, capture_output=True, text=True
-    ).stdout.split()
-    assert "typer" in imported
-    assert not {"numpy", "casadi", "pandas", "scipy"} & set(imported)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["fit", "gone.toml"], "there is no such file; phsi-opt init"),
-        (["check", "broken.toml"], "this is not TOML"),
-        (["add", "gap", "broken.toml"], "this is not TOML"),
-        (["init", "gone.csv"], "there is no such file; check the path"),
-    ],
-)
-def test_a_refusal_loads_nothing_slow(
-    tmp_path: Path, arguments: list[str], words: str
-) -> None:
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["fit", "gone.toml"], "there is no such file; phsi-opt init"),
+    (["check", "broken.toml"], "this is not TOML"),
+    (["add", "gap", "broken.toml"], "this is not TOML"),
+    (["init", "gone.csv"], "there is no such file; check the path"),
+])  # fmt: skip
+def test_a_refusal_loads_nothing_slow(tmp_path, arguments, words) -> None:
     (tmp_path / "broken.toml").write_text("[data")
     command = [COMMAND[0], "-X", "importtime", *COMMAND[1:], *arguments]
     refused = subprocess.run(
@@ -151,25 +138,6 @@ def test_a_refusal_loads_nothing_slow(
     imported = {line.rpartition("|")[2].strip() for line in refused.stderr.splitlines()}
     assert "typer" in imported
     assert not {"numpy", "casadi", "pandas", "scipy"} & imported
-
-
-def test_the_working_process_loads_nothing_that_reads_options() -> None:
-    script = "import sys, phsi_opt.command_line.worker, phsi_opt.command_line.__main__"
-    command = [sys.executable, "-c", f"{script}; print(*sys.modules)"]
-    told = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True)
-    imported = told.stdout.split()
-    assert "phsi_opt.command_line.worker" in imported
-    assert not {"typer", "rich", "tomlkit", "numpy"} & set(imported)
-
-
-def test_checking_a_study_file_loads_nothing_that_only_solving_needs() -> None:
-    script = "import sys, phsi_opt.command_line.file_jobs; print(*sys.modules)"
-    imported = subprocess.run(
-        [sys.executable, "-c", script], env=ENVIRONMENT, capture_output=True, text=True
-    ).stdout.split()
-    assert "casadi" in imported
-    slow = {"scipy.linalg", "scipy.special", "sympy", "phsi_opt.study.study"}
-    assert not slow & set(imported)
 
 
 def test_a_report_without_a_name_gets_one() -> None:
@@ -210,43 +178,38 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     assert "has no finite value at" in refused.err
 
 
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        ("t;q [m];u\n0;1;2\n1;2;3\n2;4;3\n", ['column = "q [m]", unit = "m"', 'u = { column = "u" }']),
-        ("q,dt\n1,0.1\n2,\n3,\n", ["time = { step = 0.1, unit = \"s\" }", "the time between samples"]),
-        ("q\n1\n3\n2\n", ["no column increases from line to line"]),
-        ("t,q,c\n0,1,5\n1,2,5\n5,4,5\n6,1,5\n", ["# 0 to 6", "c: always 5"]),
-        ("t,q\n0,1\n1,nan\n2,3\n", ["1 cell missing"]),
-        ("when,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "when", unit = "s"', "the times are dates"]),
-        ("x (m),y (m)\n0,1\n1,2\n", ["no column increases"]),
-        ("date,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "date", unit = "s"']),
-        ("time,lambda,2nd,sin\n0,1,2,3\n1,2,3,5\n2,4,1,4\n", ["x_lambda = ", "x2nd = ", "x_sin = "]),
-        ("time;q\n0,0;1,5\n0,5;2,5\n1,0;-1,5\n", ["# 0 to 1", "-1.5 to 2.5"]),
-        ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
-        ("time,a,a,b\n0,1,2,1\n1,2,3,2\n2,4,1,1\n", ["a: 2 columns have this name"]),
-        ("t,q\n0,1\n1,2\n2,3\n", ["# [data.inputs]", "# between = [0, 2]", "# thinned = 2", "# trajectory = "]),
-        ("t,Ta,yref,StepTime(s)\n0,1,2,1\n1,2,3,2\n2,4,1,2\n", ['Ta = { column = "Ta" }  # 1 to 4; perhaps an input', '# Ta = { column', '# inputs = ["Ta"]', "yref: 1 to 3; a set point", "StepTime(s): 1 to 2; in a unit of time"]),
-        ("t,name,q\n0,a very long name of a thing,1\n1,b,2\n2,c,1\n3,d,2\n", ['text: "a very long name of ...", "b", "c", ...']),
-        ("t,q\n0,1\n1,broken\n2,3\n3,inf\n4,2\n", ['q = { column = "q" }  # 1 to 3', 'correct in the data file: line 3 contains "broken", which is not a finite number; 1 more']),
-        ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "correct in the data file: line 4 has 1, not after 1 of line 3; 1 more"]),
-        ("t,q\n0,1\n,2\n1,3\n2,4\n", ['time = { column = "t" }', "correct in the data file: line 3 has no time"]),
-        ("q\n1\n3\n2\n", ['# time = { step = 0.01, unit = "s" }']),
-        ("t,q\n0,1\n1,2\n", ['in seconds? then add unit = "s"']),
-        ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
-        ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
-        ("t,q\n1612051200,1\n1612051260,2\n", ['unit = "s", date_format = "unix" }']),
-        ("t,q\n44227,1\n44228,2\n", ['are they dates of a spreadsheet? then date_format = "excel"']),
-        ("Datum;q\n44227,5;1\n44228,5;2\n", ['date_format = "excel" }', 'decimal = ","']),
-        ("when,q\n20210131,1\n20210201,2\n20210202,1\n", ['column = "when", unit = "s", date_format = "%Y%m%d" }', "numbers such as 20210131 look like dates"]),
-        ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 has no name of a run"]),
-        ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['q = { column = "q", unit = "m" }', "# units_row = 2  # units in line 2"]),
-        ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
-    ],
-)  # fmt: skip
-def test_init_looks_at_the_columns(
-    tmp_path: Path, table: str, words: list[str]
-) -> None:
+@pytest.mark.parametrize(("table", "words"), [
+    ("t;q [m];u\n0;1;2\n1;2;3\n2;4;3\n", ['column = "q [m]", unit = "m"', 'u = { column = "u" }']),
+    ("q,dt\n1,0.1\n2,\n3,\n", ["time = { step = 0.1, unit = \"s\" }", "the time between samples"]),
+    ("q\n1\n3\n2\n", ["no column increases from line to line"]),
+    ("t,q,c\n0,1,5\n1,2,5\n5,4,5\n6,1,5\n", ["# 0 to 6", "c: always 5"]),
+    ("t,q\n0,1\n1,nan\n2,3\n", ["1 cell missing"]),
+    ("when,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "when", unit = "s"', "the times are dates"]),
+    ("x (m),y (m)\n0,1\n1,2\n", ["no column increases"]),
+    ("date,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "date", unit = "s"']),
+    ("time,lambda,2nd,sin\n0,1,2,3\n1,2,3,5\n2,4,1,4\n", ["x_lambda = ", "x2nd = ", "x_sin = "]),
+    ("time;q\n0,0;1,5\n0,5;2,5\n1,0;-1,5\n", ["# 0 to 1", "-1.5 to 2.5"]),
+    ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
+    ("time,a,a,b\n0,1,2,1\n1,2,3,2\n2,4,1,1\n", ["a: 2 columns have this name"]),
+    ("t,q\n0,1\n1,2\n2,3\n", ["# [data.inputs]", "# between = [0, 2]", "# thinned = 2", "# trajectory = "]),
+    ("t,Ta,yref,StepTime(s)\n0,1,2,1\n1,2,3,2\n2,4,1,2\n", ['Ta = { column = "Ta" }  # 1 to 4; perhaps an input', '# Ta = { column', '# inputs = ["Ta"]', "yref: 1 to 3; a set point", "StepTime(s): 1 to 2; in a unit of time"]),
+    ("t,name,q\n0,a very long name of a thing,1\n1,b,2\n2,c,1\n3,d,2\n", ['text: "a very long name of ...", "b", "c", ...']),
+    ("t,q\n0,1\n1,broken\n2,3\n3,inf\n4,2\n", ['q = { column = "q" }  # 1 to 3', 'correct in the data file: line 3 contains "broken", which is not a finite number; 1 more']),
+    ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "correct in the data file: line 4 has 1, not after 1 of line 3; 1 more"]),
+    ("t,q\n0,1\n,2\n1,3\n2,4\n", ['time = { column = "t" }', "correct in the data file: line 3 has no time"]),
+    ("q\n1\n3\n2\n", ['# time = { step = 0.01, unit = "s" }']),
+    ("t,q\n0,1\n1,2\n", ['in seconds? then add unit = "s"']),
+    ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
+    ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
+    ("t,q\n1612051200,1\n1612051260,2\n", ['unit = "s", date_format = "unix" }']),
+    ("t,q\n44227,1\n44228,2\n", ['are they dates of a spreadsheet? then date_format = "excel"']),
+    ("Datum;q\n44227,5;1\n44228,5;2\n", ['date_format = "excel" }', 'decimal = ","']),
+    ("when,q\n20210131,1\n20210201,2\n20210202,1\n", ['column = "when", unit = "s", date_format = "%Y%m%d" }', "numbers such as 20210131 look like dates"]),
+    ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 has no name of a run"]),
+    ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['q = { column = "q", unit = "m" }', "# units_row = 2  # units in line 2"]),
+    ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
+])  # fmt: skip
+def test_init_looks_at_the_columns(tmp_path, table, words) -> None:
     (tmp_path / "data.csv").write_text(table)
     result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
     assert result.code == ExitCode.DONE, result.err
@@ -290,20 +253,6 @@ def test_names_units_and_parts_are_read_from_headers(time: str, tmp_path: Path) 
     assert seen == HEADERS
 
 
-def test_effects_tell_the_units_in_which_their_sizes_are_found(tmp_path: Path) -> None:
-    rows = "0,5\n1,4\n2,3\n3,2\n4,1\n"
-    (tmp_path / "roll.csv").write_text(f"t (min),v (km/h)\n{rows}")
-    study = tmp_path / "study.toml"
-    said("init", tmp_path / "roll.csv", "-o", study)
-    model = 'type = "FirstOrder"\nF = { v = "-f/m" }\npairs = []'
-    text = study.read_text().replace("\npairs = []", f"\n{model}").replace('H = ""', "")
-    numbers = 'm = { value = 1420, unit = "kg" }\nf = { unit = "N" }'
-    study.write_text(text.replace("# m = 2.5", numbers))
-    rows = json.loads(said("effects", study, "--json").out)["effects"]
-    units = {row["effect"]: row["units"] for row in rows}
-    assert units["quadratic drag on v"] == {"quadratic_drag_v": "1/m"}
-
-
 def test_a_column_that_changes_where_the_times_begin_anew_names_the_runs(
     tmp_path: Path,
 ) -> None:
@@ -333,9 +282,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_measured_tables_run_after_the_physics_is_filled_in(
-    tmp_path: Path, name: str
-) -> None:
+def test_measured_tables_run_after_the_physics_is_filled_in(tmp_path, name) -> None:
     table = folder(name)
     if not table.exists():
         pytest.skip(f"the data are not at {table}")
@@ -379,24 +326,6 @@ def complained(study: Path) -> list[str]:
     return [one["key"] for one in content["complaints"]]
 
 
-@pytest.mark.parametrize(
-    ("period", "what", "words"),
-    [
-        (700, "between and thinned", "# thinned = 4"),
-        (7, "between", "means of neighbouring"),
-    ],
-)
-def test_many_lines_are_told_with_what_to_do(
-    tmp_path: Path, period: int, what: str, words: str
-) -> None:
-    lines = "\n".join(f"{i},{i % period}" for i in range(8000))
-    (tmp_path / "data.csv").write_text(f"t,q\n{lines}\n")
-    result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
-    assert f"A fit of so many lines takes long: see {what} in" in result.out
-    text = (tmp_path / "s.toml").read_text()
-    assert "# 8000 lines take long to fit" in text and words in text
-
-
 @pytest.mark.parametrize("place", ["", "below"])
 def test_init_writes_no_absolute_path_of_a_table_beside_or_below(
     tmp_path: Path, place: str
@@ -412,29 +341,21 @@ def test_init_writes_no_absolute_path_of_a_table_beside_or_below(
     assert f'files = ["{(Path(place) / "data.csv").as_posix()}"]' in text
 
 
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("empty.csv", "is empty"),
-        ("header.csv", "no line below its header"),
-        ("one.csv", "1 line below its header; at least 2"),
-        ("long.csv", "line 3 has 3 cells; expected 2"),
-        ("short.csv", "line 3 has 1 cell; expected 2"),
-        (
-            "still.csv",
-            "no column of numbers that could be a state: t: 0 to 1; q: always 1",
-        ),
-        ("gone.csv", "gone.csv' cannot be read: there is no such file"),
-        ("gone.mat", "gone.mat' cannot be read: there is no such file"),
-        ("folder", "folder' cannot be read: it is a folder"),
-        ("a.npz", "it contains binary data. Tables are read from text"),
-        ("log.mat", "is not a MATLAB file, or it is damaged"),
-        ("other.csv", "q, v are only in one of them"),
-    ],
-)
-def test_files_that_are_no_tables_are_refused_in_words(
-    tmp_path: Path, name: str, why: str
-) -> None:
+@pytest.mark.parametrize(("name", "why"), [
+    ("empty.csv", "is empty"),
+    ("header.csv", "no line below its header"),
+    ("one.csv", "1 line below its header; at least 2"),
+    ("long.csv", "line 3 has 3 cells; expected 2"),
+    ("short.csv", "line 3 has 1 cell; expected 2"),
+    ("still.csv", "no column of numbers that could be a state: t: 0 to 1; q: always 1"),
+    ("gone.csv", "gone.csv' cannot be read: there is no such file"),
+    ("gone.mat", "gone.mat' cannot be read: there is no such file"),
+    ("folder", "folder' cannot be read: it is a folder"),
+    ("a.npz", "it contains binary data. Tables are read from text"),
+    ("log.mat", "is not a MATLAB file, or it is damaged"),
+    ("other.csv", "q, v are only in one of them"),
+])  # fmt: skip
+def test_files_that_are_no_tables_are_refused_in_words(tmp_path, name, why) -> None:
     (tmp_path / "folder").mkdir()
     np.savez(tmp_path / "a.npz", a=np.ones(3))
     for file, text in {
@@ -474,9 +395,7 @@ def test_check_says_what_a_study_file_holds(demo: Path) -> None:
     assert content["noticed"][2]["noise"] is None
 
 
-def test_init_and_check_draw_the_data_once_and_replace_no_other_picture(
-    demo: Path,
-) -> None:
+def test_init_and_check_draw_the_data_once_and_replace_no_other_picture(demo) -> None:
     picture = demo.with_name("study_data.svg")
     said("check", demo, "--json")
     assert not picture.exists()
@@ -526,28 +445,6 @@ def test_add_writes_an_effect_and_keeps_what_the_user_wrote(demo: Path) -> None:
     assert again.code == ExitCode.BAD_INPUT
     assert "the model has 'coulomb friction' on p already" in again.err
     assert demo.read_text() == after
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["coulom friction"], "Did you mean 'coulomb friction'?"),
-        (["offset"], "'offset' may be constant force or sensor offset; say which."),
-        (
-            ["coulomb friction", "-e", "v"],
-            "'v' is not a state of the model; expected one of q, p",
-        ),
-    ],
-)
-def test_add_refuses_what_is_unknown_and_says_what_was_meant(
-    demo: Path, arguments: list[str], words: str
-) -> None:
-    before = demo.read_text()
-    result = said("add", arguments[0], demo, *arguments[1:])
-    assert result.code == ExitCode.BAD_INPUT
-    assert words in " ".join(result.err.split())
-    assert demo.read_text() == before
-    assert list(demo.parent.glob("*.bak")) == []
 
 
 def test_the_effects_of_a_model_are_listed_with_equations_and_units(
@@ -654,9 +551,7 @@ def kept_fit(study: Path) -> ph.Fit | None:
     return kept_fits.KeptFits.of(study, file, file.split()[0]).with_effects()
 
 
-def test_a_fit_of_something_else_is_not_taken(
-    short: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_of_something_else_is_not_taken(short, monkeypatch) -> None:
     run_job(Job(FIT, short), lambda message: None)
     for name, old, new in [
         ("study.toml", "m = 2.5", "m = 2.6"),
@@ -682,25 +577,6 @@ def test_a_fit_of_something_else_is_not_taken(
     run_job(Job(FIT, short), told.append)
     assert FITTING in told
     assert kept_fit(short) is not None
-
-
-def test_commands_at_the_same_time_keep_the_fits_of_each_other(short: Path) -> None:
-    file = ph.StudyFile.read(short)
-    kept = [kept_fits.KeptFits.of(short, file, file.split()[0]) for _ in range(3)]
-    assert [one.with_effects() for one in kept[:2]] == [None, None]
-    study = file.study()
-    kept[0].keep(study)
-    study.add("coulomb friction", "p")
-    kept[1].keep(study)
-    for added, step in zip([(), study.added], study.steps, strict=True):
-        again = kept[2].with_effects(added)
-        assert again is not None and again.values == step.fit.values
-    with pytest.raises(ph.DataError, match="fit was made from other measurements"):
-        ph.Study(file.base, *reversed(file.split()), fit=study.fit)  # type: ignore
-    short.with_name("study.toml.cache").unlink()
-    short.with_name("study.toml.cache").mkdir()  # cannot be written
-    kept_fits.KeptFits.of(short, file, file.split()[0]).keep(study)
-    assert kept_fit(short) is None
 
 
 @pytest.mark.slow
@@ -799,38 +675,6 @@ def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(short: Path) -> None:
     assert left_over(short.parent) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_in_the_first_long_solve_ends_it_and_says_that_nothing_is_kept(
-    tmp_path: Path, number: int
-) -> None:
-    times = [0.01 * k for k in range(40_000)]
-    lines = [f"{t:.2f},{t % 7 - t % 3:.3f}" for t in times]
-    (tmp_path / "data.csv").write_text("\n".join(["t,q", *lines]))
-    (tmp_path / "study.toml").write_text(LONG_STUDY)
-    arguments = ["fit", "--save", "fit.json"]
-    ended = stopped(tmp_path, "fitting the base model", arguments, number)
-    assert ended.code == ExitCode.INTERRUPTED
-    assert "No step was completed; nothing was written." in ended.err
-    assert not (tmp_path / "fit.json").exists()
-    assert left_over(tmp_path) == []
-
-
-LONG_STUDY = """
-[data]
-files = ["data.csv"]
-time = { column = "t" }
-states = { q = { column = "q" }, p = { measured = false } }
-[model]
-states = ["q", "p"]
-pairs = [["q", "p"]]
-H = "k*q**4/4 + p**2/2"
-R = { p = "c" }
-[parameters]
-k = { start = 5.0, lower = 0 }
-c = { start = 0.1, lower = 0 }
-"""
-
-
 def test_a_working_process_that_dies_is_told(short: Path) -> None:
     process = begun(short.parent, "screening", "study", "--auto", "--save", "fit.json")
     (working,) = working_processes(process.pid)
@@ -865,9 +709,7 @@ def working_processes(parent: int) -> Iterator[int]:
 # ---- demo and page -------------------------------------------------------------------
 
 
-def test_the_demonstration_ships_and_overwrites_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_demonstration_ships_and_overwrites_nothing(tmp_path, monkeypatch) -> None:
     jobs: list[Any] = []
     monkeypatch.setattr(commands, "do", lambda job, as_json: jobs.append(job))
     assert said("demo", tmp_path / "d").code == 0
@@ -881,42 +723,14 @@ def test_the_demonstration_ships_and_overwrites_nothing(
     assert len(jobs) == 1
 
 
-def test_the_page_says_how_to_install_what_it_needs(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_page_says_how_to_install_what_it_needs(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "nicegui", None)  # as where it is not installed
     result = said("page")
     assert result.code == ExitCode.BAD_INPUT
     assert "pip install 'phsi_opt[app]'" in result.err
 
 
-def test_the_reach_of_the_command_is_that_of_the_study(
-    short: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[object] = []
-
-    def adds(study: ph.Study, *_: object, reach: object = None) -> str:
-        asked.append(reach)
-        effects = ["coulomb friction on p"]
-        found = ph.diagnose(study.fit, study.train, study.held_out, effects=effects)
-        open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
-        silent = replace(open_, verdict=ph.Verdict.NOTHING_MISSING, ranking=())
-        study.considered |= dict.fromkeys((0, 1), (study._choice, study.train.hold))
-        diagnoses = {0: open_, 1: silent}
-        study.record = replace(study.record, diagnoses=diagnoses)
-        study.add(open_.ranking[0].effect)
-        return ""
-
-    monkeypatch.setattr(ph.Study, "auto", adds)
-    answer = run_job(Job(GO_THROUGH, short, is_auto=True, reach=Reach.STRONG), print)
-    assert asked == ["strong"]
-    assert answer.content["unestablished"] == ["coulomb friction on p"]
-    assert "added, but not established: coulomb friction on p" in answer.text
-
-
-def test_a_study_that_breaks_off_says_so_in_its_report(
-    short: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_that_breaks_off_says_so_in_its_report(short, monkeypatch) -> None:
     def breaks(*_: object, **__: object) -> str:
         raise RuntimeError("a mistake on the way")
 
@@ -931,16 +745,6 @@ def test_a_study_that_breaks_off_says_so_in_its_report(
     assert "the study failed: a mistake on the way.</h1>" in report
     assert "So far: held-out error" in report
     assert "base model" in kept.text
-
-
-def test_effects_of_the_study_file_are_not_found_again(short: Path) -> None:
-    text = short.read_text().replace("added = []", 'added = ["coulomb friction on p"]')
-    short.write_text(text)
-    told: list[Message] = []
-    run_job(Job(FIT, short), told.append)
-    finished = [one for one in told if isinstance(one, Finished)]
-    assert len(finished) == 3
-    assert [one.found for one in finished] == [(), (), ()]
 
 
 # ---- small parts ---------------------------------------------------------------------

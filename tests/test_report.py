@@ -1,7 +1,6 @@
 """The HTML report: what it says and in which order, and that nothing can be injected."""
 
 import base64
-import datetime as dt
 import gzip
 import json
 import re
@@ -20,28 +19,15 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.errors import some_of
-from phsi_opt.force_analysis.analysis import (
-    advice_of_cause,
-    likely_cause,
-    step_without_name,
-)
+from phsi_opt.force_analysis.analysis import advice_of_cause
 from phsi_opt.force_analysis.dependence import Causes
-from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import Pace
-from phsi_opt.presentation.charts import (
-    follows_chart,
-    glance_chart,
-    rounded,
-    run_chart,
-    svg,
-)
+from phsi_opt.presentation.charts import follows_chart, rounded, run_chart
 from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
     SEVERITY_WORDS,
     Answer,
     Channel,
-    ParameterRow,
     Ranked,
     Run,
     StudyContent,
@@ -58,17 +44,8 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
-from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import rate_unit, times_words
-from phsi_opt.study.answers import (
-    answer,
-    disturbance_word,
-    nearest_candidate,
-    odds_words,
-    undetermined_words,
-    where_answer,
-)
-from phsi_opt.study.content import _errors, ends_within, glance_of, study_content
+from phsi_opt.study.content import _errors, study_content
 from phsi_opt.study.record import StudyRecord
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
@@ -79,10 +56,6 @@ ORDER = ["verdict", "runs", "errors", "equations", "where", "ranked", "checks"]
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$\\x$ {{7*7}}"
 # Colours of texts on the page and on cards, by name in the style sheet.
 TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad"]
-
-
-def certainty_words(diagnosis: ph.Diagnosis) -> str:
-    return answer("certainty", diagnosis, is_held_out=True).lead
 
 
 def measurements(runs: int, friction: float = 2.0) -> ph.Measurements:
@@ -155,23 +128,13 @@ def with_diagnoses(study: ph.Study, *diagnoses: ph.Diagnosis) -> StudyRecord:
     )
 
 
-@pytest.mark.parametrize(("run", "told"), [("2", "run 2"), ("run2", "run2")])
-def test_a_run_that_is_a_number_is_called_a_run(run: str, told: str) -> None:
-    facts: dict[str, Any] = {"n_runs": 2, "n_clear": 2, "is_from_start": True}
-    facts |= {"begin": "", "again": "", "gaps": [], "only_follows": False}
-    since = say("phsi_opt.study", "since", **facts, window="t = 1 s", run=run)
-    assert str(since).endswith(f"at t = 1 s of {told}.")
-
-
 def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
     """The same of a catalogue that has no name for what is missing."""
     left = {"findings": (), "proposed": (), "reason": "none", **changes}
     return replace(diagnosis, verdict=ph.Verdict.UNEXPLAINED, **left)
 
 
-def test_the_first_screen_says_what_where_since_when_and_what_to_add(
-    content: StudyContent,
-) -> None:
+def test_the_first_screen_says_what_where_since_when_and_what_to_add(content) -> None:
     expected = {
         "What was wrong": r"Coulomb friction on p was missing: .* dp/dt had an error of [\d.]+ N.*",
         "Where it was": "In dp/dt.*",
@@ -195,25 +158,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     )
 
 
-def test_who_does_not_read_on_is_told_how_sure_how_good_and_what_to_do(
-    study: ph.Study, content: StudyContent
-) -> None:
-    sure, good, then = content.headline.brief
-    assert sure.lead == "Practically certain: odds of more than a million to one."
-    assert re.fullmatch(r"Its error is \d+ % smaller\.", good.lead)
-    assert good.detail.endswith("That is the noise of the measurements.")
-    assert then.lead == "Use the model with coulomb friction."
-    unknown = unexplained(study.record.diagnoses[0])
-    _, good, then = study_content(with_diagnoses(study, unknown)).headline.brief
-    assert re.fullmatch(r"Its error is [\d.]+ m\.", good.lead)
-    assert re.search(r"That is 1\.\d times the noise", good.detail)
-    assert then.lead.startswith("Add your own term")
-    assert odds_words(3.0).startswith("Very likely: odds of more than ten to one")
-
-
-def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
-    study: ph.Study,
-) -> None:
+def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> None:
     named, silent = study.record.diagnoses.values()
     open_ = unexplained(named)
     headline = study_content(with_diagnoses(study, open_, open_)).headline
@@ -245,9 +190,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     assert not study.record.unestablished
 
 
-def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
-    study: ph.Study,
-) -> None:
+def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> None:
     unknown = unexplained(study.record.diagnoses[0])
     content = study_content(with_diagnoses(study, unknown))
     headline = content.headline
@@ -275,158 +218,18 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
         assert told.strip() in diagnosed.paragraph
 
 
-def test_one_line_says_how_sure_it_is(
-    study: ph.Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    named = study.record.diagnoses[0]
-    said = certainty_words(named)
-    assert re.fullmatch(
-        r"The model is certainly incomplete: the error is "
-        r"1\.\d times the noise\. The evidence for coulomb friction on p is decisive "
-        r"\(log evidence [\d.]+\)\.",
-        said,
-    )
-    unknown = unexplained(named)
-    # The error alone, a little above the noise, makes nothing certain.
-    begin = "The residuals are not noise: the error is 1."
-    assert certainty_words(unknown).startswith(begin)
-    # That it follows the velocity is no suspicion of a thing outside.
-    assert "The cause is not known." in certainty_words(unknown)
-    monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
-    assert "The cause is likely, but not proven." in certainty_words(unknown)
-    monkeypatch.setattr(
-        "phsi_opt.study.answers.disturbance_word", lambda *_: "fast disturbance"
-    )
-    assert "It is a fast disturbance; its source is not known" in certainty_words(
-        unknown
-    )
-    monkeypatch.undo()
-    (finding,) = named.findings
-    either = replace(finding, effects=(*finding.effects, *finding.effects))
-    assert "which effect of the class it is" not in said
-    open_class = replace(named, findings=(either,))
-    assert "which effect of the class it is" in certainty_words(open_class)
-    assert study_content(study.record).headline.certainty.startswith(
-        "These data show no missing effect"
-    )
-    assert disturbance_word(unknown) == ""
-
-
-def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None:
-    partly = replace(study.record.diagnoses[0], verdict=ph.Verdict.PARTLY_NAMED)
-    headline = study_content(with_diagnoses(study, partly)).headline
-    told = (
-        r"Coulomb friction on p, .* N, is missing\. With it, the held-out error falls"
-    )
-    assert re.match(told, headline.sentence)
-    facts = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
-    assert "The held-out error falls from" in facts["What to add"]
-    assert facts["What to add"].endswith("the remaining error is more than noise.")
-    above = with_errors(partly, after=0.4)
-    add = answer("to_do", above, is_held_out=True).detail
-    assert add.endswith(
-        "Then diagnose again: the remaining error is 10 times the noise."
-    )
-    assert answer("missing", above, is_held_out=True).detail == (
-        "With it, the held-out error falls by 60 %; a further missing force is not "
-        "explained yet."
-    )
-
-
-def with_errors(diagnosis: ph.Diagnosis, after: float) -> ph.Diagnosis:
-    """The proposed effect leaves a share of the error, far above the noise."""
-    (first, *others) = diagnosis.ranking
-    left = after * diagnosis.base.rmse
-    shown: Any = SimpleNamespace(rmse=left, noise_floor=0.1 * left, error_unit="m")
-    changed = replace(first, comparison=shown)
-    return replace(diagnosis, ranking=(changed, *others))
-
-
-def test_the_nearest_effect_is_told_where_there_is_evidence_of_it(
-    study: ph.Study,
-) -> None:
-    named = with_errors(study.record.diagnoses[0], after=0.4)
-    unknown = unexplained(named)
-    (first, *_) = unknown.ranking
-    assert nearest_candidate(unknown) is first
-    told = answer("to_do", unknown, is_held_out=True).detail
-    assert re.search(
-        r"The best effect of the catalogue is coulomb friction on p \(decisive, log evidence "
-        r"[\d.]+\): 60 % less error, but it is not proven\.",
-        told,
-    )
-    without = replace(first, log_bayes=-1.0, log_predictive=0.5)
-    assert nearest_candidate(replace(unknown, ranking=(without,))) is None
-    unweighed = replace(first, was_weighed=False)
-    assert nearest_candidate(replace(unknown, ranking=(unweighed,))) is None
-    worse = with_errors(unknown, after=1.1)
-    assert "less error" not in answer("to_do", worse, is_held_out=True).detail
-    assert nearest_candidate(named) is None
-
-
-def test_a_class_whose_members_act_at_several_places_has_no_one_place(
-    study: ph.Study,
-) -> None:
-    named = study.record.diagnoses[0]
-    (finding,) = named.findings
-    (friction,) = finding.effects
-    delay = replace(friction, slot="sensor", equation="q")
-    either = replace(named, findings=(replace(finding, effects=(friction, delay)),))
-    told = where_answer(either)
-    assert told.lead == (
-        "In dp/dt or at the sensor of q; the data do not determine which."
-    )
-    assert told.detail.startswith("As a force it appears in dp/dt, the force on q.")
-    assert where_answer(named).lead.startswith("In dp/dt, the force on q.")
-
-
-def test_beside_the_verdict_stands_the_run_where_it_shows(
-    content: StudyContent, study: ph.Study
-) -> None:
-    glance = content.glance
-    assert glance is not None
-    run = content.runs[glance.run]
-    lacks = glance.force
-    assert lacks is not None
-    where = study.record.diagnoses[0].where.iloc[0]
-    assert run.name == lacks.run == where["trajectory"]
-    assert run.part == "training"
-    assert glance.window is not None and glance.t is not None
-    begin, end = glance.window
-    assert where["time_window"] == f"{begin:.3g} to {end:.3g}"
-    assert begin <= glance.t <= end
-    inside = (begin <= lacks.t) & (lacks.t <= end)
-    assert (lacks.force[inside] ** 2).mean() > 2 * (lacks.force**2).mean()
-    # Where the model is far worse on the data held out, these show it better.
-    runs = []
-    for one in content.runs:
-        (channel,) = one.channels
-        errors = channel.errors if one.part == "training" else (2.0, 2.0)
-        runs.append(replace(one, channels=(replace(channel, errors=errors),)))
-    worse = replace(content, runs=tuple(runs))
-    first = study.record.diagnoses[0]
-    judged = glance_of(first, worse.runs, content.time, 0)
-    assert judged is not None and judged.force is None
-    assert runs[judged.run].part == "held out"
-    assert "(data held out), measured and simulated, with" in judged.sentence
-    assert "<svg" in svg(glance_chart(replace(worse, glance=judged)))
-
-
-@pytest.mark.parametrize(
-    ("shares", "kind", "variable", "expected"),
-    [
-        ({}, "thermal", "p", "a further heat storage"),
-        ({}, "", "p", "a further moving part (backlash"),
-        ({"parameters": 0.8}, "electrical", "p", "Fit each half of the record separately"),
-        ({"parameters": 0.8}, "electrical", "p", "second resistor and capacitor"),
-        ({"inputs": 0.8}, "", "p", "Measure the force on p directly, or add"),
-        ({"time": 0.8}, "", "p", "Repeat the run"),
-        ({"dissipated": 0.4}, "", "p", "is not a function of the quantities measured"),
-        ({"conserved": 0.8}, "", "q", "as a function of q."),
-        ({"conserved": 0.8}, "", "q, p", "as a function of q and p."),
-        ({"conserved": 0.8}, "", "dH_dp", "as a function of p."),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("shares", "kind", "variable", "expected"), [
+    ({}, "thermal", "p", "a further heat storage"),
+    ({}, "", "p", "a further moving part (backlash"),
+    ({"parameters": 0.8}, "electrical", "p", "Fit each half of the record separately"),
+    ({"parameters": 0.8}, "electrical", "p", "second resistor and capacitor"),
+    ({"inputs": 0.8}, "", "p", "Measure the force on p directly, or add"),
+    ({"time": 0.8}, "", "p", "Repeat the run"),
+    ({"dissipated": 0.4}, "", "p", "is not a function of the quantities measured"),
+    ({"conserved": 0.8}, "", "q", "as a function of q."),
+    ({"conserved": 0.8}, "", "q, p", "as a function of q and p."),
+    ({"conserved": 0.8}, "", "dH_dp", "as a function of p."),
+])  # fmt: skip
 def test_what_to_do_follows_from_what_the_force_looks_like(
     shares: dict[str, float], kind: str, variable: str, expected: str
 ) -> None:
@@ -443,58 +246,6 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
         follows=pd.DataFrame(row),
     )
     assert expected in str(advice_of_cause({}, force))
-
-
-@pytest.mark.parametrize(
-    ("shares", "expected"),
-    [
-        ({}, "A heat storage or a heat input seems to be missing"),
-        ({"inputs": 0.8}, "The way the input enters dTi/dt seems to be wrong"),
-        ({"time": 0.8}, "An effect that changes with time seems to be missing"),
-        ({"dissipated": 0.8}, ""),
-    ],
-)
-def test_the_likely_cause_comes_before_the_symptom(
-    shares: dict[str, float], expected: str
-) -> None:
-    law = {"Ti": ph.formula("-a*Ti", a=1.0)}
-    model = ph.FirstOrder(["Ti"], law, kind="thermal", inputs=["Q"])
-    record = SimpleNamespace(model=model)
-    force: Any = SimpleNamespace(
-        equation="Ti", causes=Causes(shares, {}), record=record
-    )
-    assert likely_cause({}, force) == expected
-
-
-def test_beside_a_controller_the_advice_names_what_goes_together() -> None:
-    model = replace(spring(), inputs=("u",))
-    causes = Causes({"inputs": 0.8}, {}, goes_together=True)
-    force: Any = SimpleNamespace(
-        wave=None,
-        equation="p",
-        row=1,
-        causes=causes,
-        position_of=lambda _: "q",
-        record=SimpleNamespace(model=model),
-    )
-    said = advice_of_cause({}, force)
-    assert said.lead == (
-        "Record data in which the input u and the velocity of q are not correlated."
-    )
-
-
-def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
-    pace = Pace(51.0, 0.75, 0.15, 1 / 300, 700.0, 18.0)
-    assert pace.is_vibration
-    force = SimpleNamespace(is_uncertain=False, pace=pace)
-    analysis: Any = SimpleNamespace(force_in=lambda: force)
-    told = step_without_name(analysis, {})
-    assert told.lead == (
-        "Average every 6 samples and diagnose again, to find other missing effects."
-    )
-    # What to look at stands before what to type.
-    assert told.detail.startswith("At the machine, look for")
-    assert "thinned = 6" in told.detail
 
 
 def test_digits_stop_where_they_say_nothing() -> None:
@@ -526,72 +277,20 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert rounded(np.zeros(2)) == [0.0, 0.0]
 
 
-def test_bounds_cut_an_interval_and_open_parameters_are_named(study: ph.Study) -> None:
-    damping = ph.Parameter(0.04, lower=0)
-    assert damping.nearest_bound(9.6e-19) == 0
-    assert ends_within(damping, -0.12, 0.2) == (0, 0.2)
-    assert ends_within(damping, np.nan, 0.2) == (None, None)
-    row = ParameterRow("c", 0.1, 0.05, 0.0, 0.2, "cut at its bound", "")
-    assert row.interval == "0.000 to 0.200, cut at its bound"
-    assert replace(row, lower=None, remark="fixed").interval == "fixed"
-    table = study.fit.parameters
-    assert undetermined_words(table) == ""
-    table = table.assign(std_error=2 * table["value"].abs())
-    assert undetermined_words(table.head(2)) == (
-        "Parameters that these data do not determine: k, m (the standard error "
-        "exceeds the value); do not rely on them."
-    )
+@pytest.mark.parametrize(("times", "unit", "said"), [
+    ((261, 314), "h", "10.9 to 13.1 days"),
+    ((2, 3), "h", "2 to 3 h"),
+    ((100, 300), "min", "1.67 to 5 h"),
+    ((0.197, 0.39), "s", "0.197 to 0.39 s"),
+    ((7.93e5, 1.06e6), "ms", "793000 to 1.06e+06 ms"),
+    ((0, 1.5e4), "s", "0 to 4.17 h"),
+    ((4, 5), "", "4 to 5"),
+])  # fmt: skip
+def test_long_times_are_told_in_hours_and_days(times, unit, said) -> None:
+    assert times_words(times[0], times[1], unit) == said
 
 
-@pytest.mark.parametrize(
-    ("times", "unit", "said"),
-    [
-        ((261, 314), "h", "10.9 to 13.1 days"),
-        ((2, 3), "h", "2 to 3 h"),
-        ((100, 300), "min", "1.67 to 5 h"),
-        ((0.197, 0.39), "s", "0.197 to 0.39 s"),
-        ((7.93e5, 1.06e6), "ms", "793000 to 1.06e+06 ms"),
-        ((0, 1.5e4), "s", "0 to 4.17 h"),
-        ((4, 5), "", "4 to 5"),
-    ],
-)
-def test_long_times_are_told_in_hours_and_days(
-    times: tuple[float, float], unit: str, said: str
-) -> None:
-    assert times_words(*times, unit) == said
-
-
-def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
-    frame = table(5, 2.0)
-    frame = frame[frame["run"].isin(["run 1", "run 2"])]
-    begin = dt.datetime(2021, 11, 22, 6, 30)
-    frame = frame.assign(when=[begin + dt.timedelta(seconds=t) for t in frame["t_s"]])
-    path = tmp_path / "dated.csv"
-    frame.drop(columns="t_s").to_csv(path, index=False)
-    data = ph.Measurements.from_csv(
-        path,
-        time="when",
-        states={"q": "position_m", "p": None},
-        trajectory="run",
-        units={"q": "m", "p": "kg m/s"},
-    )
-    assert data.thinned(2).trajectories[1].origin == begin
-    assert data.between(0.1, None).trajectories[0].origin == begin
-    study = ph.Study(spring(), *data.split(0.5), effects=["coulomb friction"])
-    diagnosis = study.diagnose()
-    assert (
-        "2021-11-22 06:30" in diagnosis.sentences[0]
-        or "about equally strong" in (diagnosis.sentences[0])
-    )
-    content = study_content(study.record)
-    assert {run.origin for run in content.runs} == {begin}
-    since = {fact.question: fact.detail for fact in content.headline.answers}
-    assert "(2021-11-22 06:30" in since["Since when"]
-
-
-def test_verdict_table_and_picture_use_the_same_words(
-    page: str, content: StudyContent, study: ph.Study
-) -> None:
+def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> None:
     text = Reader(page).text
     verdict = str(study.diagnose().verdict)
     assert content.headline.status == verdict
@@ -626,9 +325,7 @@ def test_the_law_that_was_found_is_drawn_as_sharp_as_it_is(study: ph.Study) -> N
     assert names == ["force", "the law that was found"]
 
 
-def test_the_run_is_shown_in_which_the_models_differ_most(
-    content: StudyContent,
-) -> None:
+def test_the_run_is_shown_in_which_the_models_differ_most(content) -> None:
     judged = [run for run in content.runs if run.part == "held out"]
     shown = content.runs[content.shown].channels[content.shown_channel]
     assert shown.change == max(one.change for run in judged for one in run.channels)
@@ -781,30 +478,25 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
     assert np.array_equal(thinned([x[:50]], 400), np.arange(50))
 
 
-@pytest.mark.parametrize(
-    ("unit", "of_time", "rate"),
-    [
-        ("kg m/s", "s", "N"),
-        ("kg*m/s", "s", "N"),
-        ("N s", "s", "N"),
-        ("kg m^2/s", "s", "N m"),
-        ("m", "s", "m/s"),
-        ("m/s", "s", "m/s^2"),
-        ("V s", "s", "V"),
-        ("J", "s", "W"),
-        ("C", "s", "C/s"),  # coulomb or degree Celsius: nobody knows
-        ("mm", "s", "mm/s"),
-        ("kg m/s", "min", "kg m/(min s)"),
-        ("1/s", "s", "1/s^2"),
-        ("mm/s", "s", "mm/s^2"),
-        ("kN s", "s", "kN"),
-        ("", "s", ""),
-        ("m", "", ""),
-    ],
-)
-def test_units_of_rates_are_those_that_people_write(
-    unit: str, of_time: str, rate: str
-) -> None:
+@pytest.mark.parametrize(("unit", "of_time", "rate"), [
+    ("kg m/s", "s", "N"),
+    ("kg*m/s", "s", "N"),
+    ("N s", "s", "N"),
+    ("kg m^2/s", "s", "N m"),
+    ("m", "s", "m/s"),
+    ("m/s", "s", "m/s^2"),
+    ("V s", "s", "V"),
+    ("J", "s", "W"),
+    ("C", "s", "C/s"),  # coulomb or degree Celsius: nobody knows
+    ("mm", "s", "mm/s"),
+    ("kg m/s", "min", "kg m/(min s)"),
+    ("1/s", "s", "1/s^2"),
+    ("mm/s", "s", "mm/s^2"),
+    ("kN s", "s", "kN"),
+    ("", "s", ""),
+    ("m", "", ""),
+])  # fmt: skip
+def test_units_of_rates_are_those_that_people_write(unit, of_time, rate) -> None:
     assert rate_unit(unit, of_time) == rate
 
 
@@ -819,23 +511,7 @@ def test_texts_have_a_contrast_of_four_and_a_half_in_both_modes(page: str) -> No
                 assert contrast(colours[name], colours[ground]) >= 4.5, (name, ground)
 
 
-def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
-    study: ph.Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    base: Any = SimpleNamespace(rmse=1.04, noise_floor=1.0)
-    unknown = unexplained(study.record.diagnoses[0], base=base)
-    monkeypatch.setattr("phsi_opt.study.answers.likely_cause", lambda *_: "Heat")
-    monkeypatch.setattr(EquationForce, "is_uncertain", True)
-    begin = "The residuals are as small as noise, but not random"
-    said = certainty_words(unknown)
-    assert said.startswith(f"{begin}. The cause is not known.")
-    lead = answer("missing", unknown, is_held_out=True).lead
-    assert lead.startswith(f"{begin}; no missing force is significant; ")
-
-
-def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(
-    study: ph.Study,
-) -> None:
+def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(study) -> None:
     floor: Any = {"noise_floor": 0.0424, "noise_floor_interval": (0.0405, 0.0443)}
     floor["floor_words"] = lambda *_: "0.0424 m (95 %: 0.0405 to 0.0443)"
     comparison: Any = SimpleNamespace(rmse=0.0423, error_unit="m", **floor)
