@@ -161,7 +161,7 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     assert "model.H: expected the energy" in result.out
     text = study.read_text()
     assert 'trajectory = "run"  # 8 runs' in text
-    assert 'time = { column = "t_s", unit = "s" }  # 0 to 5, every 0.025' in text
+    assert 'time = { column = "t_s", unit = "s" }  # 0 to 5' in text
     assert 'position = { column = "position_m", unit = "m" }' in text
     assert complained(study) == ["model.H"]
     again = said("init", CSV, "-o", study)
