@@ -201,6 +201,8 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     ("t,q\n0,1\n1,2\n", ['in seconds? then add unit = "s"']),
     ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
     ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
+    ("when,q\n03/04/2026 10:00,1\n03/04/2026 10:01,2\n", ['date_format = "%d/%m/%Y %H:%M" }', 'dates; or date_format = "%m/%d/%Y %H:%M"']),
+    ("when,q\n03/04/2026,1\n03/05/2026,2\n", ['date_format = "%m/%d/%Y" }', 'dates; or date_format = "%d/%m/%Y"']),
     ("t,q\n1612051200,1\n1612051260,2\n", ['unit = "s", date_format = "unix" }']),
     ("t,q\n44227,1\n44228,2\n", ['are they dates of a spreadsheet? then date_format = "excel"']),
     ("Datum;q\n44227,5;1\n44228,5;2\n", ['date_format = "excel" }', 'decimal = ","']),

@@ -100,6 +100,23 @@ def test_an_input_that_jumps_is_told_with_its_hold() -> None:
         assert np.isnan(table["noise"][2]) == (hold == "zero"), "steps are no noise"
 
 
+def test_peaks_of_an_input_may_be_kicks_of_a_controller() -> None:
+    u = changed([400, 1200], [1.5, -2.0])
+    said = {}
+    for hold in ("linear", "zero"):
+        table = data_of(NOISY, u=u, inputs=["u"], hold=hold).noticed
+        said[hold] = table["noticed"][2]
+    place = "2 peaks of one sample, the first at t = 4 s"
+    assert said == {"linear": f"{place}: errors, or kicks of a controller", "zero": ""}
+
+
+def test_a_run_whose_name_is_a_number_is_called_run() -> None:
+    titles = {}
+    for name in ("3", "bench 3"):
+        titles[name] = data_of(NOISY, names=[name]).trajectories[0].title
+    assert titles == {"3": "run 3", "bench 3": "bench 3"}
+
+
 def test_the_table_has_numbers_for_the_clock_and_every_channel() -> None:
     x = np.column_stack([np.round(NOISY, 2), np.full(T.size, np.nan)])
     units = {"t": "s", "q": "m", "u": "V"}

@@ -136,7 +136,7 @@ class DataLook:
         t = float(self.t[sample])
         moment = date_words(t, run.origin) or f"t = {t:.5g}{spaced(self.units['t'])}"
         is_alone = len(self.trajectories) == 1
-        return f"at {moment}" if is_alone else f"at {moment} in {run.name}"
+        return f"at {moment}" if is_alone else f"at {moment} in {run.title}"
 
     # ---- the channels ----------------------------------------------------------------
 
@@ -155,7 +155,8 @@ class DataLook:
             noise = max(robust_deviation(residuals), DEVIATION_PER_STEP * step)
         known = np.flatnonzero(np.isfinite(values))
         of_known = (self.t[known], values[known], self.run[known])
-        outliers = known[lone_peaks(*of_known, noise)]
+        peaks = known[lone_peaks(*of_known, noise)]
+        outliers = NO_SAMPLES if hold == "zero" else peaks  # a held pulse is meant
         at_limit = NO_SAMPLES if hold else samples_at_limit(values)
         unit = self.units[name]
         return ChannelLook(name, unit, hold, values, step, noise, outliers, at_limit)
@@ -175,7 +176,9 @@ class DataLook:
         if len(one.outliers):
             name = number_of(len(one.outliers), "peak" if one.hold else "outlier")
             first = "" if len(one.outliers) == 1 else "the first "
-            yield f"{name} of one sample, {first}{self.place_words(one.outliers[0])}"
+            kick = ": errors, or kicks of a controller" if one.hold else ""
+            place = self.place_words(one.outliers[0])
+            yield f"{name} of one sample, {first}{place}{kick}"
         for limit in np.unique(one.values[one.at_limit]):
             side = "highest" if limit == values.max() else "lowest"
             percent = 100 * np.mean(values == limit)

@@ -178,14 +178,7 @@ def extent_of(
     units_row: int | None = None,
     by_blanks: bool = False,
 ) -> Extent:
-    """Find the table.
-
-    Args:
-        rows: The cells of each row that is not empty.
-        skip: The number of rows above the table; None: it is looked for.
-        units_row: The row of the units; 0: there is none; None: it is looked for.
-        by_blanks: Whether blanks separate the cells, those behind a comment mark too.
-    """
+    """Find the table; ``skip`` rows stand above it, and row 0 of units is none."""
     looked_at = _rows(rows, skip or 0, units_row, by_blanks)
     sections = list(_sections(looked_at))
     tables = list(filter(attrgetter("is_table"), sections))

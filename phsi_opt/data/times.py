@@ -71,18 +71,9 @@ def times_in(
 ) -> tuple[np.ndarray, list[Moment]]:
     """The times in a column, in seconds where they are moments.
 
-    Args:
-        table: As it was read.
-        column: Of the times; or a list of the columns of date, time of day and
-            milliseconds.
-        runs: The row numbers of each trajectory, (n_samples,).
-        start: The moment at which t is 0; None: the first sample of each trajectory.
-        date_format: In the signs of strptime, or one of `CLOCKS`; None: ISO 8601; "":
-            these are numbers.
-
-    Returns:
-        Those of all rows, (n_rows,), and the moments at which t is 0 in each
-        trajectory; none where the times are numbers.
+    Also the moments at which t is 0 in each trajectory: ``start``, or the first sample;
+    none where the times are numbers. ``date_format`` is in the signs of strptime, or
+    one of `CLOCKS`; None: ISO 8601; "": these are numbers.
 
     Raises:
         DataError: a cell is no time, or not after the one before it in its run.

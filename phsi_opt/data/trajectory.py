@@ -85,6 +85,11 @@ class Trajectory:
             )
 
     @property
+    def title(self) -> str:
+        """What sentences call it: its name, "run 3" where this is a number."""
+        return f"run {self.name}" if self.name.isdigit() else self.name
+
+    @property
     def n_samples(self) -> int:
         """The number of samples."""
         return len(self.t)

@@ -104,17 +104,8 @@ def separating(
 ) -> Separation:
     """Look for an experiment that tells one fitted model from another.
 
-    Args:
-        first: the fit that is taken for the truth.
-        second: the fit that imitates it.
-        data: the measurements that both were fitted to; their longest trajectory (its
-            first `MOST_SAMPLES` samples) is what the experiments are derived from.
-            States of a model that they do not hold count as not measured.
-        noise: (n_states,) standard deviation of the measurement noise per state, in the
-            order of the first model's states.
-
-    Returns:
-        The experiments, best first.
+    The first fit is taken for the truth. The experiments, best first, are derived from
+    the longest trajectory of the data that both were fitted to.
 
     Raises:
         DataError: the noise of a measured state is not positive.

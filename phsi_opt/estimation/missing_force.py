@@ -277,20 +277,8 @@ def estimate_force(
 ) -> ForceEstimate:
     """Estimate states and missing force, with sizes of force and noise by evidence.
 
-    Args:
-        model: the model that lacks a force.
-        grid: nodes, intervals and measurements.
-        point: where the search begins. Its parameters ``theta``, which stay, are
-            (n_free,), or (n_free, n_trajectories) where trajectories have their own.
-        sigma: (n_states,) noise to begin with.
-        rounds: solves, each followed by updates of the sizes, at most.
-        known_noise: whether ``sigma`` is known and stays, of all states or of each.
-        forces: to begin with; None: `generous_force`.
-        sensors: errors of sensors that last, to begin with.
-        integrator: the scheme of the defects.
-        least_noise: below which noise that is not known does not fall, of all states or
-            (n_states,).
-        is_patient: whether many steps are taken where few are not enough.
+    The parameters ``theta`` of the point stay. ``rounds`` solves at most are each
+    followed by updates of the sizes; unknown noise does not fall below ``least_noise``.
 
     Raises:
         SolveError: no states and force were found that obey the dynamics.

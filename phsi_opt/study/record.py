@@ -157,7 +157,7 @@ class StudyRecord:
             told = f"{verb} from {number(size * base.rmse, 3)} to {told}"
         which = number_of(len(self.final), "run")
         if len(self.final) == 1:
-            which = self.final.trajectories[0].name
+            which = self.final.trajectories[0].title
         return f"On data that chose nothing ({which}), the error {told}{spaced(unit)}."
 
     @property

@@ -180,6 +180,7 @@ class Column(Header):
     # how dates are written, in the signs of strptime, where it is not as in ISO 8601;
     # "" where it is, or where the cells do not tell
     date_format: str = ""
+    other_format: str = ""  # which the dates fit as well
     # what was seen, in words: its range, missing cells, why it is left out
     said: str = ""
     # the first cell that cannot be used, with its line; "" where none is
@@ -194,7 +195,12 @@ class Column(Header):
     @property
     def remark(self) -> str:
         """Everything that was seen, what is wrong first."""
-        return _joined(self.wrong, self.said)
+        return _joined(self.wrong, self.said, self.other_dates)
+
+    @property
+    def other_dates(self) -> str:
+        """How else its dates could be read; "" where they tell."""
+        return self.other_format and f'or date_format = "{self.other_format}"'
 
     @property
     def source(self) -> str | tuple[str, ...]:
@@ -229,6 +235,18 @@ class Column(Header):
     def may_be_input(self) -> bool:
         """Whether it is a state, or an input."""
         return self.said.endswith(PERHAPS_INPUT)
+
+    def take_dates_of(self, cells: pd.Series) -> None:
+        """Say how texts are dates: of what fits, where they lie closest together."""
+        found = []
+        for form in DATE_FORMATS:
+            if _share_of_dates(cells[:50], form) > MOSTLY:
+                dates = _dates(cells, form)
+                share = float(dates.notna().mean())
+                found.append((-share, dates.max() - dates.min(), form))
+        found.sort()
+        best = [form for share, _, form in found if share == found[0][0] < -MOSTLY]
+        self.date_format, self.other_format = (*best, "", "")[:2]
 
     def becomes(self, part: str, remark: str = "") -> None:
         """Take a part, and say why."""
@@ -381,7 +399,7 @@ def _shown(cell: str) -> str:
 def _look_at_texts(column: Column) -> str:
     """What is in a column of dates, or of texts, which are left out."""
     cells = column.cells[~column.is_missing]
-    column.date_format = format_of_texts(cells)
+    column.take_dates_of(cells)
     some = cells[:50]  # more would tell nothing else
     if column.date_format or _share_of_dates(some, "mixed") > MOSTLY:
         return DATES
@@ -390,18 +408,12 @@ def _look_at_texts(column: Column) -> str:
     return f"text: {', '.join(map(_shown, different[:3]))}{more}"
 
 
-def format_of_texts(cells: pd.Series) -> str:
-    """How texts are dates, in the signs of strptime; "" where they do not tell."""
-    some = [form for form in DATE_FORMATS if _share_of_dates(cells[:50], form) > MOSTLY]
-    shares = {form: _share_of_dates(cells, form) for form in some}
-    best = max(shares, key=shares.__getitem__, default="")
-    is_clear = list(shares.values()).count(shares.get(best, 0.0)) == 1
-    return best if is_clear and shares[best] > MOSTLY else ""
-
-
 def _share_of_dates(cells: pd.Series, form: str) -> float:
     try:
-        parsed = pd.to_datetime(cells, errors="coerce", format=form)
+        return float(_dates(cells, form).notna().mean())
     except (ValueError, TypeError):
         return 0.0
-    return float(parsed.notna().mean())
+
+
+def _dates(cells: pd.Series, form: str) -> pd.Series:
+    return pd.to_datetime(cells, errors="coerce", format=form)

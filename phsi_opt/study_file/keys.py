@@ -354,14 +354,7 @@ def usable(
     table: str = "",
     place: Place = (),
 ) -> dict[str, Any]:
-    """The entries that are of the form of their keys; the others are complaints.
-
-    Args:
-        content: of a table.
-        faults: where what is wrong is noted.
-        table: whose keys it has, such as ``"data.states.*"``; "" for the file.
-        place: where it stands.
-    """
+    """The entries that are of the form of their keys; the others are complaints."""
     known = KEYS_OF[table]
     kept: dict[str, Any] = {}
     for name, value in content.items():

@@ -37,7 +37,6 @@ from phsi_opt.study_file.columns import (
     Column,
     Header,
     columns_of,
-    format_of_texts,
 )
 from phsi_opt.study_file.gallery import BaseModel, give_parts
 from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
@@ -175,7 +174,8 @@ class TableSurvey:
             first = time.cells.iloc[0]
             is_number = NUMBER.fullmatch(first) is not None
             numbers = f"numbers such as {first} look like"
-            return f"{numbers if is_number else 'the times are'} dates"
+            said = f"{numbers if is_number else 'the times are'} dates"
+            return "; ".join(filter(None, (said, time.other_dates)))
         if time.wrong:
             return time.said
         return f"{time.values.min():g} to {time.values.max():g}"
@@ -301,7 +301,7 @@ def _put_together(time: Column, others: list[Column]) -> None:
             one.said = f"{PART_OF_TIME} {time.column}"
             if is_clock:
                 time.cells = time.cells.str.cat(one.cells, sep=" ")
-                time.date_format = format_of_texts(time.cells)
+                time.take_dates_of(time.cells)
 
 
 def _leave_out_other_clocks(

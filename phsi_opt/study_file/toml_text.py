@@ -155,10 +155,7 @@ ABOUT_ADDED = "effects added so far, the oldest first"
 
 
 def add_effects(path: Path, names: Iterable[str]) -> Path:
-    """Write effects into the list ``added`` of a study file.
-
-    Returns:
-        The path of the file as it was before.
+    """Write effects into ``added`` of a study file; return the file as it was before.
 
     Raises:
         DataError: the file has a form that cannot be changed safely.
