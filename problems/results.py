@@ -77,11 +77,7 @@ def pages() -> list[Page]:
 
 @cache
 def sources(module: str) -> frozenset[Path]:
-    """The files of the project that a module needs, its own among them.
-
-    Raises:
-        FileNotFoundError: there is no such module.
-    """
+    """The files of the project that a module needs, its own among them."""
     waiting = [module]
     found: set[Path] = set()
     while waiting:
@@ -131,12 +127,7 @@ def _git(*arguments: str) -> str | None:
 
 
 def main(run: bool = False, hours: float = 8.0) -> None:
-    """List the pages that are out of date, or make them again.
-
-    Args:
-        run: whether to make them again.
-        hours: no page is begun that would end later.
-    """
+    """List the pages that are out of date, or make them again."""
     stale: dict[str, Page] = {}  # by command: one command may write several pages
     for page in pages():
         state = page.state

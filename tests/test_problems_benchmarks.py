@@ -84,7 +84,7 @@ def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
 SHORT = Layout(2, 100)
 
 
-@pytest.mark.parametrize("scenario", ["OU 0.2 m/s^2, 1 s", "nonlinearity 1 to 5 %"])
+@pytest.mark.parametrize("scenario", ["OU 0.2 m/s^2, 1 s", "quantised"])
 def test_a_seed_gives_the_same_record_alone_and_among_others(scenario: str) -> None:
     alone = records([2], SCENARIOS[scenario], SHORT)[0]
     among = records([1, 2, 3], SCENARIOS[scenario], SHORT)[1]

@@ -8,7 +8,7 @@ from scipy.io import loadmat
 
 import phsi_opt as ph
 from problems.examples import demo
-from problems.measured import long_stories, machines, sets, stories
+from problems.measured import machines, sets, stories
 from problems.tools import provenance
 from problems.tools.data_paths import folder
 
@@ -25,8 +25,7 @@ def test_a_script_of_measured_data_says_where_it_looked_for_them(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.argv", ["x.py", f"--data={tmp_path}"])
-    long_stories.main(["emps", "silverbox"])
-    stories.main(["house 1"])
+    stories.main(["EMPS", "Silverbox", "house 1"])
     said = capsys.readouterr().out
     for name in ("emps", "silverbox", "building"):
         assert f"skipped: the data are not at {tmp_path / name}; give" in said
@@ -40,9 +39,8 @@ def test_the_silverbox_model_predicts_a_record_it_was_not_fitted_to() -> None:
     effects = ("constant force on p", "cubic stiffness on p")
     larger = sets.with_effects(machines.box_model(), effects)
     fit = ph.identify(larger, machines.box(40_700, 41_700))
-    # A quarter of the samples of the script, which leaves 0.42 mV; the linear spring
-    # leaves 9 mV.
-    assert machines.box_error(fit, 50_000, 51_000) < 1.0
+    # A quarter of the samples of the study; the linear spring leaves 9 mV.
+    assert ph.compare(fit, machines.box(50_000, 51_000)).rmse < 1e-3
 
 
 def test_the_drive_is_identified_from_its_position_alone() -> None:
@@ -70,12 +68,11 @@ def test_a_story_tells_each_step_and_why_it_ends(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
     train, held_out = demo.measurements()[:2].split(0.5)
     study = ph.Study(demo.model(), train, held_out=held_out)
-    found = stories.told(study, max_steps=1, goes_on=True)
+    found = stories.told(study, max_steps=1)
     found.tests = {"again": [1.0, 0.5]}
     assert found.how == ["base model", "named"]
     assert [d.verdict for d in found.diagnoses] == ["missing: named", "nothing missing"]
-    page = long_stories.Page("EMPS", 1e3, "mm")
-    text = long_stories.story_page("ball_and_hoop", page, found)
+    text = stories.long_page(sets.SETS["ball and hoop"], found)
     assert "| 1 | coulomb friction on p | named |" in text
     assert "Added: coulomb friction on p. The last verdict is" in text
     assert '"nothing missing"' in text
@@ -86,4 +83,4 @@ def test_a_story_tells_each_step_and_why_it_ends(tmp_path, monkeypatch) -> None:
     short = stories.page({"spring": found})
     assert "1 sets, a study each" in short and "## spring" in short
     assert "1. **missing: named** (" in short
-    assert "| 1 | coulomb friction on p |" in short
+    assert "| 1 | coulomb friction on p | named |" in short

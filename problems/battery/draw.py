@@ -171,9 +171,6 @@ Row = HiddenRow | FieldRow
 def draw(row: Row, seed: int) -> Case:
     """The case of a row and a seed; drawn anew, from the same generator, until the
     effect shows.
-
-    Raises:
-        ArithmeticError: no experiment shows the effect.
     """
     rng = np.random.default_rng([zlib.crc32(row.name.encode()), seed])
     for k in range(row.attempts):

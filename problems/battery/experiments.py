@@ -120,11 +120,7 @@ Disturbance = Callable[[float, Array], Array]  # of time and states
 def simulate(
     e: Experiment, size: float, disturbance: Disturbance | None = None
 ) -> Motion:
-    """The motion with the hidden effect of a size, and what acts beside the model.
-
-    Raises:
-        RunawayError: the machine leaves every bound.
-    """
+    """The motion with the hidden effect of a size, and what acts beside the model."""
     shape = e.starts.shape
 
     def rates(t: float, flat: Array, held: Array | None = None) -> Array:

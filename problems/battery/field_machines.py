@@ -131,10 +131,6 @@ def drawn_spring(
 
     Long runs are released nearly at rest from several angles, the last of them held
     out; short ones begin at a random phase, and may measure the momentum too.
-
-    Args:
-        ratios: Between which its damping ratio is.
-        largest_ratio: That of a hidden damper.
     """
     m = float(log_uniform(rng, 0.5, 2.0))
     k = float(log_uniform(rng, 0.5, 8.0))
@@ -237,11 +233,7 @@ SLOWEST = 0.4
 
 
 def falling(rng: np.random.Generator, is_heavy: bool | None = None) -> Experiment:
-    """Drops from several heights; the height is measured, the drag is hidden.
-
-    Args:
-        is_heavy: Whether the drag is below the noise; None: three in ten.
-    """
+    """Drops from several heights; the height is measured, the drag is hidden."""
     mass = float(log_uniform(rng, 0.05, 2.0))
     highest = float(log_uniform(rng, 3.0, 40.0))
     shares = np.array([1.0, rng.uniform(0.6, 0.8), rng.uniform(0.4, 0.6), 0.9])
@@ -547,11 +539,7 @@ LEAKS = {  # power of the pressure, and the names that are right
 def chamber(rng: np.random.Generator, has_inflow: bool | None = None) -> Experiment:
     """One storage without losses, whose gas is measured; a leak is hidden.
 
-        dn/dt = b u - leak(P),   P = n/C
-
-    Args:
-        has_inflow: Whether there is the inflow u; without it the model has nothing
-            that is free. None: every other time.
+    dn/dt = b u - leak(P),   P = n/C
     """
     n_runs = 3
     capacity = float(log_uniform(rng, 0.5, 2.0))

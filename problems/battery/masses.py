@@ -98,9 +98,6 @@ def simulate(
 
     By SciPy, or quickly, to find the size of an effect: ``steps`` of Runge and Kutta
     between two times.
-
-    Raises:
-        RunawayError: the machine leaves every bound.
     """
     n = machine.n
     begun = [starts]

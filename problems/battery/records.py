@@ -137,9 +137,6 @@ def integrated(
     """Flat states (n_times, n) by LSODA; no kink or step of an input is passed over.
 
     ``is_bounded``: it ends where a state is `ESCAPED` times what it begins with.
-
-    Raises:
-        RunawayError: the machine leaves every bound.
     """
 
     def escaped(_t: float, x: Array, *_: Array) -> float:

@@ -36,7 +36,7 @@ SCENARIOS = {
     "OU 0.2 m/s^2, 1 s": Disturbance(force_size=0.2, force_time=1.0),
     "OU 0.05 m/s^2, 0.3 s": Disturbance(force_size=0.05, force_time=0.3),
     "OU 0.1 m/s^2, 5 s": Disturbance(force_size=0.1, force_time=5.0),
-    "nonlinearity 1 to 5 %": Disturbance(drawn_shares=(0.01, 0.05)),
+    "fixed cubic spring 1 %": Disturbance(cubic_share=0.01),
     "AR(1) noise 0.7": Disturbance(noise_correlation=0.7),
     "quantised": Disturbance(step=0.2, noise=0.02),
     "fixed cubic spring 3 %": Disturbance(cubic_share=0.03),

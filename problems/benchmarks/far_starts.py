@@ -61,14 +61,7 @@ class FarStart:
 
 
 def draw_case(kind: str, seed: int, off: float = 0.5, lacks: str = NOTHING) -> FarStart:
-    """The machine of a seed with its record and its start.
-
-    Args:
-        kind: one of `KINDS`.
-        seed: of everything that is drawn.
-        off: share by which the parameters that set the frequencies start off.
-        lacks: one of `LACKS`; acts on the machine and is not in the model.
-    """
+    """The machine of a seed with its record and its start."""
     rng = np.random.default_rng([KINDS.index(kind), seed])
     n_periods = int(rng.integers(PERIODS[0], PERIODS[1] + 1))
     is_driven = bool(rng.random() < 0.5)

@@ -1,13 +1,12 @@
 """A simulated oscillator on which something acts that its model does not have.
 
 A mass of 1 kg on a spring with a damper, driven by a known voltage; its position alone
-is measured, every 0.1 s. Beside noise there may be a random force, a cubic spring, a
-static nonlinearity that is drawn, noise that lasts, or a coarse sensor. Forces stand
-per mass, in m/s^2.
+is measured, every 0.1 s. Beside noise there may be a random force, a cubic spring,
+noise that lasts, or a coarse sensor. Forces stand per mass, in m/s^2.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
@@ -46,8 +45,6 @@ class Disturbance:
         noise: standard deviation of the sensor's noise, m.
         noise_correlation: of its neighbouring samples.
         step: of a sensor that rounds, m; 0: it does not.
-        drawn_shares: least and largest share of a static nonlinearity that every seed
-            draws anew; None: there is none.
     """
 
     force_size: float = 0.0
@@ -56,7 +53,6 @@ class Disturbance:
     noise: float = 0.02
     noise_correlation: float = 0.0
     step: float = 0.0
-    drawn_shares: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -124,21 +120,17 @@ def _lasting(
     return np.asarray(lfilter([1.0], [1.0, -correlation], white, axis=1))
 
 
-def motion(draw: Draw, pull: Pull) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities of every run, (n_runs, n_samples) each, by Runge and
-    Kutta's method.
-
-    Args:
-        draw: what drives the runs.
-        pull: what acts beside spring and damper, against the motion as they do, m/s^2.
+def positions(draw: Draw, cubic: float) -> np.ndarray:
+    """Positions (n_runs, n_samples) by Runge and Kutta's method beside a cubic spring,
+    without noise.
     """
     h = INTERVAL / SUBSTEPS
     q, v = draw.state.T
-    shown_q, shown_v = np.zeros((2, *draw.voltage.shape))
-    shown_q[:, 0], shown_v[:, 0] = q, v
+    shown = np.zeros(draw.voltage.shape)
+    shown[:, 0] = q
 
     def rate(push: np.ndarray, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return push - (TRUTH["k"] * q + TRUTH["R_v"] * v) - pull(q, v)
+        return push - (TRUTH["k"] * q + TRUTH["R_v"] * v) - cubic * q**3
 
     for i in range(draw.voltage.shape[1] - 1):
         rise = (draw.voltage[:, i + 1] - draw.voltage[:, i]) / SUBSTEPS
@@ -155,13 +147,8 @@ def motion(draw: Draw, pull: Pull) -> tuple[np.ndarray, np.ndarray]:
             a4 = rate(push + more, q + h * v3, v4)
             q = q + h / 6 * (v + 2 * v2 + 2 * v3 + v4)
             v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-        shown_q[:, i + 1], shown_v[:, i + 1] = q, v
-    return shown_q, shown_v
-
-
-def positions(draw: Draw, cubic: float) -> np.ndarray:
-    """Positions beside a cubic spring, without noise, (n_runs, n_samples)."""
-    return motion(draw, lambda q, v: cubic * q**3)[0]
+        shown[:, i + 1] = q
+    return shown
 
 
 @cache
@@ -195,12 +182,7 @@ def records(
 ) -> list[ph.Measurements]:
     """The measurements of every seed; all are simulated at once."""
     draw = Draw.joined([Draw.of(seed, disturbance, layout) for seed in seeds])
-    if disturbance.drawn_shares is None:
-        shown = positions(draw, cubic_coefficient(disturbance.cubic_share))
-    else:
-        drawn = Nonlinearities.of(seeds, disturbance.drawn_shares, layout)
-        shown = motion(draw, drawn.repeated(layout.runs).pull)[0]
-    shown = shown + draw.noise
+    shown = positions(draw, cubic_coefficient(disturbance.cubic_share)) + draw.noise
     if disturbance.step:
         shown = np.round(shown / disturbance.step) * disturbance.step
     t = np.arange(layout.samples) * INTERVAL
@@ -219,151 +201,3 @@ def records(
             )
         )
     return found
-
-
-# --- static nonlinearities that are drawn
-#
-# One that is always the same gives every estimate the same bias, so its intervals hold
-# the truth always or never. The linear spring, the damper and the constant that come
-# nearest to a drawn one over the motions of its kind are taken off it: the coefficients
-# of the simulation are the truth.
-
-KINDS = (
-    "cubic spring",
-    "one-sided spring",
-    "cogging",
-    "quadratic drag",
-    "tanh friction",
-)
-WAVE_LENGTHS = (0.3, 1.0)  # of cogging, share of the range of motion
-# Of the friction, share of the root mean square velocity. With a wider corner too
-# little is left beside a linear damper: it would turn into a drive at large velocities.
-CORNERS = (0.3, 1.0)
-STREAM = 1  # of random numbers, beside those of the record's own draw
-# The motions depend on the nonlinearity, and it on them: a third pass changes stiffness
-# and damping of its linear part by 3e-5 N/m and 1.3e-4 N s/m at most (20 seeds), which
-# is a fiftieth and a tenth of what noise alone leaves unknown of them.
-N_PASSES = 2
-
-
-@dataclass(frozen=True, eq=False)
-class Nonlinearities:
-    """One for every run, as forces that pull back; all fields are (n_runs,).
-
-    Attributes:
-        kind: place in `KINDS`.
-        wave_number: of cogging, 1/m.
-        phase: of cogging.
-        corner: of friction, m/s.
-        share: root mean square of the force over that of the linear spring.
-        size: factor on the shape, with its sign.
-        stiffness: of the shape's linear part, as damping and constant.
-    """
-
-    kind: np.ndarray
-    wave_number: np.ndarray
-    phase: np.ndarray
-    corner: np.ndarray
-    share: np.ndarray
-    size: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
-    constant: np.ndarray
-
-    @classmethod
-    def of(
-        cls, seeds: Sequence[int], shares: tuple[float, float], layout: Layout
-    ) -> "Nonlinearities":
-        """Those of some seeds, one each; a seed's does not depend on the others.
-
-        Args:
-            seeds: of the records.
-            shares: least and largest share of the linear spring's force.
-            layout: of the records, whose motions decide what the linear part is.
-        """
-        drawn = cls(*np.array([_drawn(seed, shares, layout) for seed in seeds]).T)
-        still_q, still_v = _undisturbed(layout.samples)
-        moved = np.tile(still_q, (len(seeds), 1)), np.tile(still_v, (len(seeds), 1))
-        ensemble = Draw.joined([_ensemble(layout.samples)] * len(seeds))
-        for _ in range(N_PASSES):
-            drawn = drawn.without_linear_part(*moved)
-            moved = motion(ensemble, drawn.repeated(MOTION_RUNS).pull)
-        return drawn.without_linear_part(*moved)
-
-    def pull(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The forces at positions and velocities, (n_runs,), m/s^2."""
-        linear = self.stiffness * q + self.damping * v + self.constant
-        return self.size * (self.shape(q, v) - linear)
-
-    def shape(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The forces of unit size with their linear part, (n_runs,)."""
-        of_kind = [
-            q**3,
-            q**2,
-            np.sin(self.wave_number * q + self.phase),
-            v * np.abs(v),
-            np.tanh(v / self.corner),
-        ]
-        return np.choose(self.kind.astype(int), of_kind)
-
-    def repeated(self, n_runs: int) -> "Nonlinearities":
-        """Every one for as many runs, one after the other."""
-        values = [getattr(self, field.name) for field in fields(self)]
-        return Nonlinearities(*(np.repeat(value, n_runs) for value in values))
-
-    def without_linear_part(
-        self, position: np.ndarray, velocity: np.ndarray
-    ) -> "Nonlinearities":
-        """The same shapes, sized and freed of what is linear over a motion, which has
-        as many runs for every nonlinearity, one after the other.
-        """
-        n = len(self.kind)
-        # One column per nonlinearity, so that parameters meet their own motion.
-        q, v = position.reshape(n, -1).T, velocity.reshape(n, -1).T
-        shape = self.shape(q, v)
-        linear, size = np.zeros((3, n)), np.zeros(n)
-        for i in range(n):
-            regressors = np.column_stack([q[:, i], v[:, i], np.ones(len(q))])
-            linear[:, i] = np.linalg.lstsq(regressors, shape[:, i])[0]
-            remainder = _root_mean_square(shape[:, i] - regressors @ linear[:, i])
-            spring = TRUTH["k"] * _root_mean_square(q[:, i])
-            size[i] = np.sign(self.size[i]) * self.share[i] * spring / remainder
-        stiffness, damping, constant = linear
-        return replace(
-            self, size=size, stiffness=stiffness, damping=damping, constant=constant
-        )
-
-
-def _rng(seed: int, layout: Layout) -> np.random.Generator:
-    return np.random.default_rng([seed, layout.runs, layout.samples, STREAM])
-
-
-def _drawn(seed: int, shares: tuple[float, float], layout: Layout) -> tuple[float, ...]:
-    """The fields of one nonlinearity, its linear part still unknown."""
-    rng = _rng(seed, layout)
-    position, velocity = _undisturbed(layout.samples)
-    kind = int(rng.integers(len(KINDS)))
-    motion_range = float(np.mean(np.ptp(position, axis=1)))
-    wave_length = rng.uniform(*WAVE_LENGTHS) * motion_range
-    phase = rng.uniform(0, 2 * np.pi)
-    corner = rng.uniform(*CORNERS) * _root_mean_square(velocity)
-    share = rng.uniform(*shares)
-    sign = rng.choice([-1.0, 1.0])
-    size = sign if KINDS[kind].endswith("spring") else 1.0  # losses stay losses
-    return (kind, 2 * np.pi / wave_length, phase, corner, share, size, 0.0, 0.0, 0.0)
-
-
-@cache
-def _ensemble(samples: int) -> Draw:
-    """What drives the runs over which a linear part is told."""
-    return Draw.of(MOTION_SEED, Disturbance(), Layout(MOTION_RUNS, samples))
-
-
-@cache
-def _undisturbed(samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Motion of the linear oscillator over those runs."""
-    return motion(_ensemble(samples), lambda q, v: np.zeros(len(q)))
-
-
-def _root_mean_square(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -55,12 +55,7 @@ class Problem:
     has_shooting: bool = True
 
     def simulated(self, start: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """States at the samples, (n_samples, n_states); fewer where they explode.
-
-        Args:
-            start: (n_states,) at the first sample.
-            theta: (n_theta,) parameters.
-        """
+        """States at the samples, (n_samples, n_states); fewer where they explode."""
         solved = solve_ivp(
             lambda t, x: self.rates(t, x.tolist(), theta.tolist(), np.cos),
             (self.t[0], self.t[-1]),

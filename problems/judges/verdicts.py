@@ -108,12 +108,7 @@ def told(names: set[str], silence: str, diagnosis: ph.Diagnosis) -> Record:
 
 
 def is_right(names: set[str], silence: str, said: str, verdict: str) -> bool:
-    """Whether an answer is right.
-
-    Args:
-        names: The right ones that the catalogue has.
-        silence: The verdict that is right where it has none; "": any without a finding.
-    """
+    """Whether an answer is right."""
     if names:
         return said in (NAME, CLASS)
     return said == SILENT and silence in ("", verdict)

@@ -7,10 +7,8 @@ cut into windows with free starting states. States that nobody measured are NaN.
 
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from scipy.io import loadmat
-from scipy.optimize import least_squares
 from scipy.signal import resample_poly
 
 import phsi_opt as ph
@@ -125,25 +123,6 @@ def emps_base() -> ph.PseudoHamiltonian:
         F={"p": ph.formula("u")},
         H=ph.formula("p**2/(2*M)", M=positive(EMPS_START["M"], "kg", 1)),
     )
-
-
-def emps_error(values: dict[str, float], data: ph.Measurements) -> float:
-    """Root mean square error (mm) of free runs, the starting state of each trajectory
-    estimated from all of it.
-    """
-    drive = emps_model(values)
-    residuals = []
-    for run in data.trajectories:
-        q = run.x[:, 0]
-        speed = (q[5] - q[0]) / (run.t[5] - run.t[0])
-
-        def misfit(start: Array, run: ph.Trajectory = run, q: Array = q) -> Array:
-            state = [start[0], values["M"] * start[1]]
-            return ph.simulate(drive, run.t, state, run.u, hold="zero")[:, 0] - q
-
-        scales = {"x_scale": [1e-3, 1e-2], "diff_step": 1e-3}
-        residuals.append(least_squares(misfit, [q[0], speed], max_nfev=6, **scales).fun)
-    return 1e3 * float(np.sqrt(np.mean(np.square(np.concatenate(residuals)))))
 
 
 # --- the quarter-drone arm
@@ -373,11 +352,8 @@ BOX_RATE = 1e7 / 2**14  # Hz
 FINER = 2
 BOX_FIT = (40_700, 44_796)  # samples of a multisine
 BOX_HELD_OUT = (50_000, 54_096)  # of another one
-ARROW = (0, 40_400)
+ARROW = (36_000, 40_096)  # its last part has the largest amplitudes
 N_BOX_STORY = 2048  # samples of each multisine that the study is given
-# Samples from which a starting state is estimated: some three decay times.
-SETTLING = 100
-N_STEPS = 4  # of Runge and Kutta between two points of the input
 
 
 def box(first: int, end: int) -> ph.Measurements:
@@ -411,33 +387,3 @@ def box_model() -> ph.PseudoHamiltonian:
         H=ph.formula("k*q**2/2 + p**2/2", k=positive(1.9e5, "1/s^2")),
         F={"p": ph.formula("b*u", b=ph.Parameter(1e5, unit="1/s^2"))},
     )
-
-
-def box_error(fit: ph.Fit, first: int, end: int) -> float:
-    """Root mean square error (mV) of one free run, its starting state estimated from
-    the first `SETTLING` samples.
-
-    By Runge and Kutta's fourth order in compiled steps of 0.2 ms, as `Fit.simulate`
-    takes minutes here; the input is a straight line between its points.
-    """
-    rate = fit.casadi()
-    x = ca.SX.sym("x", 2)
-    u = ca.SX.sym("u", 2)
-    h = 1 / (FINER * BOX_RATE * N_STEPS)
-    later = x
-    for i in range(N_STEPS):
-        begin, middle, last = (
-            u[0] + (i + part) / N_STEPS * (u[1] - u[0]) for part in (0.0, 0.5, 1.0)
-        )
-        k1 = rate(later, begin, 0)
-        k2 = rate(later + h / 2 * k1, middle, 0)
-        k3 = rate(later + h / 2 * k2, middle, 0)
-        k4 = rate(later + h * k3, last, 0)
-        later = later + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    sample = ca.Function("sample", [x, u], [later])
-    x0 = ph.compare(fit, box(first, first + SETTLING)).simulated[0][0]
-    (run,) = box(first, end).trajectories
-    inputs = np.hstack([run.u[:-1], run.u[1:]]).T
-    found = sample.mapaccum("run", len(run.t) - 1)(x0, inputs)
-    error = np.vstack([x0, np.array(found).T])[:, 0] - run.x[:, 0]
-    return 1e3 * float(np.sqrt(np.nanmean(error**2)))

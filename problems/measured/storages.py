@@ -5,43 +5,25 @@ As in `machines`: a loader and a base model each; states that nobody measured ar
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import least_squares
 
 import phsi_opt as ph
-from problems.measured.machines import Array, positive, with_unmeasured
+from problems.measured.machines import positive, with_unmeasured
 from problems.tools.data_paths import folder
 
 # --- the cascaded tanks
 
 FULL = 10.0  # V, what the sensor shows at most
 TANKS_SHARE = 0.7  # of the fit record, which is fitted in the study
-# By parameter: a rough value (each outflow empties its tank in a few minutes, a rim at
-# the height of the sensor's limit) and an upper bound.
-TANKS = {
-    "k1": (0.01, 1),
-    "k4": (0.05, 1),
-    "q0": (0.05, 0.2),
-    "c": (0.5, 2),
-    "rim1": (10.0, 80),
-    "k3": (0.03, 1),
-    "h0": (2.0, 2.9),
-    "s": (0.5, 1),
-    "c2": (0.5, 2),
-}
-FIRST_LEVELS = (6.0, 5.0)  # V, where the search for the test's starting levels begins
 
 
-def tanks(record: str = "Est", is_censored: bool = True) -> ph.Measurements:
+def tanks(record: str = "Est") -> ph.Measurements:
     """Pump voltage u and level h2 of the lower tank (V), every 4 s, 1024 samples;
-    record "Val" tests. Nobody measured h1.
-
-    Samples at the sensor's limit are missing if ``is_censored``.
+    record "Val" tests. Nobody measured h1; samples at the sensor's limit are missing.
     """
     path = folder("cascaded_tanks") / "dataBenchmark.csv"
     table = np.genfromtxt(path, delimiter=",", names=True)
     y = table[f"y{record}"].copy()
-    if is_censored:
-        y[~_is_below_limit(y)] = np.nan
+    y[y >= FULL - 1e-3] = np.nan
     return ph.Measurements.from_arrays(
         4.0 * np.arange(len(y)),
         np.column_stack([np.full(len(y), np.nan), y]),
@@ -51,10 +33,6 @@ def tanks(record: str = "Est", is_censored: bool = True) -> ph.Measurements:
         hold="zero",
         units={"h1": "V", "h2": "V", "u": "V", "t": "s"},
     )
-
-
-def _is_below_limit(level: Array) -> Array:
-    return level < FULL - 1e-3
 
 
 def textbook_tanks() -> ph.FirstOrder:
@@ -68,58 +46,9 @@ def textbook_tanks() -> ph.FirstOrder:
     return ph.FirstOrder(["h1", "h2"], rates, inputs=["u"])
 
 
-def tanks_model() -> ph.FirstOrder:
-    """Both overflows, a linear upper outflow, a square-root lower outflow from h0 on.
-
-        dh1/dt = k4 u - q0 - out1 - c over(h1 - rim1)
-        dh2/dt = out1 - out2 + s c over(h1 - rim1) - c2 over(h2 - 10 V)
-
-    A part s of what the upper tank spills falls into the lower one. ``over`` is a ramp
-    with its corner rounded over 0.1 V. That the lower tank overflows at the sensor's
-    limit is this model's assumption.
-    """
-    spilled = f"c*{_over('h1', 'rim1')}"
-    over = f"c2*{_over('h2', str(FULL))}"
-    upper = f"k4*u - q0 - k1*h1 - {spilled}"
-    lower = f"k1*h1 - k3*{_root('(h2 - h0)')} + s*{spilled} - {over}"
-    rates = {}
-    for state, text, names in (
-        ("h1", upper, ("k1", "k4", "q0", "c", "rim1")),
-        ("h2", lower, ("k1", "k3", "h0", "c", "rim1", "s", "c2")),
-    ):
-        parameters = {}
-        for name in names:
-            start, bound = TANKS[name]
-            parameters[name] = ph.Parameter(start, lower=0, upper=bound)
-        rates[state] = ph.formula(text, **parameters)
-    return ph.FirstOrder(["h1", "h2"], rates, inputs=["u"])
-
-
 def _root(level: str) -> str:
     """A square root of a level, rounded at zero."""
     return f"{level}*({level}**2 + 0.01)**(-0.25)"
-
-
-def _over(level: str, rim: str) -> str:
-    """By how much a level is above a rim, rounded at the rim."""
-    return f"({level} - {rim} + sqrt(({level} - {rim})**2 + 0.01))/2"
-
-
-def tanks_error(fit: ph.Fit, run: ph.Trajectory, n_first: int) -> float:
-    """Root mean square error (V) over every sample of a record, the free run cut at the
-    sensor's limit, from the levels that fit the first ``n_first`` samples best.
-    """
-    y = run.x[:n_first, 1]
-    seen = _is_below_limit(y)
-
-    def misfit(x0: Array) -> Array:
-        found = fit.simulate(run.t[:n_first], x0, run.u[:n_first])
-        return (found[:, 1] - y)[seen]
-
-    settings = {"bounds": (0.1, 20.0), "diff_step": 1e-4, "max_nfev": 12}
-    x0 = least_squares(misfit, FIRST_LEVELS, **settings).x
-    h2 = np.minimum(fit.simulate(run.t, x0, run.u)[:, 1], FULL)
-    return float(np.sqrt(np.mean((h2 - run.x[:, 1]) ** 2)))
 
 
 # --- two heaters on a board

@@ -71,9 +71,6 @@ class JointForce:
     ) -> np.ndarray:
         """The force of a trained network, (n, n_equations), at states x (n, n_states),
         times t (n,) and inputs u (n, n_inputs) of these names.
-
-        Raises:
-            DataError: if x has another shape, or t or u is needed.
         """
         x = state_rows(x, len(states))
         known: dict[str, Any] = dict(zip(states, x.T, strict=True)) | {"t": t}
@@ -106,16 +103,7 @@ class HybridBaseline(Baseline):
     layers: Layers
 
     def force(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
-        """The network's force, (n, n_equations).
-
-        Args:
-            x: states (n, n_states).
-            t: times (n,), if the force depends on them.
-            u: inputs (n, n_inputs), if the force depends on them.
-
-        Raises:
-            DataError: if x has another shape, or t or u is needed.
-        """
+        """The network's force, (n, n_equations)."""
         names = self.model.states, self.model.inputs
         return self.neural.values(self.layers, *names, x, t, u)
 
@@ -141,17 +129,7 @@ class HybridBaseline(Baseline):
         return lines
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
-        """States (n_samples, n_states) with the network's force, by SciPy.
-
-        Args:
-            t: increasing times (n_samples,).
-            x0: states (n_states,) at t[0].
-            u: inputs (n_samples, n_inputs) at t; None for a model without inputs.
-
-        Raises:
-            DataError: if t, x0 or u does not suit.
-            SolveError: if the solution ends before the last time.
-        """
+        """States (n_samples, n_states) with the network's force, by SciPy."""
         return simulate_forced(self.model, t, x0, u, self._added, hold=self.hold)
 
     def _added(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -177,11 +155,7 @@ def network_values(layers: Layers, v: np.ndarray, first: str = "relu") -> np.nda
 
 
 def state_rows(x: Any, n_states: int) -> np.ndarray:
-    """States as an array (n_rows, n_states).
-
-    Raises:
-        DataError: if x has another number of columns.
-    """
+    """States as an array (n_rows, n_states)."""
     states = np.atleast_2d(np.asarray(x, dtype=float))
     if states.ndim != 2 or states.shape[1] != n_states:
         raise DataError(

@@ -97,20 +97,6 @@ def phnn(
     They minimise::
 
         (1/m) sum |(x1 - x0)/h - Psi|^2
-
-    Args:
-        data: every state measured.
-        S: (n_states, n_states), skew-symmetric, in the order of the data's states.
-        settings: see `NetworkDescent`.
-        damping: states with an entry of R; it starts at zero and may change its sign.
-        force: (equations, variables) of the force network, such as (["p"], ["t"]); None
-            has no force.
-        seed: of the weights and of the order of the batches.
-
-    Raises:
-        DataError: for data that do not suit.
-        ModelError: for unknown names.
-        SolveError: if the loss diverges.
     """
     began = time.perf_counter()
     settings = settings or NetworkDescent()

@@ -84,16 +84,7 @@ class PHNN:
         return np.asarray(input_gradient(self.energy_layers, hidden))
 
     def force(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
-        """F, (n, n_states); zero without force.
-
-        Args:
-            x: states (n, n_states).
-            t: times (n,), if the force depends on them.
-            u: inputs (n, n_inputs), if the force depends on them.
-
-        Raises:
-            DataError: if x has another shape, or t or u is needed.
-        """
+        """F, (n, n_states); zero without force."""
         x = state_rows(x, len(self.states))
         result = np.zeros((len(x), len(self.states)))
         if self.neural is None:
@@ -104,17 +95,7 @@ class PHNN:
         return result
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
-        """States (n_samples, n_states) from x0 at t[0], by SciPy.
-
-        Args:
-            t: increasing times (n_samples,).
-            x0: states (n_states,) at t[0].
-            u: inputs (n_samples, n_inputs) at t; None without inputs.
-
-        Raises:
-            DataError: if t, x0 or u does not suit.
-            SolveError: if the solution ends before the last time.
-        """
+        """States (n_samples, n_states) from x0 at t[0], by SciPy."""
         damping = [self.damping.get(name, 0.0) for name in self.states]
         structure = self.S - np.diag(damping)
 
@@ -153,15 +134,7 @@ class PHNN:
 
 
 def hidden_values(layers: Sequence[tuple[Any, Any]], v: Any) -> list[Any]:
-    """Values of the hidden layers with tanh, of torch or NumPy alike.
-
-    Args:
-        layers: (weight (n_in, n_out), bias) of every layer.
-        v: inputs (n_rows, n_inputs).
-
-    Returns:
-        (n_rows, n_units) of every hidden layer.
-    """
+    """Values of the hidden layers with tanh, of torch or NumPy alike."""
     values = []
     for weight, bias in layers[:-1]:
         v = v @ weight + bias
@@ -174,10 +147,6 @@ def input_gradient(layers: Sequence[tuple[Any, Any]], hidden: Sequence[Any]) -> 
     """Gradient of a network with tanh by its inputs, (n_rows, n_inputs).
 
     It is written out, so that torch derives only once.
-
-    Args:
-        layers: (weight (n_in, n_out), bias) of every layer; one output.
-        hidden: `hidden_values` at the inputs.
     """
     output_weight, _ = layers[-1]
     slope = output_weight.T * (1 - hidden[-1] ** 2)

@@ -40,12 +40,7 @@ class Regression:
 
 
 def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
-    """The model with parameters held at the given values.
-
-    Raises:
-        ModelError: if it is no first-order model, a name is unknown, a value is not
-            finite, or nothing is left to regress.
-    """
+    """The model with parameters held at the given values."""
     if not isinstance(model, FirstOrder):
         raise ModelError(
             "SINDy regresses rates on terms, so it needs a FirstOrder model, "
@@ -83,16 +78,7 @@ def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
 
 
 def regressions(model: Model, data: Measurements) -> tuple[Regression, ...]:
-    """The regression of each equation that has unknown coefficients.
-
-    Args:
-        model: whose free parameters all enter linearly; see `with_fixed`.
-        data: every state at every sample.
-
-    Raises:
-        ModelError: for a model that is not a linear regression.
-        DataError: for incomplete states, or too few of them.
-    """
+    """The regression of each equation that has unknown coefficients."""
     record = aligned_once(model, data)
     _check_complete(record)
     theta = ca.SX.sym("th", len(model.free))

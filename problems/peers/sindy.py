@@ -73,36 +73,6 @@ def sindy(
     """Sequentially thresholded regression of each equation, by pysindy.
 
     The equations are dx_i/dt = Theta_i xi_i (thesis Eq. 4.7).
-
-    Args:
-        model: whose free parameters all enter linearly.
-        data: every state at every sample.
-        optimizer: "stlsq": minimise ``|dx - Theta xi|^2 + ridge |xi|^2`` (thesis Eq.
-            4.9), drop ``|xi_j| < threshold``, repeat. "sr3": minimise
-            ``|dx - Theta w|^2/2 + lambda |xi|_0 + |w - xi|^2/(2 relaxation)``, where
-            lambda = threshold^2/(2 relaxation) makes ``threshold`` the least
-            coefficient; it uses no ridge.
-        threshold: least magnitude of a coefficient that stays, in the units of that
-            coefficient.
-        ridge: weight on a sum over all rows, as in pysindy (its default). It shrinks
-            what multiplies small columns: with states of 0.2 and cubic terms, 0.05
-            already hides the true ones; use 1e-10 there.
-        fixed: values at which parameters are held, such as {"F_p.omega_t": 1.0} for a
-            frequency.
-        relaxation: of SR3.
-        debias: least squares on the terms that stay, without ridge or relaxation, at
-            the end.
-        max_iterations: limit of SR3; STLSQ ends by itself.
-
-    Returns:
-        A `Baseline` without the terms whose coefficient is zero; ``loss_value`` is the
-        mean over the rows of the squared residual, summed over the equations. A
-        parameter of a formula stays, with the value zero.
-
-    Raises:
-        ModelError: for a model that is not a linear regression, or a bad setting.
-        DataError: for incomplete states.
-        SolveError: if SR3 does not converge.
     """
     require_choice("optimizer", optimizer, OPTIMIZERS)
     require_size("threshold", threshold)
@@ -153,20 +123,6 @@ def lasso(
     point leaves small numbers where the optimum is zero: a coefficient whose term is
     smaller than 1e-6 of the rates (both as root mean squares over the rows) is set to
     zero. Coefficients that stay are shrunk by the weight and not debiased.
-
-    Args:
-        model: whose free parameters all enter linearly.
-        data: every state at every sample.
-        weight: of the sum of ``|coefficient|``.
-        fixed: values at which parameters are held.
-
-    Returns:
-        A `Baseline` as that of `sindy`.
-
-    Raises:
-        ModelError: for a model that is not a linear regression, or a bad weight.
-        DataError: for incomplete states.
-        SolveError: if the convex program was not solved.
     """
     require_size("weight", weight)
     settings = f"weight {weight:g}, derivative midpoint{_fixed_text(fixed)}"

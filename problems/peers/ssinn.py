@@ -115,23 +115,6 @@ def ssinn(
     (q(h), p(h)) is where the fourth-order symplectic scheme ends after the interval,
     started at the sample (q0, p0): for i = 1..4, q += c_i h dT/dp(p), then
     p -= d_i h dV/dq(q).
-
-    Args:
-        data: every state measured.
-        positions: states q.
-        momenta: states p, in pairs with the positions.
-        degree: of both polynomials.
-        settings: see `SymplecticDescent`.
-        seed: of the start, uniform within +-1/sqrt(terms), and of the batches.
-
-    Returns:
-        A `Baseline` whose model is a `PseudoHamiltonian` with coefficients such as
-        H[q1**2].
-
-    Raises:
-        DataError: if a state was not measured.
-        ModelError: for states that do not pair up.
-        SolveError: if the loss diverges.
     """
     began = time.perf_counter()
     settings = settings or SymplecticDescent()
@@ -172,17 +155,7 @@ def _random_start(n_terms: int, generator: torch.Generator) -> Tensor:
 def separable(
     states: Sequence[str], positions: Sequence[str], momenta: Sequence[str], degree: int
 ) -> PseudoHamiltonian:
-    """H = V(q) + T(p) with dq_i/dt = dH/dp_i, dp_i/dt = -dH/dq_i.
-
-    Args:
-        states: names, in any order.
-        positions: those of the q_i.
-        momenta: those of the p_i.
-        degree: of the polynomials V and T.
-
-    Raises:
-        ModelError: if the states do not pair up.
-    """
+    """H = V(q) + T(p) with dq_i/dt = dH/dp_i, dp_i/dt = -dH/dq_i."""
     named = [*positions, *momenta]
     if len(positions) != len(momenta) or sorted(named) != sorted(states):
         raise ModelError(
@@ -288,12 +261,7 @@ class _Flow:
         return [p0, q0, q1, p1, h]
 
     def loss(self, theta: Tensor, tables: Sequence[Tensor]) -> Tensor:
-        """Mean distance of the ends of the intervals, of q and of p.
-
-        Args:
-            theta: coefficients (n_terms,).
-            tables: the rows of `tables` that belong to the batch.
-        """
+        """Mean distance of the ends of the intervals, of q and of p."""
         p, q, q1, p1, h = tables
         T = self.kinetic.matrix(theta)
         V = self.potential.matrix(theta)

@@ -21,13 +21,7 @@ TorchLayers = list[tuple[Tensor, Tensor]]  # (weight (n_in, n_out), bias) of eve
 def random_layers(
     widths: Sequence[int], generator: torch.Generator, dtype: torch.dtype
 ) -> TorchLayers:
-    """Uniform within +-1/sqrt(number of inputs), biases alike, as torch starts its own.
-
-    Args:
-        widths: number of inputs, of the units of each hidden layer, of outputs.
-        generator: of the draws.
-        dtype: of the weights.
-    """
+    """Uniform within +-1/sqrt(number of inputs), biases alike, as torch does."""
 
     def drawn(bound: float, *shape: int) -> Tensor:
         draw = torch.rand(shape, generator=generator, dtype=torch.float64)
@@ -61,13 +55,7 @@ def arrays_of(layers: TorchLayers) -> Layers:
 
 
 def relu_network(layers: TorchLayers, v: Tensor, first: str = "relu") -> Tensor:
-    """Value (n_rows, n_outputs) of a network with ReLU between its layers.
-
-    Args:
-        layers: of the network.
-        v: inputs (n_rows, n_inputs).
-        first: function after the first layer, "relu" or "tanh".
-    """
+    """Value (n_rows, n_outputs) of a network with ReLU between its layers."""
     for i, (weight, bias) in enumerate(layers[:-1]):
         v = torch.addmm(bias, v, weight)
         v = v.tanh() if i == 0 and first == "tanh" else v.relu()
@@ -93,11 +81,7 @@ class PlacedForce:
 
     @classmethod
     def of(cls, force: JointForce, model: Model) -> "PlacedForce":
-        """The force's place beside a model.
-
-        Raises:
-            ModelError: if it names an unknown variable or equation.
-        """
+        """The force's place beside a model."""
         known = (*model.states, *model.inputs, "t")
         for name in force.variables:
             if name not in known:

@@ -54,12 +54,7 @@ class Steps:
             self.tables.append(torch.tensor(both[:, :ways].copy(), dtype=dtype))
 
     def defects(self, f: RightHandSide, tables: Sequence[Tensor]) -> Tensor:
-        """Defects of a batch, (n_intervals, n_states).
-
-        Args:
-            f: the right-hand side.
-            tables: the rows of ``self.tables`` that belong to the batch.
-        """
+        """Defects of a batch, (n_intervals, n_states)."""
         rates = tables[0]
         x0, x1, h, z0, z1 = [table.flatten(0, 1) for table in tables[1:]]
         psi = self.psi(lambda x, c: f(x, torch.lerp(z0, z1, c)), x0, x1, h)

@@ -71,11 +71,7 @@ def by_descent(
     interval: int,
     is_sum: bool = False,
 ) -> Any:
-    """Gradient descent at a point; ``is_sum``: the loss is a sum over batch and states.
-
-    Raises:
-        ModelError: every term was pruned.
-    """
+    """Gradient descent at a point; ``is_sum``: of the loss, over batch and states."""
     share = 1 / (BATCH * system.descent.n_states) if is_sum else 1.0
     l1 = {**system.descent.l1, "H": weight * share}
     if grid.force_weight:

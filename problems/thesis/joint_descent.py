@@ -51,24 +51,7 @@ def joint_descent(
     significance: float | None = None,
     progress: Progress | None = None,
 ) -> Baseline:
-    """`gradient_descent` with a force network, or with the test of significance.
-
-    Args:
-        model: with any dictionaries.
-        data: every state measured.
-        settings: of the descent.
-        seed: of the order of the batches, and of random weights.
-        force: a force by a network, trained with the rest; the result is then a
-            `HybridBaseline`.
-        significance: from half of the epochs on, terms go as well while the data do not
-            contradict that they are zero: the test of `phsi_opt.Pruning`, with the
-            standard errors of the PHSI loss, at every pruning. What L1 still shrinks is
-            tested as it is. None: size alone, as the thesis has it.
-        progress: called with a line of text every few epochs.
-
-    Raises:
-        ModelError: if the force or the significance makes no sense.
-    """
+    """`gradient_descent` with a force network, or with the test of significance."""
     with one_thread():
         if force is None:
             run = _TestedRun(model, data, settings, seed, significance)

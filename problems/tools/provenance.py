@@ -65,12 +65,7 @@ def commit() -> str:
 
 
 def write(name: str, text: str, made_by: str = "") -> Path:
-    """Write a text result under results/; ``made_by``: as of `provenance`.
-
-    Raises:
-        RuntimeError: in a process that no command line of the project started, whose
-            page could not say how to make it again.
-    """
+    """Write a text result under results/; ``made_by``: as of `provenance`."""
     if sys.argv[0] == "-c":
         raise RuntimeError(
             f"results/{name} is written by a script of the project, not by python -c: "

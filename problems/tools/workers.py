@@ -14,11 +14,7 @@ from problems.tools.command_line import option
 
 @contextmanager
 def workers(jobs: int | None = None) -> Iterator[Executor]:
-    """The executor that the command line asks for.
-
-    Args:
-        jobs: number of processes; default: that of ``--jobs``, else of the processors.
-    """
+    """The executor that the command line asks for."""
     address = option("scheduler", "")
     if address:
         from distributed import Client

@@ -166,13 +166,7 @@ def pseudo_hamiltonian(
 def information(
     slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None = None
 ) -> np.ndarray:
-    """Fisher information of the parameters with the starting states unknown.
-
-    Args:
-        slopes: of the states.
-        sigma: (n_states,) standard deviation of the noise.
-        measured: (n_trajectories, n_samples, n_states), which samples exist; None: all.
-    """
+    """Fisher information of the parameters with the starting states unknown."""
     n_theta = slopes.in_theta.shape[-1]
     total = np.zeros((n_theta, n_theta))
     for _, left in _told(slopes, sigma, measured):
@@ -183,13 +177,7 @@ def information(
 def _told(
     slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """What each trajectory tells of the parameters alone.
-
-    Yields:
-        The weights (n_samples, n_states), 0 where nothing was measured, and the slopes
-        in the parameters, weighted, less what a change of the starting state can
-        imitate: (n_samples * n_states, n_parameters).
-    """
+    """What each trajectory tells of the parameters alone."""
     in_theta = slopes.in_theta
     weight = np.broadcast_to(1 / np.asarray(sigma), in_theta.shape[:-1]).copy()
     if measured is not None:
@@ -223,13 +211,6 @@ def efficient_error(
 ) -> np.ndarray:
     """Error of the estimate that attains the bound: least squares on the experiment
     linearised at the truth, which nobody can compute who does not know the truth.
-
-    Args:
-        slopes, sigma, measured: as of `information`.
-        noise: (n_trajectories, n_samples, n_states), measured less true.
-
-    Returns:
-        (n_parameters,) with mean 0 and the covariance of `covariance_bound`.
     """
     pull = np.zeros(slopes.in_theta.shape[-1])
     told = _told(slopes, sigma, measured)
