@@ -63,9 +63,9 @@ MOST_REFITTED = 3
 LEAST_ERROR_EXPLAINED = 0.3
 
 # Sampling intervals below which a delay may be an input that does otherwise between its
-# samples than was said: steps that are interpolated act half a sample too early. One
-# and a half leave room for an error of that size beside a delay of a sample.
-HOLD_DELAY = 1.5
+# samples than was said: steps that are interpolated act half a sample too early. Two
+# leave room for an error of that size beside a delay of a sample and a half.
+HOLD_DELAY = 2.0
 
 # --- Dry friction, whose corner is sharpened step by step
 

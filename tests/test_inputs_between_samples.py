@@ -251,7 +251,7 @@ def first_order(gain: Any, loss: Any) -> ph.FirstOrder:
     )
 
 
-def followed(hold: str, late: float = 0.0) -> ph.Measurements:
+def followed(hold: str, late: float = 0.0, noise: float = 0.02) -> ph.Measurements:
     """The truth has inputs ``hold`` that act late; the measurements say linear."""
     fine = np.arange(len(PUSHES) * 50) * STEP / 50
     samples = STEP * np.arange(len(PUSHES))
@@ -259,7 +259,7 @@ def followed(hold: str, late: float = 0.0) -> ph.Measurements:
     if hold == "zero":
         u = PUSHES[np.maximum(np.floor((fine - late) / STEP + 1e-9), 0).astype(int)]
     x = ph.simulate(first_order(3.0, 2.0), fine, [0.0], u[:, None], hold=hold)[::50]
-    y = x + 0.02 * np.random.default_rng(0).normal(size=x.shape)
+    y = x + noise * np.random.default_rng(0).normal(size=x.shape)
     return ph.Measurements.from_arrays(
         samples, y, PUSHES, states=["w"], inputs=["u"], units={"t": "s"}
     )
@@ -282,6 +282,17 @@ def test_an_input_that_is_held_is_no_delay_of_half_a_sample() -> None:
     assert (data.hold, study.train.hold) == ("linear", "zero")
     assert study.fit.hold == "zero"
     assert study.fit.values["g"] == pytest.approx(3.0, abs=0.15)
+
+
+def test_a_delay_of_one_sample_is_that_of_the_likelier_hold() -> None:
+    """Interpolated, the held input acts half a sample early: the delay were 1.5."""
+    study = study_of(followed("zero", late=STEP, noise=0.01))
+    found = study.diagnose()
+    (finding,) = found.findings
+    assert str(finding.effects[0]) == "input delay on w"
+    assert finding.coefficient == pytest.approx(STEP, abs=0.1 * STEP)
+    assert study.train.hold == "zero"
+    assert 'u (hold = "zero"): beside it input delay on w is likelier' in found.reason
 
 
 def test_a_delay_that_no_other_input_explains_is_named() -> None:

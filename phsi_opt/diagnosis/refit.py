@@ -190,7 +190,7 @@ def held_base(
 
     Asked where a short delay is to be named. An input that is held, not interpolated,
     or the other way round, needs no parameter: it is preferred if the evidence does not
-    clearly speak for the delay.
+    clearly speak for the delay, or if the delay is clearly likelier beside it.
     """
     limit = HOLD_DELAY * float(np.median(base.record.grid.h))
     delays = [one for one in named if is_delay(one.effect)]
@@ -200,30 +200,46 @@ def held_base(
     base.say("trying what the inputs do between samples")
     data = base.record.data
     hold = dict(zip(data.inputs, hold_of_each(data.hold, data.inputs), strict=True))
-    likeliest = record.base.log_evidence
+    likeliest = record
     changed: dict[str, str] = {}
     for name, old in hold.items():
         other = "linear" if old == "zero" else "zero"
         with suppress(SolveError):
-            found = record.held_as({**hold, **changed, name: other}).log_evidence
-            if found > likeliest:
+            found = record.held_as({**hold, **changed, name: other})
+            if found.base.log_evidence > likeliest.base.log_evidence:
                 likeliest = found
                 changed[name] = other
-    gain = likeliest - record.base.log_evidence
+    gain = likeliest.base.log_evidence - record.base.log_evidence
     evidence = shortest.log_evidence
+    why = (
+        f"that explains what would be {shortest.name} ({shortest.size}) without a "
+        f"further parameter (log evidence {gain:.0f} against {evidence:.0f})"
+    )
     if gain < max(evidence - STRONG_EVIDENCE, STRONG_EVIDENCE):
+        gain = _gain_beside(likeliest, record, base, shortest) if changed else 0.0
+        why = f"beside it {shortest.name} is likelier (log evidence {gain:.0f})"
+    if gain < STRONG_EVIDENCE:
         return None
     held = some_of(list(starmap('{} (hold = "{}")'.format, changed.items())))
-    note = (
-        f"between samples another course is taken of {held}: that explains what would "
-        f"be {shortest.name} ({shortest.size}) without a further parameter (log "
-        f"evidence {gain:.0f} against {evidence:.0f})"
-    )
+    note = f"between samples another course is taken of {held}: {why}"
     base.say(note)
     try:
         return base.held_as({**hold, **changed}, note)
     except PhsiOptError:
         return None
+
+
+def _gain_beside(
+    one: EvidenceRecord, other: EvidenceRecord, base: DiagnosedModel, delay: Candidate
+) -> float:
+    """How much likelier a delay is beside one record than beside another."""
+    model = base.fit.model.add(delay.effect)
+    values = {name: delay.values[name] for name in model.free}
+    try:
+        both = [record.weighed(model, values) for record in (one, other)]
+    except SolveError:
+        return 0.0
+    return both[0].log_evidence - both[1].log_evidence
 
 
 def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel | None:

@@ -255,11 +255,7 @@ def _best_in_time(
 ) -> float:
     """The frequency among ``tried`` (evenly spaced, rad per time) that explains most.
 
-    Args:
-        whole: of the wave's amplitudes, at any frequency, on the whole record.
-        part: on the part of it on which sizes are worked out.
-        name: of the frequency.
-        tried: (n_tried,).
+    By amplitudes on the whole record, or on the part on which sizes are worked out.
     """
     gains: dict[int, float] = {}
 

@@ -192,10 +192,7 @@ class Weighing:
     def weighed(self, start: Start, worth: float = -np.inf) -> Weighed:
         """Steps with given sizes and better sizes by turns, until both stay.
 
-        Args:
-            start: where to begin.
-            worth: log likelihood below which what is found is of no use; rounds end
-                where no more is promised.
+        Rounds end where no log likelihood of at least ``worth`` is promised.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
@@ -402,10 +399,6 @@ class EvidenceRecord:
     def of(cls, trained: Record, judged: Record | None) -> "EvidenceRecord":
         """Of the records of one fit, whose model is weighed from its missing force.
 
-        Args:
-            trained: of the fit's own measurements.
-            judged: of those held out; None: there are none.
-
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
@@ -485,11 +478,7 @@ class EvidenceRecord:
         return replace(self, base=found)
 
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
-        """A model that is larger than the base, begun where the base is likeliest.
-
-        Args:
-            model: the base with something more.
-            values: of what is new, from which to start.
+        """A larger model with values of what is new, begun where the base is likeliest.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
@@ -511,20 +500,18 @@ class EvidenceRecord:
         )
         return self.weighing.weighed(start, base.log_likelihood)
 
-    def held_as(self, hold: Hold) -> Weighed:
-        """The base with inputs that do otherwise between their samples.
+    def held_as(self, hold: Hold) -> "EvidenceRecord":
+        """With inputs that do otherwise between their samples.
 
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
         aligned = self.weighing.aligned.held_as(hold, ())
-        return replace(self.weighing, aligned=aligned).weighed(self.base)
+        weighing = replace(self.weighing, aligned=aligned)
+        return EvidenceRecord(weighing, weighing.weighed(self.base))
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
-        """A fitted model without any force, begun at its free runs.
-
-        Args:
-            comparisons: of the fit with the measurements, those of the fit first.
+        """A fitted model without any force, begun at its free runs, training first.
 
         Raises:
             SolveError: no such states were found.
