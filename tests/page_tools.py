@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -13,18 +12,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from problems.examples.friction_spring import CSV, STARTS, table
+from problems.examples.friction_spring import CSV
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 SOLVED_WITHIN = 60.0  # s; a busy machine takes several times the usual five
 STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
-SEED = 11
 RUNS = ("run 1", "run 2", "run 3")
-LONG_TABLES = 3  # with eight runs each
-_PIDS: dict[str, int] = {}  # of the servers, by their addresses
 
 
 def thinned_table(text: str) -> bytes:
@@ -40,30 +35,6 @@ def thinned_table(text: str) -> bytes:
 def spring_table() -> bytes:
     """The spring of the demonstration, with its hidden friction."""
     return thinned_table(CSV.read_text())
-
-
-def plain_spring_table() -> bytes:
-    """The same spring without the friction: nothing is missing."""
-    frame = table(SEED, friction=0.0)
-    assert len(STARTS) >= len(RUNS)
-    return thinned_table(frame.to_csv(index=False, lineterminator="\n"))
-
-
-def long_spring_table() -> bytes:
-    """So many runs of the spring that a diagnosis takes seconds: time to cancel it."""
-    frames = []
-    for number in range(LONG_TABLES):
-        frame = table(SEED + number)
-        frame["run"] = f"{number}, " + frame["run"]
-        frames.append(frame)
-    whole = pd.concat(frames, ignore_index=True)
-    return whole.to_csv(index=False, lineterminator="\n").encode()
-
-
-def bad_table() -> bytes:
-    """A table with a cell that is no number, in line 8."""
-    lines = spring_table().decode().splitlines()
-    return "\n".join([*lines[:7], "run 1,abc,0.5", *lines[7:]]).encode()
 
 
 # The header of a table that is a pickle at once: it runs a command where it is read.
@@ -110,7 +81,6 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
         text=True,
     )
     address = f"http://127.0.0.1:{port}"
-    _PIDS[address] = server.pid
     try:
         _wait_until_up(server, address)
         yield address
@@ -123,21 +93,6 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
             server.wait(10)
         assert server.stdout is not None
         server.stdout.close()
-
-
-@contextmanager
-def workers_at_rest(address: str) -> Iterator[None]:
-    """The workers of a server do nothing meanwhile, so that no solve ends."""
-    command = ["pgrep", "-P", str(_PIDS[address]), "-f", "spawn_main"]
-    found = subprocess.run(command, capture_output=True, text=True, check=True)
-    pids = [int(pid) for pid in found.stdout.split()]
-    for pid in pids:
-        os.kill(pid, signal.SIGSTOP)
-    try:
-        yield
-    finally:
-        for pid in pids:
-            os.kill(pid, signal.SIGCONT)
 
 
 def _free_port() -> int:

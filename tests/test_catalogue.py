@@ -151,20 +151,6 @@ def test_losses_and_energies_outside_of_pairs_are_those_of_the_field(kind: str) 
     assert found & known == set(OF_THE_FIELD[kind].split(", "))
 
 
-def test_a_circuit_of_charge_and_flux_has_resistances_and_a_coil_that_saturates() -> (
-    None
-):
-    model = replace(driven_spring(), kind="electrical")
-    coil, capacitor = names_on(model, "p"), names_on(model, "q")
-    assert coil >= {
-        *("linear resistance", "quadratic resistance", "contact voltage drop"),
-        *("charge-dependent resistance", "coil saturation"),
-        *("linear elastance", "quadratic elastance", "cubic elastance"),
-    }
-    assert capacitor >= {"leakage conductance", "quadratic conductance"}
-    assert not coil & capacitor
-
-
 def test_what_runs_between_two_storages_is_water_or_heat() -> None:
     def between(kind: Any) -> set[str]:
         found = ph.catalogue(replace(two_tanks(), kind=kind))

@@ -46,7 +46,6 @@ from phsi_opt.study_file import kept_fits
 from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.survey import survey
 from problems.examples.friction_spring import CSV
-from problems.tools.data_paths import folder
 
 ROOT = Path(ph.__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
@@ -267,40 +266,6 @@ def test_a_column_that_changes_where_the_times_begin_anew_names_the_runs(
     assert seen.n_runs == 3
     path.write_text("\n".join(["time (min),speed (km/h),pass,gear", *rows[:4]]))
     assert survey(path).run is None
-
-
-TABLES = {
-    "heaters/tclab.txt": ("T = Temperature_1", []),
-    "building/blg_1.csv": ("yTi", []),
-    "cascaded_tanks/dataBenchmark.csv": ("yEst", []),
-    "torque_pendulum/data_measured.csv": ("position", []),
-    "battery_cell/hppc_25c.csv": ("Voltage", []),
-    "silverbox/SNLS80mV.csv": ("V2", ["data.time.column"]),
-    "quarter_drone/sinal2_degraus_malha_fechada.csv": ("Saida_y", []),
-    "ball_and_hoop/fixedStepSequence.mat": ("y", []),
-    "coupled_drives/drive.mat": ("z1", ["data.time.column"]),
-    "emps/DATA_EMPS.mat": ("qm", []),
-}
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_measured_tables_run_after_the_physics_is_filled_in(tmp_path, name) -> None:
-    table = folder(name)
-    if not table.exists():
-        pytest.skip(f"the data are not at {table}")
-    study = tmp_path / "study.toml"
-    content = json.loads(said("init", table, "-o", study, "--json").out)
-    needs = [one["key"] for one in content["needs"]]
-    assert needs == [*TABLES[name][1], "model.H"]
-    text = study.read_text().replace('time = { column = "" }', "time = { step = 1 }")
-    states = [one["name"] for one in content["columns"] if one["part"] == "state"]
-    energy = " + ".join(f"{state}**2" for state in states)
-    text = text.replace('H = ""', f'H = "k*({energy})"')
-    text = text.replace("# m = 2.5", "k = { start = 1.0, lower = 0 }")
-    study.write_text(text)
-    result = said("check", study, "--json")
-    assert result.code == ExitCode.DONE, result.out
-    assert json.loads(result.out)["states"] == states
 
 
 def test_init_takes_the_first_sheet_and_names_the_others(tmp_path: Path) -> None:

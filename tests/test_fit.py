@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import sympy as sp
@@ -172,25 +171,6 @@ def test_a_trajectory_is_known_by_its_name_and_by_its_number() -> None:
     assert shared.model_of(7) == shared.model_of("run 1") == shared.model
     with pytest.raises(ph.DataError, match="none: all parameters are shared"):
         shared.simulate(T, x0, trajectory=0)
-
-
-# ---- picture -------------------------------------------------------------------------
-
-
-def test_the_picture_says_which_estimates_are_not_to_be_relied_on() -> None:
-    fit = rich_fit()  # R_p ended at a bound, the last one has no standard error
-    covariance = fit.covariance.copy()
-    at_bound = fit.names.index("R_p")
-    covariance[at_bound] = covariance[:, at_bound] = np.nan
-    ax = replace(fit, uncertainty=known(covariance)).plot()
-    labels = [text.get_text() for text in ax.get_yticklabels()]
-    assert "R_p = 0.7 N s/m, at its bound" in labels
-    assert labels[-1].endswith(", no standard error")
-    title = ax.get_title().replace("\n", " ")
-    assert "2 not significantly different from zero (orange)" in title  # H[q] and eps
-    assert "1 without standard error (circle)" in title
-    assert "1 at a bound (square)" in title
-    plt.close("all")
 
 
 # ---- files ---------------------------------------------------------------------------

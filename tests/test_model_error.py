@@ -501,28 +501,12 @@ OWN = ph.Parameter(0.0, per_trajectory=True)
 # What is silent in a model, by the name of an estimate: nothing of the first.
 SILENT: dict[str, tuple[ph.PseudoHamiltonian, set[str]]] = {
     "an offset": (spring(sensor=ph.formula("b", b=ph.Parameter(0.0))), set()),
-    "two springs in one": (
-        spring(
-            "k*q**2/2 + k2*q**2/2 + p**2/(2*m)",
-            k=ph.Parameter(20.0, lower=0),
-            k2=ph.Parameter(25.0, lower=0),
-        ),
-        {"k", "k2"},
-    ),
     "offset and force": (
         spring(
             sensor=ph.formula("b", b=ph.Parameter(0.0)),
             F=ph.formula("g", g=ph.Parameter(0.0)),
         ),
         {"b", "g"},
-    ),
-    "offset and place of rest": (
-        spring(
-            "k*(q - q0)**2/2 + p**2/(2*m)",
-            sensor=ph.formula("b", b=ph.Parameter(0.0)),
-            q0=ph.Parameter(0.0),
-        ),
-        {"b", "q0"},
     ),
     "those of every run": (
         spring(sensor=ph.formula("b", b=OWN), F=ph.formula("g", g=OWN)),

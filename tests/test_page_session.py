@@ -9,13 +9,11 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.page.draft_views import EXAMPLES, unknown_names
 from phsi_opt.page.drafts import (
     INPUT,
@@ -27,13 +25,12 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.guards import UploadLimit
-from phsi_opt.page.parts import complaint_words, words
+from phsi_opt.page.parts import complaint_words
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Shown
-from phsi_opt.presentation.content import ErrorStep
 from phsi_opt.study_file.gallery import GALLERY
 from tests.page_tools import contrast, spring_table, wait_for
 
@@ -256,23 +253,6 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert content.forces and not content.present.forces
     ranked = {row.effect: row for row in content.present.ranking}
     assert ranked["quadratic drag on p"].unit == "N s^2/m^2"
-
-
-@pytest.mark.parametrize(("held_out", "after", "expected"), [
-    (0.06, 0.043, "Held-out error 0.06 m → 0.043 m (28 % less, at the noise floor)"),
-    (0.06, 0.05, "Held-out error 0.06 m → 0.05 m (17 % less)"),
-    (0.043, 0.042, "Held-out error 0.043 m → 0.042 m (2 % less)"),
-    (0.06, 0.07, "Held-out error 0.06 m → 0.07 m (17 % more)"),
-    (0.06, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
-    (None, None, "Training error 0.05 m → 0.0501 m (unchanged)"),
-])  # fmt: skip
-def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all(
-    held_out: float | None, after: float | None, expected: str
-) -> None:
-    step = ErrorStep("base model", 0.05, held_out, 0.042)
-    row = SimpleNamespace(held_out=after, train=0.0501)
-    said = words("preview", row, step, "m", FAILING_ERROR)
-    assert " ".join(said.replace("&nbsp;", " ").split()) == expected
 
 
 def test_the_exported_script_reproduces_every_step(studied, tmp_path) -> None:

@@ -156,18 +156,6 @@ def test_a_restart_computes_only_what_is_not_kept(tmp_path: Path) -> None:
         list(squared(folder=folder, of="cubes"))
 
 
-def test_keys_of_any_kind_have_files_of_their_own(tmp_path: Path) -> None:
-    kept = KeptResults(tmp_path)
-    keys = ["a/b", "a b", "../a", ".", "..", "é" * 90, "é" * 91, "CON\x00", "a%2Fb"]
-    for number, key in enumerate(keys):
-        kept.keep(key, np.float64(number) / 3)
-    assert len(list(tmp_path.iterdir())) == len(keys)
-    for number, (key, result) in enumerate(kept.found(keys)):
-        assert (key, result) == (keys[number], number / 3)
-    with pytest.raises(ph.DataError, match="cannot be saved"):
-        kept.keep("object", object())
-
-
 @pytest.mark.parametrize(("function", "cases", "in_flight", "said"), [
     (lambda n: n, {"a": 1}, 1, "top level"),
     (sweep_tasks.square, {1: 1}, 1, "not a text"),
