@@ -457,6 +457,16 @@ def test_degrees_of_freedom_are_those_of_the_chi_square_that_scatters_alike(
     assert found == pytest.approx(simulated_freedom, rel=0.04)
 
 
+def test_what_is_missing_is_looked_for_without_a_force_that_hides_it() -> None:
+    fit = forced_fit(0)
+    effects = [e for e in ph.catalogue(fit.model) if e.name == "cubic stiffness"]
+    found = ph.diagnose(fit, record(0), effects=effects)
+    plain = ph.diagnose(plain_fit(0), record(0), effects=effects)
+    assert found.verdict == plain.verdict
+    assert not found.record.fit.has_model_error
+    assert found.record.fit.values["k"] == pytest.approx(plain_fit(0).values["k"])
+
+
 def test_noise_that_lasts_from_sample_to_sample_is_not_called_unexplained() -> None:
     data = simulated(0, size=0.0, kept=0.7)
     fit = ph.identify(oscillator(), data)
