@@ -16,7 +16,7 @@ def pushed_mass(m: float | ph.Parameter) -> ph.PseudoHamiltonian:
         inputs=["u"],
         S=ph.canonical(1),
         H=ph.formula("p**2/(2*m)", m=m),
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
     )
 
 

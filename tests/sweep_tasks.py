@@ -20,7 +20,7 @@ def model() -> ph.FirstOrder:
     return ph.FirstOrder(
         states=["x", "v"],
         F={
-            "x": ph.formula("v"),
+            "x": "v",
             "v": ph.formula(
                 "-k*x - c*v", k=ph.Parameter(3.0, lower=0), c=ph.Parameter(0.2, lower=0)
             ),

@@ -24,25 +24,19 @@ EVERY_KIND: tuple[Any, ...] = ({}, *KINDS)
 
 def driven_spring() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/2"),
-        F={"p": ph.formula("u")},
+        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H="p**2/2", F={"p": "u"}
     )
 
 
 def two_tanks() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["a", "b"], S=[[0.0, 0.0], [0.0, 0.0]], H=ph.formula("(a**2 + b**2)/2")
+        states=["a", "b"], S=[[0.0, 0.0], [0.0, 0.0]], H="(a**2 + b**2)/2"
     )
 
 
 def two_masses() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["q1", "q2", "p1", "p2"],
-        S=ph.canonical(2),
-        H=ph.formula("(p1**2 + p2**2)/2"),
+        states=["q1", "q2", "p1", "p2"], S=ph.canonical(2), H="(p1**2 + p2**2)/2"
     )
 
 
@@ -92,11 +86,7 @@ def storage(kind: Any, loses: bool = False) -> ph.PseudoHamiltonian:
     """One state outside of pairs; its own loss, if any, is of no law of the catalogue."""
     own = {"x": ph.formula("r*x**4", r=ph.Parameter(0.1, lower=0))}
     return ph.PseudoHamiltonian(
-        states=["x"],
-        S=[[0.0]],
-        H=ph.formula("x**2/2"),
-        R=own if loses else {},
-        kind=kind,
+        states=["x"], S=[[0.0]], H="x**2/2", R=own if loses else {}, kind=kind
     )
 
 
@@ -106,7 +96,7 @@ def names_on(model: ph.Model, equation: str, slots: str = "RH") -> set[str]:
 
 
 def first_order(kind: Any) -> ph.FirstOrder:
-    return ph.FirstOrder(["a", "b"], {"a": ph.formula("sin(b)")}, kind=kind)
+    return ph.FirstOrder(["a", "b"], {"a": "sin(b)"}, kind=kind)
 
 
 MODELS = [driven_spring(), two_masses(), two_tanks(), first_order({}), storage({})]
@@ -213,7 +203,7 @@ def test_what_the_model_has_by_another_name_cannot_be_added_again() -> None:
     tank = storage("hydraulic").add("viscous damping", "x")
     with pytest.raises(ph.ModelError, match="has 'linear leak' on x already"):
         tank.add("linear leak", "x")
-    rolls = ph.FirstOrder(["v"], {"v": ph.formula("-f")}, ["f"], kind="mechanical")
+    rolls = ph.FirstOrder(["v"], {"v": "-f"}, ["f"], kind="mechanical")
     with pytest.raises(ph.ModelError, match="has 'quadratic drag' already"):
         rolls.add("air drag").add("quadratic drag")
 
@@ -300,7 +290,7 @@ def test_a_spring_without_an_energy_is_offered_what_one_with_it_is() -> None:
         inputs=["u"],
         S=ph.canonical(1),
         H=ph.formula("k*q**4 + p**2/2", **k),
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
     )
     rates = {"q": ph.formula("p"), "p": ph.formula("u - 4*k*q**3", **k)}
     plain = ph.FirstOrder(["q", "p"], rates, inputs=["u"])
@@ -325,7 +315,7 @@ def test_a_spring_without_an_energy_is_offered_what_one_with_it_is() -> None:
 
 @pytest.mark.parametrize(("unit", "zero"), [("degC", 273.15), ("°F", 459.67)])
 def test_radiation_counts_from_the_zero_of_the_scale(unit: str, zero: float) -> None:
-    bare = ph.FirstOrder(["T"], {"T": ph.formula("0")}, kind="thermal")
+    bare = ph.FirstOrder(["T"], {"T": "0"}, kind="thermal")
     (effect,) = [e for e in ph.catalogue(bare, {"T": unit}) if e.name == "radiation"]
     model = bare.add(effect).with_values({"radiation_T": 2e-9})
     for T in (-40.0, 0.0, 25.0, 600.0):
@@ -342,13 +332,9 @@ def test_radiation_counts_from_the_zero_of_the_scale(unit: str, zero: float) -> 
 )
 @pytest.mark.parametrize("has_energy", [True, False])
 def test_gravity_turns_with_the_angle_in_its_unit(unit, half_turn, has_energy) -> None:
-    model: ph.Model = ph.FirstOrder(
-        ["q", "p"], {"q": ph.formula("p"), "p": ph.formula("0")}
-    )
+    model: ph.Model = ph.FirstOrder(["q", "p"], {"q": "p", "p": "0"})
     if has_energy:
-        model = ph.PseudoHamiltonian(
-            states=["q", "p"], S=ph.canonical(1), H=ph.formula("p**2/2")
-        )
+        model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H="p**2/2")
     (effect,) = [
         e for e in ph.catalogue(model, {"q": unit}) if e.name == "gravity torque"
     ]

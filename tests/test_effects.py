@@ -31,7 +31,7 @@ def tank() -> ph.PseudoHamiltonian:
         inputs=["u"],
         S=[[0.0]],
         H=ph.formula("a*h**2/2", a=ph.Parameter(1.0)),
-        F={"h": ph.formula("u")},
+        F={"h": "u"},
     )
 
 

@@ -142,7 +142,7 @@ def test_a_momentum_is_added_as_never_measured_where_its_position_is() -> None:
         aligned(bare(), record("qv"))
 
 
-ONLY_Q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
+ONLY_Q = ph.FirstOrder(("q",), {"q": "-q"})
 
 
 @pytest.mark.parametrize(("model", "measured", "error", "message"), [

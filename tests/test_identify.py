@@ -91,9 +91,9 @@ def test_pruning_recovers_the_support_of_a_driven_spring_from_clean_data() -> No
     t = np.linspace(0.0, 10.0, 401)
     about: Any = {"states": ("q", "p"), "S": ph.canonical(1)}
     truth = ph.PseudoHamiltonian(
-        H=ph.formula("1.5*q**2/2 + p**2/(2*0.5)"),
-        R={"p": ph.formula("0.3")},
-        F={"p": ph.formula("1.2*sin(2.5*t)")},
+        H="1.5*q**2/2 + p**2/(2*0.5)",
+        R={"p": "0.3"},
+        F={"p": "1.2*sin(2.5*t)"},
         **about,
     )
     xs = [ph.simulate(truth, t, x0) for x0 in ([1.0, 0.0], [-0.7, 1.1])]
@@ -180,7 +180,7 @@ def test_a_solve_that_is_cut_short_raises_and_says_what_to_do() -> None:
     t = np.linspace(0.0, 5.0, 101)
     x = np.column_stack([np.cos(3 * t), -3 * np.sin(3 * t)])
     sine = ph.formula("-a*sin(b*q)", a=ph.Parameter(2.0), b=ph.Parameter(0.5))
-    model = ph.FirstOrder(states=("q", "v"), F={"q": ph.formula("v"), "v": sine})
+    model = ph.FirstOrder(states=("q", "v"), F={"q": "v", "v": sine})
     data = ph.Measurements.from_arrays([t], [x], states=["q", "v"])
     options: Any = {"settings": ph.SolverSettings(max_iterations=1)}
     said = r"iteration limit was reached.*allow more iterations"

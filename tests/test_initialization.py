@@ -139,7 +139,7 @@ def spring(k: ph.Parameter | float = 1.5) -> ph.PseudoHamiltonian:
         inputs=["u"],
         S=ph.canonical(1),
         H=ph.formula("k*q**2/2 + p**2/2", k=k),
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
     )
 
 

@@ -32,7 +32,7 @@ def duffing(
         S=ph.canonical(1),
         H=ph.formula("k*q**2/2 + a*q**4/4 + p**2/2", k=start["k"], a=start["a"]),
         R={"p": ph.formula("c", c=start["c"])},
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
         sensor=sensor or {},
     )
 
@@ -212,7 +212,7 @@ def test_a_parameter_at_its_bound_is_named_in_the_warnings() -> None:
 def test_a_parameter_that_starting_values_press_to_zero_is_at_its_bound() -> None:
     """Beside zero its value says nothing of its size, also where a fit starts there."""
     t = np.linspace(0, 60, 61)
-    true = ph.FirstOrder(["n"], {"n": ph.formula("-6 - 0.01*n - 1.1e-5*n*abs(n)")})
+    true = ph.FirstOrder(["n"], {"n": "-6 - 0.01*n - 1.1e-5*n*abs(n)"})
     y = noisy(ph.simulate(true, t, [3400.0]), sigma=3.0)
     data = ph.Measurements.from_arrays([t], [y], states=["n"])
     a, b = ph.Parameter(3.0, lower=0), ph.Parameter(0.02, lower=0)

@@ -188,7 +188,7 @@ def test_a_text_is_a_formula_whose_other_names_are_free_parameters() -> None:
 def test_a_first_order_model_refuses_an_energy_and_a_structure() -> None:
     force = {"q": ph.formula("-a*q", a=ph.Parameter(1.0))}
     with pytest.raises(ph.ModelError, match="has no S and no H"):
-        ph.FirstOrder(states=["q"], F=force, H=ph.formula("q**2"))
+        ph.FirstOrder(states=["q"], F=force, H="q**2")
     model = ph.FirstOrder(states=["q"], F=force)
     with pytest.raises(ph.ModelError, match="a FirstOrder model has none"):
         model.add(ph.Effect("gravity", "H", "", ph.formula("q")))
@@ -365,9 +365,9 @@ def test_an_exponent_of_at_most_64_is_allowed() -> None:
 
 
 def test_a_sum_times_its_coefficient_is_printed_in_brackets() -> None:
-    room = ph.FirstOrder(["T"], {"T": ph.formula("0")}, ["Ta"], kind="thermal")
+    room = ph.FirstOrder(["T"], {"T": "0"}, ["Ta"], kind="thermal")
     room = room.add(ph.catalogue(room, called="ambient")[0])
     assert "heat_exchange_Ta_T*(Ta - T)" in str(room)
-    spring = ph.FirstOrder(["x", "v"], {"x": ph.formula("v"), "v": ph.formula("-x")})
+    spring = ph.FirstOrder(["x", "v"], {"x": "v", "v": "-x"})
     spring = spring.add(ph.catalogue(spring, called="duffing spring")[0])
     assert "cubic_stiffness_x*(-x**3)" in str(spring)

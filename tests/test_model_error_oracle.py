@@ -50,7 +50,7 @@ def oscillator() -> ph.FirstOrder:
         states=("q", "v"),
         inputs=("u",),
         F={
-            "q": ph.formula("v"),
+            "q": "v",
             "v": ph.formula("-k*q - c*v", k=ph.Parameter(3.5), c=ph.Parameter(0.4))
             + ph.formula("g*u", g=ph.Parameter(1.2)),
         },

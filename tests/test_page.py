@@ -8,11 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tests.page_tools import (
-    browser_path,
-    served,
-    spring_table,
-)
+from tests.page_tools import browser_path, served, spring_table
 
 pytestmark = pytest.mark.slow
 

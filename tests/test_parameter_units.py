@@ -30,7 +30,7 @@ def spring(energy: str = "p**2/(2*m) + k*q**2/2") -> ph.PseudoHamiltonian:
         S=ph.canonical(1),
         H=ph.formula(energy, **free(*names)),
         R={},
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
         inputs=["u"],
     )
 

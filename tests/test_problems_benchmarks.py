@@ -11,12 +11,7 @@ from problems.benchmarks import coverage, identify
 from problems.benchmarks.coverage import SCENARIOS
 from problems.benchmarks.efficiency.cases import CASES, duffing
 from problems.benchmarks.efficiency.cramer_rao import TrueSystem, covariance_bound
-from problems.benchmarks.oscillator import (
-    TRUTH,
-    Disturbance,
-    Layout,
-    records,
-)
+from problems.benchmarks.oscillator import TRUTH, Disturbance, Layout, records
 from problems.benchmarks.peer_problems import PROBLEMS
 from problems.thesis.systems import SYSTEMS, closed_tanks
 

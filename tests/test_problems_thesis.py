@@ -9,12 +9,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from problems.thesis import (
-    comparison,
-    figures,
-    grids,
-    questions,
-)
+from problems.thesis import comparison, figures, grids, questions
 from problems.thesis.methods import solver
 from problems.thesis.runs import Run, done, medians, table
 from problems.thesis.scores import free_run, phsi_loss, rates, score

@@ -38,7 +38,7 @@ def spring(sensor: Mapping[str, Dictionary] | None = None) -> ph.Model:
             m=ph.Parameter(1.5, per_trajectory=True),
         ),
         R=ph.damping("p"),
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
         sensor=sensor or {},
     )
 

@@ -22,10 +22,7 @@ from phsi_opt.model.terms import Dictionary, Term
 
 def spring() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("q**2/2 + p**2/2"),
-        R=ph.damping("p"),
+        states=["q", "p"], S=ph.canonical(1), H="q**2/2 + p**2/2", R=ph.damping("p")
     )
 
 
@@ -34,7 +31,7 @@ def two_tanks() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
         states=["left", "right", "flow"],
         S=[[0, 0, -1], [0, 0, 1], [1, -1, 0]],
-        H=ph.formula("(left**2 + right**2 + flow**2)/2"),
+        H="(left**2 + right**2 + flow**2)/2",
         R=ph.damping("flow"),
     )
 
@@ -57,7 +54,7 @@ def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
 
 def test_a_pair_is_a_position_and_its_momentum_whatever_their_order() -> None:
     turned = ph.PseudoHamiltonian(
-        states=["p", "q"], S=-ph.canonical(1), H=ph.formula("q**2/2 + p**2/2")
+        states=["p", "q"], S=-ph.canonical(1), H="q**2/2 + p**2/2"
     )
     assert position_of_momentum(spring()) == {"p": "q"}
     assert position_of_momentum(turned) == {"p": "q"}
@@ -69,7 +66,7 @@ def motor(kind: Any = None) -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
         states=["turn", "flux"],
         S=[[0.0, 2.0], [-2.0, 0.0]],
-        H=ph.formula("turn**2/2 + flux**2/2"),
+        H="turn**2/2 + flux**2/2",
         kind=kind or {},
     )
 
@@ -97,7 +94,7 @@ def test_a_capacitor_may_leak_and_the_position_of_a_body_may_not() -> None:
     Dictionary((Term("v", ph.Parameter(2.0, fixed=True)),)),
 ])  # fmt: skip
 def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(rate) -> None:
-    model = ph.FirstOrder(["x", "v"], {"x": rate, "v": ph.formula("-x")})
+    model = ph.FirstOrder(["x", "v"], {"x": rate, "v": "-x"})
     assert position_of_momentum(model) == {"v": "x"}
     assert forced_rows(model) == (1,)
     heat = replace(model, kind="thermal")
@@ -119,13 +116,9 @@ def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(rate) ->
     ph.formula("v") + ph.formula("u"),
 ])  # fmt: skip
 def test_no_other_equation_is(rate: Dictionary) -> None:
-    model = ph.FirstOrder(["x", "v"], {"x": rate, "v": ph.formula("-x")}, inputs=["u"])
+    model = ph.FirstOrder(["x", "v"], {"x": rate, "v": "-x"}, inputs=["u"])
     assert position_of_momentum(model) == {}
-    lossy = ph.FirstOrder(
-        ["x", "v"],
-        {"x": ph.formula("v"), "v": ph.formula("-x")},
-        R={"x": ph.formula("1")},
-    )
+    lossy = ph.FirstOrder(["x", "v"], {"x": "v", "v": "-x"}, R={"x": "1"})
     assert forced_rows(lossy) == (0, 1)
 
 
@@ -196,9 +189,9 @@ def circuit(kind: Any = "electrical") -> ph.PseudoHamiltonian:
         states=["q", "phi"],
         inputs=["u"],
         S=ph.canonical(1),
-        H=ph.formula("q**2/2 + phi**2/2"),
+        H="q**2/2 + phi**2/2",
         R={"phi": ph.formula("r", r=ph.Parameter(0.2, lower=0))},
-        F={"phi": ph.formula("u")},
+        F={"phi": "u"},
         kind=kind,
     )
 

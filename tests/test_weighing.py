@@ -228,7 +228,7 @@ def pushed(shown: str = "u") -> ph.PseudoHamiltonian:
         inputs=["u"],
         S=ph.canonical(1),
         H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
-        R={"p": ph.formula("0.3")},
+        R={"p": "0.3"},
         F={"p": ph.formula(shown)},
     )
 

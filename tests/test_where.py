@@ -11,11 +11,7 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.analysis import (
-    ForceAnalysis,
-    _said,
-    step_without_name,
-)
+from phsi_opt.force_analysis.analysis import ForceAnalysis, _said, step_without_name
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
     fold_numbers,
@@ -50,7 +46,7 @@ def spring(
         S=ph.canonical(1),
         H=ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=M),
         R={"p": ph.formula("c", c=c)},
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
     )
 
 
@@ -357,7 +353,7 @@ def motor() -> ph.PseudoHamiltonian:
         S=ph.canonical(1),
         H=ph.formula("p**2/(2*J)", J=ph.Parameter(0.03, lower=1e-3)),
         R=ph.damping("p"),
-        F={"p": ph.formula("u")},
+        F={"p": "u"},
     )
 
 

@@ -38,7 +38,7 @@ def test_names_of_derivatives_are_refused_everywhere(name: str) -> None:
     with pytest.raises(ph.ModelError, match=name):
         forced(f"{name}*p", **{name: ph.Parameter(1.0)})
     with pytest.raises(ph.ModelError, match=name):
-        ph.FirstOrder(states=["x"], F={"x": ph.formula("-x")}, inputs=[name])
+        ph.FirstOrder(states=["x"], F={"x": "-x"}, inputs=[name])
     with pytest.raises(ph.DataError, match=name):
         ph.Measurements.from_arrays(T, X, states=["q", name])
 
