@@ -384,21 +384,6 @@ def test_init_and_check_draw_the_data_once_and_replace_no_other_picture(demo) ->
     assert "position  state  m" in result.out
 
 
-def test_check_tells_all_errors_at_once_without_a_trace(demo: Path) -> None:
-    text = demo.read_text().replace('"t_s"', '"time"').replace("share", "shar")
-    demo.write_text(text)
-    result = said("check", demo)
-    assert result.code == ExitCode.BAD_INPUT
-    assert result.out == ""
-    assert "Traceback" not in result.err
-    assert "held_out.shar = 0.4: this key is unknown here" in result.err
-    assert "Did you mean 'share'?" in result.err
-    content = json.loads(said("check", demo, "--json").out)
-    assert content["exit_code"] == ExitCode.BAD_INPUT
-    keys = [one["key"] for one in content["complaints"]]
-    assert keys == ["data.time.column", "held_out", "held_out.shar"]
-
-
 def test_add_writes_an_effect_and_keeps_what_the_user_wrote(demo: Path) -> None:
     before = demo.read_text()
     result = said("add", "coulomb friction", demo, "--equation", "p", "--json")

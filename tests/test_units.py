@@ -264,15 +264,6 @@ def test_every_public_call_refuses_units_that_do_not_fit() -> None:
             judge(frozen, data)
 
 
-def test_a_fit_of_converted_data_is_that_of_data_in_si() -> None:
-    model = cart(k=ph.Parameter(50.0, unit="N/m"), m=2.5)
-    converted = ph.identify(model, swings(MM, 1e-3, 1e3).in_si())
-    in_metres = ph.identify(model, swings({"q": "m", "t": "s"}))
-    assert converted.values == pytest.approx(in_metres.values, rel=1e-6)
-    assert abs(converted.values["k"] - 52) < 4 * converted.std_errors["k"]
-    assert re.search(r"noise: q 0\.[45]\d* mm", str(converted))
-
-
 # ---- study files ---------------------------------------------------------------------
 
 
