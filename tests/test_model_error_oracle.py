@@ -264,6 +264,22 @@ KINDS = (
 )
 
 
+@pytest.mark.parametrize("kind", ["white", "all"])
+def test_other_values_are_solved_for_by_the_same_factors(kind: str) -> None:
+    problem = problem_of("several runs")
+    d = cases(problem)[kind]
+    rng = np.random.default_rng(5)
+    residual = rng.normal(size=problem.n_values)
+    offset = rng.normal(size=len(problem.offset))
+    before = MarginalLikelihood(problem, d, np.arange(3)).at(d)
+    again = before.at_values(residual, offset).smoothed()
+    other = replace(problem, residual=residual, offset=offset)
+    expected = MarginalLikelihood(other, d, np.arange(3)).at(d).smoothed()
+    for name, values in vars(expected).items():
+        np.testing.assert_allclose(vars(again)[name], values, rtol=1e-6, atol=1e-9)
+    assert before.smoothed().theta != pytest.approx(again.theta)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_evidence_is_that_of_dense_restricted_likelihood(name, kind) -> None:
@@ -381,6 +397,40 @@ def test_a_trajectory_says_what_it_says_by_itself() -> None:
         np.testing.assert_allclose(part.information, expected.information, rtol=1e-8)
         np.testing.assert_allclose(part.gradient, expected.gradient, rtol=1e-8)
         assert part.constant == pytest.approx(expected.constant, rel=1e-9)
+
+
+def held_between_samples(fine: Linearization, force: Process, n: int) -> np.ndarray:
+    """What a force shows that is held from sample to sample, (n_values, n_values)."""
+    grid = fine.grid
+    dense = Dense.of(fine, NONE)
+    gap = np.cumsum(grid.sample)[grid.begin] - 1
+    _, gap = np.unique(gap, return_inverse=True)
+    to_steps = np.eye(n)[gap]
+    slopes = dense.force_slopes(force.place) @ to_steps
+    samples = grid.t[grid.sample]
+    same = np.diff(grid.trajectory[grid.sample]) == 0
+    middles = ((samples[1:] + samples[:-1]) / 2)[same]
+    runs = grid.trajectory[grid.sample][1:][same]
+    covariance: np.ndarray = slopes @ kernel(force, middles, runs) @ slopes.T
+    return covariance
+
+
+def test_one_interval_between_samples_is_the_same_record_with_a_force_held() -> None:
+    fine = problem_of("several runs, all steps")
+    coarse = problem_of("several runs")
+    assert fine.grid.n_intervals == 2 * coarse.grid.n_intervals
+    of_fine = Dense.of(fine, np.arange(3))
+    of_coarse = Dense.of(coarse, np.arange(3))
+    np.testing.assert_allclose(of_coarse.of_start, of_fine.of_start, atol=1e-10)
+    np.testing.assert_allclose(of_coarse.of_theta, of_fine.of_theta, atol=1e-10)
+    np.testing.assert_allclose(of_coarse.y, of_fine.y, atol=1e-10)
+    for force in (Process(1, 0.4, 0.7), Process(0, 0.05, 2.0)):
+        slopes = of_coarse.force_slopes(force.place)
+        grid = coarse.grid
+        middles = (grid.t[grid.begin] + grid.t[grid.begin + 1]) / 2
+        found = slopes @ kernel(force, middles, coarse.grid.runs) @ slopes.T
+        expected = held_between_samples(fine, force, grid.n_intervals)
+        np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
 # --- Slopes of the evidence, against differences of the dense one

@@ -218,6 +218,21 @@ def test_the_same_bits_come_out_twice() -> None:
     np.testing.assert_array_equal(one.states, other.states)
 
 
+def test_no_force_is_needed_where_nothing_is_missing() -> None:
+    data = measured("0.1")
+    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
+    record = record_of("0.1")
+    alone = record.without_force([ph.compare(fit, data)])
+    assert alone.force_share(1) == 0
+    gain = record.base.log_evidence - alone.log_evidence
+    assert gain < DECISIVE_EVIDENCE
+    lossy = measured(LOSSES["quadratic drag"])
+    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), lossy)
+    record = record_of(LOSSES["quadratic drag"])
+    alone = record.without_force([ph.compare(fit, lossy)])
+    assert record.base.log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
+
+
 # --- an effect with a memory
 
 
@@ -291,6 +306,18 @@ def test_traces_are_the_slopes_of_the_residuals(name: str, equation: str) -> Non
         left.append(replace(base, likelihood=likelihood).residual)
     slopes = (left[1] - left[0]) / (2 * step)
     np.testing.assert_allclose(slopes, trace, atol=1e-5 * np.abs(trace).max())
+
+
+def test_screening_expects_the_coefficient_that_is_weighed() -> None:
+    record = record_of(LOSSES["quadratic drag"])
+    expected = screened(record, "quadratic drag")
+    found = record.weighed(expected.model, expected.values)
+    place = found.names.index("quadratic_drag_p")
+    error = np.sqrt(found.covariance[place, place])
+    assert abs(expected.coefficient - found.theta[place]) < 2 * error
+    # It is expected beside the whole force, and found beside what is left of it.
+    assert expected.std_error > error
+    assert expected.gain > DECISIVE_EVIDENCE
 
 
 # --- grades, and how far a study goes
