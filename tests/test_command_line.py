@@ -431,10 +431,14 @@ def test_a_fit_is_saved_and_taken_up_again(short: Path) -> None:
     fit = ph.Fit.load(short.with_name("fit.json"))
     estimates = {row["name"]: row["value"] for row in content["parameters"]}
     assert fit.values == estimates
+    assert content["units"] == {"q": "m"}
+    assert content["noise"] == fit.noise
     _, held_out = ph.StudyFile.read(short).split()
     assert held_out is not None
     compared = run("compare", "--fit", "fit.json", "--json", at=short.parent)
-    assert json.loads(compared.stdout)["rmse"] == ph.compare(fit, held_out).rmse
+    content = json.loads(compared.stdout)
+    errors = ph.compare(fit, held_out)
+    assert (content["rmse"], content["unit"]) == (errors.rmse, "m")
     diagnosed = run(
         *("diagnose", "--fit", "fit.json", "--exit-code", "--json"), at=short.parent
     )

@@ -3,7 +3,7 @@
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.catalogue import effect_named, inertia_words
 from phsi_opt.model.parameter_units import parameter_units, state_units
 from phsi_opt.presentation.units import (
     coefficient_unit,
@@ -16,6 +16,9 @@ LENGTHS = {"t": "s", "q": "m", "p": "kg m/s", "u": "N"}
 ANGLES = {"t": "s", "q": "rad", "p": "kg m^2/s"}
 HOUSE = {"t": "h", "T": "degC", "outside": "degC", "heating": "W"}
 SPEED = {"t": "s", "w": "rad/s", "u": "V"}
+CAR = {"t": "s", "v": "m/s"}
+DRAG = ("quadratic drag", "N s^2/m^2")
+HEATED = {**HOUSE, "t": "s"}
 VOLTS = {"t": "s", "h": "V", "u": "V"}
 
 
@@ -62,6 +65,16 @@ def motor() -> ph.FirstOrder:
     return ph.FirstOrder(states=["w"], F={"w": rate}, inputs=["u"])
 
 
+def car(rate: str, **mass: ph.Parameter) -> ph.FirstOrder:
+    force = ph.Parameter(200.0, lower=0, unit="N")
+    return ph.FirstOrder(states=["v"], F={"v": ph.formula(rate, F=force, **mass)})
+
+
+def chamber(unit: str) -> ph.FirstOrder:
+    rate = ph.formula("heating/C", C=ph.Parameter(5e4, unit=unit))
+    return ph.FirstOrder(states=["T"], F={"T": rate}, inputs=["outside", "heating"])
+
+
 def tank() -> ph.FirstOrder:
     rate = ph.formula("a*u", **free("a"))
     return ph.FirstOrder(states=["h"], F={"h": rate}, inputs=["u"], kind="hydraulic")
@@ -98,9 +111,16 @@ def test_a_measured_force_tells_the_unit_of_a_momentum_that_nobody_measures() ->
     (pendulum(), ANGLES, "quadratic drag", "N m s^2/rad^2"),
     (house(), HOUSE, "harmonic heat input", "degC/h"),
     (house(), HOUSE, "quadratic heat loss", "1/(degC h)"),
-    # Torque constants in N m/A lose the radian; the speed's own terms keep it.
-    (motor(), SPEED, "coulomb friction", "rad/s^2"),
+    # A mass or capacity that divides forces makes the sizes of effects forces.
+    (motor(), SPEED, "coulomb friction", "N m"),
+    (motor(), SPEED, "quadratic input", "N m/V^2"),
     (motor(), SPEED, "sensor offset", "rad/s"),
+    (car("-F/m", m=ph.Parameter(1420.0, fixed=True, unit="kg")), CAR, *DRAG),
+    (car("-F/1420"), CAR, *DRAG),
+    (car("-F/(2*m)", m=ph.Parameter(1420.0, fixed=True, unit="kg")), CAR, *DRAG),
+    (chamber("J/K"), HEATED, "heat exchange with outside", "W/K"),
+    (chamber(""), HEATED, "constant heat input", "W"),
+    (chamber("J/K"), HEATED, "quadratic input of heating", "1/W"),
     (tank(), VOLTS, "turbulent leak", "V^0.5/s"),
     (tank(), VOLTS, "constant inflow", "V/s"),
 ])  # fmt: skip
@@ -108,8 +128,23 @@ def test_sizes_of_effects_have_the_unit_that_their_equation_gives(
     model: ph.Model, units: dict[str, str], name: str, expected: str
 ) -> None:
     equation = model.states[-1]
-    effect = effect_named(model, name, equation)
+    effect = effect_named(model, name, equation, units)
     assert size_unit(model, effect, units) == expected
+
+
+def test_a_size_without_an_inertia_is_told_per_unit_of_it() -> None:
+    slow = ph.FirstOrder(["w"], {"w": "(K*u - w)/T"}, inputs=["u"])
+
+    def per(model: ph.Model, units: dict[str, str], name: str) -> str:
+        effect = effect_named(model, name, model.states[-1], units)
+        return inertia_words(model.add(effect), effect, units)
+
+    assert per(slow, SPEED, "coulomb friction") == " (per unit of inertia)"
+    assert per(house(), HOUSE, "heat loss") == " (per unit of heat capacity)"
+    assert per(slow, SPEED, "input dead zone") == ""
+    assert per(slow, SPEED, "sensor offset") == ""
+    assert per(motor(), SPEED, "coulomb friction") == ""
+    assert per(spring(), LENGTHS, "coulomb friction") == ""
 
 
 def test_millimetres_are_no_metres_and_keep_their_name() -> None:

@@ -21,7 +21,15 @@ from phsi_opt.presentation.content import ErrorStep
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import CSV, TIMES, simulated, table
 
-HISTORY = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"]
+HISTORY = [
+    "step",
+    "effect",
+    "train_rmse",
+    "held_out_rmse",
+    "noise_floor",
+    "unit",
+    "bic",
+]
 CANDIDATES = [
     *("effect", "slot", "equation", "coefficient", "std_error", "unit", "log_bayes"),
     *("log_predictive", "probability", "grade", "force_left", "share", "train_rmse"),

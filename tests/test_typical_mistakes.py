@@ -97,6 +97,8 @@ MISTAKES: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "no sign": (lambda: energy("2q"), ["'2q'", "2*q"]),
     "comma in a formula": (lambda: energy("0,5*k*q**2"), ["'0,5*k*q**2'", "0.5"]),
     "no mass": (lambda: ph.identify(energy(f"{ENERGY}/m", k=K, m=0.0), measured()), ["in H", "m = 0", "change"]),
+    "negative mass": (lambda: ph.identify(energy("p**2/(2*m)", m=-2.5), measured()), ["m=-2.5", "positive", "sign"]),
+    "a gain as a loss": (lambda: ph.identify(spring(R={"p": "-c"}), measured()), ["R_p: '-c'", "dH/dx", "remove the sign"]),
     "missing input": (lambda: ph.identify(spring(inputs=["u"], F={"p": ph.formula("u")}), measured()), ["'u'", "inputs={'u': column}"]),
     # ---- study files
     "no quotes": (lambda: study('H = "k*q**2/2 + p**2/(2*m)"', "H = k*q"), ["line 22", "H = k*q", "in quotes"]),
@@ -109,6 +111,8 @@ MISTAKES: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "share": (lambda: study("share = 0.4", "share = 40"), ["held_out.share = 40", "0 and 1"]),
     "effect": (lambda: study("added = []", 'added = ["coulomb friction on q"]'), ["study.added", "on q", "act on p"]),
     "mass": (lambda: study("m = 2.5", "m = 0"), ["in H", "m = 0", "change"]),
+    "mass below zero": (lambda: study("m = 2.5", "m = -2.5"), ["parameters.m = -2.5", "positive", "sign"]),
+    "loss below zero": (lambda: study('p = "c"', 'p = "-c"'), ["model.R.p", "'-c'", "remove the sign"]),
     # ---- the command line
     "no study": (lambda: command("check", "gone.toml"), ["gone.toml", "phsi-opt init"]),
     "no table": (lambda: command("init", "gone.csv"), ["gone.csv", "check the path"]),

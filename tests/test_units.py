@@ -288,6 +288,7 @@ def test_a_study_in_mm_and_ms_finds_the_stiffness_and_tells_mm_and_ms(tmp_path) 
     assert study.fit.values["k"] == pytest.approx(1000 * row["value"])
     assert study.unit == "mm"
     assert 0.4 < study.history["train_rmse"][0] < 0.6
+    assert list(study.history["unit"]) == ["mm"]
     content = study.content()
     assert content.time.unit == "ms"
     channel = content.runs[0].channels[0]

@@ -194,6 +194,7 @@ def test_the_frequency_of_a_hidden_wave_is_found_in_even_and_uneven_samples(
 def test_a_force_is_sure_where_one_is_missing_and_not_where_none_is(cases) -> None:
     for name, found in cases.items():
         row = found.where.iloc[0]
+        assert row["unit"] == found.forces[0].scale.unit
         assert row["times_noise"] > 1 or name == "nothing"
         typical = float(np.median(found.record.estimate.posterior.deviation))
         # The sizes of force and noise have settled within 2 % per update, and both

@@ -26,6 +26,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.presentation.sentences import lines
+from phsi_opt.presentation.units import scale_of
 from phsi_opt.study import Study
 from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.study_file.study_file import StudyFile
@@ -131,10 +132,12 @@ class _Keeper:
 
 def _fit_answer(fit: Fit) -> Answer:
     text = "\n".join([str(fit), "", *fit.equations()])
+    scales = {name: scale_of(fit.units.get(name, "")) for name in fit.noise}
     content = {
         "equations": fit.equations(),
         "parameters": fit.parameters,
-        "noise": fit.noise,
+        "noise": {name: sd / scales[name].size for name, sd in fit.noise.items()},
+        "units": {name: scale.unit for name, scale in scales.items()},
         "bic": fit.bic,
         "success": fit.outcome.success,
         "outcome": str(fit.outcome),
@@ -148,6 +151,7 @@ def _compare_answer(comparison: Comparison) -> Answer:
     content = {
         "rmse": comparison.rmse,
         "noise_floor": comparison.noise_floor,
+        "unit": comparison.error_unit,
         "n_samples": comparison.data.n_samples,
         "states": comparison.table,
         "warning": comparison.warning,

@@ -43,13 +43,7 @@ Show = Callable[[str | None], None]
 
 
 def finish(answer: Answer, as_json: bool, **further: Any) -> NoReturn:
-    """Say an answer and end with its exit code.
-
-    Args:
-        answer: what there is to say.
-        as_json: whether standard output is for a program.
-        **further: more for JSON.
-    """
+    """Say an answer and end with its exit code."""
     is_done = answer.code in (ExitCode.DONE, ExitCode.MISSING)
     if as_json:
         content = {"exit_code": int(answer.code), **answer.content, **further}
@@ -168,10 +162,7 @@ def supervise(job: Job) -> tuple[Answer | None, Finished | None, float]:
 
 @contextlib.contextmanager
 def _shown(forecast: Forecast) -> Iterator[Show]:
-    """Shows lines with the time that is left, None: the last one again.
-
-    On standard error: a line that changes in a terminal, plain lines elsewhere.
-    """
+    """Shows lines with the time that is left, None: the last one again."""
     last = "starting"
     terminal = _terminal_line() if sys.stderr.isatty() else contextlib.nullcontext()
     with terminal as update:

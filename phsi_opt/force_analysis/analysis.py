@@ -26,7 +26,7 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.localization import StrongRange, strong_region
 from phsi_opt.force_analysis.waves import period_of
-from phsi_opt.model.kinds import TURN, plain_unit
+from phsi_opt.model.kinds import turn_of
 from phsi_opt.model.structure import (
     exchange_partners,
     kind_of,
@@ -37,7 +37,7 @@ from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.units import spaced, time_words
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, rms
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,7 +88,7 @@ class ForceAnalysis:
 
     @property
     def _strongest_first(self) -> list[EquationForce]:
-        return sorted(self.forces, key=lambda force: -force.where["strength"])
+        return sorted(self.forces, key=lambda force: -rms(force.w))
 
     @cached_property
     def where(self) -> "pd.DataFrame":
@@ -97,8 +97,8 @@ class ForceAnalysis:
         A row per equation that may lack one: equation; trajectory (its name) and
         time_window where it is strongest; state_region where it is strong; frequency
         (cycles per unit of time; 0 for a force that is mostly constant); strength
-        (rms); times_noise (strength over the typical standard deviation of the
-        estimate: below 1 it is not sure).
+        (rms) and its unit; times_noise (strength over the typical standard deviation of
+        the estimate: below 1 it is not sure).
         """
         return printed_table([force.where for force in self._strongest_first])
 
@@ -145,8 +145,7 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "units": defaultdict(str, force.record.units),
         "rate": f"d{force.equation}/dt",
         "partners": exchange_partners(model, force.equation),
-        "turns": defaultdict(float, TURN),
-        "plain_unit": plain_unit,
+        "turn_of": turn_of,
         "vibration": VIBRATION_WORDS,
         "clear_pattern": CLEAR_PATTERN,
         "mostly": MOST_OF_IT,
@@ -199,10 +198,7 @@ def dependence_title(force: EquationForce, variable: str) -> str:
 
 
 def _loss_of(force: EquationForce) -> str:
-    """Whether the force opposes the effort, or changes or overcomes the model's loss.
-
-    Nothing is said of a model that has no energy.
-    """
+    """Whether the force opposes the effort, or changes or overcomes the loss."""
     if not force.record.model.has_energy:
         return ""
     functions = odd_basis(force.effort)

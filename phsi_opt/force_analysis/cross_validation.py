@@ -122,10 +122,7 @@ def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarra
 
 
 def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Number of the value at which an input (n_intervals,) is held, (n_intervals,).
-
-    What changes from interval to interval belongs to the value before.
-    """
+    """Number of the value at which an input (n_intervals,) is held, (n_intervals,)."""
     is_new_run = np.r_[True, np.diff(run) != 0]
     changes = is_new_run | np.r_[True, np.diff(u) != 0]
     stays = np.r_[~changes[1:], True]

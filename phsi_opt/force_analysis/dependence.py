@@ -259,10 +259,7 @@ def causes_of(force: Force, wave: PositionWave | None = None) -> Causes:
 
 
 def _bases(force: Force, wave: PositionWave | None) -> dict[str, np.ndarray]:
-    """Functions (n_intervals, k) by cause, as the estimate would show them.
-
-    Those of the time are not among them: their frequency differs from fold to fold.
-    """
+    """Functions (n_intervals, k) by cause, as the estimate would show them."""
     model = force.record.model
     functions = {
         "constant": np.ones((len(force.w), 1)),
@@ -310,10 +307,7 @@ def _shares_beside(
 
 
 def _strongest(shares: Mapping[str, float], least: float) -> str | None:
-    """The cause of the largest share, the first of those that are as good.
-
-    None where no share is above ``least``.
-    """
+    """The cause of the largest share, the first of those that are as good."""
     best = max(shares.values(), default=0.0)
     for cause, share in shares.items():
         if share > least and share >= best - TIED_CAUSES / 2:

@@ -54,7 +54,8 @@ class EquationForce(Force):
             "time_window": self.window.words(scale_of(self.record.units.get("t", ""))),
             "state_region": region_words(self.region) or EVERYWHERE,
             "frequency": self.pace.frequency,
-            "strength": rms(self.w),
+            "strength": rms(self.w) / self.scale.size,
+            "unit": self.scale.unit,
             "times_noise": self.record.estimate.posterior.times_noise[self.number],
         }
 

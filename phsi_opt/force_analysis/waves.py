@@ -107,10 +107,7 @@ def _power(z: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
 def _refined(
     z: np.ndarray, y: np.ndarray, tried: np.ndarray, widths: Sequence[float]
 ) -> float:
-    """Frequency of the wave of y along z that fits best.
-
-    The best of those tried, then the best of its neighbourhood, in ever smaller widths.
-    """
+    """Frequency of the wave of y along z that fits best."""
     for width in widths:
         tried = _near(tried[[np.argmax(_power(z, y, tried))]], width)
     return float(tried[np.argmax(_power(z, y, tried))])

@@ -71,8 +71,9 @@ class BaseModel:
             self.index(name, "memory")
         self._set("kind", checked_kinds(self.kind, self.states, self.memory))
         self.variables.check_parameters(self.entries)
+        shared = self.names_in_formulas
         for placed in self.placed():
-            self.variables.check_term(placed)
+            self.variables.check_term(placed, shared)
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)  # the record is frozen for all others

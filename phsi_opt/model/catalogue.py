@@ -8,7 +8,7 @@ is left out.
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from itertools import combinations, permutations, product
+from itertools import chain, combinations, permutations, product
 from typing import Any
 
 import numpy as np
@@ -17,15 +17,8 @@ from phsi_opt.arguments import require
 from phsi_opt.errors import ModelError, did_you_mean, shown, some_of
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, EffectList, is_scanned
-from phsi_opt.model.expressions import names_of
-from phsi_opt.model.kinds import (
-    KINDS,
-    LENGTHS,
-    RADIANS,
-    TEMPERATURES,
-    ZEROS,
-    plain_unit,
-)
+from phsi_opt.model.expressions import divisors, names_of
+from phsi_opt.model.kinds import KINDS, RADIANS, ZEROS
 from phsi_opt.model.laws import (
     ENERGIES,
     FORCES,
@@ -38,6 +31,8 @@ from phsi_opt.model.laws import (
     Law,
     said_of,
 )
+from phsi_opt.model.parameter_units import drive_of, parameter_units, state_units
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.structure import (
     WORDS,
@@ -51,6 +46,8 @@ from phsi_opt.model.structure import (
     with_kinds_of_units,
 )
 from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
+from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.units import are_alike
 
 
 def catalogue(
@@ -67,7 +64,7 @@ def catalogue(
     Args:
         model: the model.
         units: of its states, as `Measurements.units`; they determine kinds that the
-            model does not give.
+            model does not give, and which mass or capacity divides effects.
         called: only the effects of this name, or of this other name, such as "air drag"
             for quadratic drag; default: all.
 
@@ -89,13 +86,22 @@ def effects_told(
     require(isinstance(model, BaseModel), "model", model, "a model")
     units = units or {}
     known = with_kinds_of_units(model, units)
+    inertias = dict.fromkeys(model.states, "")
+    if not model.has_energy:
+        for x in model.states:
+            inertias[x] = inertia_of(model, x, units)
     for laws, names in _places(known, units):
+        names = {**names, "inertia": inertias[names["x"]]}
         role = role_of(known, names["x"])
         for law in laws:
             is_of_role = not law.roles or role in law.roles
             effect = law.effect(known, names) if is_of_role else None
             if effect is not None and not is_redundant(known, effect):
-                yield effect, said_of(effect.name)[0].format_map(names)
+                adds = said_of(effect.name)[0].format_map(names)
+                over_inertia = f"/{names['inertia']}"
+                if effect.term.terms[-1].body.endswith(over_inertia):
+                    adds = (f"({adds})" if " + " in adds else adds) + over_inertia
+                yield effect, adds
 
 
 def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
@@ -122,22 +128,7 @@ def effect_named(
     equation: str | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Effect:
-    """The catalogue's effect of that name.
-
-    The names of all kinds are known: what a model of tanks calls a linear leak may be
-    added as viscous damping. So are other names, such as air drag.
-
-    Args:
-        model: the model to which it could be added.
-        name: such as ``"coulomb friction"``, or ``"coulomb friction on p"``.
-        equation: the state in whose equation it acts; not needed where the effect
-            applies to one equation only.
-        units: of the states, as in `catalogue`.
-
-    Raises:
-        ModelError: no effect of that name applies there, or it applies to several
-            equations and none is given, or several effects are called so.
-    """
+    """The catalogue's effect of that name."""
     before, _, place = name.rpartition(" on ")
     if equation is None and before and place in model.states:
         name, equation = before, place
@@ -202,6 +193,34 @@ def _hint(name: str, effects: Sequence[Effect]) -> str:
     return f" Did you mean {quoted}?" if alike else did_you_mean(name, names)
 
 
+def inertia_of(model: BaseModel, x: str, units: Mapping[str, str]) -> str:
+    """What the equation of x divides forces by, such as its mass; "": it tells none."""
+    drive = drive_of(state_units(model, units)[x])
+    texts = [divisors(term.body) for term in model.terms_at("F", x)]
+    shared = set(model.names_in_formulas)
+    for divisor in dict.fromkeys(chain.from_iterable(texts)) if drive else ():
+        if names_of(divisor) <= shared:  # no state, no input
+            inertia = f"({divisor})" if " " in divisor else divisor
+            force = Dictionary((Term(f"1/{inertia}", Parameter(), name="force"),))
+            pushed = model.add(Effect("force", "F", x, force))
+            if parameter_units(pushed, units)["force"] == drive:
+                return inertia
+    return ""
+
+
+def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) -> str:
+    """Such as " (per unit of inertia)", where the size is no force but a rate."""
+    x = effect.equation
+    term = effect.term.terms[-1]
+    is_rate = effect.slot in "RF" and term.coefficient is not None
+    if model.has_energy or not is_rate or names_of(term.body) & set(model.slopes):
+        return ""
+    known = with_kinds_of_units(model, units)
+    if not drive_of(state_units(known, units)[x]) or inertia_of(known, x, units):
+        return ""
+    return f" (per unit of {WORDS[role_of(known, x)][-1]})"
+
+
 def _places(
     model: BaseModel, units: Mapping[str, str]
 ) -> Iterator[tuple[tuple[Law, ...], dict[str, str]]]:
@@ -218,8 +237,8 @@ def _places(
         if role_of(model, source) is Role.HEAT:
             yield HEAT_EXCHANGES, _names_of_source(model, source, x)
     for source, x in product(model.inputs, model.states):
-        unit = plain_unit(units.get(source, ""))
-        if not unit or unit in TEMPERATURES:
+        unit = units.get(source, "")
+        if not unit or are_alike(unit, "K"):
             yield HEAT_EXCHANGES, _names_of_source(model, source, x)
     for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
         # Without an energy the masses of the two may be anything.
@@ -232,7 +251,7 @@ def _places(
 
 def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]:
     """The names of the laws in the equation of x, see ``laws``."""
-    source, grows_with = WORDS[role_of(model, x)]
+    source, grows_with, _ = WORDS[role_of(model, x)]
     article = "an" if source[0] in "aeiou" else "a"
     e = effort_of(model, x)
     omega = "omega"  # of a wave, that is not taken
@@ -248,7 +267,7 @@ def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]
         "a_source": f"{article} {source}",
         "grows_with": grows_with,
     }
-    zero = ZEROS.get(plain_unit(units.get(x, "")), 0.0)
+    zero = ZEROS.get(units.get(x, ""), 0.0)
     if not zero:
         names["radiation"] = f"abs({e})**3"
     elif not model.has_energy:  # else the effort is not in the unit of the state
@@ -258,8 +277,8 @@ def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]
     position = position_of_momentum(model).get(x)
     if position is not None:
         names["q"] = position
-        unit = plain_unit(units.get(position, ""))
-        if unit not in LENGTHS:
+        unit = units.get(position, "")
+        if not are_alike(unit, "m"):
             names["angle"] = RADIANS.get(unit, "{q}").format(q=position)
     return names
 

@@ -263,6 +263,26 @@ def _names_below(tree: ast.AST) -> set[str]:
     return found - set(CONSTANTS)
 
 
+def divisors(text: str) -> list[str]:
+    """What a formula divides by, each before its factors; of c/(2*m) it is m."""
+    found: list[ast.expr] = []
+    for node in ast.walk(parse(text)):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
+            found += _factors(node.right)
+    return list(map(ast.unparse, found))
+
+
+def _factors(node: ast.expr) -> list[ast.expr]:
+    match node:
+        case ast.BinOp(op=ast.Mult(), left=left, right=right):
+            factors = _factors(left) + _factors(right)
+            is_multiple = any(isinstance(one, ast.Constant) for one in factors)
+            return factors if is_multiple else [node, *factors]
+        case ast.BinOp(op=ast.Pow(), left=base):
+            return [node, *_factors(base)]
+    return [node]
+
+
 def is_linear(text: str, names: Sequence[str]) -> bool:
     """Whether a formula is linear in these names, all others being numbers."""
     symbols = {name: ca.SX.sym(name) for name in names_of(text)}

@@ -12,6 +12,7 @@ from typing import Any
 
 from phsi_opt.arguments import require_known
 from phsi_opt.errors import ModelError
+from phsi_opt.presentation.units import RADIAN, are_alike, measure_of
 
 MECHANICAL = "mechanical"
 HYDRAULIC = "hydraulic"
@@ -19,33 +20,18 @@ ELECTRICAL = "electrical"
 THERMAL = "thermal"
 KINDS = (MECHANICAL, HYDRAULIC, ELECTRICAL, THERMAL)
 
-PREFIXES = ("", *"nuµmcdkMG")
-LENGTHS = frozenset(f"{prefix}m" for prefix in PREFIXES)
+# The kinds of quantities in units such as these; J is heat, and N m a torque.
+OF_DIMENSIONS = {
+    MECHANICAL: ("m", "rad", "m/s", "rad/s", "N", "N*m", "N*s", "N*m*s"),
+    HYDRAULIC: ("Pa", "m^3", "m^3/s"),
+    ELECTRICAL: ("A", "C", "A*s", "Wb"),
+    THERMAL: ("K",),
+}
 # Angles by their unit as radians.
 RADIANS = {"rad": "{q}", "mrad": "{q}/1000", "rev": "2*pi*{q}"}
 RADIANS |= dict.fromkeys(("deg", "°"), "pi*{q}/180")
-# A whole turn in these units.
-TURN = {"rad": 2 * pi, "mrad": 2000 * pi, "rev": 1.0, "deg": 360.0, "°": 360.0}
-VOLTS = frozenset(f"{prefix}V" for prefix in PREFIXES)
-# Units that take a prefix, and those that do not; spaces and signs of products are left
-# out, and powers written m3.
-WITH_PREFIX = {
-    MECHANICAL: "rad m/s rad/s N Nm Ns Nms",
-    HYDRAULIC: "Pa bar L l L/s l/s L/min l/min",
-    ELECTRICAL: "A C Wb Ah",
-    THERMAL: "K J",
-}
-WITHOUT_PREFIX = {
-    MECHANICAL: "deg ° rev deg/s °/s rev/s rpm m/min km/h kgm/s kgm2/s gm/s",
-    HYDRAULIC: "m3 m3/s m3/h cm3 dm3 mm3 cm3/s psi mH2O",
-    ELECTRICAL: "Vs",
-    THERMAL: "degC °C degF °F kWh Wh",
-}
-# Temperatures that count from elsewhere than absolute zero.
-# Their zero on the absolute scale of the same degrees.
+# The zero of temperatures that count from elsewhere, in degrees of their own.
 ZEROS = {"degC": 273.15, "°C": 273.15, "degF": 459.67, "°F": 459.67}
-TEMPERATURES = frozenset({*ZEROS, "K"})
-PLAIN_SIGNS = str.maketrans("²³", "23", "^*· ")
 
 
 def checked_kinds(
@@ -83,20 +69,15 @@ def kind_of_unit(unit: str) -> str:
 
     A length is a body's position; that of a tank's level is for the model to say.
     """
-    written = plain_unit(unit)
-    if written in LENGTHS:
-        return MECHANICAL
-    for kind in KINDS:
-        if written in WITHOUT_PREFIX[kind].split():
-            return kind
-    for kind in KINDS:
-        units = WITH_PREFIX[kind].split()
+    for kind, units in OF_DIMENSIONS.items():
         for one in units:
-            if written.endswith(one) and written.removesuffix(one) in PREFIXES:
-                return kind
+            if are_alike(unit, one):
+                is_heat = one == "N*m" and "N" not in unit
+                return THERMAL if is_heat else kind
     return ""
 
 
-def plain_unit(unit: str) -> str:
-    """The unit without spaces, signs of products and raised digits: m³ is m3."""
-    return unit.translate(PLAIN_SIGNS)
+def turn_of(unit: str) -> float:
+    """A whole turn in a unit of angles; 0 for others."""
+    measure = measure_of(unit) if are_alike(unit, RADIAN) else None
+    return 2 * pi / measure.size if measure else 0.0

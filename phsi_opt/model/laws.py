@@ -7,6 +7,8 @@ The texts of a row contain names in braces, which the ``catalogue`` fills in:
 - ``{q}`` the position of a momentum, ``{angle}`` the same in radians;
 - ``{u}`` an input, ``{slope}`` the slope of the model's own force in it, ``{new}`` an
   input that the equation does not use yet, ``{of_u}`` its name where there are several;
+- ``{inertia}`` what the equation divides a force by, such as a mass, "" where the model
+  tells none; a model without an energy has it. What a law adds is divided by it, too;
 - ``{s}`` another storage or input, ``{s_e}`` its effort; ``{level}`` what flows over;
 - ``{q1}``, ``{q2}`` two positions;
 - ``{source}``, ``{a_source}``, ``{grows_with}``, ``{input_size}`` words of the field.
@@ -29,6 +31,7 @@ import numpy as np
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.expressions import needs_brackets
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.structure import Role
 from phsi_opt.model.terms import Dictionary, Term
@@ -275,6 +278,8 @@ class Law:
         if slot == "H" and not model.has_energy:
             slot = "F"
             terms = dict.fromkeys([self.force] if self.force else [], *terms.values())
+        if slot == "sensor":
+            names["inertia"] = ""
         known = {one.body for one in model.terms_at(slot, names["x"])}
         added = [_term(*one, names) for one in terms.items()]
         added = [one for one in added if one.body not in known]
@@ -302,6 +307,8 @@ def _term(template: str, coefficient: str, names: Mapping[str, str]) -> Term:
     body = template.format_map(names)
     if coefficient == "formula":
         return Term(body, None, inner)
+    if names["inertia"] and "{slope}" not in template:
+        body = f"{f'({body})' if needs_brackets(body) else body}/{names['inertia']}"
     called, _, bound = coefficient.partition(" >= ")
     free = Parameter(lower=float(bound or -np.inf))
     return Term(body, free, inner, called.format_map(names))

@@ -183,10 +183,7 @@ def _sums_of(
     velocities: Sequence[str],
     others: Sequence[str],
 ) -> "tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]":
-    """Losses by coordinate, potentials of different parameters, forces by coordinate.
-
-    ``others`` are inputs and the time.
-    """
+    """Losses by coordinate, potentials by parameters, forces by coordinate."""
     import sympy as sp
 
     from phsi_opt.model.sympy_backend import SYMPY, n_expanded

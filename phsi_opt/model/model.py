@@ -94,7 +94,8 @@ class Model(BaseModel, Summarised):
         Args:
             effect: an `Effect`, or the name of one in the catalogue.
             equation: the state in whose equation an effect of that name acts; not
-                needed where the catalogue has it for one equation only.
+                needed where the catalogue has it for one equation only. Without the
+                units of data its size is a rate in a model without an energy.
 
         Raises:
             ModelError: the catalogue has no such effect for this model, or has it for

@@ -30,6 +30,7 @@ from phsi_opt.presentation.units import (
     powers_in_base_units,
     product,
     unit_of_rate,
+    unit_per,
 )
 
 MOMENTUM = "kg m/s"  # as people write it, not N s
@@ -44,14 +45,7 @@ Form = Mapping[str, float]
 
 
 def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
-    """The unit of every parameter, "" where it is not known.
-
-    A unit that the model states is kept.
-
-    Args:
-        model: the model.
-        units: by state, input and time, as `Measurements.units`.
-    """
+    """The unit of every parameter, "" where it is not known."""
     known = _known(units)
     found = _solved(model, known)
     time = known.get("t", "")
@@ -69,19 +63,43 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         if isinstance(guess, Scan) and guess.variable == "t":
             told[name] = f"{RADIAN}/{time}" if time else parameter.unit
         else:
-            equation = known.get(entry.equation, "")
-            rates = [unit_of_rate(one, time) for one in (equation, "1")]
-            told[name] = coefficient_unit(found[name], (equation, *rates))
+            named = named_units(entry.equation, model, known)
+            told[name] = coefficient_unit(found[name], named)
     return told
 
 
-def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
-    """The unit of every state: as given, or as the equations ask for; "" if unknown.
+# In what a state is driven, by the powers of its unit without angles.
+DRIVES = {"m/s": "N", "1/s": "N m", "K": "W", "Pa": "m^3/s", "m": "m^3/s"}
+DRIVES |= {"A": "V", "V": "A"}
+HEATS = ("W", "W/K", "J/K", "W/K^2", "W/K^4")
 
-    Args:
-        model: the model.
-        units: by state, input and time, as `Measurements.units`.
-    """
+
+def drive_of(unit: str) -> str:
+    """The unit of what drives a state of a unit, such as N of m/s; "": not known."""
+    powers = {**(powers_in_base_units(unit) or {}), RADIAN: 0.0}
+    for of, drive in DRIVES.items():
+        if {**(powers_in_base_units(of) or {}), RADIAN: 0.0} == powers:
+            return drive
+    return ""
+
+
+def named_units(
+    equation: str, model: BaseModel, units: Mapping[str, str]
+) -> Sequence[str]:
+    """Of the state, its rate, and what drives it, also per unit of the inputs."""
+    state, time = units.get(equation, ""), units.get("t", "")
+    drive = drive_of(state)
+    rates = [unit_of_rate(one, time) for one in (state, "1")]
+    per_input = [unit_per(drive, time, 1)] if drive and time else []
+    for u in filter(None, map(units.get, model.inputs)):
+        for above in filter(None, (drive, rates[0], state)):
+            per_input += [unit_per(above, u, 1), unit_per(above, u, 2)]
+    heats = HEATS if drive == "W" else ()
+    return (state, *rates, *heats, *per_input)
+
+
+def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
+    """The unit of every state: as given, or as the equations ask for; "" if unknown."""
     known = _known(units)
     found = _solved(model, known)
     told = {}
@@ -190,6 +208,8 @@ class Equations:
         place = place_of(slot, equation)
         rate = _quotient(equation, "t")
         names = self._variables(rate)
+        for shared in self._model.names_in_formulas:
+            names[shared] = {place_of_parameter(shared): 1.0}
         for inner in term.inner:
             names[inner] = {place_of_parameter(term.inner_name(inner, place)): 1.0}
         quantities = {name: _Quantity(self, form) for name, form in names.items()}
@@ -221,7 +241,10 @@ class Equations:
 
     def _number(self, number: float) -> "_Quantity":
         is_simple = float(4 * number).is_integer() and 0 < number <= LARGEST_PURE_NUMBER
-        form = {} if is_simple else self.unknown()
+        form: Form = {} if is_simple else self.unknown()
+        if form and self._placed is not None and not self.may_hide:
+            # What stands twice in an equation, such as a mass, is the same twice.
+            form = {f"number {number} of {self._placed.equation}": 1.0}
         if self._placed is not None:
             self.numbers |= dict.fromkeys(form, (number, self._placed))
         return _Quantity(self, form, number)
@@ -273,10 +296,7 @@ class Equations:
 
 @dataclass(frozen=True)
 class _Quantity:
-    """A part of a formula by its dimension; what is added to it must be alike.
-
-    ``value`` is that of a number, also of a quotient of two, such as -1/4.
-    """
+    """A part of a formula by its dimension; what is added to it must be alike."""
 
     equations: Equations
     form: Form

@@ -148,13 +148,13 @@ class Variables:
                 "or a derivative such as dH_dq; rename it."
             )
 
-    def check_term(self, placed: PlacedTerm) -> None:
-        """Check that a term uses only its parameters and the variables of its slot.
+    def check_term(self, placed: PlacedTerm, shared: Sequence[str]) -> None:
+        """Check that a term uses only parameters and the variables of its slot.
 
         Raises:
             ModelError: it uses another name.
         """
-        allowed = self.of_slot(placed.slot) | set(placed.term.inner)
+        allowed = self.of_slot(placed.slot).union(placed.term.inner, shared)
         unknown = names_of(placed.term.body) - allowed
         if not unknown:
             return

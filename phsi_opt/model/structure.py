@@ -25,13 +25,11 @@ from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.kinds import (
     ELECTRICAL,
     HYDRAULIC,
-    LENGTHS,
     MECHANICAL,
     THERMAL,
-    VOLTS,
     kind_of_unit,
-    plain_unit,
 )
+from phsi_opt.presentation.units import are_alike
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 MOST_POSITIONS = 1000  # a structure matrix of 4 million numbers
@@ -107,10 +105,7 @@ def _momentum(model: BaseModel, S: np.ndarray, position: str) -> str:
 
 
 def _velocity(model: BaseModel, position: str) -> str:
-    """The v of an equation dx/dt = c v with c > 0; "" for any other.
-
-    Where c is not known, both must be told to be of a kind: i and u in du/dt = i/C.
-    """
+    """The v of an equation dx/dt = c v with c > 0; "" for any other."""
     terms = model.terms_at("F", position).terms
     if len(terms) != 1 or model.terms_at("R", position):
         return ""
@@ -167,10 +162,6 @@ def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     length, a volume, a flow or a pressure. Volts are electrical only beside a state or
     an input in amperes, coulombs or webers. Both states of a pair are asked: where
     their units are of two kinds, they are none.
-
-    Args:
-        model: the model.
-        units: by state, input and time, as in the measurements.
     """
     unpaired = unpaired_states(model)
     is_circuit = ELECTRICAL in map(kind_of_unit, units.values())
@@ -178,9 +169,9 @@ def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     for name in unpaired:
         unit = units.get(name, "")
         kind = kind_of_unit(unit)
-        if plain_unit(unit) in LENGTHS:
+        if are_alike(unit, "m"):
             kind = _kind_of_length(unpaired, units)
-        elif plain_unit(unit) in VOLTS and is_circuit:
+        elif are_alike(unit, "V") and is_circuit:
             kind = ELECTRICAL
         if kind:
             found[name] = kind
@@ -199,7 +190,7 @@ def _kind_of_length(unpaired: tuple[str, ...], units: Mapping[str, str]) -> str:
     others = set()
     for name in unpaired:
         unit = units.get(name, "")
-        if plain_unit(unit) not in LENGTHS:
+        if not are_alike(unit, "m"):
             others.add(kind_of_unit(unit))
     if others <= {HYDRAULIC}:
         return HYDRAULIC
@@ -266,16 +257,16 @@ class Role(StrEnum):
     UNKNOWN = "a speed or a storage of an unknown kind"
 
 
-# What comes from outside, such as a force, and what a loss grows with.
+# What comes from outside, such as a force; what a loss grows with; what resists both.
 WORDS = {
-    Role.BODY: ("force", "speed"),
-    Role.PIPE: ("pressure", "the flow"),
-    Role.TANK: ("inflow", "the level"),
-    Role.COIL: ("voltage", "the current"),
-    Role.CAPACITOR: ("current", "the voltage"),
-    Role.CIRCUIT: ("source", "the current or voltage"),
-    Role.HEAT: ("heat input", "the temperature"),
-    Role.UNKNOWN: ("force", "the speed or level"),
+    Role.BODY: ("force", "speed", "inertia"),
+    Role.PIPE: ("pressure", "the flow", "inertia"),
+    Role.TANK: ("inflow", "the level", "capacity"),
+    Role.COIL: ("voltage", "the current", "inductance"),
+    Role.CAPACITOR: ("current", "the voltage", "capacitance"),
+    Role.CIRCUIT: ("source", "the current or voltage", "inductance or capacitance"),
+    Role.HEAT: ("heat input", "the temperature", "heat capacity"),
+    Role.UNKNOWN: ("force", "the speed or level", "inertia or capacity"),
 }
 OF_MOMENTA = {MECHANICAL: Role.BODY, HYDRAULIC: Role.PIPE, ELECTRICAL: Role.COIL}
 OF_OTHERS = {

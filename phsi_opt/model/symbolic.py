@@ -120,7 +120,7 @@ class Expressions:
         slot, equation, term = placed
         place = place_of(slot, equation)
         inner = {name: self.values[term.inner_name(name, place)] for name in term.inner}
-        body = evaluate(term.body, {**known, **inner}, self.backend)
+        body = evaluate(term.body, {**self.values, **known, **inner}, self.backend)
         if term.is_formula:
             return body
         return self.values[term.coefficient_name(place)] * body
@@ -251,12 +251,7 @@ def model_summary(model: BaseModel) -> Summary:
 def dictionary_rows(
     model: BaseModel, written: Callable[[Term, str, int], str]
 ) -> list[str]:
-    """Every dictionary of the model that has terms: F_p = c1*q + c2*q**3.
-
-    Args:
-        model: the model.
-        written: a term, the name of its place, its number there -> its text.
-    """
+    """Every dictionary of the model that has terms: F_p = c1*q + c2*q**3."""
     rows = []
     places = dict.fromkeys((slot, equation) for slot, equation, _ in model.placed())
     for slot, equation in places:

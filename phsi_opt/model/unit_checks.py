@@ -12,11 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import log
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.expressions import NUMPY, divisors, evaluate, names_of
 from phsi_opt.model.parameter_units import (
     Equations,
     is_parameter,
@@ -24,6 +26,8 @@ from phsi_opt.model.parameter_units import (
     place_of_parameter,
     solved_dimensions,
 )
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.slots import place_of
 from phsi_opt.presentation.numbers import shortened
 from phsi_opt.presentation.units import (
     RADIAN,
@@ -39,6 +43,7 @@ from phsi_opt.presentation.units import (
 
 SIZE = "size"  # the power that stands for the logarithm of the size in SI
 _dimension = attrgetter("powers")  # of a measure
+SOME_VALUES = np.array([-2.0, -0.5, 0.25, 3.0])  # values of what changes, in a loss
 LARGEST_LIST = 4  # of units, in a message
 
 
@@ -134,6 +139,33 @@ class UnitCheck:
         return UnitFault(_name(first), said, self._stated[first])
 
     @property
+    def negative(self) -> UnitFault | None:
+        """A mass or the like that is known to be negative, or a loss that is none."""
+        for slot, equation, term in self.model.placed():
+            names: dict[str, Any] = dict.fromkeys(names_of(term.body), SOME_VALUES)
+            for name, one in term.inner.items():
+                names[name] = _assumed(one)
+            for text in divisors(term.body):
+                known = term.inner.get(text)
+                if known is not None and known.fixed and known.start < 0:
+                    said = (
+                        "it divides in the model, as a mass, a capacity or a time "
+                        "constant, which is positive; remove the sign."
+                    )
+                    return UnitFault(
+                        text, said, scale_of(known.unit).shown(known.start)
+                    )
+            with np.errstate(all="ignore"):
+                loss = evaluate(term.body, names, NUMPY) if slot == "R" else 0.0
+            if np.all(loss * _assumed(term.coefficient) < 0):
+                said = (
+                    f"{term.body!r} is negative: R is a loss, and dx/dt has -R dH/dx; "
+                    "remove the sign, or put what supplies energy into F."
+                )
+                return UnitFault("", said, "", slot, equation)
+        return None
+
+    @property
     def numbers_without_unit(self) -> list[UnitFault]:
         """Numbers that mean one thing in SI and another in the units of the data.
 
@@ -211,9 +243,15 @@ class UnitCheck:
         """Refuse units that do not fit together as they are.
 
         Raises:
-            ModelError: units contradict each other, or a fixed number has no unit where
-                units of SI stand beside others.
+            ModelError: a mass or a loss is negative, units contradict each other, or a
+                fixed number has no unit where units of SI stand beside others.
         """
+        wrong = self.negative
+        if wrong is not None:
+            place = (
+                place_of(wrong.slot, wrong.equation) or f"{wrong.name}={wrong.value}"
+            )
+            raise ModelError(f"{place}: {wrong.said}")
         wrong = self.contradiction
         if wrong is not None:
             raise ModelError(f"{wrong.name} is in {wrong.value}: {wrong.said}")
@@ -246,6 +284,13 @@ class UnitCheck:
             unit = si_name(self._measure(place).powers, self._stated[place])
             values.append(f'{_name(place)}=ph.Parameter({number:g}, unit="{unit}")')
         return f"Give parameters in SI units: {', '.join(values[:2])}."
+
+
+def _assumed(parameter: Parameter | None) -> float:
+    """Its value where that is known, else one of a sign that it may have."""
+    if parameter is None:
+        return 1.0
+    return parameter.start if parameter.fixed else float(np.sign(parameter.upper))
 
 
 def _size(measure: Measure) -> Powers:

@@ -31,11 +31,7 @@ TEMPLATES = "templates"
 
 
 class _Place(NamedTuple):
-    """What a place of the report shows: one chart, or one of a run and a channel.
-
-    ``shown`` are the numbers of the run and the channel that are drawn on paper; None:
-    there is no choice.
-    """
+    """What a place of the report shows: one chart, or one of a run and a channel."""
 
     charts: list[list[Chart]]
     shown: tuple[int, int] | None = None

@@ -163,11 +163,7 @@ def _laid_out(columns: list[Column], width: int) -> "Table":
 
 
 def _blocks(columns: list[Column], width: int) -> Iterator[list[Column]]:
-    """The columns, cut where they do not fit; those up to the first texts come again.
-
-    The first texts tell the rows apart; where they take half of the line, nothing comes
-    again.
-    """
+    """The columns, cut where they do not fit; the first ones come again."""
     texts = [k for k, column in enumerate(columns) if not column.is_number]
     key = columns[: texts[0] + 1] if texts else []
     if 2 * _least(key) > width:

@@ -115,6 +115,10 @@ KNOWN: Mapping[str, Powers] = {
 }
 
 
+IN_BASE_UNITS = {**KNOWN, "degC": {"K": 1.0}}
+
+
+@cache
 def powers_in_base_units(unit: str) -> Powers | None:
     """The same in base units, those that are not known as they are written."""
     written = powers_as_written(unit)
@@ -124,20 +128,32 @@ def powers_in_base_units(unit: str) -> Powers | None:
 def _in_base_units(written: Powers) -> Powers:
     powers: Powers = {}
     for name, n in written.items():
-        powers = product(powers, KNOWN.get(name, {name: 1}), n)
+        powers = product(powers, IN_BASE_UNITS.get(name, {name: 1}), n)
     return powers
 
 
-def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
-    """The unit of a coefficient as people write it: N s/m, kg m^2, degC/h.
+def unit_per(unit: str, of: str, power: int) -> str:
+    """The unit of a quantity over the power of another one, told in theirs."""
+    above = scale_of(unit)
+    below = scale_of(of)
+    size = above.size / below.size**power
+    named = []
+    for one, other in ((unit, of), (above.unit, below.unit)):
+        powers, divided = map(powers_as_written, (one, other))
+        if powers is None or divided is None:
+            return ""
+        named.append(_written(product(powers, divided, -power)))
+    computed, told = named
+    return computed if size == 1.0 else Unit(computed, Scale(told, size))
 
-    Args:
-        powers: of units.
-        named: units that are kept as they are written where the powers are theirs.
-    """
+
+def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
+    """The unit of a coefficient as people write it: N s/m, kg m^2, or one named."""
     basic = _in_base_units(powers)
-    for unit in named:
-        if unit and powers_in_base_units(unit) == basic:
+    without_angle = product(basic, {RADIAN: 1}, -1)  # a torque is N m, not N m rad
+    for unit in filter(None, named):
+        sought = (basic, without_angle) if unit.startswith("N m") else (basic,)
+        if powers_in_base_units(unit) in sought:
             return unit
     if set(powers) - set(KNOWN) or len(powers) == 1:
         return _written(powers)
@@ -261,6 +277,13 @@ def measure_of(unit: str) -> Measure | None:
     return Measure(powers, float(f"{size:.15g}"))
 
 
+def are_alike(unit: str, other: str) -> bool:
+    """Whether two units are of one dimension."""
+    measure = measure_of(unit) if unit else None
+    like = measure_of(other)
+    return measure is not None and like is not None and measure.powers == like.powers
+
+
 def words_of(unit: str) -> set[str]:
     """The words of a unit that SI does not know, such as "counts"."""
     measure = measure_of(unit) if unit else Measure({}, 1.0)
@@ -304,9 +327,6 @@ def in_si(units: Mapping[str, str]) -> dict[str, str]:
     Angles are in rad. Degrees of Celsius stay a scale of their own: degF are converted
     to it, and K where others are in it. Without a unit of the time nothing is
     converted; a unit that is not known is none of SI's, and stays.
-
-    Args:
-        units: by state, input and time, as `Measurements.units`.
     """
     if not units.get("t"):
         return dict(units)
@@ -331,11 +351,9 @@ def computed_unit(unit: str) -> str:
 
 def si_name(powers: Powers, written: str = "") -> str:
     """The name of SI's unit of these powers; a torque was written with N."""
-    for name in ("N", "Pa", "J", "W", "V", "Wb", "Ohm", "W/K", "J/K"):
-        is_torque = name == "J" and "N" in written
-        if powers == powers_in_base_units(name) and not is_torque:
-            return name
-    return coefficient_unit(powers) or "1"
+    energy = "N m" if "N" in written else "J"
+    names = ("N", "Pa", energy, "W", "V", "Wb", "Ohm", "W/K", "J/K")
+    return coefficient_unit(powers, names) or "1"
 
 
 # ---- times: hours and days where seconds would run into thousands -------------------
@@ -365,32 +383,19 @@ def scale_of_time(longest: float, unit: str) -> Scale:
 
 
 def time_words(t: float, unit: str, longest: float = 0.0) -> str:
-    """A time or a period with its unit, such as "23.9 h" for 86 200 s.
-
-    Args:
-        t: in the user's unit, as is ``longest``, a time that is told in the same unit.
-        unit: the user's.
-        longest: such as the end of the record.
-    """
-    scale = scale_of_time(max(abs(t), longest), unit)
-    return f"{decimal(t / scale.size, 3)} {scale.unit}".rstrip()
+    """Such as "23.9 h" for 86 200 s; the longest time is told in the same unit."""
+    return times_words(t, t, unit, longest)
 
 
 def times_words(begin: float, end: float, unit: str, longest: float = 0.0) -> str:
     """A range of times with its unit, such as "4 to 5 s"; as `time_words`."""
     scale = scale_of_time(max(abs(begin), abs(end), longest), unit)
-    ends = [decimal(one / scale.size, 3) for one in (begin, end)]
+    ends = dict.fromkeys(decimal(one / scale.size, 3) for one in (begin, end))
     return f"{' to '.join(ends)} {scale.unit}".rstrip()
 
 
 def date_words(t: float, origin: dt.datetime | None, span: float = 0.0) -> str:
-    """The moment of a time in seconds: "2021-11-22 06:30"; "" without an origin.
-
-    Args:
-        t: the time.
-        origin: the moment at which the time is 0.
-        span: seconds of which the moment is a part; it is told as exactly as they ask.
-    """
+    """The moment of a time in seconds, to days or minutes in a long span (s)."""
     if origin is None:
         return ""
     moment = origin + dt.timedelta(seconds=round(t))

@@ -39,13 +39,7 @@ class Size:
 
 
 def new_names(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
-    """Names of the free parameters that an effect adds to a model.
-
-    Args:
-        base: the model without the effect.
-        effect: what is added.
-        known: names among which they are looked for.
-    """
+    """Names of the free parameters that an effect adds to a model."""
     estimated = set(known)
     names = []
     for name in base.add(effect).entries:
@@ -97,13 +91,7 @@ def fitted_size(base: Model, fit: Fit, effect: Effect) -> Size:
 
 
 def size_unit(base: Model, effect: Effect, units: Mapping[str, str]) -> str:
-    """The unit of an effect's size; "" where it is not known.
-
-    Args:
-        base: the model without the effect.
-        effect: of which.
-        units: by state, input and time, as `Measurements.units`.
-    """
+    """The unit of an effect's size; "" where it is not known."""
     larger = base.add(effect)
     names = new_names(base, effect, larger.free)
     if not names:

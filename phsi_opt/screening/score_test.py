@@ -181,10 +181,7 @@ class ScoreTest:
 
 
 def _size(trial: Trial, point: _Point) -> tuple[float, float]:
-    """The coefficient and its standard error, forces of given sizes acting.
-
-    Of a wave the amplitude; of an effect without a coefficient the inner parameter.
-    """
+    """The coefficient and its standard error, forces of given sizes acting."""
     if not trial.linear:
         return next(iter(point.values.values())), np.nan
     c = point.regression.coefficients
@@ -236,10 +233,7 @@ def _refined(sensitivities: Sensitivities, best: _Point) -> _Point:
 
 
 def _finer(values: np.ndarray, best: float) -> np.ndarray:
-    """The best value and a point towards each neighbour, geometrically half way.
-
-    ``values`` are positive and sorted; below the least the ratio goes on.
-    """
+    """The best value and a point towards each neighbour, geometrically half way."""
     place = int(np.argmin(np.abs(values - best)))
     below = values[place - 1] if place else best**2 / values[1]
     above = values[min(place + 1, len(values) - 1)]
@@ -253,10 +247,7 @@ def _finer(values: np.ndarray, best: float) -> np.ndarray:
 def _best_in_time(
     whole: Sensitivities, part: Sensitivities, name: str, tried: np.ndarray
 ) -> float:
-    """The frequency among ``tried`` (evenly spaced, rad per time) that explains most.
-
-    By amplitudes on the whole record, or on the part on which sizes are worked out.
-    """
+    """The frequency that explains most; those tried are evenly spaced."""
     gains: dict[int, float] = {}
 
     def nearby(place: int) -> range:
@@ -328,10 +319,7 @@ def _likely_frequencies(
 
 
 def _fourier_sum(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
-    """sum y exp(i omega t) at evenly spaced frequencies.
-
-    Each wave is the last one times that of the spacing.
-    """
+    """sum y exp(i omega t) at evenly spaced frequencies."""
     wave = y * np.exp(1j * frequencies[0] * t)
     turn = np.exp(1j * (frequencies[1] - frequencies[0]) * t)
     result = np.zeros(len(frequencies), dtype=complex)

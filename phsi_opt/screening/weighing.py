@@ -123,12 +123,7 @@ class Weighed(Start):
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Where steps ended, the record linearised there.
-
-    Attributes:
-        joint: parameters, states and forces.
-        system: of the record linearised there, parameters at their bounds held.
-    """
+    """Where steps ended, the record linearised there."""
 
     joint: JointEstimate
     system: OptimalitySystem
@@ -350,12 +345,7 @@ def _within_bounds(problem: JointProblem, z: np.ndarray) -> np.ndarray:
 
 
 def _log_likelihood(border: Border, pull: np.ndarray) -> float:
-    """Log likelihood of a record, or a part of it, at its own best parameters.
-
-    Args:
-        border: of the record, in parameters and coefficients.
-        pull: (n_theta,) slope in the parameters; zero: they stay.
-    """
+    """Log likelihood of a record, or a part of it, at its own best parameters."""
     n = border.n_theta
     precision = border.precision.copy()
     log_det = np.linalg.slogdet(precision[n:, n:])[1]

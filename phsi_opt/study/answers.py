@@ -16,9 +16,11 @@ from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
 from phsi_opt.errors import some_of
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.force_analysis.analysis import VIBRATION_WORDS, likely_cause, place_answer
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS
+from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
@@ -31,6 +33,7 @@ from phsi_opt.presentation.units import (
     spaced,
     time_words,
 )
+from phsi_opt.screening.effect_size import Size
 from phsi_opt.statistics import TINY, rms
 from phsi_opt.study.record import StudyRecord
 
@@ -74,16 +77,9 @@ NEAR_FLOOR = 1.1  # times the noise floor: the error of what is fitted to the no
 
 
 def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> Answer:
-    """What ``words.jinja`` says under a name of a diagnosis.
-
-    Args:
-        name: such as "missing", "wrong", "to_do" or "certainty".
-        diagnosis: of a model.
-        is_held_out: whether data held out judge.
-        **more: facts beside those of the diagnosis.
-    """
+    """What ``words.jinja`` says under a name of a diagnosis."""
     force = diagnosis.analysis.force_in()
-    strength = float(force.where["strength"]) / force.scale.size
+    strength = number(force.where["strength"], 3)
     facts = {
         "d": diagnosis,
         "force": force,
@@ -95,7 +91,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         # which it alone says that something is missing.
         "at_noise": 1.05,
         "sure_error": 1.5,
-        "strength": f"{number(strength, 3)}{spaced(force.scale.unit)} (rms)",
+        "strength": f"{strength}{spaced(force.scale.unit)} (rms)",
         "classes": [" or ".join(map(str, one.effects)) for one in diagnosis.findings],
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
         "disturbance": disturbance_word(diagnosis),
@@ -106,7 +102,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "is_at_floor": lambda found: not is_failing(found),
         "off_channels": off_channels,
         "evidence_words": evidence_words,
-        "found": list(map(finding_words, diagnosis.findings)),
+        "found": [finding_words(diagnosis, one) for one in diagnosis.findings],
         "likely_cause": likely_cause,
         "is_second_storage": is_second_storage,
     }
@@ -140,11 +136,20 @@ def _acts(effect: Effect) -> str:
 # ---- facts ---------------------------------------------------------------------------
 
 
-def finding_words(finding: Finding) -> str:
+def finding_words(diagnosis: Diagnosis, finding: Finding) -> str:
     """An effect with its size, and the others of its class."""
-    first = str(finding.effects[0])
-    size = with_error(finding.coefficient, finding.std_error)
-    return f"{first}, {size}{spaced(finding.unit)}{alternatives(finding, first)}"
+    first = finding.effects[0]
+    size = Size(finding.coefficient, finding.std_error, finding.unit)
+    words = size_words(diagnosis.base.fit, first, size)
+    return f"{first}{words}{alternatives(finding, str(first))}"
+
+
+def size_words(fit: Fit, effect: Effect, size: Size) -> str:
+    """The size of an effect behind its name, per unit of what no equation tells."""
+    if not np.isfinite(size.value):
+        return ""
+    per = inertia_words(fit.model, effect, fit.units)
+    return f", {with_error(size.value, size.std_error)}{spaced(size.unit)}{per}"
 
 
 def alternatives(finding: Finding, name: str) -> str:
@@ -194,11 +199,7 @@ def samples_to_average(diagnosis: Diagnosis) -> int:
 
 
 def undetermined_words(parameters: pd.DataFrame) -> str:
-    """The parameters whose standard error exceeds their value; "" for none.
-
-    Args:
-        parameters: of a fit: name, value, std_error.
-    """
+    """The parameters whose standard error exceeds their value; "" for none."""
     value = parameters["value"].to_numpy(dtype=float)
     error = parameters["std_error"].to_numpy(dtype=float)
     is_open = np.isfinite(error) & (error > np.abs(value))
@@ -286,10 +287,7 @@ def gaps_of(diagnosis: Diagnosis, force: EquationForce) -> list[str]:
 
 
 def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
-    """Whether a run has several stretches of a clear force, and weak ones between.
-
-    It is looked at in twenty stretches.
-    """
+    """Whether a run has several stretches of a clear force, and weak ones between."""
     stretches = np.array_split(inside, min(20, len(inside)))
     sizes = np.array([rms(force.w[stretch]) for stretch in stretches])
     least = STRONG_STRETCH * np.max(sizes)
@@ -306,11 +304,7 @@ def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
 
 
 def _beginning(force: EquationForce, inside: np.ndarray) -> str:
-    """The time before which the force is far weaker, in words; "": none is such.
-
-    A third: parts of a run in which a force follows a motion that decays or grows
-    differ by less.
-    """
+    """The time before which the force is far weaker, in words; "": none is such."""
     record = force.record
     parts = np.array_split(inside, min(40, len(inside)))
     sizes = [rms(force.w[part]) for part in parts]
@@ -445,11 +439,8 @@ def _with_size(study: StudyRecord, effect: Effect, called: str) -> str:
     for finding in chain(*(one.findings for one in study.diagnoses.values())):
         if effect in finding.effects:
             classes = classes or alternatives(finding, str(effect))
-    size = study.size(effect)
-    if np.isfinite(size.value):
-        amount = with_error(size.value, size.std_error)
-        called = f"{called}, {amount}{spaced(size.unit)}"
-    return f"{called}{classes}"
+    size = size_words(study.last.fit, effect, study.size(effect))
+    return f"{called}{size}{classes}"
 
 
 def _answers(study: StudyRecord) -> tuple[Answer, ...]:
@@ -499,12 +490,7 @@ def _was_added(study: StudyRecord) -> Answer:
 
 
 def step_story(study: StudyRecord, place: int) -> str:
-    """One diagnosis in a paragraph, as an engineer would write it.
-
-    Args:
-        study: as it stands.
-        place: number of the step, counted from 0, whose model was diagnosed.
-    """
+    """One diagnosis in a paragraph, as an engineer would write it."""
     diagnosis = study.diagnoses[place]
     is_held_out = study.held_out is not None
     if diagnosis.verdict == Verdict.NOTHING_MISSING:

@@ -224,6 +224,7 @@ class StudyRecord:
         rows = [tuple(vars(one).values())[:-1] for one in self.errors()]
         table = printed_table(rows, columns=list(COLUMNS_OF_ERRORS))
         table.insert(0, "step", range(len(rows)))
+        table.insert(5, "unit", self.unit)
         return table.astype({"held_out_rmse": float})
 
     @property
@@ -232,8 +233,7 @@ class StudyRecord:
         added = ", ".join(map(str, self.last.added))
         title = f"Study of {type(self.last.fit.model).__name__}"
         title += f", added: {added}" if added else ", nothing added yet"
-        unit = f", {self.unit}" if self.unit else ""
-        parts = [Part(f"errors of free runs{unit}", table=self.history)]
+        parts = [Part("errors of free runs", table=self.history)]
         names = tuple(one.name for one in self.unestablished)
         words = (self.final_words, self.stopped, unestablished_words(names))
         said = "\n".join(filter(None, words))

@@ -21,7 +21,7 @@ from phsi_opt.data.tables import MISSING_CELLS, Table, plain_number, rows_of_run
 from phsi_opt.data.text_tables import PART
 from phsi_opt.data.times import clock_of, format_of_dates
 from phsi_opt.data.trajectory import is_stepped
-from phsi_opt.model.kinds import VOLTS, kind_of_unit
+from phsi_opt.model.kinds import kind_of_unit
 from phsi_opt.presentation.numbers import number_of, shortened
 
 # ---- headers -------------------------------------------------------------------------
@@ -31,6 +31,11 @@ AFTER_STROKE = re.compile(r"^(.*?\S)(?:\s+(?:/|in)|,)\s+(\S+)$")
 SERIAL = re.compile(r"\s*\([^)]*:[^)]*\)$")  # of a logger: "Temp, °C (S/N: 1234)"
 OF_MATRIX = re.compile(r"([\w.]+)\((?::,\s*)?(\d+)(?:,\s*:)?\)")
 TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
+# Words that are units behind a name; pint knows c and in, too.
+UNIT_WORD = re.compile(
+    "[nuµmcdkMG]?(m|V|rad|N|Nm|Ns|Nms|Pa|bar|[Ll]|A|C|Wb|Ah|K|J)"
+    "|deg[CF]?|°[CF]?|rev|rpm|[cdm]?m3|psi|mH2O|Vs|k?Wh"
+)
 SPELLED = {"sec": "s", "seconds": "s"}
 # Single letters after an underscore that are more often an index than a unit.
 INDICES = frozenset({"l", "C", "d"})
@@ -93,10 +98,11 @@ class Header:
         label, _, last = text.rpartition("_")
         name, _, numerator = label.rpartition("_")
         time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
-        is_rate = time in TIMES and kind_of_unit(f"{numerator}/{time}") != ""
-        if name and is_rate and not _any_of(_words(text)[:1], TIME_WORDS):
+        may_be_rate = name and time in TIMES and UNIT_WORD.fullmatch(numerator)
+        is_rate = may_be_rate and kind_of_unit(f"{numerator}/{time}") != ""
+        if is_rate and not _any_of(_words(text)[:1], TIME_WORDS):
             return Header(column, name, f"{numerator}/{last}")
-        is_unit = last in TIMES | VOLTS or kind_of_unit(last) != ""
+        is_unit = last in TIMES or UNIT_WORD.fullmatch(last)
         if label and last not in INDICES and is_unit:
             return Header(column, label, SPELLED.get(last, last))
         return Header(column, text)

@@ -86,11 +86,7 @@ def with_units(units: Mapping[str, str]) -> str:
 
 
 def base_model(name: str) -> BaseModel:
-    """The base model of a name.
-
-    Raises:
-        DataError: there is none.
-    """
+    """The base model of a name."""
     require_known(name, GALLERY, f"--model {name!r} is not in the gallery", DataError)
     return GALLERY[name]
 

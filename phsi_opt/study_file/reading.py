@@ -223,8 +223,8 @@ def _check_units(model: Model, data: Measurements, faults: Complaints) -> None:
         faults.need(said, units["t"], "data", "time", "unit")
     check = UnitCheck(model, units, as_written=True)
     parameters = faults.content.get("parameters", {})
-    found = [check.contradiction] if check.contradiction else check.numbers_without_unit
-    for fault in found:
+    first = check.negative or check.contradiction
+    for fault in [first] if first else check.numbers_without_unit:
         place: Place = ("model", *filter(None, (fault.slot, fault.equation)))
         unit = () if fault.value is None or is_number(fault.value) else ("unit",)
         if fault.name == "t":

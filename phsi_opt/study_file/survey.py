@@ -269,11 +269,7 @@ def _run_by_times(columns: list[Column]) -> Column | None:
 def _time(
     others: list[Column], run: Column | None, step: float | None
 ) -> Column | None:
-    """The column that is called the time, else the first that increases.
-
-    A column that is called so and has a wrong or late time is still the one: a guess at
-    another one would hide the mistake.
-    """
+    """The column that is called the time, else the first that increases."""
 
     def increases(one: Column) -> bool:
         return one.is_dates if one.values is None else not one.wrong_time(run)
@@ -361,11 +357,7 @@ def _take_part(
 
 
 def _is_kept(values: np.ndarray | None, n: int) -> bool:
-    """Whether means of n neighbours have nearly the variance of the samples.
-
-    Of measured records with some 10,000 lines, means down to 2,000 kept 0.98 of it and
-    more; of a fast oscillator (Silverbox, 131,072 lines) they kept 0.005.
-    """
+    """Whether means of n neighbours have nearly the variance of the samples."""
     if values is None:
         return True
     known = values[np.isfinite(values)]
