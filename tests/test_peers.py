@@ -155,7 +155,7 @@ def test_without_force_and_damping_a_network_keeps_its_energy() -> None:
     made = phnn(HENON.data(0, noise=0.0, n=60), ph.canonical(2), settings)
     x = made.simulate(np.linspace(0, 3, 31), [0.3, 0.0, 0.0, 0.3])
     assert np.ptp(made.energy(x)) < 1e-6  # the tolerance of SciPy's steps
-    assert made.parameters.empty and not made.force(x).any()
+    assert not made.damping and not made.force(x).any()
 
 
 def error_of_one_interval(h: float, steps: int) -> float:

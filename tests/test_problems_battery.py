@@ -104,7 +104,7 @@ def test_a_case_depends_on_row_and_seed_alone(row: Row, seed: int) -> None:
 def test_the_calibrated_error_is_that_of_a_refit_and_the_truth_has_no_misfit() -> None:
     case = draw(ROWS["cubic_stiffness_0.03"], 4)
     comparison = ph.compare(ph.identify(case.model, case.train), case.train)
-    ratio = case.settings["base_ratio"]
+    ratio = case.ratio
     # the noise floor is estimated, and the noise moves the fit
     assert comparison.rmse / comparison.noise_floor == pytest.approx(ratio, rel=0.1)
     # two held-out runs: about a thousand values, 2 % by chance, and the held-out runs

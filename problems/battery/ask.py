@@ -76,7 +76,7 @@ def described(case: Case) -> Found:
     truths = case.truths
     listed = case.listed
     coefficient = case.size * truths[0].coefficient if truths else np.nan
-    found: Found = {"noise": case.noise, **case.settings}
+    found: Found = {"noise": case.noise, "ratio": case.ratio}
     if case.clean is None:
         names = " or ".join(sorted(case.places))
         found |= {"hidden": case.hidden, "truth": names, "listed": bool(listed)}

@@ -31,14 +31,7 @@ from problems.battery.field_machines import (
     thermal,
 )
 from problems.battery.masses import OF_SIGNAL, masses_case
-from problems.battery.records import (
-    FIELD,
-    HIDDEN,
-    Aim,
-    Case,
-    RunawayError,
-    log_uniform,
-)
+from problems.battery.records import FIELD, HIDDEN, Aim, Case, RunawayError, log_uniform
 from problems.battery.tanks import FAULTS, tanks_case
 
 FIRST_VERDICT = 20_000
@@ -130,17 +123,6 @@ class FieldRow:
         train, test = field.measured(rng, e, sized.motion, sensing)
         starts = {name: value * self._start(rng) for name, value in e.values.items()}
         hidden = "nothing" if self.is_complete else e.hidden.name
-        sensor = f"{sensing.n_steps:.0f} steps" if sensing.n_steps else "fine"
-        settings = {
-            "disturbance": "coloured noise" if sensing.memory else beside,
-            "ratio": sized.ratio,
-            "disturbed": sized.disturbed,
-            "measured": " ".join(e.model.states[k] for k in e.seen),
-            "inputs": " ".join(e.model.inputs),
-            "free": " ".join(e.values),
-            "n_train": int(e.kept[:, : e.n_train].sum()),
-            "sensor": "uneven noise" if sensing.is_uneven else sensor,
-        }
         return Case(
             model=e.model.with_values(starts),
             train=train,
@@ -148,7 +130,7 @@ class FieldRow:
             truths=() if self.is_complete or e.is_faint else e.hidden.truths,
             hidden=f"{hidden}, below the noise" if e.is_faint else hidden,
             noise=noise,
-            settings=settings,
+            ratio=sized.ratio,
             size=sized.size,
         )
 

@@ -12,13 +12,7 @@ from typing import Any
 import numpy as np
 
 import phsi_opt as ph
-from problems.battery.experiments import (
-    Experiment,
-    Hidden,
-    Law,
-    Values,
-    held_between,
-)
+from problems.battery.experiments import Experiment, Hidden, Law, Values, held_between
 from problems.battery.records import Array, Truth, log_uniform
 
 # --- hidden forces on a mass whose states are a position and a momentum

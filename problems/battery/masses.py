@@ -691,25 +691,13 @@ def masses_case(
     seen = list(s.seen)
     if hidden and not shows_held_out(y[..., seen], without[..., seen]):
         return None
-    settings = {
-        "masses": s.machine.n,
-        "measured": "qp" if len(s.seen) == len(s.states) else "q",
-        "input": "none",
-        "free": " ".join(s.free),
-        "known": " ".join(name for name in s.present if name not in s.free),
-        "n_train": N_TRAIN * len(s.t),
-        "target": aim.target if hidden else 1.0,
-        "base_ratio": ratio,
-    }
-    if s.drive is not None:
-        settings["input"] = {"linear": "multisine", "zero": "steps"}[s.drive.hold]
     sampled = samples(rng, y, aim.noise, s.t, s.states, s.seen, s.drive)
     return Case(
         model=model_of(s, rng),
         truths=tuple(truth_of(effect, s) for effect in hidden),
         hidden=" + ".join(names) or "nothing",
         noise=aim.noise,
-        settings=settings,
+        ratio=ratio,
         **sampled,
     )
 

@@ -4,7 +4,7 @@ Truth is simulated here by SciPy, from formulas of its own, never by the package
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -57,7 +57,7 @@ class Case:
         truths: None where nothing is to be named.
         hidden: What was hidden, in words.
         noise: Relative to each channel.
-        settings: What is kept of the experiment in the tables.
+        ratio: Free-run error of the best re-fit without the effect, over the noise.
         size: Of the effect, where the truths' coefficients are those of size one.
         clean: The training runs without noise, weighed by their true noise.
         sigma: The standard deviation of the noise by state.
@@ -70,7 +70,7 @@ class Case:
     truths: tuple[Truth, ...]
     hidden: str
     noise: float
-    settings: Mapping[str, object] = field(default_factory=dict)
+    ratio: float = np.nan
     size: float = 1.0
     clean: ph.Measurements | None = None
     sigma: Array = field(default_factory=lambda: np.zeros(0))

@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 import phsi_opt as ph
 from problems.battery.masses import (
     N_RUNS,
-    N_TRAIN,
     TRAINING,
     is_accepted,
     samples,
@@ -145,22 +144,12 @@ def tanks_case(
     # R acts on dH/dx, which is the level or flow times an effort.
     effort = 1 / INERTIA if fault.in_pipe else DENSITY * GRAVITY / AREA
     truth = Truth((name,), (STATES[at],), found.size / effort**fault.power)
-    settings = {
-        "masses": 0,
-        "measured": "all",
-        "input": "none",
-        "free": "g" if known_pipes else "g R",
-        "known": "R" if known_pipes else "",
-        "n_train": N_TRAIN * len(TIMES),
-        "target": aim.target,
-        "base_ratio": ratio,
-    }
     seen = tuple(range(len(STATES)))
     return Case(
         model=tanks_model(known_pipes),
         truths=(truth,),
         hidden=name,
         noise=aim.noise,
-        settings=settings,
+        ratio=ratio,
         **samples(rng, y, aim.noise, TIMES, STATES, seen),
     )

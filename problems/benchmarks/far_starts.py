@@ -49,16 +49,6 @@ class FarStart:
     data: ph.Measurements
     noise: Array
 
-    @property
-    def is_driven(self) -> bool:
-        """Whether the machine has an input."""
-        return bool(self.model.inputs)
-
-    @property
-    def frequency_parameters(self) -> list[str]:
-        """Names of the parameters that set the frequencies."""
-        return [name for name in self.truth if name[0] in "kg"]
-
 
 def draw_case(kind: str, seed: int, off: float = 0.5, lacks: str = NOTHING) -> FarStart:
     """The machine of a seed with its record and its start."""

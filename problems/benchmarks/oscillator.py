@@ -5,7 +5,7 @@ is measured, every 0.1 s. Beside noise there may be a random force, a cubic spri
 noise that lasts, or a coarse sensor. Forces stand per mass, in m/s^2.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 
@@ -28,9 +28,6 @@ FREQUENCY_JITTER = 0.05  # rad/s
 MOTION_SEED = 77_777
 MOTION_RUNS = 200
 MOTION_SAMPLES = 400
-
-# Position and velocity, (n_runs,) each, to a force that pulls back, m/s^2.
-Pull = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,7 @@ from problems.tools.command_line import flag
 from problems.tools.pages import render
 
 # What is measured of the oscillator, and numbers of samples.
-SAMPLES = {
-    "qp": (1_000, 10_000, 100_000),
-    "q": (1_000, 10_000, 100_000, 1_000_000),
-}
+SAMPLES = {"qp": (1_000, 10_000, 100_000), "q": (1_000, 10_000, 100_000, 1_000_000)}
 MASSES = (1, 5, 25, 100, 200)
 CHAIN_SAMPLES = 1_000
 DIAGNOSED = ((1_000, 1), (10_000, 1), (1_000, 8))  # samples, masses

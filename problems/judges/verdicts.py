@@ -50,10 +50,7 @@ CHECK = "check_"  # begins the name of the file of a check, which is not committ
 N_CASES = 200
 NO_ANSWER, NOT_DRAWN = "failed", "not drawn"
 # What silence has to say in these rows of hidden effects.
-SILENCE = {
-    "nothing": ph.Verdict.NOTHING_MISSING,
-    "outside": ph.Verdict.UNEXPLAINED,
-}
+SILENCE = {"nothing": ph.Verdict.NOTHING_MISSING, "outside": ph.Verdict.UNEXPLAINED}
 MOVED = 0.1  # standard errors by which a size has moved
 
 Records = Mapping[str, Record]

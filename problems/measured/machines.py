@@ -67,7 +67,6 @@ class Record(NamedTuple):
 # --- the EMPS linear drive
 
 EMPS_FILES = {"fit": "DATA_EMPS.mat", "test": "DATA_EMPS_PULSES.mat"}
-EMPS_STEP = 0.01  # s: every tenth sample
 EMPS_WINDOW = 100  # thinned samples: 1 s
 # m/s, where dry friction turns over; the drive moves at 0.04 to 0.13 m/s
 EMPS_TURNOVER = 2e-3

@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.arguments import is_count, require, require_positive, require_size
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.errors import DataError
 from phsi_opt.simulation.simulate import simulate_forced
 
 # (weight (n_in, n_out), bias (n_out,)) of every layer
@@ -33,9 +31,6 @@ class JointForce:
             "tanh" (its code, which has two hidden layers); with a large learning rate,
             a narrow input and only ReLU, units die.
         rate: learning rate of the weights; None takes that of the dictionary.
-
-    Raises:
-        ModelError: if a setting is not possible.
     """
 
     equations: tuple[str, ...]
@@ -44,21 +39,6 @@ class JointForce:
     penalty: float = 0.0
     first: str = "relu"
     rate: float | None = None
-
-    def __post_init__(self) -> None:
-        require(self.first in ("relu", "tanh"), "first", self.first, "'relu' or 'tanh'")
-        for name in ("equations", "variables"):
-            given = getattr(self, name)
-            listed = (given,) if isinstance(given, str) else tuple(given)
-            distinct = len(set(listed)) == len(listed) > 0
-            require(distinct, name, given, "at least one name, and each only once")
-            object.__setattr__(self, name, listed)
-        possible = all(is_count(width) for width in self.hidden)
-        require(possible, "hidden", self.hidden, "widths of at least 1")
-        object.__setattr__(self, "hidden", tuple(self.hidden))
-        require_size("penalty", self.penalty)
-        if self.rate is not None:
-            require_positive("rate", self.rate)
 
     def values(
         self,
@@ -76,14 +56,7 @@ class JointForce:
         known: dict[str, Any] = dict(zip(states, x.T, strict=True)) | {"t": t}
         given = [None] * len(inputs) if u is None else np.atleast_2d(u).T
         known.update(zip(inputs, given, strict=True))
-        columns = []
-        for name in self.variables:
-            if known[name] is None:
-                argument = "t" if name == "t" else "u"
-                raise DataError(
-                    f"the force depends on {name!r}; give {argument} beside x."
-                )
-            columns.append(np.broadcast_to(known[name], len(x)))
+        columns = [np.broadcast_to(known[name], len(x)) for name in self.variables]
         return network_values(layers, np.stack(columns, 1), self.first)
 
 
@@ -106,27 +79,6 @@ class HybridBaseline(Baseline):
         """The network's force, (n, n_equations)."""
         names = self.model.states, self.model.inputs
         return self.neural.values(self.layers, *names, x, t, u)
-
-    def without_force(self) -> Baseline:
-        """The dictionary model alone; its loss, not that of the training, is NaN."""
-        return Baseline(
-            model=self.model,
-            hold=self.hold,
-            seconds=self.seconds,
-            removed=self.removed,
-            history=self.history,
-            settings=self.settings,
-            method=f"{self.method}, left out",
-        )
-
-    def equations(self) -> list[str]:
-        """The right-hand sides, the network by the name ``network``."""
-        inside = ", ".join(self.neural.variables)
-        lines = super().equations()
-        for i, name in enumerate(self.model.states):
-            if name in self.neural.equations:
-                lines[i] += f" + network_{name}({inside})"
-        return lines
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
         """States (n_samples, n_states) with the network's force, by SciPy."""
@@ -156,9 +108,4 @@ def network_values(layers: Layers, v: np.ndarray, first: str = "relu") -> np.nda
 
 def state_rows(x: Any, n_states: int) -> np.ndarray:
     """States as an array (n_rows, n_states)."""
-    states = np.atleast_2d(np.asarray(x, dtype=float))
-    if states.ndim != 2 or states.shape[1] != n_states:
-        raise DataError(
-            f"x has shape {np.shape(x)}; expected (n, {n_states}), a column per state."
-        )
-    return states
+    return np.asarray(x, dtype=float).reshape(-1, n_states)

@@ -14,15 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.arguments import is_count, require, require_size
-from phsi_opt.baselines.descent import Adam, check_descent, descend
+from phsi_opt.arguments import require
+from phsi_opt.baselines.descent import Adam, descend
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.sweeps.local_workers import one_thread
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.losses import complete_intervals
 from problems.peers.joint_force import JointForce
 from problems.peers.phnn_model import PHNN, hidden_values, input_gradient
@@ -53,9 +52,6 @@ class NetworkDescent:
         weight_decay: of Adam.
         integrator: a name in ``phsi_opt.transcription.integrators``.
         dtype: "float32" (as the thesis) or "float64".
-
-    Raises:
-        ModelError: if a setting is not possible.
     """
 
     learning_rate: float = 3e-3
@@ -67,16 +63,6 @@ class NetworkDescent:
     weight_decay: float = 0.0
     integrator: str = "srk4"
     dtype: str = "float32"
-
-    def __post_init__(self) -> None:
-        check_descent(self)
-        integrator(self.integrator)
-        require_size("penalty", self.penalty)
-        for name in ("hidden", "force_hidden"):
-            widths = tuple(getattr(self, name))
-            possible = all(is_count(width) for width in widths) and len(widths) > 0
-            require(possible, name, widths, "at least one width of 1 or more")
-            object.__setattr__(self, name, widths)
 
     def rate(self, epoch: int) -> float:
         """The learning rate, in every epoch the same."""

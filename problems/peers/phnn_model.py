@@ -11,9 +11,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.checks import Hold
-from phsi_opt.estimation.fit_record import PARAMETER_COLUMNS
 from phsi_opt.model.model import FirstOrder
-from phsi_opt.presentation.summary import printed_table
 from phsi_opt.simulation.simulate import simulate_forced
 from problems.peers.joint_force import JointForce, Layers, state_rows
 
@@ -23,19 +21,10 @@ class PHNN:
     """dx/dt = (S - R) grad H(x) + F with trained networks H and F.
 
     Attributes:
-        states: names.
-        inputs: names.
-        S: (n_states, n_states), skew-symmetric.
         damping: R_ii by state.
-        energy_layers: (weight (n_in, n_out), bias) of every layer of H.
-        force_layers: the same of F; () without force.
+        energy_layers, force_layers: (weight (n_in, n_out), bias) of every layer.
         neural: where the force acts and what it depends on; None without force.
-        hold: of the inputs between samples, as the measurements declared it.
-        seconds: wall time of the training.
         loss_value: mean of ``|(x1 - x0)/h - Psi|^2`` over all data, without penalty.
-        history: a row per epoch with epoch, loss and n_terms (the number of weights).
-        settings: the settings that were used, as text.
-        method: name of the method.
     """
 
     states: tuple[str, ...]
@@ -51,18 +40,6 @@ class PHNN:
     history: pd.DataFrame = field(default_factory=pd.DataFrame)
     settings: str = ""
     method: str = "PHNN"
-
-    @property
-    def parameters(self) -> pd.DataFrame:
-        """Table of the damping, with the columns of `Identified.parameters`.
-
-        The weights are not listed.
-        """
-        rows = []
-        for name, value in self.damping.items():
-            bounds = (-np.inf, np.inf)
-            rows.append((f"R_{name}", "R", name, value, np.nan, *bounds, "", False))
-        return printed_table(rows, columns=PARAMETER_COLUMNS)
 
     def energy(self, x: Any) -> np.ndarray:
         """H(x) - H(0), (n,), at states x (n, n_states).
@@ -108,29 +85,6 @@ class PHNN:
 
         at_rest = FirstOrder(self.states, {}, self.inputs)
         return simulate_forced(at_rest, t, x0, u, rates, hold=self.hold)
-
-    def equations(self) -> list[str]:
-        """The right-hand sides as text; H and F are networks and have no formula."""
-        lines = [self._equation(i) for i in range(len(self.states))]
-        widths = " x ".join(str(len(bias)) for _, bias in self.energy_layers[:-1])
-        names = ", ".join(self.states)
-        return [*lines, f"H({names}) is a network of {widths} units with tanh"]
-
-    def _equation(self, i: int) -> str:
-        name = self.states[i]
-        parts = []
-        for size, other in zip(np.asarray(self.S)[i], self.states, strict=True):
-            if size:
-                parts.append(f"{size:+.6g}*dH_d{other}")
-        if name in self.damping:
-            parts.append(f"{-self.damping[name]:+.6g}*dH_d{name}")
-        if self.neural is not None and name in self.neural.equations:
-            parts.append(f"+network_{name}({', '.join(self.neural.variables)})")
-        return f"d{name}/dt = {' '.join(parts) or '0'}"
-
-    def __str__(self) -> str:
-        head = f"{self.method}: loss {self.loss_value:.6g}, {self.seconds:.3g} s"
-        return "\n".join([head, *self.equations()])
 
 
 def hidden_values(layers: Sequence[tuple[Any, Any]], v: Any) -> list[Any]:

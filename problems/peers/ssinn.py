@@ -11,22 +11,15 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.arguments import (
-    is_size,
-    require,
-    require_count,
-)
-from phsi_opt.baselines.descent import Adam, check_descent, descend
+from phsi_opt.baselines.descent import Adam, descend
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.terms import Dictionary, polynomials
@@ -58,9 +51,6 @@ class SymplecticDescent:
             keeps the rate.
         steps: steps of the scheme per interval; two is what the authors' tolerance
             gives for a step of 0.1.
-
-    Raises:
-        ModelError: if a setting is not possible.
     """
 
     learning_rate: float = 1e-2
@@ -74,19 +64,6 @@ class SymplecticDescent:
     steps: int = 2
     weight_decay: float = 0.0  # of Adam
     dtype: str = "float64"
-
-    def __post_init__(self) -> None:
-        check_descent(self)
-        require_count("steps", self.steps)
-        expected = "pairs (share of the epochs, factor) with increasing shares"
-        require(self._decays(), "decay", self.decay, expected)
-
-    def _decays(self) -> bool:
-        """Whether ``decay`` is a schedule."""
-        for share, factor in self.decay:
-            if not (is_size(share) and is_size(factor)):
-                return False
-        return all(before < after for (before, _), (after, _) in pairwise(self.decay))
 
     def rate(self, epoch: int) -> float:
         """Learning rate of an epoch, counted from one."""
@@ -156,13 +133,6 @@ def separable(
     states: Sequence[str], positions: Sequence[str], momenta: Sequence[str], degree: int
 ) -> PseudoHamiltonian:
     """H = V(q) + T(p) with dq_i/dt = dH/dp_i, dp_i/dt = -dH/dq_i."""
-    named = [*positions, *momenta]
-    if len(positions) != len(momenta) or sorted(named) != sorted(states):
-        raise ModelError(
-            f"positions={list(positions)!r} and momenta={list(momenta)!r} "
-            f"do not pair up the states ({', '.join(states)}); "
-            "expected every state once, and as many momenta as positions."
-        )
     S = np.zeros((len(states), len(states)))
     for position, momentum in zip(positions, momenta, strict=True):
         i = list(states).index(position)

@@ -34,9 +34,10 @@ DEPENDENT = 1e-10  # share of the largest singular value below which hinges are 
 # System.data(seed=101), a draw that appears in no table.
 THESIS = "thesis"
 TUNED = "tuned"
-PHNN_SETTINGS: dict[str, dict[str, Any]] = {
-    THESIS: {"learning_rate": 3e-3, "penalty": 0.1, "weight_decay": 1e-4},
-    TUNED: {"learning_rate": 1e-3, "penalty": 0.1},
+PHNN_SETTINGS: dict[str, Any] = {
+    "learning_rate": 3e-3,
+    "penalty": 0.1,
+    "weight_decay": 1e-4,
 }
 Method = Callable[[System, ph.Measurements, str, int], Any]
 
@@ -239,7 +240,6 @@ def phnn(
     data: ph.Measurements,
     kind: str = "noisy",
     seed: int = 0,
-    settings: str = THESIS,
     epochs: int | None = None,
 ) -> Any:
     """Pseudo-Hamiltonian neural network: H (and F) are networks.
@@ -256,7 +256,7 @@ def phnn(
     S = tank_structure() if is_tanks else ph.canonical(n_states // 2)
     damping = {"mass_spring": ["p"], "tanks": list(FLOWS)}.get(system.name, [])
     forces = {"mass_spring": (["p"], ["t"]), "tanks": (["mu4"], ["mu4"])}
-    chosen = NetworkDescent(**PHNN_SETTINGS[settings])
+    chosen = NetworkDescent(**PHNN_SETTINGS)
     chosen = replace(
         chosen,
         epochs=epochs or chosen.epochs,

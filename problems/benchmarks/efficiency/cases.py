@@ -329,5 +329,3 @@ def _cases() -> list[Case]:
 
 
 CASES = {case.name: case for case in _cases()}
-# The systems of the thesis.
-THESIS_CASES = ("henon_heiles", "schrodinger", "mass_spring", "tanks")
