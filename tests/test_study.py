@@ -266,3 +266,33 @@ def test_a_study_considers_what_it_was_told_to() -> None:
     assert (
         study.added == () and study.steps[-1].label == "without coulomb friction on p"
     )
+
+
+@pytest.mark.slow
+def test_an_effect_with_several_parameters_is_ranked_with_all_of_them() -> None:
+    model = spring()
+    truth = model.add("harmonic force", "p").with_values(
+        {"k": 10, "R_p": 0.5, "F_p[sin(omega*t)]": 1, "F_p[cos(omega*t)]": 0}
+        | {"F_p.omega": 3.0}
+    )
+    t = np.linspace(0, 12, 121)
+    runs = []
+    for number, q0 in enumerate((0.5, 1.0)):
+        x = ph.simulate(truth, t, [q0, 0])
+        noise = 0.01 * np.random.default_rng(number).normal(size=len(t))
+        runs.append(pd.DataFrame({"run": number, "t": t, "q": x[:, 0] + noise}))
+    data = ph.Measurements.from_dataframe(
+        pd.concat(runs), time="t", states={"q": "q", "p": None}, trajectory="run"
+    )
+    effects = ["harmonic force", "constant force"]
+    study = ph.Study(model, data[:1], held_out=data[1:], effects=effects)
+    study.diagnose()
+    present = study.content().present
+    assert present is not None
+    first, *others = present.ranking
+    assert first.effect == "harmonic force on p"
+    size, _, beside = first.size.partition("; ")
+    assert float(size.split()[0]) == pytest.approx(1, abs=0.05)
+    assert beside.startswith("F_p.omega = ")
+    assert float(beside.split()[2]) == pytest.approx(3, abs=0.05)
+    assert all(";" not in one.size for one in others)

@@ -282,11 +282,13 @@ class Ranked:
     held_out: Number  # on data held out
     confused_with: tuple[str, ...]  # effects that the data cannot tell from it
     lost: str  # why it is rejected; "" where nothing speaks against it
+    beside: str = ""  # its other parameters, as far as they are known
 
     @property
     def size(self) -> str:
-        """The coefficient with its standard error and unit."""
-        return f"{with_error(self.coefficient, self.std_error)} {self.unit}".rstrip()
+        """The coefficient with its standard error and unit; then the others."""
+        size = f"{with_error(self.coefficient, self.std_error)} {self.unit}".rstrip()
+        return f"{size}; {self.beside}" if self.beside else size
 
     def error_with(self, unit: str) -> str:
         """The error with it, on the data that judge where that is known."""

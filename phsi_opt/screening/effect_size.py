@@ -48,6 +48,14 @@ def new_names(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
     return names
 
 
+def names_beside_size(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
+    """Names of the parameters that an effect adds beside its size, as `new_names`."""
+    names = new_names(base, effect, known)
+    linear = _coefficients(base.add(effect), names) if names else []
+    told = linear if is_wave(effect) else linear[-1:]
+    return [name for k, name in enumerate(names) if k not in told]
+
+
 def size_of(
     effect: Effect,
     model: Model,

@@ -3,6 +3,7 @@
 import platform
 from collections.abc import Sequence
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,7 @@ from phsi_opt.criteria import (
     WHITE_ERROR,
 )
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.analysis import ForceAnalysis
@@ -46,6 +48,7 @@ from phsi_opt.presentation.numbers import (
     number_of,
     proper_names,
     short_constants,
+    with_error,
 )
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
@@ -56,6 +59,7 @@ from phsi_opt.presentation.units import (
     scale_of_time,
     spaced,
 )
+from phsi_opt.screening.effect_size import names_beside_size
 from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     evidence_words,
@@ -313,23 +317,36 @@ def _ranking(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
         names = list(map(str, finding.effects))
         classes |= dict.fromkeys(names, names)
     ranked = []
+    named = {str(finding.effects[0]): finding for finding in diagnosis.findings}
     for one in diagnosis.ranking:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
         alike.pop(one.name, None)
+        told = named.get(one.name, one)
         found = Ranked(
             one.name,
-            float(one.coefficient),
-            float(one.std_error),
-            one.unit,
+            float(told.coefficient),
+            float(told.std_error),
+            told.unit,
             evidence_words(one),
             _known(np.clip(one.share, 0.0, 1.0)),
             _known(size * one.train_rmse),
             _known(size * one.held_out_rmse),
             tuple(alike),
             one.lost,
+            _beside_size(diagnosis, one),
         )
         ranked.append(found)
     return tuple(ranked)
+
+
+def _beside_size(diagnosis: Diagnosis, one: Candidate) -> str:
+    """The other parameters of an effect that was re-fitted."""
+    if one.fit is None:
+        return ""
+    names = names_beside_size(diagnosis.base.fit.model, one.effect, one.fit.names)
+    rows: Any = one.fit.parameters.set_index("name").loc[names].itertuples()
+    told = [f"{r.Index} = {with_error(r.value, r.std_error)} {r.unit}" for r in rows]
+    return ", ".join(map(str.rstrip, told))
 
 
 def _known(value: float) -> float | None:
