@@ -25,6 +25,7 @@ RECORDS: dict[str, tuple[float, list[float], list[float], dict[str, float]]] = {
     "pendulum-cart": (10, [0, 0.8, 0, 0], [2], {"c": 0.3, "b": 0.01}),
     "two-masses": (10, [0.3, 0, 0, 0], [3], {"c1": 0.3, "c2": 0.5}),
     "motor": (2, [0], [12], {}),
+    "motor-resistance": (0.5, [0], [12], {}),
     "motor-circuit": (0.5, [0, 0], [12], {}),
     "pump-tank": (60, [1], [0.1], {"a": 0.1, "g": 1.5}),
     "two-tanks": (60, [1, 1], [0.1], {"a1": 0.1, "a2": 0.1, "a3": 0.08, "g": 1.2}),
