@@ -9,6 +9,7 @@ catch it too. This file raises nothing itself.
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 MOST_LETTERS = 60  # of a value in a message
 
@@ -70,7 +71,7 @@ class StudyFileError(DataError):
         self,
         path: object,
         complaints: Sequence[Complaint],
-        measurements: object = None,
+        measurements: Any = None,
     ) -> None:
         self.path = str(path)
         self.measurements = measurements

@@ -33,20 +33,14 @@ from phsi_opt.command_line.job import (
 )
 from phsi_opt.command_line.jobs import plain
 from phsi_opt.command_line.jobs import run as run_job
-from phsi_opt.presentation.forecast import (
-    ADDING,
-    FITTING,
-    NOTHING_MISSING,
-    SCREENING,
-    WEIGHING,
-    Forecast,
-    duration,
-)
+from phsi_opt.presentation.numbers import duration
 from phsi_opt.study_file import kept_fits
 from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.survey import survey
 from problems.examples.friction_spring import CSV
 
+FITTING = "fitting the base model"
+ADDING = "adding"
 ROOT = Path(ph.__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 COMMAND = [sys.executable, "-m", "phsi_opt.command_line"]
@@ -706,25 +700,7 @@ def test_a_study_that_breaks_off_says_so_in_its_report(short, monkeypatch) -> No
 # ---- small parts ---------------------------------------------------------------------
 
 
-def test_the_forecast_falls_to_nothing_as_the_work_goes_on() -> None:
-    now = 0.0
-    forecast = Forecast(n_diagnoses=2, clock=lambda: now)
-    lefts: list[float | None] = []
-    assert forecast.left is None
-    rounds = [SCREENING, *[WEIGHING] * 4]
-    for line in (FITTING, *rounds, ADDING, *rounds):
-        forecast.said(f"{line} something")
-        now += 1.0
-        lefts.append(forecast.left)
-    known = [left for left in lefts if left is not None]
-    assert lefts[0] is None and len(known) == len(lefts) - 1
-    assert known == sorted(known, reverse=True)
-    assert known[-1] < 1.0 < known[0]
-    now += 60.0
-    assert forecast.left is None and forecast.is_overdue
-    assert "longer than expected" in forecast.words
-    forecast.said(f"{NOTHING_MISSING}: held-out error 0.04")
-    assert forecast.left == 0.0
+def test_durations_are_told_as_people_read_them() -> None:
     assert [duration(s) for s in (7.9, 750, 3723)] == ["0:07", "12:30", "1:02:03"]
 
 

@@ -19,6 +19,8 @@ from phsi_opt.page.drafts import (
     INPUT,
     MOST_UPLOADED,
     NOT_USED,
+    NOTHING,
+    RUNS,
     STATE,
     ColumnDraft,
     DataDraft,
@@ -33,6 +35,7 @@ from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Shown
 from phsi_opt.study_file.gallery import GALLERY
 from tests.page_tools import contrast, spring_table, wait_for
+from tests.test_logger_files import tdms_file
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
 ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
@@ -112,6 +115,26 @@ def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, said: str) 
     session.close()
 
 
+@pytest.mark.parametrize("is_installed", [True, False])
+def test_the_file_of_a_logger_is_a_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_installed: bool
+) -> None:
+    content = tdms_file(tmp_path / "log.tdms").read_bytes()
+    if not is_installed:
+        monkeypatch.setitem(sys.modules, "nptdms", None)
+    session = Session(tmp_path / "own")
+    assert session.upload("log.TDMS", content) == is_installed
+    if is_installed:
+        assert session.seen_data.chart is not None, session.complaints
+        assert session.draft.data is not None
+        assert session.draft.content()["data"]["group"] == "fast"
+        assert [one.unit for one in session.draft.data.with_role(STATE)] == ["mm"]
+    else:
+        said = "file 'log.TDMS' needs nptdms. Install it: pip install"
+        assert said in session.upload_error
+    session.close()
+
+
 def test_tables_with_the_same_columns_are_runs_and_others_take_their_place(
     tmp_path: Path,
 ) -> None:
@@ -158,6 +181,23 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"
 
 
+def test_the_run_for_the_end_is_chosen_like_those_held_out(session: Session) -> None:
+    data = session.draft.data
+    assert data is not None
+    final = data.parts["final"]
+    content = session.draft.content()
+    assert (content["held_out"], content["final"]) == ({"share": 0.3}, {})
+    final.table["runs"] = ["run 1"]
+    for way, told in ((RUNS, ["run 1"]), (NOTHING, [])):
+        final.way = way
+        assert session.check() == ()
+        assert session.draft.content()["final"] == {"runs": told}
+    data.parts["held_out"].way = final.way = RUNS
+    data.parts["held_out"].table["runs"] = ["run 1"]
+    (found,) = session.check()
+    assert found.key.split(".")[0] in ("held_out", "final"), found
+
+
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     session.draft.model.table["H"] = "kk*q**2/2 + p**2/(2*m)"
     session.draft.model.table["R"]["p"] = "c*("
@@ -187,6 +227,8 @@ q = { column = "position_m", unit = "m", noise = 0.04 }
 p = { measured = false, unit = "kg m/s" }
 [held_out]
 runs = ["run 3"]
+[final]
+runs = ["run 2"]
 [model]
 states = ["q", "p"]
 pairs = [["q", "p"]]
@@ -288,15 +330,20 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
         "base model",
         "+ Coulomb friction on p",
     ]
-    assert (studied.compared, studied.redone) == (0, None)
-    studied.go_to(studied.undone)
+    assert studied.compared == 0
+    assert not studied.can_step(1)
+    assert studied.step(-1) == "study"
     assert studied.job is None
     assert studied.content is not None
     assert studied.content.steps == larger.steps[:1]
     assert studied.content.present is not None
     assert studied.content.present.proposed == ("coulomb friction on p",)
     assert "coulomb friction on p" not in studied.study_file().text()
-    assert (studied.undone, studied.redone, studied.compared) == (None, 1, None)
+    assert studied.can_step(1)
+    assert studied.compared is None
+    assert studied.step(1) == "study"
+    assert studied.content is larger
+    studied.step(-1)
     studied.rest()  # a further worker goes on from the model that is shown
     studied.add("quadratic drag on p")
     wait_for(lambda: len(studied.models) == 3)
@@ -315,6 +362,37 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
     assert rows["coulomb_friction_p"][0] == ""
     (law,) = studied.models[1].laws
     assert law.law is not None, "it is drawn through the missing force"
+
+
+def test_every_edit_is_undone_and_done_again(tmp_path: Path) -> None:
+    session = filled(tmp_path)
+    assert session.draft.data is not None
+    session.draft.data.columns[2].table["unit"] = "mm"
+    session.check()
+    session.draft.model.table["H"] = "k*q**2 + p**2/(2*m)"
+    session.check()
+    seen = session.seen_data
+    assert session.check() == (), "nothing has changed: no step of its own"
+    written = session.draft.as_it_is()
+    assert session.step(-1) == "model"
+    assert session.draft.model.table["H"] == "k*q**2/2 + p**2/(2*m)"
+    assert session.step(-1) == "data"
+    assert session.draft.data.columns[2].unit == "m"
+    assert session.seen_data.rows[1]["unit"] == "m"
+    while session.can_step(-1):
+        session.step(-1)
+    assert session.draft.data is None
+    assert session.step(-1) == ""
+    while session.can_step(1):
+        session.step(1)
+    assert session.draft.as_it_is() == written
+    assert session.complaints == (), "the file that was uploaded is still there"
+    assert str(session.seen_data.rows) == str(seen.rows)
+    session.step(-1)
+    session.draft.model.table["H"] = "k*q**2/4 + p**2/(2*m)"
+    session.check()
+    assert not session.can_step(1), "a new change begins from here"
+    session.close()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

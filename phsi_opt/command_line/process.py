@@ -15,6 +15,7 @@ import signal
 import sys
 import textwrap
 import threading
+import time
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -23,17 +24,10 @@ from typing import Any, NoReturn, TextIO
 
 import typer
 
-from phsi_opt.command_line.job import (
-    DIAGNOSE,
-    Answer,
-    ExitCode,
-    Finished,
-    Job,
-    answer_to,
-)
+from phsi_opt.command_line.job import Answer, ExitCode, Finished, Job, answer_to
 from phsi_opt.command_line.worker import work
 from phsi_opt.errors import DataError, PhsiOptError
-from phsi_opt.presentation.forecast import Forecast
+from phsi_opt.presentation.numbers import duration
 from phsi_opt.study_file.toml_text import add_effects, tables_of
 
 Show = Callable[[str | None], None]
@@ -140,15 +134,14 @@ def supervise(job: Job) -> tuple[Answer | None, Finished | None, float]:
     """
     answer: Answer | None = None
     kept: list[Finished] = []
-    # One effect is added as a rule, and a last diagnosis finds nothing.
-    forecast = Forecast(2 if job.is_auto else int(job.kind == DIAGNOSE))
+    began = time.monotonic()
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()  # both ways: each end sees that the other is gone
     process = context.Process(target=work, args=(there, job), daemon=True)
     with _ignored_interrupts():  # inherited: the work never hears of Ctrl-C
         process.start()
     there.close()
-    with contextlib.suppress(KeyboardInterrupt), _shown(forecast) as show:
+    with contextlib.suppress(KeyboardInterrupt), _shown(began) as show:
         answer = _listen(here, process, show, kept)
     with _ignored_interrupts():
         process.kill()
@@ -157,12 +150,12 @@ def supervise(job: Job) -> tuple[Answer | None, Finished | None, float]:
         for path in job.places:  # what `write_whole` had not finished
             for part in path.parent.glob(f".{glob.escape(path.name[:40])}.*.part"):
                 part.unlink(missing_ok=True)
-    return answer, kept[-1] if kept else None, forecast.elapsed
+    return answer, kept[-1] if kept else None, time.monotonic() - began
 
 
 @contextlib.contextmanager
-def _shown(forecast: Forecast) -> Iterator[Show]:
-    """Shows lines with the time that is left, None: the last one again."""
+def _shown(began: float) -> Iterator[Show]:
+    """Shows lines with the time so far, None: the last one again."""
     last = "starting"
     terminal = _terminal_line() if sys.stderr.isatty() else contextlib.nullcontext()
     with terminal as update:
@@ -170,9 +163,8 @@ def _shown(forecast: Forecast) -> Iterator[Show]:
         def show(line: str | None) -> None:
             nonlocal last
             if line is not None:
-                forecast.said(line)
                 last = " ".join(line.split())
-            text = f"[{forecast.words}] {last}"
+            text = f"[{duration(time.monotonic() - began)}] {last}"
             if update is not None:
                 update(text)
             elif line is not None:

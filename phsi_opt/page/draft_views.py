@@ -14,12 +14,12 @@ from phsi_opt.model.slots import Variables
 from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,
-    HELD_OUT_KEYS,
-    HELD_OUT_WAYS,
     INPUT,
+    KEYS_OF_WAYS,
     MOST_FILES,
     MOST_UPLOADED,
     NOT_USED,
+    NOTHING,
     ROLES,
     RUN,
     RUNS,
@@ -27,12 +27,15 @@ from phsi_opt.page.drafts import (
     STUDY_KIND,
     TABLE_KINDS,
     TIME,
+    USUAL_WAYS,
     ColumnDraft,
     DataDraft,
     ModelDraft,
     ParameterDraft,
+    PartDraft,
     in_megabytes,
 )
+from phsi_opt.page.gallery import left_over
 from phsi_opt.page.parts import (
     Then,
     alert,
@@ -43,20 +46,22 @@ from phsi_opt.page.parts import (
     field_row,
     fields,
     heading,
+    label_of,
     plotted_data,
     said_by,
 )
 from phsi_opt.page.session import Session
-from phsi_opt.presentation.numbers import number_of
+from phsi_opt.presentation.numbers import capitalised, number_of
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
-from phsi_opt.study_file.keys import listed
+from phsi_opt.study_file.keys import KEYS_OF, listed
 
 # ---- part 1: the measurements --------------------------------------------------------
 
 ABOUT = (
-    "A table as CSV, text or Excel workbook: one line per sample below a header. At "
-    f"most {in_megabytes(MOST_UPLOADED)} a file. Several files with the same columns "
-    "are several runs. A study file (.toml) opens with the tables that it names."
+    "A table as CSV, text or Excel workbook, one line per sample below a header, or a "
+    f"logger's MDF or TDMS file. At most {in_megabytes(MOST_UPLOADED)} a file. Several "
+    "files with the same columns are several runs. A study file (.toml) opens with the "
+    "tables that it names."
 )
 EXAMPLES = {
     "spring": "Damped spring",
@@ -69,7 +74,7 @@ STUDY_PART = "3 Study"
 # What the server is told of files that the browser does not even send.
 TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
-DATA_SECTIONS = ("data", "held_out")
+DATA_SECTIONS = ("data", *USUAL_WAYS)
 FIELDS_OF_ROLE = {
     TIME: ("data.time", "unit"),
     STATE: ("data.states.*", "name unit noise"),
@@ -186,9 +191,8 @@ class DataView:
                 fields(data.time, "data.time", "step", self.checked)
             fields(data.settings, "data", "thinned", self.checked)
         with card():
-            heading("Held out")
-            ui.label("Held-out data: used for tests, not for fitting.").classes("faint")
-            self.held_out()
+            heading("Data not used for fitting")
+            self.parts()
 
     def _column(self, data: DataDraft, column: ColumnDraft) -> None:
         async def set_role(role: str) -> None:
@@ -210,36 +214,41 @@ class DataView:
                 fields(column.table, *of_role, self.checked, str(column.column))
 
     @ui.refreshable_method
-    def held_out(self) -> None:
-        """In which way, and which part."""
+    def parts(self) -> None:
+        """The data held out and those for the end: in which way, and which."""
         data = self.session.draft.data
         if data is None:
             return
+        for section in USUAL_WAYS:
+            about = KEYS_OF[""][section].meaning.partition("; default")[0]
+            ui.label(f"{capitalised(about)}.").classes("faint")
+            with ui.element("div").classes("fields"):
+                self._part(section, data.runs, data.parts[section])
 
+    def _part(self, section: str, runs: list[str], part: PartDraft) -> None:
         async def set_way(way: str) -> None:
-            data.way = way
-            self.held_out.refresh()
+            part.way = way
+            self.parts.refresh()
             await self.checked()
 
         async def set_runs(e: events.ValueChangeEventArguments) -> None:
-            data.held_out["runs"] = list(e.value)
+            part.table["runs"] = list(e.value)
             await self.checked()
 
-        with ui.element("div").classes("fields"):
-            choice("held-out data", HELD_OUT_WAYS, data.way, set_way)
-            if data.way == RUNS:
-                held_out = set(listed(data.held_out.get("runs", ())))
-                field = ui.select(
-                    data.runs,
-                    label="runs held out",
-                    multiple=True,
-                    value=[run for run in data.runs if run in held_out],
-                    on_change=set_runs,
-                )
-                field.props("dense outlined use-chips").style("min-width: 14em")
-            elif data.way in HELD_OUT_KEYS:
-                key = HELD_OUT_KEYS[data.way]
-                fields(data.held_out, "held_out", key, self.checked)
+        ways = dict.fromkeys((USUAL_WAYS[section], *KEYS_OF_WAYS, NOTHING))
+        choice(label_of(section), list(ways), part.way, set_way, width="16em")
+        if part.way == RUNS:
+            chosen = set(listed(part.table.get("runs", ())))
+            field = ui.select(
+                runs,
+                label=label_of(f"{section}.runs"),
+                multiple=True,
+                value=[run for run in runs if run in chosen],
+                on_change=set_runs,
+            )
+            field.props("dense outlined use-chips").style("min-width: 14em")
+        elif part.way in KEYS_OF_WAYS:
+            fields(part.table, section, KEYS_OF_WAYS[part.way], self.checked)
 
 
 # ---- part 2: the base model, picked or written, with a live check --------------------
@@ -248,7 +257,7 @@ NOT_MEASURED = "not measured"
 # The tiles are drawn anew a moment after one was chosen.
 FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 # A remark that goes leaves its place, so that no button moves from under a click.
-STAYING_PLACE = "min-height: 1.5em"
+STAYING_PLACE = "min-height: 2.5em; width: 100%"
 PARAMETER = "parameters.*"
 MODEL_TYPES = {
     ENERGY: "energy: dx/dt = (S - R) grad H + F",
@@ -283,8 +292,8 @@ class ModelView:
             with ui.element("div").classes("tiles"):
                 for number, base in enumerate(GALLERY.values()):
                     self._tile(f"base-{number}", base)
-            if self.session.left_over:
-                ui.label(self.session.left_over).classes("bad").props('role="status"')
+            if left := left_over(self.session.draft):
+                ui.label(left).classes("bad").props('role="status"')
 
     def _tile(self, tile_id: str, base: BaseModel) -> None:
         async def choose() -> None:
@@ -392,10 +401,14 @@ class ModelView:
         button("Add a parameter", partial(self._add_parameter, ""), quiet=True)
 
     def _parameter(self, one: ParameterDraft) -> None:
-        name = one.name or "new parameter"
-
         async def given() -> None:
             one.is_assumed = False
+            await self.checked()
+
+        async def renamed() -> None:
+            for key, field in made.items():
+                field.props["label"] = label_of(f"{PARAMETER}.{key}", one.name)
+            removing.props["aria-label"] = f"Remove {one.name or 'this parameter'}"
             await self.checked()
 
         def set_known(e: events.ValueChangeEventArguments) -> Any:
@@ -408,16 +421,20 @@ class ModelView:
 
         with field_row():
             key = "value" if one.is_known else "start"
-            fields(one.table, PARAMETER, "name", self.checked, name)
-            fields(one.table, PARAMETER, key, given, name)
-            fields(one.table, PARAMETER, "lower upper unit", self.checked, name)
+            made = fields(one.table, PARAMETER, "name", renamed, one.name)
+            made |= fields(one.table, PARAMETER, key, given, one.name)
+            limits = (one.table, PARAMETER, "lower upper unit")
+            made |= fields(*limits, self.checked, one.name)
             ui.checkbox("known", value=one.is_known).on_value_change(set_known)
             removing = ui.button("Remove", on_click=remove).props("flat")
-            removing.props["aria-label"] = f"Remove {name}"
+            removing.props["aria-label"] = f"Remove {one.name or 'this parameter'}"
             if one.is_assumed:
-                said = f"{one.words} is an assumption: enter your value."
-                note = ui.label(said).classes("bad w-full").style(STAYING_PLACE)
-                note.bind_text_from(one, "is_assumed", lambda it: said if it else "")
+                place = ui.element("div").style(STAYING_PLACE)
+                with place, ui.row().classes("items-center") as row:
+                    said = f"{one.words} is an assumption: enter your value, or"
+                    ui.label(said).classes("bad")
+                    button(f"Confirm {one.words}", given, quiet=True).props("dense")
+                row.bind_visibility_from(one, "is_assumed")
 
     async def _add_parameter(self, name: str) -> None:
         self._draft.parameters.append(ParameterDraft.of(name, {}))

@@ -38,18 +38,20 @@ NOTHING = "nothing"
 SHARE = "the last share"
 AFTER = "from a time on"
 RUNS = "runs by name"
-HELD_OUT_KEYS = {SHARE: "share", AFTER: "after", RUNS: "runs"}
-HELD_OUT_WAYS = (*HELD_OUT_KEYS, NOTHING)
+KEYS_OF_WAYS = {SHARE: "share", AFTER: "after", RUNS: "runs"}
+USUAL = "one of three or more runs"
+# Sections of data that are not fitted: the way that needs no words, and what it means.
+USUAL_WAYS = {"held_out": NOTHING, "final": USUAL}
 
 ENERGY = "PseudoHamiltonian"
 FIRST_ORDER = "FirstOrder"
-KEPT = ("final", "effects", "study", "loss")  # sections that the page does not show
+KEPT = ("effects", "study", "loss")  # sections that the page does not show
 
 # Bytes of one uploaded file. A table of a million numbers takes about 10 MB.
 MOST_UPLOADED = 20_000_000
 MOST_FILES = 50  # of one study; each is a run
 # What the name of an uploaded table may end in; the ending tells how it is read.
-TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
+TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx", ".mf4", ".mdf", ".tdms")
 STUDY_KIND = ".toml"  # of a study file
 
 
@@ -150,6 +152,29 @@ class ColumnDraft:
 
 
 @dataclass
+class PartDraft:
+    """The measurements that are held out, or kept for the end."""
+
+    way: str  # in which they are chosen
+    table: Content = field(default_factory=dict)  # the section, of each way
+
+    @classmethod
+    def of(cls, section: str, told: Mapping[str, Any]) -> "PartDraft":
+        """That of a section of a study file, which may be empty."""
+        found = [way for way, key in KEYS_OF_WAYS.items() if key in told]
+        if told.get("runs") == []:
+            found = [NOTHING]
+        return cls((found or [USUAL_WAYS[section]])[0], dict(told))
+
+    def content(self, section: str) -> Content:
+        """The section."""
+        if self.way in KEYS_OF_WAYS:
+            key = KEYS_OF_WAYS[self.way]
+            return {key: self.table.get(key, "")}
+        return {} if self.way == USUAL_WAYS[section] else {"runs": []}
+
+
+@dataclass
 class DataDraft:
     """The files and their columns."""
 
@@ -158,9 +183,13 @@ class DataDraft:
     n_samples: int = 0  # lines of numbers, of all files
     # Names that the column of runs holds, or those of the files.
     runs: list[str] = field(default_factory=list)
-    way: str = SHARE  # in which measurements are held out, one of ``HELD_OUT_WAYS``
-    # What a study file says of it, of each way.
-    held_out: Content = field(default_factory=lambda: {"share": 0.3})
+    # By the section: one of ``USUAL_WAYS``.
+    parts: dict[str, PartDraft] = field(
+        default_factory=lambda: {
+            "held_out": PartDraft(SHARE, {"share": 0.3}),
+            "final": PartDraft(USUAL),
+        }
+    )
     # Keys of [data] that are no columns, such as ``thinned``.
     settings: Content = field(default_factory=dict)
     # The step between lines, where no column has the times.
@@ -198,12 +227,8 @@ class DataDraft:
                 draft.time = dict(table)
             else:
                 draft.unmeasured[name] = table.get("unit", "")
-        draft.way = NOTHING
-        held_out = content.get("held_out", {})
-        for way, key in HELD_OUT_KEYS.items():
-            if key in held_out:
-                draft.way = way
-                draft.held_out = dict(held_out)
+        for section in USUAL_WAYS:
+            draft.parts[section] = PartDraft.of(section, content.get(section, {}))
         return draft
 
     @property
@@ -255,8 +280,9 @@ class DataDraft:
         self.places = places
         self.runs = found.runs
         self.n_samples = found.n_samples
-        runs = listed(self.held_out.get("runs", ()))
-        self.held_out["runs"] = [run for run in runs if run in found.runs]
+        for part in self.parts.values():
+            runs = listed(part.table.get("runs", ()))
+            part.table["runs"] = [run for run in runs if run in found.runs]
 
 
 def _told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Content]]:
@@ -296,6 +322,7 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
         if one.step is not None:
             draft.time = {"step": one.step}
     draft.runs = list(dict.fromkeys(draft.runs))
+    draft.settings = {one.key: one.content for one in seen[0].read if one.is_set}
     for column in seen[0].columns:  # parts have the same words here except for one
         role = NOT_USED if column.part == UNUSED else column.part
         found = ColumnDraft(
@@ -450,12 +477,7 @@ class StudyDraft:
 
     @classmethod
     def of(cls, content: Mapping[str, Any], places: dict[str, Path]) -> "StudyDraft":
-        """The drafts of a study file that has been read without complaint.
-
-        Args:
-            content: its tables.
-            places: where its data files lie, by name.
-        """
+        """The drafts of a study file that has been read without complaint."""
         kept = {name: content[name] for name in KEPT if name in content}
         model = ModelDraft.of(content["model"], content.get("parameters", {}))
         return cls(DataDraft.of(content, places), model, kept)
@@ -480,8 +502,8 @@ class StudyDraft:
         content: Content = {**self.kept, "model": self.model.content()}
         if self.data is not None:
             content["data"] = self.data.content(self.model.names("states"))
-            key = HELD_OUT_KEYS.get(self.data.way, "")
-            content["held_out"] = {key: self.data.held_out.get(key, "")} if key else {}
+            for name, part in self.data.parts.items():
+                content[name] = part.content(name)
         named = {one.name: _without(one.table, "name") for one in self.model.parameters}
         content["parameters"] = _without(named, "")
         return content

@@ -46,8 +46,14 @@ LABELS = {
     "data.states.*": "column of {name}",
     "data.inputs.*": "column of {name}",
     "data.inputs.*.hold": "{name} between samples",
-    "held_out": "held out",
-    "held_out.after": "from the time",
+    "held_out": "held-out data",
+    "held_out.runs": "runs held out",
+    "held_out.share": "share held out",
+    "held_out.after": "held out from the time",
+    "final": "data for the end",
+    "final.runs": "runs for the end",
+    "final.share": "share for the end",
+    "final.after": "for the end from the time",
     "model.pairs": "pairs: dq/dt = dH/dp",
     "model.H": "energy H",
     "model.R.*": "loss R of {name}",
@@ -74,27 +80,23 @@ NO_KEY = Key("", "text", "")  # of a name, which a study file has as a key
 def label_of(path: str, name: str = "") -> str:
     """What the field of a key is called."""
     key = path.rpartition(".")[2]
-    found = LABELS.get(path, f"{key} of {{name}}" if name else key)
-    return found.format(name=name)
+    found = LABELS.get(path, f"{key} of {{name}}")
+    return (found if name else found.replace(" of {name}", "")).format(name=name)
 
 
-def fields(table: Content, section: str, keys: str, then: Then, name: str = "") -> None:
-    """Fields of keys, as the table of keys describes them, told while they are typed.
-
-    Args:
-        table: of a draft; a key that is empty is taken out.
-        section: whose keys they are, such as ``"data.states.*"``.
-        keys: with blanks between; "*" stands for the name.
-        then: called after every change.
-        name: of what the table is of.
-    """
+def fields(
+    table: Content, section: str, keys: str, then: Then, name: str = ""
+) -> dict[str, ui.element]:
+    """Fields of the keys of a section, told while they are typed; "*" is the name."""
+    made = {}
     for key in keys.split():
         entry = KEYS_OF[section].get(key, NO_KEY)
         label = label_of(f"{section}.{key}", name)
-        _field(table, name if key == "*" else key, entry, label, then)
+        made[key] = _field(table, name if key == "*" else key, entry, label, then)
+    return made
 
 
-def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> None:
+def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> ui.element:
     kind = KIND_OF.get(entry.form, TEXT)
 
     async def changed(text: str | None) -> None:
@@ -107,8 +109,7 @@ def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> None
     if entry.options:
         options = {one: OPTION_LABELS.get(one, one) for one in entry.options}
         now = table.get(key, entry.options[0])
-        choice(label, options, now, changed, width="16em")
-        return
+        return choice(label, options, now, changed, width="16em")
     value = kind.text(table[key]) if key in table else ""
     made = ui.input(label, value=value, on_change=lambda e: changed(e.value))
     made.props("dense outlined").props(DEBOUNCE)
@@ -116,7 +117,7 @@ def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> None
     width = "100%" if key == "H" else f"{max(8, 2 + 0.6 * len(label)):.0f}em"
     place = "flex: 1 1 15em" if kind is TERMS else f"width: {width}"
     made.style(f"{place}; max-width: 100%")
-    made.classes("formula" if kind in FORMULAS else "")
+    return made.classes("formula" if kind in FORMULAS else "")
 
 
 def choice(

@@ -3,12 +3,14 @@
 import ipaddress
 import secrets
 import tempfile
+import threading
 import time
 from http import HTTPStatus
 from pathlib import Path
 
 from phsi_opt.errors import DataError
 from phsi_opt.page.session import Session
+from phsi_opt.presentation.units import measure_of
 from phsi_opt.study_file.study_file import StudyFile
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
@@ -51,6 +53,7 @@ def serve(
     from phsi_opt.page.guards import OwnRequests, SafeAnswers, UploadLimit
     from phsi_opt.page.shell import Shell
 
+    threading.Thread(target=measure_of, args=("degC",)).start()  # units take a while
     sessions = Sessions(study_file)
     # Cookies go to all ports of a machine: each server has a name for its own.
     cookie = f"phsi_opt_{port}"
@@ -85,6 +88,7 @@ def serve(
         show=show,
         reload=False,
         title="phsi_opt",
+        tailwind=False,  # it would style every change anew, in the browser
         # For so many seconds a page that lost its connection keeps its fields (a phone
         # that slept); then it is loaded again. The session stays anyway.
         reconnect_timeout=30.0,
@@ -169,7 +173,7 @@ class Sessions:
         if not empty:
             raise DataError(
                 f"this page allows {MOST_SESSIONS} studies at a time. Try again when "
-                "another user has ended a study (Menu, Begin again)."
+                "another user has ended a study (New, above)."
             )
 
         def age(key: str) -> tuple[bool, float]:

@@ -11,11 +11,13 @@ import re
 import shutil
 import threading
 import time
+from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
 from pathlib import Path, PurePath
 from typing import Any
 
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.drafts import (
     MOST_FILES,
@@ -26,11 +28,18 @@ from phsi_opt.page.drafts import (
     refusal_of,
     suffix_of,
 )
-from phsi_opt.page.gallery import draft_of, left_over, match_states
-from phsi_opt.page.worker import Done, Order, Refused, Shown, Verb, WorkerHandle
+from phsi_opt.page.gallery import draft_of, match_states
+from phsi_opt.page.worker import (
+    Done,
+    Order,
+    Refused,
+    Shown,
+    Verb,
+    WorkerHandle,
+    example,
+)
 from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.content import Follows, StudyContent
-from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.study_file.gallery import BaseModel
 from phsi_opt.study_file.keys import Complaints, listed, usable
@@ -44,7 +53,7 @@ FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 OPENED_FILE = "opened_study.toml"
 REPORT_FILE = "report.html"
-LOOKING = "diagnosing"
+MOST_MOMENTS = 100  # to which undo goes
 NO_TABLE = Complaint("data.files", "", "there is no table yet; upload a file.")
 
 
@@ -75,15 +84,14 @@ class Seen:
     rows: tuple[dict[str, Any], ...] = ()  # what was noticed of each channel
 
     @classmethod
-    def of(cls, drafted: Drafted) -> "Seen":
+    def of(cls, drafted: Drafted, data: Measurements | None) -> "Seen":
         """The files and columns of a draft, as far as they can be used."""
         content = toml_tables(drafted.text)
         told = usable(content, Complaints(content)).get("data", {})
-        if not all(map(told.get, ("files", "time", "states"))):
-            return cls(drafted)
-        try:
-            data = DataSection.of(told, drafted.places).measurements(Path())
-        except PhsiOptError:
+        if data is None and all(map(told.get, ("files", "time", "states"))):
+            with suppress(PhsiOptError):
+                data = DataSection.of(told, drafted.places).measurements(Path())
+        if data is None:
             return cls(drafted)
         return cls(drafted, data.chart(), tuple(data.look.rows()))
 
@@ -95,7 +103,6 @@ class Model:
     content: StudyContent  # of the study whose present model it is
     study: bytes  # as the worker sent it, to go on from
     drafted: Drafted  # what was fitted
-    before: int | None = None  # number of the model that was shown before it
     laws: tuple[Follows, ...] = ()  # of the effects added, once they are known
 
     @property
@@ -103,6 +110,14 @@ class Model:
         """What was done last, such as "+ Coulomb friction on p"."""
         steps = self.content.steps
         return proper_names(steps[-1].change(len(steps) - 1))
+
+
+@dataclass
+class Moment:
+    """What was filled in and shown, to which undo and redo go."""
+
+    draft: StudyDraft
+    model: int | None  # its number; None before there was one
 
 
 @dataclass
@@ -116,13 +131,7 @@ class Job:
     # Whether this model is there; what is missing may still be looked for.
     is_shown: bool = False
     compares: bool = False  # whether it changes a model whose charts are shown already
-    # Of the time that is left.
-    forecast: Forecast = field(default_factory=lambda: Forecast(n_diagnoses=1))
-
-    def say(self, line: str) -> None:
-        """Keep a line of the worker."""
-        self.line = line
-        self.forecast.said(line)
+    began: float = field(default_factory=time.monotonic)
 
     def show(self) -> None:
         """Note that the model is there; what was said before is of its making."""
@@ -132,14 +141,10 @@ class Job:
     @property
     def words(self) -> str:
         """What is done now."""
-        label = self.label
-        if self.done and self.is_shown:
-            label = f"{self.done}; {LOOKING}"
-            if not self.line:
-                return label
-        line = self.line or "starting"
-        is_said = line.lower() == label.lower()
-        return label if is_said else f"{label}: {line}"
+        is_done = self.done and self.is_shown
+        label = f"{self.done}; diagnosing" if is_done else self.label
+        is_new = self.line.lower() not in ("", label.lower())
+        return f"{label}: {self.line}" if is_new else label
 
 
 class Session:
@@ -178,14 +183,18 @@ class Session:
         self._idle_since = time.monotonic()
         self._fitting: Drafted | None = None
         self._waiting = ""  # the name of a study file whose tables are not there yet
-        self._checking = threading.Lock()
+        self._checking = threading.RLock()
         self._taking = threading.Lock()
         self._origin = study_file
         if study_file is not None:
             self._open(study_file)
-        self.complaints = self._checked()
-        self.seen_data = Seen.of(self.draft.data_as_it_is)
+        self.complaints: tuple[Complaint, ...] = (NO_TABLE,)
+        self.seen_data = Seen(Drafted("", {}))
+        self._checked = Drafted("", {})  # the draft of which these are
+        self._check()
         self._begun = self.draft.as_it_is()
+        self._moments = [Moment(deepcopy(self.draft), None)]
+        self._moment = 0  # number of the present one
 
     # ---- drafts ----------------------------------------------------------------------
 
@@ -203,8 +212,7 @@ class Session:
 
     def open_example(self, name: str) -> None:
         """Begin with a study that comes with the package, and fit it."""
-        folder = Path(str(files("phsi_opt.study_file") / "examples" / name))
-        self._open(folder / "study.toml")
+        self._open(example(name))
         self.shape += 1
         self.fit()
 
@@ -278,6 +286,8 @@ class Session:
             return
         # Uploads that neither the draft nor a fit names any more are removed.
         used = set(self.draft.places.values())
+        for moment in self._moments:
+            used.update(moment.draft.places.values())
         fitted = [one.drafted for one in self.models]
         for one in filter(None, (*fitted, self._fitting)):
             used.update(one.places.values())
@@ -289,23 +299,16 @@ class Session:
         known = self.draft.data
         data = look_at({name: place})
         self.message = ""
-        why = ""
-        if known is not None:
-            headers = [
-                [column.column for column in one.columns] for one in (known, data)
-            ]
-            if headers[0] != headers[1]:
-                why = "has other columns"
-            elif {at.parent for at in known.places.values()} != {self._uploads}:
-                why = "is a separate table"  # those known are a study file's
-        if known is not None and not why:
-            others = {one: at for one, at in known.places.items() if one != name}
-            known.look_again({**others, name: place})
+        known_columns = [] if known is None else [one.column for one in known.columns]
+        is_alike = known_columns == [one.column for one in data.columns]
+        is_study = any(at.parent != self._uploads for at in self.draft.places.values())
+        if known is not None and is_alike and not is_study:
+            known.look_again({**known.places, name: place})
         else:
             self.draft.data = data
-        if known is not None and why:
-            replaced = ", ".join(known.files)
-            self.message = f"{name} {why}: it replaces {replaced}."
+            why = "is a separate table" if is_alike else "has other columns"
+            if known is not None:
+                self.message = f"{name} {why}: it replaces {', '.join(known.files)}."
         self.check()
 
     def remove_file(self, name: str) -> None:
@@ -337,34 +340,37 @@ class Session:
         self.check()
         self.shape += 1
 
-    @property
-    def left_over(self) -> str:
-        """Which columns fit no state of the base model, in a sentence; "" for none."""
-        return left_over(self.draft)
-
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""
         self.failure = ""  # what is checked is not what failed any more
         with self._checking:  # checks run beside each other, and write one file
-            self.complaints = self._checked()
-            seen = self.draft.data_as_it_is
-            if seen != self.seen_data.drafted:
-                self.seen_data = Seen.of(seen)
+            self._keep_moment()
+            self._check()
         self.version += 1
         return self.complaints
 
-    def _checked(self) -> tuple[Complaint, ...]:
-        if self.draft.data is None:
-            return (NO_TABLE,)
+    def _check(self) -> None:
         now = self.draft.as_it_is()
+        if now == self._checked:
+            return
+        measured = None
+        self.complaints = ()
         path = write_whole(self._state / WORKING_FILE, now.text)
         try:
-            StudyFile.read(path, now.places).check_formulas()
+            if not now.places:
+                raise StudyFileError(path, (NO_TABLE,))
+            file = StudyFile.read(path, now.places)
+            measured = file.measurements()
+            file.check_formulas()
         except StudyFileError as error:
-            return error.complaints
+            self.complaints = error.complaints
+            measured = error.measurements
         except PhsiOptError as error:
-            return (Complaint("model", "", str(error)),)
-        return ()
+            self.complaints = (Complaint("model", "", str(error)),)
+        seen = self.draft.data_as_it_is
+        if seen != self.seen_data.drafted:
+            self.seen_data = Seen.of(seen, measured)
+        self._checked = now
 
     @property
     def model(self) -> Model | None:
@@ -430,25 +436,49 @@ class Session:
         what = effects[0] if len(effects) == 1 else ""
         self._order(f"Adding {said}", Order(Verb.ADD, what), f"Added {said}")
 
-    @property
-    def undone(self) -> int | None:
-        """The number of the model before the one that is shown."""
-        return None if self.model is None else self.model.before
-
-    @property
-    def redone(self) -> int | None:
-        """The number of the model that came last of the one that is shown."""
-        after = [k for k, one in enumerate(self.models) if one.before == self.now]
-        return after[-1] if after else None
-
-    def go_to(self, number: int | None) -> None:
+    def go_to(self, number: int) -> None:
         """Show a model that was fitted, and go on from it; nothing is lost."""
-        if number is None or self.job is not None:
-            return
-        self.now = number
-        self._compare_with_base()
+        if self.job is None:
+            self.now = number
+            self._compare_with_base()
+            self._keep_moment()
+            self.message = ""
+            self.version += 1
+
+    # ---- undo and redo ---------------------------------------------------------------
+
+    def _keep_moment(self) -> None:
+        """Note what was filled in or is shown now, where that has changed."""
+        with self._checking:
+            known = self._moments[self._moment]
+            if known.draft != self.draft or known.model not in (None, self.now):
+                del self._moments[self._moment + 1 :]
+                self._moments = [*self._moments, known][-MOST_MOMENTS:]
+                self._moment = len(self._moments) - 1
+            self._moments[self._moment] = Moment(deepcopy(self.draft), self.now)
+
+    def can_step(self, by: int) -> bool:
+        """Whether there is a change to undo (-1) or to do again (1)."""
+        return self.job is None and 0 <= self._moment + by < len(self._moments)
+
+    def step(self, by: int) -> str:
+        """Undo the last change (-1), or do it again (1); which part it was in."""
+        if not self.can_step(by):
+            return ""
+        known = self._moments[self._moment]
+        self._moment += by
+        moment = self._moments[self._moment]
         self.message = ""
-        self.version += 1
+        part = "study" if moment.draft.data == known.draft.data else "data"
+        if moment.draft != known.draft:
+            part = "model" if part == "study" else part
+            self.draft = deepcopy(moment.draft)
+            self.shape += 1
+        if moment.model not in (None, self.now):
+            self.now = moment.model
+            self._compare_with_base()
+        self.check()
+        return part
 
     def _compare_with_base(self) -> None:
         """Compare with the base model that the one shown came from."""
@@ -462,15 +492,13 @@ class Session:
 
     def auto(self) -> None:
         """Add while an effect is decisive."""
-        self._order(
-            "Adding effects until none is missing", Order(Verb.AUTO), n_diagnoses=2
-        )
+        self._order("Adding effects until none is missing", Order(Verb.AUTO))
 
     def report(self) -> None:
         """Write the report; ``report_path`` is set when it is there."""
         self.report_path = None
         order = Order(Verb.REPORT, str(self._state / REPORT_FILE))
-        self._order("Writing the report", order, n_diagnoses=0)
+        self._order("Writing the report", order)
 
     def cancel(self) -> None:
         """End the work that goes on, within two seconds; what was found stays."""
@@ -484,16 +512,13 @@ class Session:
         self._ready_worker()
         self.version += 1
 
-    def _order(
-        self, label: str, order: Order, done: str = "", n_diagnoses: int = 1
-    ) -> None:
+    def _order(self, label: str, order: Order, done: str = "") -> None:
         if self.job is not None or self.is_closed:
             return
         self.message = ""
         self.failure = ""
         compares = order.verb in (Verb.ADD, Verb.AUTO)
-        forecast = Forecast(n_diagnoses)
-        self.job = Job(label, done=done, compares=compares, forecast=forecast)
+        self.job = Job(label, done=done, compares=compares)
         model = None if order.verb == Verb.FIT else self.model
         self._ready_worker().tell(order, model.study if model else None)
         self.version += 1
@@ -529,7 +554,7 @@ class Session:
         if worker is not self._worker:
             return
         if isinstance(message, str) and self.job is not None:
-            self.job.say(message)
+            self.job.line = message
         elif isinstance(message, Shown):
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
@@ -542,6 +567,7 @@ class Session:
         elif isinstance(message, Refused):
             self.message = self.failure = message.message
             self.complaints = message.complaints or self.complaints
+            self._checked = Drafted("", {})
         elif isinstance(message, Done):
             self.job = None
             self._fitting = None
@@ -568,8 +594,9 @@ class Session:
         self._fitting = None
         n_known = len(known.content.steps) if known else 0
         if known is None or is_fitted or len(content.steps) > n_known:
-            self.models.append(Model(content, shown.study, drafted, self.now))
+            self.models.append(Model(content, shown.study, drafted))
             self.now = len(self.models) - 1
+            self._keep_moment()
             self._compare_with_base()
             if self.job is None or not self.job.compares:
                 self.look = Look(content.shown, content.shown_channel)

@@ -4,9 +4,12 @@ A page asks its session a few times a second whether something has changed, and 
 that anew. So it does not matter how often it is loaded, or in how many windows.
 """
 
+import time
 from collections.abc import Callable
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from nicegui import run, ui
 
@@ -21,6 +24,7 @@ from phsi_opt.page.parts import button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
 from phsi_opt.presentation.html_report import ours
+from phsi_opt.presentation.numbers import duration
 
 PRIMARY = "#1f5fa8"  # 6.5:1 below white text
 ON_PRIMARY = "#ffffff"
@@ -31,38 +35,24 @@ document.getElementById('content').focus({preventScroll: true});
 """
 # Where the key that began a solve was redrawn, the focus goes to what came of it.
 FOCUS_VERDICT = """
-if (document.activeElement === document.body) {
+if (document.activeElement === document.body || document.activeElement.disabled)
   document.getElementById('verdict')?.focus({preventScroll: true});
-}
 """
-# The arrow keys go through the menu, as in any program.
-BY_ARROWS = """(key) => {
-  const step = {ArrowDown: 1, ArrowUp: -1}[key.key];
-  if (!step) return;
-  key.preventDefault();
-  const items = [...key.currentTarget.querySelectorAll('.q-item')];
-  const place = items.indexOf(document.activeElement);
-  const first = step > 0 ? 0 : items.length - 1;
-  items[place < 0 ? first : (place + step + items.length) % items.length].focus();
-}"""
 READY = "Ready."
-THEMES = {None: "as the system", False: "light", True: "dark"}
+PAGE_PARTS = (DATA_PART, MODEL_PART, STUDY_PART)
+UNDO_AND_REDO = {-1: "Undo", 1: "Redo"}
+HEADER_BUTTON = "flat color=primary"
 
 
 class Shell:
-    """One page of a browser.
-
-    Args:
-        session: of the browser.
-        begin_again: ends the session; all pages that show it are loaded again then.
-    """
+    """One page of a browser; pages whose session is ended are loaded again."""
 
     def __init__(self, session: Session, begin_again: Callable[[], object]) -> None:
         self._session = session
         self._begin_again = begin_again
         self._data = DataView(session, self._checked, self._go)
         self._model = ModelView(session, self._checked)
-        self._study = StudyView(session)
+        self._study = StudyView(session, self._keep_up)
         self._shape = session.shape
         self._version = session.version
         self._drawn = self._to_draw()
@@ -76,19 +66,21 @@ class Shell:
         ui.add_css(Path(str(files("phsi_opt.page") / "page.css")))
         ui.add_css(ours("chart.css"))
         ui.add_body_html(f"<script>{ours('chart.js')}</script>")
-        self._dark = ui.dark_mode(value=None)
-        parts: dict[str, Callable[[], object]] = {
-            DATA_PART: self._data.build,
-            MODEL_PART: self._model.build,
-            STUDY_PART: self._study.build,
-        }
+        ui.dark_mode(value=None)  # as the system
+        views: Any = (self._data, self._model, self._study)
+        self._to_build = dict(zip(PAGE_PARTS, views, strict=True))
         with ui.header().classes("items-center justify-between q-py-xs"):
             ui.link("Skip to the content", "#content").classes("skip")
             heading("phsi_opt", 1)
             with ui.tabs().props("dense no-caps") as self._tabs:
-                for name in parts:
+                for name in PAGE_PARTS:
                     ui.tab(name)
-            self._menu()
+            with ui.row().classes("gap-1 no-wrap items-center"):
+                self._steps = {}
+                for by, name in UNDO_AND_REDO.items():
+                    step = ui.button(name, on_click=partial(self._step, by))
+                    self._steps[by] = step.props(HEADER_BUTTON)
+                ui.button("New", on_click=self._ask_to_begin_again).props(HEADER_BUTTON)
         session = self._session
         # Whether there is more to see than fields to fill in.
         has_begun = session.content is not None or session.job is not None
@@ -98,23 +90,29 @@ class Shell:
             ui.element("div").classes("page").props('id="content" tabindex="-1"'),
             ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
         ):
-            for name, build in parts.items():
-                with ui.tab_panel(name), ui.column().classes("w-full gap-3"):
-                    build()
+            self._panels = {}
+            for name in PAGE_PARTS:
+                with ui.tab_panel(name), ui.column().classes("w-full gap-3") as panel:
+                    self._panels[name] = panel
+        self._tabs.on_value_change(lambda e: self._build_part(e.value))
+        self._build_part(first)
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
         self._asking = ui.timer(0.1, self._keep_up)  # s: no reader waits
 
-    def _menu(self) -> None:
-        with ui.button("Menu").props("flat color=primary"), ui.menu() as menu:
-            menu.on("keydown", js_handler=BY_ARROWS)
-            for value, name in THEMES.items():
-                ui.menu_item(
-                    f"Colours: {name}",
-                    on_click=lambda value=value: self._dark.set_value(value),
-                )
-            ui.separator()
-            ui.menu_item("Begin again: delete this study", self._ask_to_begin_again)
+    def _build_part(self, name: str) -> None:
+        """Draw a part when it is first shown."""
+        view = self._to_build.pop(name, None)
+        if view is not None:
+            with self._panels[name]:
+                view.build()
+
+    def _step(self, by: int) -> None:
+        """Undo or redo a change; show the part that it is in."""
+        part = self._session.step(by)
+        if part:
+            self._tabs.set_value(PAGE_PARTS[("data", "model", "study").index(part)])
+        self._keep_up()
 
     def _ask_to_begin_again(self) -> None:
         """Ask first: there is no way back."""
@@ -162,6 +160,8 @@ class Shell:
 
     def _show_status(self) -> None:
         job = self._session.job
+        for by, step in self._steps.items():
+            step.set_enabled(self._session.can_step(by))
         self._begin.set_visibility(_can_begin(self._session))
         self._begin.set_enabled(not self._session.complaints)
         for part in (self._spinner, self._times, self._cancel):
@@ -169,7 +169,7 @@ class Shell:
         said = self._session.message or _what_next(self._session)
         if job is not None:
             said = job.words
-            self._times.set_text(job.forecast.words)
+            self._times.set_text(duration(time.monotonic() - job.began))
         self._line.set_text(said)
         self._footer.set_value(said != READY)  # it would only cover what is below
 
@@ -212,7 +212,7 @@ class Shell:
         if now != self._drawn:
             self._drawn = now
             self._study.build.refresh()
-            ui.run_javascript(FOCUS_VERDICT)
+            self._client.run_javascript(FOCUS_VERDICT)
 
     def _to_draw(self) -> tuple[object, ...]:
         """What the third part is drawn from."""

@@ -38,12 +38,6 @@ from phsi_opt.presentation.content import Diagnosed, Ranked, Run, StudyContent
 from phsi_opt.presentation.numbers import number, proper_names, with_error
 
 N_SHOWN = 5  # candidates that are shown at once
-# A button that may not be pressed loses the focus; it goes to what comes of the work.
-FOCUS_ON = """setTimeout(() => {
-  const now = document.activeElement;
-  if (now === document.body || now.disabled)
-    document.getElementById('verdict')?.focus({preventScroll: true});
-}, 400)"""
 ADD_ALL = "Add effects automatically until the error reaches noise"
 BAR = (
     "A bar is the error that would remain with the effect; a full bar is the error "
@@ -63,8 +57,9 @@ STALE = (
 class StudyView:
     """Draws the study as it stands."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session: Session, keep_up: Callable[[], object]) -> None:
         self._session = session
+        self._keep_up = keep_up  # draws what has changed
         self._wants_report = False
         self._resting: list[ui.button] = []  # pressed only while nothing is solved
 
@@ -73,18 +68,12 @@ class StudyView:
         for one in self._resting:
             one.set_enabled(self._session.job is None)
 
-    def _begins(
-        self, label: str, then: Callable[[], Any], quiet: bool, *, redraws: bool = True
-    ) -> ui.button:
-        """A button that begins work; it rests meanwhile.
-
-        The focus goes on to what is drawn anew, where anything is.
-        """
+    def _begins(self, label: str, then: Callable[[], Any], quiet: bool) -> ui.button:
+        """A button that begins work; it rests meanwhile."""
 
         def begin() -> None:
             then()
-            if redraws:
-                ui.run_javascript(FOCUS_ON)
+            self._keep_up()
 
         made = button(label, begin, quiet)
         made.set_enabled(self._session.job is None)
@@ -122,16 +111,8 @@ class StudyView:
                     self._ranking(content, content.present)
 
     def _nothing_yet(self) -> None:
-        said = "Data and model are valid: press Fit, below."
-        if self._session.job is not None:
-            said = "The first results will appear soon."
-        elif self._session.complaints:
-            said = "Enter the measurements and the model first: parts 1 and 2."
         with card():
             heading("Nothing is fitted yet")
-            if self._session.message:
-                alert(self._session.message)
-            ui.label(said)
         seen = self._session.seen_data.chart
         if seen is not None:
             with card():
@@ -163,24 +144,20 @@ class StudyView:
 
     # ---- measured and model, and the force that is missing ---------------------------
 
-    @property
-    def _look(self) -> Look:
-        return self._session.look
-
     def _measured(self, content: StudyContent) -> None:
         with card():
             heading("Measured and model")
             with ui.element("div").classes("fields"):
                 titles = {k: run.title for k, run in enumerate(content.runs)}
-                shown = (titles, self._look.run, self._set_run)
+                shown = (titles, self._session.look.run, self._set_run)
                 runs = choice("run", *shown, width="15em")
                 names = [one.name for one in content.runs[0].channels]
                 if len(names) > 1:
                     channels = dict(enumerate(names))
-                    now = self._look.channel
+                    now = self._session.look.channel
                     choice("channel", channels, now, self._set_channel)
                 unit = content.time.unit
-                t = self._look.t
+                t = self._session.look.t
                 self._field = ui.number(
                     f"show the time ({unit})" if unit else "show the time",
                     value=None if t is None else float(f"{t:.6g}"),
@@ -234,16 +211,16 @@ class StudyView:
             plotted(follows_chart(found), told, 260)
 
     def _set_run(self, run: int) -> None:
-        self._look.run = run
+        self._session.look.run = run
         self._field.set_value(None)
         self._look_at(None)
 
     def _set_channel(self, channel: int) -> None:
-        self._look.channel = channel
+        self._session.look.channel = channel
         self.overlay.refresh()
 
     def _look_at(self, t: float | None) -> None:
-        self._look.t = t
+        self._session.look.t = t
         self.overlay.refresh()
         self.force.refresh()
 
@@ -257,14 +234,12 @@ class StudyView:
 
     def _mark(self, run: Run) -> tuple[float, str] | None:
         """The time that is marked with its words, where the run has it."""
-        t = self._look.t
-        if t is None or not run.holds(t):
+        look = self._session.look
+        if look.t is None or not run.holds(look.t):
             return None
-        worst = Look.worst(self._session.content)
-        is_worst = False
-        if worst is not None and worst.t is not None:
-            is_worst = worst.run == self._look.run and number(t) == number(worst.t)
-        return t, "worst moment" if is_worst else "the time shown"
+        worst = Look.worst(self._session.content) or Look(-1)
+        is_worst = (worst.run, number(worst.t)) == (look.run, number(look.t))
+        return look.t, "worst moment" if is_worst else "the time shown"
 
     @ui.refreshable_method
     def overlay(self) -> None:
@@ -272,14 +247,14 @@ class StudyView:
         content = self._session.content
         if content is None:
             return
-        run = content.runs[self._look.run]
-        channel = self._look.channel
+        run = content.runs[self._session.look.run]
+        channel = self._session.look.channel
         drawn = beside(self._chosen(), run, channel)
         chart = run_chart(*drawn, channel, self._mark(run))
         name = run.channels[channel].name
         label = f"Chart: {name} of {run.title}, measured and model"
         self._plotted(chart, label, 360)
-        t = self._look.t
+        t = self._session.look.t
         if t is None:
             return
         with ui.element("div").props('role="status"'):
@@ -292,7 +267,7 @@ class StudyView:
         content = self._session.content
         if content is None:
             return
-        run = content.runs[self._look.run]
+        run = content.runs[self._session.look.run]
         forces = content.forces_along(run)
         if forces:
             chart = force_chart(forces, content.time.unit, self._mark(run))
@@ -324,13 +299,8 @@ class StudyView:
             chart = errors_chart(content.steps, content.unit)
             errors = [f"{one.label} {number(one.judged, 3)}" for one in content.steps]
             plotted(chart, f"Chart: error after each step: {', '.join(errors)}", 280)
-            with ui.row():
-                steps = {"Undo": session.undone, "Redo": session.redone}
-                for label, place in steps.items():
-                    if place is not None:
-                        self._begins(label, partial(session.go_to, place), True)
-                if content.present is None or content.present.proposed:
-                    self._begins(ADD_ALL, session.auto, True)
+            if content.present is None or content.present.proposed:
+                self._begins(ADD_ALL, session.auto, True)
             several = session.models if len(session.models) > 1 else ()
             for place, one in enumerate(several):
                 self._listed(place, one)
@@ -381,7 +351,7 @@ class StudyView:
         with card().classes("last"):
             heading("Take it away")
             with ui.row():
-                self._begins("Report", self._report, False, redraws=False)
+                self._begins("Report", self._report, False)
                 made = self._session.study_file
                 for label, text, name in (
                     ("Study file", lambda: made().text(), "study.toml"),

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from importlib import import_module
+from importlib.resources import files
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
@@ -27,6 +27,7 @@ from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
 
+WARMS_UP = "house"  # an example whose units take most to read
 Receiver = Callable[["WorkerHandle", Any], None]
 
 
@@ -73,6 +74,11 @@ class Refused:
 @dataclass(frozen=True)
 class Done:
     """The order is carried out, or refused; the worker waits for the next."""
+
+
+def example(name: str) -> Path:
+    """A study file that comes with the package."""
+    return Path(str(files("phsi_opt.study_file") / "examples" / name / "study.toml"))
 
 
 # ---- the server's end ----------------------------------------------------------------
@@ -163,18 +169,16 @@ def tell(line: str) -> None:
 
 
 def work(connection: Connection) -> None:
-    """Carry out orders until the pipe breaks.
-
-    Args:
-        connection: studies to go on from and orders come in; messages go out.
-    """
+    """Carry out orders until the pipe breaks; messages go back through it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
-    import_module("scipy.optimize")  # takes a while, and each fit needs it
     _Pipe.connection = connection
+    is_needed = connection.poll()
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
     study: Study | None = None
+    if not is_needed:  # everything is imported and compiled before it is needed
+        StudyFile.read(example(WARMS_UP)).study().content(forces=True)
     while True:
         order = orders.get()
         if isinstance(order, Study):

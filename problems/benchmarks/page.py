@@ -71,11 +71,13 @@ def measured(page: Page, example: str) -> dict[str, float | str]:
     found["verdict"] = until(verdict.get_by_text("What is wrong"), began)
     add = page.get_by_role("button", name="Add ", exact=False).first
     add.click(timeout=PATIENCE)
-    undo.wait_for(timeout=PATIENCE)
+    added = verdict.get_by_text("What was added")
+    added.wait_for(timeout=PATIENCE)
     page.get_by_role("button", name="Cancel").wait_for(state="hidden", timeout=PATIENCE)
+    lacks = verdict.get_by_text("What to add")
     times: dict[str, list[float]] = {"undo": [], "redo": []}
     for _ in range(ROUNDS):
-        for name, press, shown in (("undo", undo, redo), ("redo", redo, undo)):
+        for name, press, shown in (("undo", undo, lacks), ("redo", redo, added)):
             began = time.perf_counter()
             press.click()
             times[name].append(until(shown, began))
