@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.laws import parameter_words
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import grid_of
 
@@ -187,3 +189,28 @@ def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> 
         ph.ModelError, match="slot 'G' is unknown; expected one of H, R, F, sensor"
     ):
         ph.Effect("odd", "G", "p", ph.formula("1"))
+
+
+def test_parameters_of_effects_are_told_in_words_and_others_by_their_names() -> None:
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=1.0),
+        R=ph.damping("p"),
+        F={"p": ph.formula("u") + ph.trigonometric("t")},
+    )
+    for name in ("coulomb friction", "gap", "input delay", "constant force"):
+        model = model.add(effect_named(model, name, "p"))
+    told = {name: parameter_words(model, name) for name in model.entries}
+    assert told["coulomb_friction_p"] == "coulomb friction on p"
+    assert told["coulomb_friction_p.v0"] == (
+        "coulomb friction on p, speed of transition v0"
+    )
+    assert told["gap_q.play"] == "gap on q, play"
+    assert told["delay_u_p"] == "delay of u on p"
+    assert told["constant_force_p"] == "constant force on p"
+    assert told["k"] == "k" and told["R_p"] == "R_p"
+    (wave,) = [one for name, one in told.items() if name.startswith("F_p[sin")]
+    assert wave.startswith("coefficient of sin(") and wave.endswith(" in F_p")
+    assert parameter_words(model, "k[run 3]") == "k[run 3]"

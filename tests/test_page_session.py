@@ -359,7 +359,7 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
     assert len(drawn.channels[0].models) == 2
     rows = rows_of([base, larger])
     assert list(rows)[:3] == ["training error", "held-out error", "k"]
-    assert rows["coulomb_friction_p"][0] == ""
+    assert rows["Coulomb friction on p"][0] == ""
     (law,) = studied.models[1].laws
     assert law.law is not None, "it is drawn through the missing force"
 

@@ -43,6 +43,7 @@ from phsi_opt.presentation.numbers import (
     short_constants,
     typeset,
     with_error,
+    with_interval,
 )
 from phsi_opt.presentation.units import rate_unit, times_words
 from phsi_opt.study.content import _errors, study_content
@@ -52,7 +53,7 @@ from problems.examples.friction_spring import table
 from tests.page_tools import contrast
 
 MOST_BYTES = 1_500_000
-ORDER = ["verdict", "runs", "errors", "equations", "where", "ranked", "checks"]
+ORDER = ["verdict", "runs", "errors", "data", "equations", "where", "ranked", "checks"]
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$\\x$ {{7*7}}"
 # Colours of texts on the page and on cards, by name in the style sheet.
 TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad"]
@@ -196,6 +197,15 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     headline = content.headline
     tried = r"(none of the \d+ effects tried explains|the only effect tried does not)"
     assert re.match(f"A force is missing; {tried}", headline.sentence)
+    brief = {one.question: one for one in headline.brief}
+    rest = brief["What remains unexplained"]
+    assert re.match(
+        r"A missing force of [\d.]+ N \(rms\), .* of the model's", rest.lead
+    )
+    assert rest.detail.startswith("In dp/dt, the force on q") and "run" in rest.detail
+    assert re.search(
+        r"m on data that .* fitting\.", brief["How good is the model"].lead
+    )
     answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
     wrong = answers["What is wrong"]
     # One scale for error and noise, in numbers that can be compared.
@@ -261,6 +271,8 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert estimate_text(263.3, 1895.4) == "300 +- 1900"
     assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
     assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
+    assert number(0.04, 3) == "0.0400" and number(0.0, 3) == "0" and number(4.0) == "4"
+    assert with_interval(0.04, (0.035, 0.0448)) == "0.0400 (95 %: 0.0350 to 0.0448)"
     assert number(2.6e2, 2) == "260" and number(748.6, 2) == "750"
     assert number(2.79e-6, 3) == "2.79×10⁻⁶" and number(3.1e9, 2) == "3.1×10⁹"
     assert said("a floor of 2.79e-06 m, run_1e5") == "a floor of 2.79×10⁻⁶ m, run_1e5"
@@ -310,7 +322,7 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
     assert all(SEVERITY_WORDS[severity] == word for severity, word in items)
     (day,) = re.findall(r"2 runs to fit and 2 to test; report of ([\d-]+)<", page)
     again = study_content(study.record, study.record.laws(), written=day)
-    assert html_report(again) == page
+    assert html_report(again, study.record.data_chart()) == page
     titled = replace(study.record, title="Drive <7>")
     assert "<title>Drive &lt;7&gt;: " in html_report(study_content(titled))
 
@@ -358,7 +370,7 @@ def test_every_chart_has_a_picture_with_words_for_paper(page: str) -> None:
     reader = Reader(page)
     live = [one for one in reader.all("div") if one.get("class") == "live"]
     still = [one for one in reader.all("img") if one.get("class") == "still"]
-    # staircase, runs, the law of the friction, and three of the missing force
+    # staircase, runs, all data, the law of the friction, and three of the missing force
     assert len(live) == len(still) == 7
     for one in still:
         assert one["alt"] and len(one["alt"]) > 30

@@ -49,6 +49,7 @@ def test_effects_are_written_with_the_velocity(effect: str) -> None:
     lines = told(spring().add(effect, "p"))
     assert not any("dH" in line or "N0" in line for line in lines)
     assert any(effect in line for line in lines)
+    assert "Θ" not in "".join(lines), "a step beside max(a, 0) says nothing"
 
 
 def test_coefficients_without_a_name_are_numbers_and_greek_letters_are_greek() -> None:

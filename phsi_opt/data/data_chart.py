@@ -71,7 +71,7 @@ def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
     if len(runs) > MOST_TICKS:
         return x + 1, f"number of the run; {x_label}", ()
     every = -(-len(runs) // MOST_NAMES)
-    room = max(AXIS_LETTERS // min(len(runs), MOST_NAMES), 4)
+    room = max(AXIS_LETTERS // min(len(runs), MOST_NAMES), 5)
     names = [run.name for run in runs]
     if max(map(len, names)) > 2 * room:  # without what all names begin with
         begin = commonprefix(names)  # noqa: RUF071 -- these are no paths

@@ -28,6 +28,8 @@ from phsi_opt.diagnosis.refit import DiagnosedModel, refit, thorough_refit
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
+from phsi_opt.model.laws import parameter_words
+from phsi_opt.presentation.numbers import decimal
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -133,7 +135,8 @@ class _Judge:
         new = new_names(self.base.fit.model, one.effect, larger.fit.names)
         at_bound = [name for name in new if name in larger.fit.outcome.at_bounds]
         if at_bound:
-            self.note(place, lost=f"{', '.join(at_bound)} ended at a bound")
+            words = parameter_words(larger.fit.model, at_bound[0])
+            self.note(place, lost=f"{words} ended at a bound")
             return None
         self.note_refit(place, larger)
         return larger
@@ -379,10 +382,11 @@ class _Judge:
         after = larger.judged
         where = "held-out" if self.base.is_held_out else "training"
         unit = spaced(after.error_unit)
-        return (
-            f"the {where} error falls from {self.base.judged.rmse:.3g} to "
-            f"{after.rmse:.3g}{unit}, noise floor {after.floor_words()}"
-        )
+        before = self.base.judged.rmse
+        verb = "falls" if after.rmse < before else "rises"
+        errors = f"{decimal(before, 3, '#')} to {decimal(after.rmse, 3, '#')}{unit}"
+        floor = after.floor_words()
+        return f"the {where} error {verb} from {errors}, noise floor {floor}"
 
 
 def _errors(base: DiagnosedModel) -> str:
@@ -390,7 +394,7 @@ def _errors(base: DiagnosedModel) -> str:
     where = "held-out" if base.is_held_out else "training"
     unit = spaced(base.judged.error_unit)
     return (
-        f"{where} error {base.judged.rmse:.3g}{unit}, "
+        f"{where} error {decimal(base.judged.rmse, 3, '#')}{unit}, "
         f"noise floor {base.judged.floor_words()}"
     )
 

@@ -28,6 +28,7 @@ from phsi_opt.estimation.fit_record import (
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.estimation.uncertainty import Uncertainty, unknown
 from phsi_opt.later import Later
+from phsi_opt.model.laws import parameter_words
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.standard_errors import Source, Spread, StandardErrors
@@ -249,10 +250,11 @@ class Estimate(ABC):
         parameter = self.unknown.entries[place].parameter
         bound = parameter.nearest_bound(self.theta[place])
         side = "lower" if bound == parameter.lower else "upper"
+        told = parameter_words(self.model, name)
         return (
-            f"{name} is at its {side} bound {bound:g}; the data favour values beyond "
-            f"it. The model may be incomplete, or the bound wrong. {name} has no "
-            "standard error, and the other standard errors treat it as known"
+            f"{told} is at its {side} bound {bound:g}; the "
+            "data favour values beyond it. The model may be incomplete, or the bound "
+            "wrong. It has no standard error, and others treat it as known"
         )
 
     def _model_error_rows(

@@ -28,11 +28,12 @@ from phsi_opt.estimation.fit_file import (
 )
 from phsi_opt.estimation.fit_record import DIGITS, FitRecord, FitUncertainty
 from phsi_opt.later import Later
+from phsi_opt.model.laws import parameter_words
 from phsi_opt.model.symbolic import dictionary_rows, structure_rows
 from phsi_opt.model.terms import Term
 from phsi_opt.presentation.numbers import estimate_text
 from phsi_opt.presentation.sentences import lines
-from phsi_opt.presentation.summary import Part, Summarised, Summary
+from phsi_opt.presentation.summary import Part, Summarised, Summary, filled
 from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.parameter_vector import Theta
@@ -270,8 +271,9 @@ class Fit(FitRecord, Summarised):
         return Summary(_title(self), (equations, Part(table=shown), remarks))
 
     def __str__(self) -> str:
-        rows = [*equation_lines(self), *_remarks(self)]
-        return "\n".join([_title(self), *(f"  {row}" for row in rows)])
+        equations = (f"  {row}" for row in equation_lines(self))
+        remarks = filled("\n".join(_remarks(self)), "  ")
+        return "\n".join([filled(_title(self)), *equations, remarks])
 
     __repr__ = __str__
 
@@ -327,10 +329,9 @@ def equation_lines(fit: FitRecord) -> list[str]:
     rows += dictionary_rows(fit.model, partial(_term, fit))
     own = fit.model.names_in_formulas
     for name, entry in fit.model.entries.items():
-        scale = scale_of(fit.parameter_units[name])
-        value = f"{scale.shown(fit.values[name]):.6g} {scale.unit}".rstrip()
         if entry.parameter.fixed:
-            rows.append(f"{name} = {value} (fixed)")
+            told = name if name in own else parameter_words(fit.model, name)
+            rows.append(f"{told} = {_estimate(fit, name)} (fixed)")
         elif name in own:
             rows.append(f"{name} = {_estimate(fit, name)}")
     return [LONG_NUMBER.sub(_few_digits, row) for row in rows]
@@ -374,6 +375,9 @@ def _estimate(fit: FitRecord, name: str) -> str:
     scale = scale_of(fit.parameter_units[name])
     unit = spaced(scale.unit)
     value = scale.shown(fit.values[name])
+    if parameter.fixed:
+        digits = DIGITS if parameter.guess is None else 3  # a rough rule gave it
+        return f"{value:.{digits}g}{unit}"
     if parameter.per_trajectory and fit.by_trajectory:
         return f"{value:.6g}{unit}, mean over trajectories"
     if name in fit.outcome.at_bounds:

@@ -192,10 +192,12 @@ class Identified:
         """The right-hand side of every state as text."""
         import sympy as sp
 
+        from phsi_opt.model.sympy_backend import without_steps
+
         exact = self.sympy(named=True)
         found = {}
         for state in self.model.states:
-            rounded = exact[f"d{state}/dt"].n(DIGITS)
+            rounded = without_steps(exact[f"d{state}/dt"]).n(DIGITS)
             for number in rounded.atoms(sp.Float):
                 if float(number).is_integer():
                     rounded = rounded.xreplace({number: sp.Integer(number)})

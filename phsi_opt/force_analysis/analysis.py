@@ -164,12 +164,7 @@ def sentence(force: EquationForce) -> str:
 
 
 def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
-    """The equation of a force, and what it follows or else where it is largest.
-
-    Where nothing is followed a place is a detail: it would promise a cause. With
-    ``is_named`` nothing is said of what does not explain the force; with ``is_known``,
-    where effects say all that the force is, no shares are given.
-    """
+    """The equation of a force, and what it follows or else where it is largest."""
     model = force.record.model
     shares = force.causes.shares
     return _said(
@@ -224,11 +219,7 @@ def _period_words(force: EquationForce) -> str:
 
 
 def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str:
-    """At which values of its variables a force is strong.
-
-    Such as "where q is highest (above 0.7 m)"; "" where no values stand out. Without
-    names the variables are those of the force's map.
-    """
+    """At which values of its variables a force is strong."""
     names = force.map_variables if names is None else names
     region = strong_region(force, names, force.told)
     return ", and ".join(range_words(force, *found) for found in region.items())

@@ -38,6 +38,7 @@ from phsi_opt.statistics import rms
 if TYPE_CHECKING:
     import pandas as pd
 
+DIFFERENCE = " - "  # between the two variables of a difference
 EVERYWHERE = "everywhere"  # the region where none stands out
 
 
@@ -135,11 +136,7 @@ class EquationForce(Force):
 
     @property
     def map_variables(self) -> list[str]:
-        """Position and velocity of a momentum, or the best states, for a map.
-
-        There may be only one state. Another pair of states takes their place where the
-        force follows only that pair.
-        """
+        """Position and velocity of a momentum, or the best states, for a map."""
         states = self.record.model.states
         usual = [name for name in self.follows["variable"] if name in states][:2]
         if self.position:
@@ -195,12 +192,18 @@ class EquationForce(Force):
         return scale_of(units.get(self._named(variable), ""))
 
     def told(self, variable: str) -> np.ndarray:
-        """Values of a variable in its `scale_of`, (n_intervals,)."""
-        values = self.scale_of(variable).shown(self.record.variable(variable))
-        return np.asarray(values)
+        """Values of a variable, or of a difference, in its `scale_of`."""
+        first, _, second = variable.partition(DIFFERENCE)
+        values = np.asarray(self.scale_of(first).shown(self.record.variable(first)))
+        return values - self.told(second) if second else values
 
     def variable_label(self, name: str) -> str:
-        """Label of an axis for a variable, with its unit."""
+        """Label of an axis for a variable, or for a difference, with its unit."""
+        if DIFFERENCE in name:
+            both = map(self._named, name.split(DIFFERENCE))
+            return label(
+                DIFFERENCE.join(both), self.scale_of(name.split(DIFFERENCE)[0]).unit
+            )
         position = self.position_of(name)
         if position:
             unit = self.scale_of(name).unit

@@ -117,11 +117,7 @@ Region = Mapping[str, Sequence[StrongRange]]
 def strong_region(
     force: Force, names: Sequence[str], values: Callable[[str], np.ndarray]
 ) -> Region:
-    """Ranges of variables in which a force is strong; of those where any stands out.
-
-    The ranges are of ``values``, (n_intervals,) by name. The states of an effect's
-    memory are left out.
-    """
+    """Ranges of variables in which a force is strong; of those where any stands out."""
     region = {}
     for name in names:
         if name not in force.record.model.memory:

@@ -116,13 +116,13 @@ def follows_of(
     z = force.told(variable)
     x_label = force.variable_label(variable)
     w = force.w
-    wave = force.wave
+    wave = force.wave if law is None else None
     period = None
-    if variable != TIME_NAME:
+    if variable != TIME_NAME and law is None:  # beside a law no parameter is free
         w = without_parameters(force, variable, wave)
         if wave is not None and wave.position == variable:
             period = wave.period / force.scale_of(variable).size
-    elif force.share_of(TIME_NAME) >= CLEAR_PATTERN:
+    elif variable == TIME_NAME and force.share_of(TIME_NAME) >= CLEAR_PATTERN:
         period = period_of(force)
         z = z - z[0] if period else z
         period = period and period / force.scale_of(variable).size
@@ -146,14 +146,7 @@ def follows_of(
 
 
 def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure":
-    """Force over time, over the states, against what it follows, and its frequencies.
-
-    The sentence above says what it is. Of the equation whose missing force is surest,
-    unless another is given.
-
-    Raises:
-        ModelError: the equation has no missing force.
-    """
+    """Force over time, over states, against what it follows, and its frequencies."""
     import matplotlib.pyplot as plt
 
     from phsi_opt.presentation.charts import Chart, draw, follows_chart, force_chart

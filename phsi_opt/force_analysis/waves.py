@@ -133,11 +133,7 @@ def _drawn(is_fitted: np.ndarray, most: int = 3000) -> np.ndarray:
 
 
 def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
-    """Slow changes, and the wave that fits best, (n_intervals, n_slow + 4).
-
-    It has one phase in all trajectories, and has to fit where ``is_fitted``,
-    (n_intervals,) of bool.
-    """
+    """Slow changes, and the wave that fits best, (n_intervals, n_slow + 4)."""
     t = force.record.t
     frequency = _frequency_in_time(force, is_fitted)
     waves = harmonics(2 * np.pi * frequency * (t - t[0]))
@@ -188,11 +184,7 @@ class PositionWave:
 
 
 def position_wave(force: Force) -> PositionWave | None:
-    """The wave along a state that the equation exchanges energy with.
-
-    None where it does not predict a tenth of the force's mean square more than
-    functions of that state with a few knots do.
-    """
+    """The wave along a state that the equation exchanges energy with."""
 
     def waves_along(
         z: np.ndarray, functions: np.ndarray, is_fitted: np.ndarray
@@ -226,11 +218,7 @@ def position_wave(force: Force) -> PositionWave | None:
 def _best_along(
     z: np.ndarray, force: Force, functions: np.ndarray, is_fitted: np.ndarray
 ) -> tuple[float, float]:
-    """Frequency of the wave along a state that fits the residual of functions best.
-
-    In cycles per unit of the state, 0 where that stands still; and the share of the
-    residual that the wave explains. Functions are (n_intervals, k).
-    """
+    """Frequency of the wave along a state that fits the residual of functions best."""
     fitted = functions[is_fitted]
     coefficients = np.linalg.lstsq(fitted, force.w[is_fitted], rcond=None)[0]
     places = _drawn(is_fitted)

@@ -240,6 +240,51 @@ def said_of(name: str) -> tuple[str, tuple[str, ...]]:
     return "", ()
 
 
+# What the numbers of a law are, by the parts of their names, where these do not say it.
+WORDS_OF_NUMBERS = {
+    "v0": "speed of transition v0",
+    "v_s": "Stribeck speed v_s",
+    "e0": "level of transition e0",
+    "half": "level of half the conductance",
+    "omega": "frequency omega",
+    "dead zone": "half the width of the dead zone",
+    "saturation": "limit of the saturation",
+    "following time": "time constant of the second storage",
+    "clipping": "limit of the clipping",
+    "lag": "lag",
+    "delay": "delay",
+    "heat exchange": "heat exchange",
+}
+
+
+def parameter_words(model: BaseModel, name: str) -> str:
+    """A parameter of an effect as people call it; other names stay as they are.
+
+    Such as "coulomb friction on p, speed of transition v0" for coulomb_friction_p.v0.
+    """
+    place, _, body = name.partition("[")
+    if name not in model.entries:  # such as one of a run: m[run 3]
+        return name
+    if body:
+        return f"coefficient of {body.removesuffix(']')} in {place}"
+    outer, _, inner = name.rpartition(".")
+    if outer:
+        told = WORDS_OF_NUMBERS.get(inner, inner)
+        return f"{parameter_words(model, outer)}, {told}"
+    for state in filter(lambda one: name.endswith(f"_{one}"), model.states):
+        stem = name.removesuffix(f"_{state}").replace("_", " ")
+        starts = filter(
+            f"{stem} ".startswith, map("{} ".format, (*WORDS_OF_NUMBERS, *ROWS))
+        )
+        kind = max(starts, key=len, default="").rstrip()
+        if kind:
+            rest = stem[len(kind) + 1 :]
+            of = " of" if rest in (*model.states, *model.inputs) else ""
+            words = WORDS_OF_NUMBERS.get(kind, kind)
+            return f"{words}{of} {rest}".rstrip() + f" on {state}"
+    return name
+
+
 # ---- a law ---------------------------------------------------------------------------
 
 

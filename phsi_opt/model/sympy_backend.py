@@ -38,6 +38,21 @@ def formula_text(expression: sp.Expr) -> str:
     return str(_FormulaPrinter().doprint(expression))
 
 
+def without_steps(expression: sp.Expr) -> sp.Expr:
+    """The slope of max(a, 0)^n in which no step is written beside max(a, 0)."""
+
+    def shortened(product: sp.Mul) -> sp.Expr:
+        corners = {one.args for one in product.atoms(sp.Max)}
+        kept = []
+        for factor in product.args:
+            is_step = isinstance(factor, sp.Heaviside)
+            if not is_step or sp.Max(0, factor.args[0]).args not in corners:
+                kept.append(factor)
+        return sp.Mul(*kept)
+
+    return expression.replace(lambda one: one.is_Mul, shortened)
+
+
 def n_expanded(expression: sp.Expr) -> int:
     """Terms of an expression after it is multiplied out, at most; 1 for one term.
 

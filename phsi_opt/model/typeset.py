@@ -14,7 +14,7 @@ from phsi_opt.model.base import BaseModel
 from phsi_opt.model.laws import delayed_signals
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.model.symbolic import Expressions
-from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.numbers import decimal
 
 MOST_READ = 60  # of a model whose equations somebody reads
 TIMES, THIN_SPACE = "<mo>&InvisibleTimes;</mo>", '<mspace width="0.17em"/>'
@@ -50,7 +50,7 @@ def typeset_equations(
     import sympy as sp
     from sympy.printing.mathml import mathml
 
-    from phsi_opt.model.sympy_backend import SYMPY
+    from phsi_opt.model.sympy_backend import SYMPY, without_steps
 
     written: list[str] = []  # MathML of the names that SymPy knows by their numbers
 
@@ -90,7 +90,7 @@ def typeset_equations(
             rows[shown] = x[k] + plain.sensor[k]
     lines = []
     for left, right in rows.items():
-        found = sp.sympify(right)
+        found = without_steps(sp.sympify(right))
         if instead:
             found = sp.expand(found.subs(instead))
         found = found.replace(lambda one: one.is_Float, _exact)
@@ -120,7 +120,7 @@ def _late(signal: str, delay: float, unit: str) -> str:
     """Such as u(t - 5.3 ms)."""
     if unit == "s" and abs(delay) < 0.1:
         delay, unit = 1000 * delay, "ms"
-    minus = f"<mi>t</mi><mo>\N{MINUS SIGN}</mo><mn>{number(delay, 3)}</mn>"
+    minus = f"<mi>t</mi><mo>\N{MINUS SIGN}</mo><mn>{decimal(delay, 3)}</mn>"
     told_unit = f"<mtext>\N{NO-BREAK SPACE}{escape(unit)}</mtext>"
     return f"{_name(signal)}<mo>(</mo>{minus}{told_unit}<mo>)</mo>"
 

@@ -20,6 +20,7 @@ from phsi_opt.arguments import require, require_choice, require_count
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
 from phsi_opt.optimization.program import Program
+from phsi_opt.presentation.numbers import number_of
 from phsi_opt.statistics import TINY
 
 # Who solves a likelihood: full Gauss-Newton steps where they lead to an optimum and
@@ -168,8 +169,9 @@ class Outcome:
         return "Gauss-Newton steps" if self.status == DIRECT_STEPS else "IPOPT"
 
     def __str__(self) -> str:
-        effort = f"{self.iterations} iterations, {self.seconds:.2f} s"
-        text = f"{self.sentence} ({self.solver}: {self.status}, {effort})"
+        how = self.solver if self.status == DIRECT_STEPS else f"IPOPT: {self.status}"
+        effort = f"{number_of(self.iterations, 'iteration')}, {self.seconds:.2f} s"
+        text = f"{self.sentence} ({how}, {effort})"
         if self.at_bounds:
             text += f"; at a bound: {', '.join(self.at_bounds)}"
         if self.advice:

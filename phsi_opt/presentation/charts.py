@@ -123,7 +123,6 @@ class Chart:
     # Lines of text on the first axis, in place of numbers.
     ticks: tuple[list[str], ...] = ()
     mark: Mark | None = None  # a place on it
-    window: tuple[float, float] | None = None  # a part of it to look at
     map: ForceMap | None = None
 
 
@@ -199,19 +198,6 @@ def _measured_panel(content: StudyContent, one: Channel) -> Panel:
     measured = Curve("measured", one.t, one.measured, MEASURED, POINTS)
     curves = [measured, *_of_models(content.names, one.t, one.models)]
     return Panel(label(one.name, one.unit), curves)
-
-
-def glance_chart(content: StudyContent) -> Chart:
-    """One channel measured and simulated, and the missing force below."""
-    place = content.glance
-    assert place is not None, "there is nothing to show"
-    run = content.runs[place.run]
-    panels = [_measured_panel(content, run.channels[place.channel])]
-    if place.force is not None:
-        name = f"missing in d{place.force.equation}/dt"
-        panels.append(_force_panel([place.force], label(name, place.force.unit), 0.8))
-    x_label = time_label(content.time.unit, run.origin)
-    return Chart(x_label, tuple(panels), run.title, window=place.window)
 
 
 def force_chart(
@@ -374,8 +360,6 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
         ax.set_ylim(bottom=0)
     elif panel.scale != FREE:
         ax.axhline(0, color=BASELINE, lw=0.6)
-    if chart.window is not None:
-        ax.axvspan(*chart.window, color=ATTENTION, alpha=0.15, lw=0)
     if chart.ticks:
         ax.set_xlim(-0.5, len(chart.ticks) - 0.5)
         ax.set_xticks(range(len(chart.ticks)), map("\n".join, chart.ticks))

@@ -320,19 +320,13 @@ class Diagnosed:
         return self.ranking[:12]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Glance:
-    """Where it shows: one channel of one run, and the force that is missing there."""
+    """The run, its channel and the time at which a model is off most, by numbers."""
 
-    run: int  # number in `StudyContent.runs`
-    channel: int  # number of its channel
-    sentence: str  # what to see
-    # The force along that run; None where it was not estimated there.
-    force: ForceRun | None = None
-    # From when to when the force is strongest; None: at no time.
-    window: tuple[float, float] | None = None
-    # When the model is off most while the force is sure; None: not known.
-    t: float | None = None
+    run: int
+    channel: int
+    t: float
 
 
 # ---- all of it -----------------------------------------------------------------------
@@ -390,13 +384,7 @@ def unestablished_words(names: Sequence[str]) -> str:
 
 
 def thinned(curves: Sequence[np.ndarray], most: int) -> np.ndarray:
-    """Samples to draw, (n_drawn,) increasing: first, last, and extremes of each bin.
-
-    Args:
-        curves: (n_samples,) each, NaN where not known; of each, the least and the
-            largest value of every bin are kept, and one NaN, for a gap.
-        most: samples to draw at most, but for the first and the last one.
-    """
+    """Samples to draw, (n_drawn,): first, last, and extremes of each bin."""
     n_samples = len(curves[0])
     if n_samples <= most:
         return np.arange(n_samples)

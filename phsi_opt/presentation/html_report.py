@@ -19,7 +19,6 @@ from phsi_opt.presentation.charts import (
     figure,
     follows_chart,
     force_chart,
-    glance_chart,
     run_chart,
     svg,
 )
@@ -42,15 +41,15 @@ class _Place(NamedTuple):
         return figures[0][0] if self.shown is None else figures
 
 
-def _places(content: StudyContent) -> dict[str, _Place]:
+def _places(content: StudyContent, data: Chart | None) -> dict[str, _Place]:
     """The charts of a report, by the names that their places have."""
     runs = []
     for run in content.runs:
         runs.append([run_chart(content, run, k) for k in range(len(run.channels))])
     places = {"measured": _Place(runs, (content.shown, content.shown_channel))}
     charts = {"staircase": errors_chart(content.steps, content.unit)}
-    if content.glance is not None:
-        charts["glance"] = glance_chart(content)
+    if data is not None:
+        charts["data-chart"] = data
     for k, law in enumerate(content.laws):
         charts[f"law-{k}"] = follows_chart(law)
     for f, diagnosed in enumerate(content.diagnoses):
@@ -64,9 +63,9 @@ def _places(content: StudyContent) -> dict[str, _Place]:
     return places | {name: _Place([[chart]]) for name, chart in charts.items()}
 
 
-def html_report(content: StudyContent) -> str:
-    """The whole report as the text of an HTML file."""
-    places = _places(content)
+def html_report(content: StudyContent, data: Chart | None = None) -> str:
+    """The whole report as the text of an HTML file, with a chart of all its data."""
+    places = _places(content, data)
     drawn = {name: place.drawn() for name, place in places.items()}
 
     def picture(name: str) -> str:
@@ -79,6 +78,7 @@ def html_report(content: StudyContent) -> str:
     templates = environment(PRESENTATION, TEMPLATES, autoescape=True)
     return templates.get_template("report.html.jinja").render(
         report=content,
+        data_chart=data,
         picture=picture,
         markup=Markup,
         style=Markup(ours("chart.css") + ours("report.css")),  # no escape

@@ -9,6 +9,7 @@ from typing import Any
 LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
+DEGREES = re.compile(r"\bdeg(?=[CF]\b)")  # of a temperature
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 POWER_OF_TEN = re.compile(
     r"(?<![\w.])(\d+(?:\.\d+)?)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
@@ -18,16 +19,22 @@ PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
 LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """The value with a few digits, "not known" where there is none."""
+def number(value: float | None, digits: int = 0) -> str:
+    """The value with so many digits, "not known" where there is none.
+
+    Of a value that somebody chose (0 digits) at most four, without zeros at the end.
+    """
     if value is None or not math.isfinite(value):
         return "not known"
-    return said(decimal(value, digits))
+    return said(decimal(value, digits or 4, "#" if digits and value else ""))
 
 
-def decimal(value: float, digits: int) -> str:
-    """A number with so many digits, up to a million as 260 and not as 2.6e+02."""
-    text = f"{value:.{digits}g}"
+def decimal(value: float, digits: int, zeros: str = "") -> str:
+    """A number with so many digits, up to a million as 260 and not as 2.6e+02.
+
+    Zeros at its end stay with "#".
+    """
+    text = f"{value:{zeros}.{digits}g}".removesuffix(".")
     if "e+" in text and abs(value) < 1e6:
         return f"{float(text):.0f}"
     return text
@@ -50,7 +57,7 @@ def as_exact_as(std_error: float, value: float) -> str:
     place = math.floor(math.log10(std_error))
     size = max(abs(value), std_error)
     if std_error < 1e-4 or size >= 1e6:
-        return decimal(value, math.floor(math.log10(size)) - place + 2)
+        return decimal(value, math.floor(math.log10(size)) - place + 2, "#")
     return f"{round(value, 1 - place) + 0.0:.{max(1 - place, 0)}f}"
 
 
@@ -88,7 +95,7 @@ def p_value_words(p_value: float) -> str:
 
 def typeset(text: str) -> str:
     """A sentence of a terminal as it is printed: ± for +-, rad/s² for rad/s^2."""
-    signed = text.replace("+-", "\N{PLUS-MINUS SIGN}")
+    signed = DEGREES.sub("\N{DEGREE SIGN}", text.replace("+-", "\N{PLUS-MINUS SIGN}"))
     return UNIT_POWER.sub(lambda found: found[1].translate(RAISED), signed)
 
 

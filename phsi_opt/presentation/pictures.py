@@ -58,11 +58,7 @@ def plot_free_run(
     title: str,
     ax: Axes | None = None,
 ) -> Axes:
-    """Measurements and free run of one trajectory, (n_samples,) times ``t``.
-
-    A band covers two standard deviations of the run where they are known. Residuals
-    stand in a panel below, with the band that noise alone leaves.
-    """
+    """Measurements and free run of one trajectory, (n_samples,) times ``t``."""
     curves: list[Curve] = []
     residuals: list[Curve] = []
     is_alone = len(channels) == 1
@@ -92,11 +88,7 @@ def plot_missing_force(
     units: Mapping[str, str],
     ax: Axes | None = None,
 ) -> Axes:
-    """The missing force along one trajectory, with two standard deviations.
-
-    The table has a row per interval: ``t``, and for each of the equations its force and
-    standard deviation in the columns named as the state, ``p``, and ``std_p``.
-    """
+    """The missing force along one trajectory, with two standard deviations."""
     time = scale_of(units.get("t", ""))
     forces = []
     for state in equations:
@@ -117,17 +109,7 @@ def plot_profile(
     level: float,
     ax: Axes | None = None,
 ) -> Axes:
-    """A profile likelihood; the interval is where it stays below the threshold.
-
-    Args:
-        points: (n, 2) values of the parameter, increasing, and rise of -2 log
-            likelihood.
-        value: Estimate of the parameter.
-        curvature: Limits of confidence by the standard error, whose parabola is drawn
-            for comparison.
-        threshold: Rise at the limits of confidence; ``level``: between 0 and 1.
-        ax: Axes to draw on; None: a new figure.
-    """
+    """A profile likelihood; the interval is where it stays below the threshold."""
     ax = axes_of(ax, (6.0, 3.6))
     held, rise = points.T
     # The signed root of the rise is nearly straight, so a smooth curve goes through few
@@ -158,11 +140,7 @@ def plot_states(
     title: str,
     ax: Axes | None = None,
 ) -> Axes:
-    """Measured and estimated states over (n_samples,) times, a panel each.
-
-    A state that nobody measured has NaN for its measurements; ``simulated`` is the
-    estimate.
-    """
+    """Measured and estimated states over (n_samples,) times, a panel each."""
     panels = []
     for one in channels:
         curves = [Curve("measured", t, one.measured, MEASURED, POINTS)]
@@ -202,12 +180,6 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     An interval that reaches beyond zero (more than 100 %) leaves even the sign open: it
     is drawn in another colour, over the whole width. A square marks a parameter that
     ended at a bound, an open circle one without a standard error.
-
-    Args:
-        table: A row per estimate, from top to bottom: ``name``, ``value``,
-            ``ci_lower`` and ``ci_upper`` (NaN: not known), ``unit``, ``at_bound``.
-        level: Of confidence, between 0 and 1.
-        ax: Axes to draw on; None: a new figure.
     """
     n = len(table)
     ax = axes_of(ax, (8.0, 1.1 + 0.32 * max(n, 2)))  # tick labels do not touch

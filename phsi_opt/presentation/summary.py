@@ -6,7 +6,10 @@ is shown as it is: in HTML it is escaped, and rich's markup has no meaning in it
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
+
+from phsi_opt.presentation.numbers import LINE_WIDTH
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,21 +72,24 @@ class Summarised:
 
 
 def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
-    """The summary as text; tables within 80 characters.
-
-    Args:
-        summary: Of a result.
-        between: What stands between its parts.
-    """
-    blocks = [summary.title]
+    """The summary as text; tables within 80 characters."""
+    blocks = [filled(summary.title)]
     for part in summary.parts:
-        lines = [text for text in (part.heading, part.text, part.code) if text]
+        lines = list(filter(None, (part.heading, filled(part.text), part.code)))
         if part.table is not None:
             from phsi_opt.presentation.tables import text_of_table
 
             lines.append(text_of_table(part.table, most_rows=len(part.table)))
         blocks.append("\n".join(lines))
     return between.join(block for block in blocks if block)
+
+
+def filled(text: str, indent: str = "") -> str:
+    """Sentences in lines of a terminal; what goes on is indented further."""
+    look: Any = {"break_long_words": False, "break_on_hyphens": False}
+    look |= {"initial_indent": indent, "subsequent_indent": f"{indent}  "}
+    rows = (fill(row, LINE_WIDTH, **look) for row in text.splitlines())
+    return "\n".join(rows)
 
 
 def printed_table(*args: Any, **kwargs: Any) -> "PrintedTable":

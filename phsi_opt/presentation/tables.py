@@ -60,8 +60,8 @@ class Column:
 
     @property
     def broken_header(self) -> str:
-        """Its name in lines, which end at blanks and behind underscores."""
-        return self.header.replace("_", "_\n")
+        """Its name in lines, a word each."""
+        return self.header.replace("_", "\n")
 
     @property
     def least_width(self) -> int:
@@ -102,13 +102,7 @@ def text_of_cell(value: Any) -> str:
 def text_of_table(
     table: pd.DataFrame, width: int = LINE_WIDTH, most_rows: int = MOST_ROWS
 ) -> str:
-    """A table as text with all of its columns.
-
-    Args:
-        table: With any names and cells.
-        width: Characters of a line; a word that is longer is broken.
-        most_rows: That are shown; of a longer table the ends.
-    """
+    """A table as text with all of its columns."""
     from rich.console import Console
 
     printed = io.StringIO()

@@ -5,6 +5,7 @@ them too. Here are the facts; the sentences stand in ``words.jinja``.
 """
 
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -20,9 +21,10 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.force_analysis.analysis import VIBRATION_WORDS, likely_cause, place_answer
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS
+from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.laws import is_second_storage
+from phsi_opt.model.laws import is_second_storage, parameter_words
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import capitalised, number, with_error
 from phsi_opt.presentation.sentences import say
@@ -66,6 +68,7 @@ PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 AT_A_GLANCE = {
     "how_sure": "How sure is it",
     "how_much": "How good is the model",
+    "remains": "What remains unexplained",
     "next": "What to do next",
 }
 POWERS_OF_TEN = (
@@ -110,11 +113,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
 
 
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
-    """The equation, what the force follows, or else the place where it is largest.
-
-    A cause is told where nothing is named; the effect that is found, or was added, says
-    it better.
-    """
+    """The equation, what the force follows, or else the place where it is largest."""
     force = diagnosis.analysis.force_in()
     facts: dict[str, Any] = {}
     if not force.is_uncertain:
@@ -198,12 +197,12 @@ def samples_to_average(diagnosis: Diagnosis) -> int:
     return diagnosis.analysis.force_in().pace.samples_per_cycle
 
 
-def undetermined_words(parameters: pd.DataFrame) -> str:
+def undetermined_words(model: BaseModel, parameters: pd.DataFrame) -> str:
     """The parameters whose standard error exceeds their value; "" for none."""
-    value = parameters["value"].to_numpy(dtype=float)
-    error = parameters["std_error"].to_numpy(dtype=float)
-    is_open = np.isfinite(error) & (error > np.abs(value))
-    names = list(map(str, parameters["name"][is_open]))
+    errors = parameters["std_error"].astype(float)
+    is_open = errors.gt(parameters["value"].abs()) & np.isfinite(errors)
+    words = partial(parameter_words, model)
+    names = list(map(words, parameters["name"][is_open]))
     if not names:
         return ""
     return (
@@ -242,10 +241,6 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     A beginning is told where one run alone has the force, which is several times weaker
     before it; the start only where the force is clear in the first tenth of every run
     that has it.
-
-    Args:
-        diagnosis: of a model.
-        trained: the model on its training data.
     """
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
@@ -342,7 +337,7 @@ def headline_of(study: StudyRecord) -> Headline:
     answers = _answers(study)
     fit = study.last.cautioned
     caution = fit.caution or study.last.judged.warning
-    cautions = (caution, undetermined_words(fit.parameters))
+    cautions = (caution, undetermined_words(fit.model, fit.parameters))
     return Headline(
         status,
         severity,
@@ -357,6 +352,7 @@ def headline_of(study: StudyRecord) -> Headline:
 
 def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, ...]:
     """What somebody asks who does not read on."""
+    present = study.present
     found = [one for _, one in sorted(study.diagnoses.items()) if one.findings]
     evidence = [one.ranking[0].log_evidence for one in found]
     classes = chain(*(one.findings for one in found))
@@ -364,13 +360,25 @@ def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, .
         "odds": odds_words(min(evidence)) if evidence else "",
         "has_class": not all(finding.is_name for finding in classes),
         "certainty": certainty,
-        "present": study.present,
+        "present": present,
         "after": found[-1].ranking[0].comparison if found else None,
         "to_do": to_do,
     }
-    told = (said_of(study, name, **facts) for name in AT_A_GLANCE)
-    asked = zip(told, AT_A_GLANCE.values(), strict=True)
+    told = {"remains": _remains(study)}
+    for name in set(AT_A_GLANCE) - set(told):
+        told[name] = said_of(study, name, **facts)
+    asked = ((told[name], question) for name, question in AT_A_GLANCE.items())
     return tuple(replace(one, question=question) for one, question in asked if one.lead)
+
+
+def _remains(study: StudyRecord) -> Answer:
+    """The force that no effect explains: how large, where, since when."""
+    present = study.present
+    if present is None or present.verdict in (Verdict.NOTHING_MISSING, Verdict.NAMED):
+        return Answer("")
+    since = since_when(present, study.last.train)
+    facts = {"where": where_answer(present), "since": since}
+    return answer("remains", present, study.held_out is not None, **facts)
 
 
 def odds_words(log_evidence: float) -> str:
@@ -381,11 +389,7 @@ def odds_words(log_evidence: float) -> str:
 
 
 def telling_step(study: StudyRecord) -> int | None:
-    """The step whose diagnosis is told on the first screen; None: no one is.
-
-    That of the present model while something is missing; else the first one that found
-    something: it says what was wrong.
-    """
+    """The step whose diagnosis is told on the first screen; None: no one is."""
     missing = Verdict.NOTHING_MISSING
     found = [k for k, one in sorted(study.diagnoses.items()) if one.verdict != missing]
     last = len(study.steps) - 1
@@ -408,6 +412,7 @@ def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
         short=short,
         floor=study.last.judged.floor_words(size, short or spaced(unit)),
         is_at_floor=lambda found: not is_failing(found),
+        off_channels=off_channels,
         **facts,
     )
 

@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -21,6 +22,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import force_of, force_runs, samples_of_each
+from phsi_opt.model.laws import parameter_words
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.presentation.content import (
@@ -48,6 +50,7 @@ from phsi_opt.presentation.numbers import (
     number_of,
     proper_names,
     short_constants,
+    short_repr,
     with_error,
 )
 from phsi_opt.presentation.sentences import say
@@ -57,7 +60,6 @@ from phsi_opt.presentation.units import (
     scale_of,
     scale_of_errors,
     scale_of_time,
-    spaced,
 )
 from phsi_opt.screening.effect_size import names_beside_size
 from phsi_opt.statistics import rms
@@ -91,15 +93,7 @@ def study_content(
     forces: bool = False,
     written: str = "",
 ) -> StudyContent:
-    """What is told of a study.
-
-    Args:
-        study: as it stands.
-        laws: of the effects that were added.
-        forces: whether the missing force of the present model is told along all runs,
-            those held out included.
-        written: the day of the report.
-    """
+    """What is told of a study."""
     data = filter(None, (study.train, study.held_out))
     longest = max(float(run.t[-1]) for part in data for run in part)
     time = scale_of_time(longest, study.train.units.get("t", ""))
@@ -208,7 +202,8 @@ def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRo
         std_error = np.nan
     elif row["fixed"]:
         remark = "fixed"
-    return ParameterRow(name, value, std_error, *ends, remark, str(row["unit"]))
+    told = proper_names(parameter_words(fit.model, name))
+    return ParameterRow(told, value, std_error, *ends, remark, str(row["unit"]))
 
 
 def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
@@ -345,8 +340,11 @@ def _beside_size(diagnosis: Diagnosis, one: Candidate) -> str:
         return ""
     names = names_beside_size(diagnosis.base.fit.model, one.effect, one.fit.names)
     rows: Any = one.fit.parameters.set_index("name").loc[names].itertuples()
-    told = [f"{r.Index} = {with_error(r.value, r.std_error)} {r.unit}" for r in rows]
-    return ", ".join(map(str.rstrip, told))
+    told = []
+    for row in rows:
+        size = f"{with_error(row.value, row.std_error)} {row.unit}".rstrip()
+        told.append(f"{parameter_words(one.fit.model, row.Index)} = {size}")
+    return ", ".join(told)
 
 
 def _known(value: float) -> float | None:
@@ -363,12 +361,6 @@ def glance_of(
 
     That is the run in which the missing force is strongest; or one of the data held
     out, where these are far worse.
-
-    Args:
-        diagnosis: that the verdict tells of.
-        runs: that are drawn.
-        time: unit of their times.
-        model: that was diagnosed, among those that are drawn.
     """
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
@@ -380,58 +372,24 @@ def glance_of(
     run = _worst_run(training, model)
     judged = _worst_run([one for one in runs if one.part != TRAINING] or [run], model)
     shares = [one.worst(model).share_off(model) for one in (run, judged)]
-    along = window = None
-    if shares[1] > 2 * shares[0]:  # the model follows what it was fitted to
-        run = judged
-        channel = run.worst(model)
-        off = np.abs(channel.measured - channel.models[model])
-        t = float(channel.t[np.nanargmax(off)])
-    else:
-        channel = run.worst(model)
-        if not force.window.is_whole:
-            window = (force.window.begin / time.size, force.window.end / time.size)
+    only_follows = shares[1] > 2 * shares[0]  # what it was fitted to
+    run = judged if only_follows else run
+    channel = run.worst(model)
+    off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))
+    if not only_follows:  # while the force is sure, in its strongest window
         along = force_runs(force, TRAINING, time)[force.strongest_run]
-        t = worst_moment(along, channel, model, window)
-    said = say(
-        __package__,
-        "glance",
-        run=run,
-        channel=channel,
-        error=channel.errors[model],
-        unit=spaced(channel.unit),
-        force=along,
-        window=window,
-    )
-    places = (runs.index(run), run.channels.index(channel))
-    return Glance(*places, said.lead, along, window, t)
+        sureness = np.interp(channel.t, along.t, np.abs(along.force) / along.std)
+        t = channel.t * time.size
+        inside = (t >= force.window.begin) & (t <= force.window.end)
+        is_sure = inside & (sureness > SURE_DEVIATIONS)
+        off = np.where(is_sure, off, 0.0) if is_sure.any() else sureness
+    place = (runs.index(run), run.channels.index(channel))
+    return Glance(*place, float(channel.t[np.argmax(off)]))
 
 
 def _worst_run(runs: list[Run], model: int) -> Run:
     """The run in whose worst channel a model is off most, beside the movement."""
     return max(runs, key=lambda run: run.worst(model).share_off(model))
-
-
-def worst_moment(
-    force: ForceRun,
-    channel: Channel,
-    model: int,
-    window: tuple[float, float] | None,
-) -> float:
-    """When a model is off most while the missing force is sure, within the window.
-
-    Where the force is sure at no time of it, when it is surest.
-    """
-    begin, end = window or (-np.inf, np.inf)
-    sureness = np.abs(force.force) / force.std
-    inside = (force.t >= begin) & (force.t <= end)
-    if not inside.any():
-        inside = np.ones(len(force.t), dtype=bool)
-    is_sure = inside & (sureness > SURE_DEVIATIONS)
-    if not is_sure.any():
-        return float(force.t[np.argmax(np.where(inside, sureness, -1.0))])
-    off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))
-    found = np.where(is_sure, np.interp(force.t, channel.t, off), -1.0)
-    return float(force.t[np.argmax(found)])
 
 
 # ---- checks of what remains --------------------------------------------------------
@@ -451,7 +409,8 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
     said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
     checks.append(Check("solver", severity, said))
     if fit.outcome.at_bounds:
-        bounds = ", ".join(fit.outcome.at_bounds)
+        words = partial(parameter_words, fit.model)
+        bounds = ", ".join(map(words, fit.outcome.at_bounds))
         checks.append(Check("bounds", LOOK, f"at a bound: {bounds}"))
     checks += (Check("fit", LOOK, remark) for remark in fit.warnings)
     notes: Sequence[str] = [NOT_HELD_OUT]
@@ -527,7 +486,7 @@ def _settings(study: StudyRecord) -> tuple[Answer, ...]:
         "Starting states": starts,
         "Units": ", ".join(units) or "not given",
         "Inputs between samples": hold if study.train.inputs else "",
-        "Loss": str(study.loss),
+        "Loss": short_repr(study.loss),
         "Standard errors": str(study.last.fit.std_error_source),
         "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
         "Seeds": f"{seeds}give the same numbers",

@@ -7,6 +7,7 @@ next one.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 from phsi_opt.comparison.compare import Comparison, compare_record
@@ -21,9 +22,12 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.equation_force import DIFFERENCE
+from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.later import Later
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
 from phsi_opt.presentation.numbers import number, number_of, proper_names
@@ -36,6 +40,8 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from phsi_opt.presentation.charts import Chart
 
 # What the history calls the fields of an `ErrorStep`.
 COLUMNS_OF_ERRORS = ("effect", "train_rmse", "held_out_rmse", "noise_floor", "bic")
@@ -93,12 +99,7 @@ class StudyRecord:
         loss: MaximumLikelihood,
         final: Measurements | None = None,
     ) -> "StudyRecord":
-        """Before its first step, with the measurements in the model's order.
-
-        Raises:
-            DataError: a state or input of the model is not in the measurements, or a
-                run is in two parts.
-        """
+        """Before its first step, with the measurements in the model's order."""
         training = checked_data(base, train)
         judging = ending = None
         if held_out is not None:
@@ -170,6 +171,16 @@ class StudyRecord:
         """Those of the data held out alone."""
         notes = () if self.judging is None else self.judging.notes
         return tuple(note for note in notes if note not in self.training.notes)
+
+    def data_chart(self) -> "Chart":
+        """All measurements, those that are fitted first."""
+        from phsi_opt.data.data_chart import data_chart
+
+        runs = list(self.train.look.trajectories)
+        for part, data in {"held out": self.held_out, "final": self.final}.items():
+            for run in () if data is None else data.look.trajectories:
+                runs.append(replace(run, name=f"{run.name} ({part})"))
+        return data_chart(replace(self.train.look, trajectories=tuple(runs)))
 
     @property
     def last(self) -> Step:
@@ -253,11 +264,7 @@ class StudyRecord:
         return Step(label, added, fit, *map(compare_record, self._records(fit)))
 
     def evidence(self, fit: Fit) -> float:
-        """Log evidence of a fitted model beside a force, by all measurements.
-
-        Raises:
-            SolveError: no states and forces were found that obey the dynamics.
-        """
+        """Log evidence of a fitted model beside a force, by all measurements."""
         trained, *judged = self._records(fit)
         judging = judged[0] if judged else None
         return EvidenceRecord.of(trained, judging).base.log_evidence
@@ -293,9 +300,9 @@ class StudyRecord:
     def law(self, effect: Effect) -> Follows:
         """The force that the present model lacks without one of the effects added.
 
-        A loss is shown against its effort, others against what predicts them best. All
-        other values are those of the present fit: a base model that was fitted without
-        the effect would make up for a part of it, such as by its damping.
+        A law of one variable, or of a difference, is shown against that; others against
+        what predicts them best. All other values are those of the present fit: a base
+        model that was fitted without the effect would make up for a part of it.
 
         Raises:
             ModelError: the effect is one of a sensor, or its equation can lack no
@@ -310,21 +317,29 @@ class StudyRecord:
         frozen = self.model_with(others).frozen()
         fit = identify(frozen, self.training, MaximumLikelihood())
         analysis = ForceAnalysis.of(Record.of_aligned(fit, self.training))
-        row = frozen.states.index(effect.equation)
-        effort = frozen.efforts[row]
         force = analysis.force_in(effect.equation)
-        law = None  # a memory is not known beside the smaller model
-        if not effect.memory:
-            points = force.record.points
-            larger = self.model_with(self.last.added).frozen()
-            law = (points.values(larger.rhs()) - points.values(frozen.rhs()))[:, row]
+        larger = self.model_with(self.last.added).frozen()
+        points = force.record.points
+        if effect.memory:  # which the smaller model does not have
+            middles = Points.middles(self._records(self.last.fit)[0])
+            points = replace(middles, theta=points.theta)
+        law = None
+        variable = ""
+        if len(points.t) == len(force.w):
+            known = list(map(larger.states.index, frozen.states))
+            of_known = replace(points, x=points.x[:, known])
+            rates = points.values(larger.rhs())[:, known]
+            law = (rates - of_known.values(frozen.rhs()))[:, force.row]
+            variable = _natural_variable(effect, larger)
+            record = replace(force.record, model=larger, points=points)
+            force = replace(force, record=record)
         said = (
             f"The added law: the force missing in d{effect.equation}/dt if {effect} "
             "is removed from the present model and all other values are kept"
         )
         return follows_of(
             force,
-            effort if effect.slot == "R" else "",
+            variable,
             proper_names(f"Force that is missing without {effect}"),
             proper_names(said),
             law,
@@ -339,3 +354,19 @@ class StudyRecord:
             except PhsiOptError:
                 continue  # a sensor's, or a model that is too far off without it
         return tuple(found)
+
+
+def _natural_variable(effect: Effect, model: Model) -> str:
+    """The variable, or the difference of two, of which its law is a function."""
+    if effect.slot == "R":
+        return model.efforts[model.index(effect.equation)]
+    used: set[str] = set()
+    for term in effect.term:
+        used |= names_of(term.body)
+    known = (*model.states, *model.inputs, *model.efforts, "t")
+    names = [name for name in known if name in used]
+    body = effect.term.terms[0].body
+    for pair in permutations(names, 2):
+        if len(names) == 2 and DIFFERENCE.join(pair) in body:
+            return DIFFERENCE.join(pair)
+    return names[0] if len(names) == 1 and names[0] not in model.memory else ""

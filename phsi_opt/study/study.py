@@ -458,7 +458,7 @@ class Study(Summarised):
             return write_whole(place, markdown_report(self.content()))
         today = f"{dt.date.today()}"
         content = study_content(self.record, self.record.laws(), written=today)
-        return write_whole(place, html_report(content))
+        return write_whole(place, html_report(content, self.record.data_chart()))
 
     def content(self, *, forces: bool = False) -> StudyContent:
         """The contents of a report: numbers, arrays and words.

@@ -1,7 +1,7 @@
 "use strict";
 // Draws a chart of Python's `Chart` into an element, as SVG: hover, legend, zoom.
 function phsiChart(host, chart) {
-  const DASHES = { dash: "7 4", dot: "2 4" }, LEFT = 62, RIGHT = 12, GAP = 22;
+  const DASHES = { dash: "7 4", dot: "2 4" }, LEFT = 62, RIGHT = 12, GAP = 22, RAISED = { ..."⁰¹²³⁴⁵⁶⁷⁸⁹", "-": "⁻" };
   const plain = (text) => String(text).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
   const finite = (values) => values.filter((value) => value !== null && isFinite(value));
   const curves = chart.panels.flatMap((panel) => panel.curves);
@@ -25,7 +25,7 @@ function phsiChart(host, chart) {
   }
   function said(value, digits = 4) {
     const text = Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
-    return text.replace(/e\+?(-?\d+)/, " × 10^$1").replace(/-/g, "−");
+    return text.replace(/e\+?(-?\d+)/, (_, power) => `×10${[...power].map((one) => RAISED[one]).join("")}`).replace(/-/g, "−");
   }
   function ticks(low, high, most) {
     const rough = (high - low) / most, size = 10 ** Math.floor(Math.log10(rough));
@@ -120,14 +120,12 @@ function phsiChart(host, chart) {
     panels.forEach((panel) => {
       const high = room * panel.height / heights, [least, most] = limits(panel), log = panel.scale === "log";
       const y = (value) => top + high - ((log ? Math.log10(value) : value) - least) / (most - least) * high;
-      const shape = (from, to, kind) => `<rect x="${x(Math.max(from, range[0]))}" y="${top}" width="${Math.max(x(Math.min(to, range[1])) - x(Math.max(from, range[0])), 0)}" height="${high}" class="${kind}"/>`;
       const marks = log ? decades(least, most) : ticks(least, most, Math.max(high / 35, 3));
       marks.forEach((mark) => {
         const at = y(log ? 10 ** mark : mark);
         svg += `<line x1="${LEFT}" x2="${width - RIGHT}" y1="${at}" y2="${at}" class="${mark === 0 && !log ? "zero" : "grid"}"/><text x="${LEFT - 6}" y="${at + 4}" text-anchor="end">${said(log ? 10 ** mark : mark)}</text>`;
       });
       svg += `<text x="2" y="${top - 6}" class="name">${plain(panel.label)}</text><g clip-path="inset(0)"><svg x="${LEFT}" y="${top - 6}" width="${width - LEFT - RIGHT}" height="${high + 12}" viewBox="${LEFT} ${top - 6} ${width - LEFT - RIGHT} ${high + 12}">`;
-      if (chart.window) svg += shape(...chart.window, "window");
       if (panel.noise) svg += `<rect x="${LEFT}" width="${width}" y="${y(panel.noise)}" height="${y(-panel.noise) - y(panel.noise)}" class="noise"/>`;
       if (chart.map) svg += cells(chart.map, x, y);
       svg += seen(panel).map((curve) => drawn(curve, x, y, height)).join("");

@@ -30,7 +30,7 @@
   }
   let charts;
   try {
-    charts = JSON.parse(await unpacked("data"));
+    charts = JSON.parse(await unpacked("packed"));
   } catch (error) {
     return; // the static pictures stay
   }
