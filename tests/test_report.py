@@ -21,13 +21,23 @@ import phsi_opt as ph
 from phsi_opt.errors import some_of
 from phsi_opt.force_analysis.analysis import advice_of_cause
 from phsi_opt.force_analysis.dependence import Causes
-from phsi_opt.presentation.charts import follows_chart, rounded, run_chart
+from phsi_opt.presentation.charts import (
+    Chart,
+    Curve,
+    Panel,
+    errors_chart,
+    follows_chart,
+    rounded,
+    run_chart,
+    svg,
+)
 from phsi_opt.presentation.content import (
     GOOD,
     LOOK,
     SEVERITY_WORDS,
     Answer,
     Channel,
+    ErrorStep,
     Ranked,
     Run,
     StudyContent,
@@ -287,6 +297,19 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert said(code) == code
     assert rounded(np.array([1000.123456, np.nan, 1e3 + 1])) == [1000.12346, None, 1001]
     assert rounded(np.zeros(2)) == [0.0, 0.0]
+
+
+def test_a_picture_for_paper_has_plain_numbers_and_no_zero_far_from_its_curves() -> (
+    None
+):
+    steps = [
+        ErrorStep("base model", 1.5, None, 0.05),
+        ErrorStep("one", 0.05, None, 0.05),
+    ]
+    assert "mathdefault" not in svg(errors_chart(steps, "m"))
+    t = np.linspace(0.0, 1.0, 9)
+    warm = Chart("t", (Panel("T", (Curve("T", t, 30 + t, "C0"),)),))
+    assert ">30.5<" in svg(warm) and ">0<" not in svg(warm)
 
 
 @pytest.mark.parametrize(("times", "unit", "said"), [

@@ -356,9 +356,10 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
     ax.margins(y=0.25)
     if panel.scale == LOG:
         ax.set_yscale("log")
+        ax.yaxis.set_major_formatter("{x:g}")  # no formula of a power of ten
     elif panel.scale == FROM_ZERO:
         ax.set_ylim(bottom=0)
-    elif panel.scale != FREE:
+    elif panel.scale != FREE and ax.get_ylim()[0] < 0 < ax.get_ylim()[1]:
         ax.axhline(0, color=BASELINE, lw=0.6)
     if chart.ticks:
         ax.set_xlim(-0.5, len(chart.ticks) - 0.5)
