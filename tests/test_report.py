@@ -25,6 +25,7 @@ from phsi_opt.presentation.charts import (
     Chart,
     Curve,
     Panel,
+    drawn,
     errors_chart,
     follows_chart,
     rounded,
@@ -309,7 +310,7 @@ def test_a_picture_for_paper_has_plain_numbers_and_no_zero_far_from_its_curves()
     assert "mathdefault" not in svg(errors_chart(steps, "m"))
     t = np.linspace(0.0, 1.0, 9)
     warm = Chart("t", (Panel("T", (Curve("T", t, 30 + t, "C0"),)),))
-    assert ">30.5<" in svg(warm) and ">0<" not in svg(warm)
+    assert drawn(warm).get_ylim()[0] > 20
 
 
 @pytest.mark.parametrize(("times", "unit", "said"), [
