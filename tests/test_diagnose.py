@@ -9,6 +9,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.diagnosis.candidate import Grade
+from phsi_opt.diagnosis.diagnose import candidate_of
 from phsi_opt.diagnosis.record import next_step
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.linearized_record import LinearizedRecord
@@ -18,6 +19,7 @@ from phsi_opt.transcription.grid import aligned
 from problems.battery.draw import ROWS, draw
 from tests.machines import NOISE, STARTS, damped_spring, swings
 from tests.machines import TIMES as T
+from tests.sweep_tasks import Counted
 
 Model = ph.PseudoHamiltonian
 
@@ -122,6 +124,47 @@ def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() ->
     span = case.train.trajectories[0].t[-1]
     assert abs(one.values["F_p.omega"] - 1.4626) < np.pi / span  # that of the case
     assert one.gain > DECISIVE_EVIDENCE
+
+
+def test_each_step_is_told_and_an_executor_weighs_the_candidates(drag) -> None:
+    fit, data, _ = drag
+    said: list[str] = []
+    counted: Any = Counted()
+    effects = ["quadratic drag", "cubic stiffness"]
+    ph.diagnose(fit, data, effects=effects, progress=said.append, executor=counted)
+    assert said == [
+        "estimating the missing force",
+        "estimating the missing force together with the model",
+        "screening 2 candidate effects",
+        "computing the evidence of quadratic drag on p",
+        "re-fitting with quadratic drag on p",
+    ]
+    assert len(counted.begun) > 0
+
+
+def test_one_effect_is_re_fitted_unless_it_leaves_no_trace_or_has_no_size(drag) -> None:
+    fit, data, _ = drag
+    trained = ph.compare(fit, data)
+    loss = ph.MaximumLikelihood()
+    found = candidate_of(trained, effect_named(fit.model, "quadratic drag", "p"), loss)
+    assert found is not None and found.fit is not None
+    larger = fit.model.add(found.effect)
+    assert found.fit.names == larger.free
+    assert is_near(
+        {"coefficient": found.coefficient, "std_error": found.std_error}, 0.25
+    )
+    assert (
+        candidate_of(trained, effect_named(fit.model, "sensor offset", "p"), loss)
+        is None
+    )
+    fixed = ph.Effect("push", "F", "p", ph.formula("3*q"))
+    with pytest.raises(ph.ModelError) as refused:
+        candidate_of(trained, fixed, loss)
+    assert str(refused.value) == (
+        "effect 'push on p' has no free parameter, so its size cannot be estimated; "
+        "write a number in it as ph.Parameter(), such as "
+        'ph.formula("c*q", c=ph.Parameter()).'
+    )
 
 
 # ---- verdicts ------------------------------------------------------------------------
