@@ -6,13 +6,14 @@ from functools import cache
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from scipy import stats
 
 import phsi_opt as ph
 from phsi_opt.comparison.compare import FLAT_NOISE, FLAT_SPREAD, flat_sentence, is_flat
 from phsi_opt.presentation.units import Scale, Unit
 from phsi_opt.statistics import ljung_box, profiled_deviance
 
-T = np.linspace(0.0, 6.0, 61)
+T = np.linspace(2.0, 8.0, 61)
 U = np.sin(1.1 * T)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
 OFFSETS = (0.1, -0.2, 0.3)  # of the position, m
@@ -62,6 +63,7 @@ def test_errors_and_floor_are_those_of_a_run_from_the_first_states(declared) -> 
     n = np.array([183, 142])
     spread, squares = np.nanstd(y, axis=0), np.nansum(stacked**2, axis=0)
     table = found.table
+    assert str(found).count("\n") == 5 and "horizon" in str(found)
     assert table["rmse"].to_numpy() == pytest.approx(np.sqrt(squares / n), rel=1e-4)
     assert table["n_samples"].tolist() == n.tolist()
     fit_percent = 100 * (1 - np.sqrt(squares / n) / spread)
@@ -85,6 +87,10 @@ def test_errors_and_floor_are_those_of_a_run_from_the_first_states(declared) -> 
         share[0] = 0.0
     error = np.sqrt(np.sum(share**2)) / (2 * found.noise_floor)
     assert found.noise_floor_std_error == pytest.approx(error, rel=1e-9)
+    nu = 1 / (2 * (error / found.noise_floor) ** 2)
+    ends = found.noise_floor * np.sqrt(nu / stats.chi2(nu).ppf([0.975, 0.025]))
+    assert found.noise_floor_interval == pytest.approx(tuple(ends), rel=1e-9)
+    assert found.sigma == pytest.approx(list(NOISE.values()), rel=0.2)
 
 
 def test_parameters_of_the_training_data_take_degrees_of_freedom() -> None:
@@ -195,10 +201,10 @@ def test_bands_are_those_of_the_dense_covariance_of_parameters_and_starts(
 
 
 def test_a_run_is_flat_that_hardly_moves_beside_a_motion_and_explains_nothing() -> None:
-    y = np.tile([1.0, -1.0, 1.0, -1.0], 5)  # of a standard deviation of one
-    across = np.tile([1.0, 1.0, -1.0, -1.0], 5)
+    y = np.tile([3.0, -3.0, 3.0, -3.0], 5)  # of a standard deviation of three
+    across = np.tile([3.0, 3.0, -3.0, -3.0], 5)
     for near, is_so in ((0.999, True), (1.001, False)):
-        assert is_flat(y, 3.0 + 0 * y, FLAT_NOISE * near) == is_so
+        assert is_flat(y, 7.0 + 0 * y, 3 * FLAT_NOISE * near) == is_so
         assert is_flat(y, FLAT_SPREAD * near * across, 0.0) == is_so
         assert is_flat(y, 0.05 * near * y, 0.0) == is_so  # a fit of 5 %
 

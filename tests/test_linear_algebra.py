@@ -326,3 +326,11 @@ def test_a_step_reaches_a_bound_exactly_and_leaves_out_silent_directions(
     room = Room(np.array(below), np.array(above))
     step = bounded_step(np.asarray(C), np.array(pull), room)
     np.testing.assert_allclose(step, expected, rtol=1e-12, atol=0)
+
+
+def test_a_step_may_end_at_a_bound_and_not_beyond() -> None:
+    room = Room(np.array([-1.0, 0.0]), np.array([2.0, 0.0]))
+    for step in ([-1.0, 0.0], [2.0, 0.0]):
+        assert room.holds(np.array(step))
+        assert not room.holds(np.array(step) * (1 + 1e-15 * 8))
+        assert room.share(2 * np.array(step)).tolist() == [0.5, 1.0]

@@ -52,12 +52,14 @@ def measured(loss: str) -> ph.Measurements:
 
 
 @cache
-def record_of(loss: str, is_held_out: bool = False) -> EvidenceRecord:
+def record_of(
+    loss: str, is_held_out: bool = False, is_alone: bool = False
+) -> EvidenceRecord:
     """The model without the loss beside a force; perhaps the last run is held out."""
     data = measured(loss)
     train = data[:2] if is_held_out else data
     fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), train)
-    judged = ph.compare(fit, data[2:]).record if is_held_out else None
+    judged = ph.compare(fit, data[2:]).record if is_held_out and not is_alone else None
     return EvidenceRecord.of(ph.compare(fit, train).record, judged)
 
 
@@ -205,6 +207,11 @@ def test_the_evidence_is_that_of_the_training_and_what_the_data_held_out_add() -
         weighed(alone, "quadratic drag").log_evidence, abs=0.2
     )
     assert alone.base.log_training == alone.base.log_evidence
+    # What is said of the training data is what they say alone.
+    two = record_of(LOSSES["quadratic drag"], is_held_out=True, is_alone=True)
+    n_free = 2 * (len(T) - 2)  # of a likelihood without the factors 2 pi
+    expected = two.base.log_evidence + n_free * np.log(2 * np.pi) / 2
+    assert record.base.log_training == pytest.approx(expected, abs=1.0)
 
 
 def test_the_same_bits_come_out_twice() -> None:

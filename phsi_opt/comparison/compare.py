@@ -487,7 +487,7 @@ def _parameter_covariance(
     covariance = np.zeros((len(unknown), len(unknown)))
     following = np.eye(len(unknown))[:, shared]
     if len(own):
-        conditional = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
+        conditional = np.linalg.pinv(information[np.ix_(own, own)])
         following[own] = -conditional @ information[np.ix_(own, shared)]
         covariance[np.ix_(own, own)] = conditional
     return covariance + following @ of_shared @ following.T
