@@ -36,6 +36,20 @@ def damped_spring(
     )
 
 
+def driven_spring(
+    k: ph.Parameter | float, c: ph.Parameter | float, force: str = "u"
+) -> ph.PseudoHamiltonian:
+    """A unit mass on a spring with viscous damping and the input u."""
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=k),
+        R={"p": ph.formula("c", c=c)},
+        F={"p": ph.formula(force)},
+    )
+
+
 def swings(
     model: ph.Model, seed: int, *, shows_p: bool = False, n: int = 141
 ) -> ph.Measurements:

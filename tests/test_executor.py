@@ -13,23 +13,11 @@ import phsi_opt as ph
 from phsi_opt.sweeps.local_workers import local_workers
 from phsi_opt.sweeps.sweep import Ahead
 from tests import sweep_tasks
+from tests.machines import driven_spring
 from tests.sweep_tasks import Counted
 
 EFFECTS = ["coulomb friction", "quadratic drag", "cubic stiffness", "gravity torque"]
 STIFFENS = "1.2*q**3"
-
-
-def spring(
-    k: ph.Parameter | float, c: ph.Parameter | float, force: str
-) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=k),
-        R={"p": ph.formula("c", c=c)},
-        F={"p": ph.formula(force)},
-    )
 
 
 def record(n_samples: int, seed: int, force: str = STIFFENS) -> ph.Measurements:
@@ -38,7 +26,7 @@ def record(n_samples: int, seed: int, force: str = STIFFENS) -> ph.Measurements:
     t = 0.1 * np.arange(n_samples)
     phases = np.outer(t, rng.uniform(0.3, 3.0, 6)) + rng.uniform(0, 2 * np.pi, 6)
     u = np.sin(phases).sum(axis=1, keepdims=True)
-    x = ph.simulate(spring(2.0, 0.2, f"u - {force}"), t, [1.0, 0.0], u)
+    x = ph.simulate(driven_spring(2.0, 0.2, f"u - {force}"), t, [1.0, 0.0], u)
     y = x + 0.02 * x.std(axis=0) * rng.normal(size=x.shape)
     y[:, 1] = np.nan
     return ph.Measurements.from_arrays(t, y, u, states=["q", "p"], inputs=["u"])
@@ -52,7 +40,7 @@ def workers() -> Iterator[Executor]:
 
 def fitted(data: ph.Measurements) -> ph.Fit:
     unknown = ph.Parameter(1.0, lower=0)
-    return ph.identify(spring(unknown, unknown, "u"), data)
+    return ph.identify(driven_spring(unknown, unknown), data)
 
 
 @pytest.fixture(scope="module")

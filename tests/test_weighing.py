@@ -214,17 +214,6 @@ def test_the_evidence_is_that_of_the_training_and_what_the_data_held_out_add() -
     assert record.base.log_training == pytest.approx(expected, abs=1.0)
 
 
-def test_the_same_bits_come_out_twice() -> None:
-    found = []
-    for _ in range(2):
-        record = record_of.__wrapped__(LOSSES["quadratic drag"])
-        found.append(weighed(record, "quadratic drag"))
-    one, other = found
-    assert one.log_evidence == other.log_evidence
-    np.testing.assert_array_equal(one.theta, other.theta)
-    np.testing.assert_array_equal(one.states, other.states)
-
-
 def test_no_force_is_needed_where_nothing_is_missing() -> None:
     data = measured("0.1")
     fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
