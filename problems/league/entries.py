@@ -1,0 +1,241 @@
+"""Public sets under the protocol of those who published them: records and models.
+
+Times, positions and inputs as they were published, every sample of them. States that
+nobody measured are NaN.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.signal import resample_poly
+
+import phsi_opt as ph
+from problems.measured import machines, storages
+from problems.measured.machines import Array, positive
+from problems.tools.data_paths import folder
+
+Records = Mapping[str, ph.Measurements]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A set of the league.
+
+    Attributes:
+        folder: of its files.
+        n_first: samples of a test record from which its starting state is estimated;
+            errors are counted from there on.
+        unit: of the errors.
+        per_unit: the error in the data's unit times this.
+        train: the training record.
+        tests: the test records, by name.
+        base: a model that lacks what the set is known for.
+        physics: the model with the physics that is published for the set.
+        pieces: two pieces of the training record, in which a study looks for what the
+            base model lacks.
+        published: errors that others have published.
+        hidden: states of the physics that the base model has not.
+        most: what the sensor shows at most.
+    """
+
+    folder: str
+    n_first: int
+    unit: str
+    per_unit: float
+    train: Callable[[], ph.Measurements]
+    tests: Callable[[], Records]
+    base: Callable[[], ph.Model]
+    physics: Callable[[], ph.Model]
+    pieces: Callable[[ph.Measurements], tuple[ph.Measurements, ph.Measurements]]
+    published: str
+    hidden: tuple[str, ...] = ()
+    most: float = np.inf
+
+
+def _record(t: Array, y: Array, u: Array, states: str, hold: str) -> ph.Measurements:
+    """One run of which the first state is measured, in SI units."""
+    names = states.split()
+    x = np.full((len(y), len(names)), np.nan)
+    x[:, 0] = y
+    return ph.Measurements.from_arrays(
+        t, x, u[:, None], states=names, inputs=["u"], hold=hold
+    )
+
+
+# --- EMPS, a linear drive
+
+
+def emps(name: str) -> ph.Measurements:
+    """Position (m) and motor force (N) at 1 kHz."""
+    content = loadmat(folder("emps") / machines.EMPS_FILES[name])
+    force = content["vir"].ravel() * content["gtau"].item()
+    t, q = content["t"].ravel(), content["qm"].ravel()
+    return _record(t, q, force, "q p", "zero")
+
+
+def emps_pieces(_: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
+    """Windows of 1 s of the training record, thinned: over longer ones every small
+    error of the base model is integrated twice.
+    """
+    windows = machines.emps("fit")
+    n = round(0.7 * len(windows))
+    return windows[:n], windows[n:]
+
+
+# --- the Silverbox, an electronic Duffing oscillator
+
+# Samples of the multisines and of the arrow, and the last one that is fitted.
+BOX, ARROW, BOX_LAST = (40_650, 127_400), (100, 40_575), 105_712
+ARROW_NO_EXTRAPOLATION = (100, 32_100)
+
+
+def box(first: int, end: int) -> ph.Measurements:
+    """Samples of output (V) and input (V); the input is band-limited, so it is a smooth
+    curve through twice as many points.
+    """
+    path = folder("silverbox") / "SNLS80mV.csv"
+    V1, V2 = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 1)).T
+    finer = resample_poly(V1, 2, 1, window=("kaiser", 8.0))
+    y = np.full(2 * (end - first) - 1, np.nan)
+    y[::2] = V2[first:end]
+    t = np.arange(len(y)) / (2 * machines.BOX_RATE)
+    return _record(t, y, finer[2 * first : 2 * end - 1], "q p", "cubic")
+
+
+def box_physics() -> ph.PseudoHamiltonian:
+    """An oscillator with a spring of order three, an offset and linear loss."""
+    a, b = ph.Parameter(0.0), ph.Parameter(0.0)
+    k = positive(1.9e5)
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        R=ph.damping("p"),
+        H=ph.formula("k*q**2/2 + a*q**3/3 + b*q**4/4 + p**2/2", k=k, a=a, b=b),
+        F={"p": ph.formula("c*u + d", c=ph.Parameter(1e5), d=ph.Parameter(0.0))},
+    )
+
+
+# --- the cascaded tanks
+
+
+def tanks_record(name: str) -> ph.Measurements:
+    """Pump voltage and level (V) every 4 s, the level at most 10 V."""
+    return storages.tanks(name, is_censored=name == "Est")
+
+
+# --- Bouc and Wen's hysteresis
+
+BOUC_WEN_RATE = 750.0  # Hz
+VELOCITY_ROUNDED, FORCE_ROUNDED = 1e-8, 1e-6  # squares of m/s and N, both negligible
+
+
+def bouc_wen(name: str) -> ph.Measurements:
+    """Displacement (m) and force (N); the force is band-limited: a smooth curve."""
+    u_file, y_file = (folder("bouc_wen") / f"{what}{name}.mat" for what in "uy")
+    u, y = (_only_array(path) for path in (u_file, y_file))
+    return _record(np.arange(len(u)) / BOUC_WEN_RATE, y, u, "q p", "cubic")
+
+
+def _only_array(path: object) -> Array:
+    content = loadmat(path)
+    (name,) = (key for key in content if not key.startswith("_"))
+    return content[name].ravel()
+
+
+def bouc_wen_physics() -> ph.FirstOrder:
+    """m dv/dt = u - c v - k q - z, dz/dt = a v - g |v| z - d v |z|."""
+    m, k, c = positive(1.0, "", 0.01), positive(4e4), positive(20.0)
+    hysteresis = ph.formula(
+        f"a*p/m - g*z*sqrt((p/m)**2 + {VELOCITY_ROUNDED})"
+        f" - d*p/m*sqrt(z**2 + {FORCE_ROUNDED})",
+        a=positive(3e4),
+        g=positive(300.0),
+        d=ph.Parameter(0.0),
+        m=m,
+    )
+    force = ph.formula("u - c*p/m - k*q - z", c=c, k=k, m=m)
+    rates = {"q": ph.formula("p/m", m=m), "p": force, "z": hysteresis}
+    return ph.FirstOrder(["q", "p", "z"], rates, inputs=["u"])
+
+
+def bouc_wen_base() -> ph.PseudoHamiltonian:
+    """A mass on a linear spring with linear loss."""
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        R=ph.damping("p"),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=positive(5e4), m=positive(2.0)),
+        F={"p": ph.formula("u")},
+    )
+
+
+def first_two(n: int, data: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
+    """The first ``n`` samples of a record, and as many after them."""
+    t = data.trajectories[0].t
+    return data.between(None, t[n - 1]), data.between(t[n], t[2 * n - 1])
+
+
+LEAGUE: Mapping[str, Entry] = {
+    "EMPS": Entry(
+        folder="emps",
+        n_first=20,
+        unit="mm",
+        per_unit=1e3,
+        train=partial(emps, "fit"),
+        tests=lambda: {"force pulses": emps("test")},
+        base=machines.emps_base,
+        physics=machines.emps_model,
+        pieces=emps_pieces,
+        published="LSTM 74.1 (baseline)",
+    ),
+    "Silverbox": Entry(
+        folder="silverbox",
+        n_first=50,
+        unit="mV",
+        per_unit=1e3,
+        train=lambda: box(BOX[0], BOX_LAST),
+        tests=lambda: {
+            "last 25 % of the multisines": box(BOX_LAST, BOX[1]),
+            "arrow": box(*ARROW),
+            "arrow without extrapolation": box(*ARROW_NO_EXTRAPOLATION),
+        },
+        base=machines.box_model,
+        physics=box_physics,
+        pieces=partial(first_two, 2 * 2048),
+        published="1.49 and 2.39 (baselines), 0.26 to 0.36 (best)",
+    ),
+    "cascaded tanks": Entry(
+        folder="cascaded_tanks",
+        n_first=50,
+        unit="V",
+        per_unit=1.0,
+        train=partial(tanks_record, "Est"),
+        tests=lambda: {"second record": tanks_record("Val")},
+        base=storages.textbook_tanks,
+        physics=storages.tanks_model,
+        pieces=lambda data: data.split(storages.TANKS_SHARE),
+        published="0.396 (baseline), 0.18 (grey box)",
+        most=storages.FULL,
+    ),
+    "Bouc-Wen hysteresis": Entry(
+        folder="bouc_wen",
+        n_first=50,
+        unit="um",
+        per_unit=1e6,
+        train=partial(bouc_wen, "est_multisine"),
+        tests=lambda: {
+            "multisine": bouc_wen("val_multisine"),
+            "sine sweep": bouc_wen("val_sinesweep"),
+        },
+        base=bouc_wen_base,
+        physics=bouc_wen_physics,
+        pieces=partial(first_two, 1000),
+        published="about 10",
+        hidden=("z",),
+    ),
+}
