@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo thesis results test browser lint types docs package constraints clean
+.PHONY: help install demo thesis league results test browser lint types docs package constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -30,6 +30,9 @@ demo: $(VENV)/.core ## run the demonstration; needs, and installs where missing,
 
 thesis: $(VENV)/.full ## run every experiment of the thesis (about an hour; ARGS=--quick: minutes, writes nothing)
 	@$(PY) -m problems.thesis.run $(ARGS)
+
+league: $(VENV)/.full ## public data sets under the protocol of those who published them (ARGS="--data=FOLDER emps": one of them)
+	@$(PY) -m problems.league.run $(ARGS)
 
 results: $(VENV)/.full ## list the pages in results/ that are older than the code (ARGS="--run --hours=8": make them again)
 	@$(PY) -m problems.results $(ARGS)

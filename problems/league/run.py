@@ -46,7 +46,7 @@ class Result:
     fit: ph.Fit
 
 
-def error(fit: ph.Fit, test: ph.Measurements, entry: Entry) -> float:
+def error(fit: ph.Fit | ph.Model, test: ph.Measurements, entry: Entry) -> float:
     """Root mean square error of one free run, from the first samples on."""
     (run,) = test.trajectories
     (state,) = test.measured
@@ -62,8 +62,9 @@ def error(fit: ph.Fit, test: ph.Measurements, entry: Entry) -> float:
         inputs=test.inputs,
         hold=test.hold,
     )
-    start = ph.compare(fit, first).simulated[0][0]
-    simulated = free_run(fit.model, run.t, start, run.u, test.hold)[:, column]
+    begun = ph.compare(fit, first)
+    start = begun.simulated[0][0]
+    simulated = free_run(begun.model, run.t, start, run.u, test.hold)[:, column]
     misfit = np.minimum(simulated, entry.most) - measured
     return entry.per_unit * float(np.sqrt(np.nanmean(misfit[begin:] ** 2)))
 

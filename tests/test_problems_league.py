@@ -1,0 +1,40 @@
+"""The league table: how a test is scored."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from problems.league.entries import LEAGUE
+from problems.league.run import error
+
+T = np.arange(0, 4, 0.05)
+
+
+def entry(n_first: int):
+    return replace(LEAGUE["EMPS"], n_first=n_first, per_unit=1000.0)
+
+
+def record(y) -> ph.Measurements:
+    u = np.zeros((len(T), 1))
+    return ph.Measurements.from_arrays(T, y[:, None], u, states=["x"], inputs=["u"])
+
+
+DECAY = ph.FirstOrder(["x"], {"x": ph.formula("u - x")}, inputs=["u"])
+
+
+def test_errors_are_counted_from_the_first_samples_on_and_the_start_is_of_those_alone():
+    y = np.exp(-T)
+    y[10:] += 0.25  # a start estimated from all samples would follow this
+    assert error(DECAY, record(y), entry(10)) == pytest.approx(250, rel=1e-3)
+    y[:10] += 0.1 * np.exp(-T[:10])  # the start is 1.1
+    expected = np.sqrt(np.mean((0.25 - 0.1 * np.exp(-T[10:])) ** 2))
+    assert error(DECAY, record(y), entry(10)) == pytest.approx(1e3 * expected, rel=1e-3)
+
+
+def test_a_free_run_is_cut_at_the_limit_of_the_sensor_and_samples_there_tell_no_start():
+    y = np.minimum(2 * np.exp(-T), 1.0)
+    limited = replace(entry(20), most=1.0)
+    assert error(DECAY, record(y), limited) == pytest.approx(0, abs=1e-3)
+    assert error(DECAY, record(y), entry(20)) > 10
