@@ -24,7 +24,7 @@ from phsi_opt.estimation.estimate import Progress, silent
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.interrupts import interruptible
-from phsi_opt.model.catalogue import EffectChoice, Given, catalogue
+from phsi_opt.model.catalogue import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.sweeps.sweep import check_executor
@@ -106,44 +106,41 @@ def diagnose(
 
 def diagnose_comparison(
     trained: Comparison,
-    judged: Comparison | None = None,
+    judged: Comparison | None,
     *,
-    effects: list[Effect] | None = None,
-    loss: MaximumLikelihood | None = None,
-    progress: Progress | None = None,
-    executor: Executor | None = None,
+    effects: list[Effect],
+    loss: MaximumLikelihood | None,
+    progress: Progress,
+    executor: Executor | None,
 ) -> Diagnosis:
     """`diagnose` for a fit that was compared before.
 
-    Nothing of the comparisons is computed again. Without ``effects`` the candidates are
-    the `catalogue` of the model.
+    Nothing of the comparisons is computed again.
 
     Raises:
         ModelError: one of the ``effects`` does not fit the model, or has no free
             number.
     """
-    base = DiagnosedModel.of(trained, judged, loss, progress or silent, executor)
-    model = base.fit.model
-    listed = catalogue(model, base.record.data.units) if effects is None else effects
-    _check_effects(listed, model)
+    base = DiagnosedModel.of(trained, judged, loss, progress, executor)
+    _check_effects(effects, base.fit.model)
     base.say("estimating the missing force together with the model")
     try:
         record = base.evidence_record()
     except SolveError as error:
         return without_evidence(base, error)
-    found = concluded(base, record, listed)
+    found = concluded(base, record, effects)
     held = held_base(base, record, found.established)
     if held is not None:
         base = held
         record = base.evidence_record()
-        found = concluded(base, record, listed)
+        found = concluded(base, record, effects)
         found = replace(found, reason=f"{base.record.aligned.notes[0]}; {found.reason}")
     if found.findings or base.is_noise:
         return found
     better = better_base(base, record)
     if better is None:
         return found
-    return concluded(better, better.evidence_record(), listed)
+    return concluded(better, better.evidence_record(), effects)
 
 
 def candidate_of(
