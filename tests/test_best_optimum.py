@@ -151,4 +151,9 @@ def test_a_diagnosis_finds_the_optimum_that_a_fit_has_missed(stuck: float) -> No
     effects = ["constant force on p"]
     found = ph.diagnose(fit, data[:1], held_out=data[1:], effects=effects)
     assert found.verdict == ph.Verdict.NOTHING_MISSING
+    errors, _, said = found.reason.partition("; ")
+    assert errors.startswith("held-out error 0.0")
+    assert said == (
+        "there is no evidence of a missing force, and no effect is decisive"
+    )
     assert found.fit.values["G"] == pytest.approx(9.0, abs=0.01)

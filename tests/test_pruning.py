@@ -83,13 +83,13 @@ def test_terms_that_go_together_are_tested_with_as_many_degrees_of_freedom(
 
 @pytest.mark.parametrize(("settings", "message"), [
     ({"significance": 0.0}, "between 0 and 1"),
-    ({"significance": 5}, "between 0 and 1"),
+    ({"significance": 5}, "^Pruning: significance=5 .* a number between 0 and 1, such as 0.01"),
     ({"significance": 1.0}, "between 0 and 1"),
     ({"significance": "a"}, "between 0 and 1"),
-    ({"significance": 0.01, "debias": False}, "debias"),
-    ({"threshold": -1}, "threshold=-1 .* at least 0"),
+    ({"significance": 0.01, "debias": False}, "^significance needs debias=True: a coefficient that L1 shrinks has no standard error.$"),
+    ({"threshold": -1}, "^Pruning: threshold=-1 .* at least 0"),
     ({"threshold": float("nan")}, "at least 0"),
-    ({"slots": ("H", "S")}, "slot='S' is not possible; expected one of H, R, F"),
+    ({"slots": ("H", "S")}, "^Pruning: slot='S' is not possible; expected one of H, R, F"),
 ])  # fmt: skip
 def test_bad_settings_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
