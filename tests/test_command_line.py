@@ -438,7 +438,7 @@ def test_a_fit_is_saved_and_taken_up_again(short: Path) -> None:
     )
     assert diagnosed.returncode == ExitCode.MISSING, diagnosed.stderr
     assert json.loads(diagnosed.stdout)["proposed"] == ["coulomb friction on p"]
-    assert "[0:" in diagnosed.stderr and "left] re-fitting with" in diagnosed.stderr
+    assert "[0:" in diagnosed.stderr and "] re-fitting with" in diagnosed.stderr
     assert left_over(short.parent) == []
 
 

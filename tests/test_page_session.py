@@ -181,6 +181,18 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"
 
 
+def test_a_column_taken_for_a_state_is_the_input_that_a_base_model_needs() -> None:
+    columns = [
+        ColumnDraft("Spannung", STATE, {"name": "Spannung", "unit": "V"}),
+        ColumnDraft("Strom", STATE, {"name": "Strom", "unit": "mA"}),
+    ]
+    data = DataDraft({"a.csv": Path("a.csv")}, columns)
+    match_states(data, GALLERY["rlc"])
+    assert [(one.role, one.name) for one in columns] == [(INPUT, "u"), (STATE, "i")]
+    assert data.unmeasured == {"uC": "V"}
+    assert draft_of(GALLERY["rlc"], data).names("inputs") == ["u"]
+
+
 def test_the_run_for_the_end_is_chosen_like_those_held_out(session: Session) -> None:
     data = session.draft.data
     assert data is not None

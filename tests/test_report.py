@@ -164,7 +164,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(content) ->
         r"Coulomb friction, [\d.]+ ± [\d.]+ N, was missing\.", found.lead
     )
     assert re.fullmatch(
-        r"With it, the held-out error fell from ([\d.]+) to [\d.]+ m, the noise\. Now "
+        r"With it, the held-out error fell from ([\d.]+) to [\d.]+ m, the size of the noise\. Now "
         r"nothing is missing\.",
         found.detail,
     )

@@ -127,7 +127,7 @@ def ended_by(final: ph.Measurements) -> ph.Study:
     data = measurements(2.0, seed=3).thinned(2, by="picking")
     effects = ["coulomb friction"]
     study = ph.Study(spring(), data[:1], data[1:2], final=final, effects=effects)
-    assert "chose nothing" not in study.content().headline.sentence
+    assert "for the end" not in study.content().headline.sentence
     study.auto(max_steps=1)
     return study
 
@@ -148,9 +148,10 @@ def test_data_for_the_end_choose_nothing_and_tell_the_error() -> None:
     base, last = (ph.compare(step.fit, final).rmse for step in study.steps)
     assert base > 1.2 * last
     fall = f"{number(base, 3)} to {number(last, 3)} m"
-    told = f"On data that chose nothing (run 5), the error fell from {fall}."
+    told = f"On data kept for the end (run 5), the error fell from {fall}."
     content = study.content()
     assert told in content.headline.sentence and told in content.errors
+    assert content.subtitle.startswith("q measured in 1 run to fit, 1 to test, 1 for")
     assert told in " ".join(str(study).split())
     assert told not in changed.content().headline.sentence
     settings = {one.question: str(one) for one in content.settings}

@@ -13,34 +13,33 @@ from phsi_opt.study_file.gallery import GALLERY, BaseModel, matched, with_units
 
 def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
     """A fresh draft; columns that are inputs get the names that the model has."""
-    inputs: list[str] = []
-    if data is not None:
-        columns = data.with_role(INPUT)
-        for column, name in matched(columns, base.input_units):
-            column.table["name"] = name
-        inputs = [column.name for column in columns]
-    draft = ModelDraft.of(*base.sections(inputs), base.name)
+    columns = data.with_role(INPUT) if data else []
+    for column, name in matched(columns, base.input_units):
+        column.table["name"] = name
+    draft = ModelDraft.of(*base.sections([one.name for one in columns]), base.name)
     for one in draft.parameters:
         one.is_assumed = one.is_known
     return draft
 
 
 def match_states(data: DataDraft, base: BaseModel) -> None:
-    """Give the columns of states the names that the model has.
-
-    A column that fits no state is not used, until a base model is chosen that it fits;
-    a state without a column counts as not measured.
-    """
+    """Let columns of states be those of the model, inputs that it lacks, or unused."""
     for column in data.columns:
         if column.fits_no_state and column.role == NOT_USED:
             column.role = STATE
         column.fits_no_state = False
     columns = data.with_role(STATE)
     data.unmeasured = base.units
-    for column, name in matched(columns, base.states):
-        column.table["name"] = name
-        columns.remove(column)
-        del data.unmeasured[name]
+    for role, units in base.places:
+        own = data.with_role(role)
+        may_be = own + columns if role == INPUT else columns
+        for column, name in matched(may_be, units, own.__contains__):
+            column.table["name"] = name
+            data.unmeasured.pop(name, None)
+            if column in columns:
+                columns.remove(column)
+            if column.role != role:
+                column.becomes(role)
     for column in columns:
         column.role = NOT_USED
         column.fits_no_state = True

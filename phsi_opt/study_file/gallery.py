@@ -54,16 +54,20 @@ class BaseModel:
         return {name: one["unit"] for name, one in self.inputs.items()}
 
     @property
+    def places(self) -> tuple[tuple[str, dict[str, str]], ...]:
+        """What columns may be, in the order in which it is tried."""
+        usual = dict(self.states)
+        seldom = dict(zip(self.seldom, map(usual.pop, self.seldom), strict=True))
+        return (STATE, usual), (INPUT, self.input_units), (STATE, seldom)
+
+    @property
     def names(self) -> str:
         """Its states and inputs with their units, in words."""
         states, inputs = map(with_units, (self.units, self.input_units))
         return f"states {states}; inputs {inputs}"
 
     def sections(self, inputs: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The sections [model] and [parameters], with the inputs that were measured.
-
-        The terms of the other inputs are left out, or a parameter takes their place.
-        """
+        """The sections [model] and [parameters], with the inputs that were measured."""
         model: dict[str, Any] = {"states": list(self.units), "inputs": list(inputs)}
         model |= deepcopy(dict(self.model))
         parameters = dict(self.parameters)
@@ -107,11 +111,8 @@ GALLERY = {
 def give_parts(columns: Sequence[Column], base: BaseModel) -> None:
     """Let the columns of a table be states and inputs of a base model, or left out."""
     left = [one for one in columns if one.part in (STATE, INPUT)]
-    usual = dict(base.states)
-    seldom = dict(zip(base.seldom, map(usual.pop, base.seldom), strict=True))
-    _take(left, STATE, usual)
-    _take(left, INPUT, base.input_units)
-    _take(left, STATE, seldom)
+    for part, units in base.places:
+        _take(left, part, units)
     for column in left:
         column.name = ""
         column.becomes(UNUSED, f"the model {base.name} has no place for it")
@@ -132,11 +133,7 @@ def matched(
     units: Mapping[str, str],
     may_guess: Callable[[Any], bool] = lambda column: True,
 ) -> list[tuple[Any, str]]:
-    """Columns with the names that they have in a model.
-
-    First where names and quantities agree, then where quantities do, then in order
-    where a unit is unknown or may be any, and the column may be guessed.
-    """
+    """Columns with their names in a model: by name, by quantity, or by a guess."""
     found = []
     free = dict(units)
     left = list(columns)
