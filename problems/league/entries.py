@@ -172,7 +172,8 @@ def tanks_physics() -> ph.FirstOrder:
         "h1": f"k4*u - q0 - k1*h1 - c*{rim}",
         "h2": f"k1*h1 - {lower} + s*c*{rim} - c2*{limit}",
     }
-    names = {"h1": "k1 k4 q0 c rim1".split(), "h2": "k1 k3 h0 c rim1 s c2".split()}
+    names = {"h1": ["k1", "k4", "q0", "c", "rim1"]}
+    names["h2"] = ["k1", "k3", "h0", "c", "rim1", "s", "c2"]
     free = {n: ph.Parameter(a, lower=0, upper=b) for n, (a, b) in TANKS.items()}
     rates = {x: ph.formula(texts[x], **{n: free[n] for n in names[x]}) for x in names}
     return ph.FirstOrder(["h1", "h2"], rates, inputs=["u"])
