@@ -291,5 +291,5 @@ def test_an_effect_with_several_parameters_is_ranked_with_all_of_them() -> None:
     size, _, beside = first.size.partition("; ")
     assert float(size.split()[0]) == pytest.approx(1, abs=0.05)
     assert beside.startswith("F_p, frequency omega = ")
-    assert float(beside.split()[2]) == pytest.approx(3, abs=0.05)
+    assert float(beside.split()[4]) == pytest.approx(3, abs=0.05)
     assert all(";" not in one.size for one in others)
