@@ -320,7 +320,7 @@ class FitRecord(Identified):
 
     @property
     def caution(self) -> str:
-        """The warning to read first; "": none.
+        """The warning to read first, empty if there is none.
 
         The free run on the data of the fit leaves them (of fits with ``states``), or
         the model oscillates faster than their samples show.
