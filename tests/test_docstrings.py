@@ -200,3 +200,15 @@ def test_every_public_name_has_its_place_on_one_page_for_users() -> None:
     text = "\n".join(page.read_text() for page in sorted(pages.glob("*.rst")))
     on_pages = re.findall(r"^\.\. auto\w+:: (\w+)$", text, re.MULTILINE)
     assert sorted(on_pages) == sorted(phsi_opt.__all__)
+
+
+def test_no_first_line_of_a_property_reads_as_a_type_and_its_text():
+    """The site takes "A: b." for the type A, and finds none of that name."""
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, Function) and not node.name.startswith("_"):
+                first = (ast.get_docstring(node) or "").split("\n")[0]
+                is_property = any(
+                    "property" in ast.dump(d) for d in node.decorator_list
+                )
+                assert not (is_property and re.match(r"[^`]*: ", first)), (path, first)

@@ -86,7 +86,7 @@ class Trajectory:
 
     @property
     def title(self) -> str:
-        """How sentences name it, its name, "run 3" where this is a number."""
+        """How sentences name it; "run 3" where its name is a number."""
         return f"run {self.name}" if self.name.isdigit() else self.name
 
     @property
