@@ -86,7 +86,7 @@ def drive_of(unit: str) -> str:
 def named_units(
     equation: str, model: BaseModel, units: Mapping[str, str]
 ) -> Sequence[str]:
-    """Of the state, its rate, and what drives it, also per unit of the inputs."""
+    """Of the state, the time, rates, and what drives it, also per unit of inputs."""
     state, time = units.get(equation, ""), units.get("t", "")
     drive = drive_of(state)
     rates = [unit_of_rate(one, time) for one in (state, "1")]
@@ -95,7 +95,7 @@ def named_units(
         for above in filter(None, (drive, rates[0], state)):
             per_input += [unit_per(above, u, 1), unit_per(above, u, 2)]
     heats = HEATS if drive == "W" else ()
-    return (state, *rates, *heats, *per_input)
+    return (state, time, *rates, *heats, *per_input)
 
 
 def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
