@@ -680,6 +680,18 @@ def test_the_page_says_how_to_install_what_it_needs(monkeypatch) -> None:
     assert "pip install 'phsi_opt[app]'" in result.err
 
 
+def test_the_page_opens_the_study_of_its_folder(tmp_path, monkeypatch) -> None:
+    opened: list[Path | None] = []
+    serve = "phsi_opt.page.serve.serve"
+    monkeypatch.setattr(serve, lambda study, **_: opened.append(study))
+    monkeypatch.chdir(tmp_path)
+    assert said("page").code == 0
+    Path("study.toml").touch()
+    for named in ((), ("other.toml",)):
+        assert said("page", *named).code == 0
+    assert opened == [None, Path("study.toml"), Path("other.toml")]
+
+
 def test_a_study_that_breaks_off_says_so_in_its_report(short, monkeypatch) -> None:
     def breaks(*_: object, **__: object) -> str:
         raise RuntimeError("a mistake on the way")

@@ -240,7 +240,11 @@ def study_(
 @app.command()
 def page(
     study: Annotated[
-        Path | None, typer.Argument(help="The study file to open.", metavar="STUDY")
+        Path | None,
+        typer.Argument(
+            help=f"The study file; default: {STUDY_NAME}, if there is one.",
+            metavar="STUDY",
+        ),
     ] = None,
     host: Annotated[str, typer.Option(help="Address of the server.")] = LOOPBACK,
     port: Annotated[int, typer.Option(help="Port of the server.")] = 8080,
@@ -250,6 +254,8 @@ def page(
     with told_errors():
         from phsi_opt.page.serve import serve
 
+        own = Path(STUDY_NAME)
+        study = study or (own if own.is_file() else None)
         serve(study, host=host, port=port, show=show)
 
 
