@@ -89,7 +89,8 @@ def main() -> ph.Study:
     data = measurements()
     train, held_out = data.split(TRAINING_SHARE)
     print(f"{data}\n")
-    study = ph.Study(model(), train, held_out, progress=_say)
+    title = "Damped spring with hidden friction"
+    study = ph.Study(model(), train, held_out, progress=_say, title=title)
     before = study.compare()
     print(f"\n{study.fit}\n\n{before}\n")
     diagnosis = study.diagnose()
