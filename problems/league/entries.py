@@ -37,7 +37,6 @@ class Entry:
         pieces: two pieces of the training record, in which a study looks for what the
             base model lacks.
         published: errors that others have published.
-        hidden: states of the physics that the base model has not.
         most: what the sensor shows at most.
     """
 
@@ -51,7 +50,6 @@ class Entry:
     physics: Callable[[], ph.Model]
     pieces: Callable[[ph.Measurements], tuple[ph.Measurements, ph.Measurements]]
     published: str
-    hidden: tuple[str, ...] = ()
     most: float = np.inf
 
 
@@ -288,6 +286,5 @@ LEAGUE: Mapping[str, Entry] = {
         physics=bouc_wen_physics,
         pieces=partial(first_two, 1000),
         published="about 10",
-        hidden=("z",),
     ),
 }

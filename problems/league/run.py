@@ -87,21 +87,19 @@ def fitted(name: str, way: str, train: ph.Measurements) -> Result:
     entry = LEAGUE[name]
     begin = time.process_time()
     added: tuple[str, ...] = ()
-    tests = entry.tests()
-    model = entry.base()
-    if way == WAYS[2]:
-        model = entry.physics()
-        train = with_states(train, entry.hidden)
-        tests = {test: with_states(data, entry.hidden) for test, data in tests.items()}
+    model = entry.physics() if way == WAYS[2] else entry.base()
     if way == WAYS[1]:
         first, second = entry.pieces(train)
         study = ph.Study(model, first, held_out=second)
         study.auto()
         added = tuple(study.history["effect"][1:])
         model = study.model
-    fit = ph.identify(model, train)
+    hidden = tuple(x for x in model.states if x not in train.states)
+    fit = ph.identify(model, with_states(train, hidden))
     middle = time.process_time()
-    errors = {test: error(fit, data, entry) for test, data in tests.items()}
+    errors = {}
+    for test, data in entry.tests().items():
+        errors[test] = error(fit, with_states(data, hidden), entry)
     seconds = (middle - begin, time.process_time() - middle)
     return Result(name, way, errors, seconds, added, fit)
 
