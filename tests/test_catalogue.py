@@ -46,7 +46,7 @@ FAMILIES = {
     "damping that depends on the position": "position-dependent damping",
     "a force that depends on the position": "linear stiffness, quadratic stiffness, "
     "cubic stiffness, gravity torque, gap",
-    "hysteresis": "hysteresis",
+    "hysteresis": "hysteresis, bouc-wen hysteresis",
     "a constant force": "constant force",
     "a force that changes with the time": "drifting force, harmonic force",
     "a stiffness that changes with the time": "parametric stiffness",

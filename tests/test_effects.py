@@ -84,6 +84,7 @@ CASES = [
     ("input lag", "p", {"lag_u_p": 0.1, "u_lagged_p": 0.5}, 5 * (0.5 - U[0]), 0),
     ("input delay", "p", DELAYED_INPUT, 5 * (2 * (0.8 - U[0]) + 0.1**2 / 5 * 3), 0),
     ("hysteresis", "p", {"hysteresis_force_p": 0.3, "hysteresis_p": 0.5}, -0.3 * 0.5, 0),
+    ("bouc-wen hysteresis", "p", {"hysteresis_force_p": 0.3, "bouc_wen_p": 0.5}, -0.3 * 0.5, 0),
     ("sensor offset", "q", {"sensor_offset_q": 0.3}, 0, 0.3),
     ("sensor gain", "q", {"sensor_gain_q": 0.3}, 0, 0.3 * Q),
     ("sensor drift", "q", {"sensor_drift_q": 0.3}, 0, 0.3 * T),
@@ -214,3 +215,51 @@ def test_parameters_of_effects_are_told_in_words_and_others_by_their_names() -> 
     (wave,) = [one for name, one in told.items() if name.startswith("F_p[sin")]
     assert wave.startswith("coefficient of sin(") and wave.endswith(" in F_p")
     assert parameter_words(model, "k[run 3]") == "k[run 3]"
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"), [(1.0, -0.3), (-1.375, -0.4425), (0, -0.36)]
+)
+def test_the_shape_of_a_hysteresis_tells_how_its_force_returns(shape, expected) -> None:
+    """w dz/dt = v - (|v| z + s v |z|)/2, at v = -0.3 and z = 0.4, without rounding."""
+    larger = spring().add("bouc-wen hysteresis", "p")
+    inner = {"hysteresis_slow_p": 1e-9, "hysteresis_width_p": 2.0}
+    larger = larger.with_values({**inner, "bouc_wen_shape_p": shape})
+    rate = larger.rhs()(np.array([0.0, -0.3 * M, 0.4]), U, T, larger.theta)
+    rounded = np.hypot(0.4, 0.05) - 0.4
+    expected -= shape * -0.3 * rounded / 2
+    assert 2.0 * float(rate[2]) == pytest.approx(expected)
+
+
+def test_a_hysteresis_that_hardens_is_named_with_its_shape() -> None:
+    """Its force is nearly that of a cubic spring with a damper."""
+    t = np.arange(0, 40, 0.1)
+    u = np.sin(0.9 * t) + np.sin(2.3 * t) + np.sin(0.31 * t)
+    truth = spring().add("bouc-wen hysteresis", "p")
+    shape = {"bouc_wen_shape_p": -1.4, "hysteresis_width_p": 0.8}
+    known = {"hysteresis_force_p": 1.0, "hysteresis_slow_p": 1e-3}
+    x = ph.simulate(truth.with_values({**shape, **known}), t, [0.0, 0.0, 0.0], u)
+    q = x[:, 0] + np.random.default_rng(0).normal(0, 0.01, len(t))
+    y = np.c_[q, np.full(len(t), np.nan)]
+    data = ph.Measurements.from_arrays(
+        t, y, u[:, None], states=["q", "p"], inputs=["u"]
+    )
+    base = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=ph.Parameter(K), m=M),
+        R=ph.damping("p"),
+        F={"p": ph.formula("b*u", b=5.0)},
+    )
+    effects = ["cubic stiffness", "hysteresis", "bouc-wen hysteresis"]
+    found = ph.diagnose(ph.identify(base, data), data, effects=effects)
+    assert found.verdict is ph.Verdict.NAMED
+    assert [str(one) for one in found.findings[0].effects] == [
+        "bouc-wen hysteresis on p"
+    ]
+    for name, value in shape.items():
+        refit = found.established[0].fit
+        assert refit is not None
+        row = refit.parameters.set_index("name").loc[name]
+        assert abs(row["value"] - value) < 3 * row["std_error"]

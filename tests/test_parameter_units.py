@@ -106,6 +106,7 @@ def test_a_measured_force_tells_the_unit_of_a_momentum_that_nobody_measures() ->
     (spring(), LENGTHS, "input lag", "s"),
     (spring(), LENGTHS, "input gain", ""),
     (spring(), LENGTHS, "hysteresis", "N"),
+    (spring(), LENGTHS, "bouc-wen hysteresis", "N"),
     (pendulum(), ANGLES, "coulomb friction", "N m"),
     (pendulum(), ANGLES, "linear stiffness", "N m/rad"),
     (pendulum(), ANGLES, "quadratic drag", "N m s^2/rad^2"),

@@ -10,7 +10,6 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.laws import HYSTERESIS
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import Size
 
@@ -179,7 +178,7 @@ def class_of(effects: Sequence[Effect]) -> str:
     A loss takes energy from the motion by any law.
     """
     families = list(dict.fromkeys(effect.family for effect in effects))
-    are_losses = all(one.slot == "R" or one.name == HYSTERESIS for one in effects)
+    are_losses = all(one.slot == "R" or one.family == "hysteresis" for one in effects)
     if len(families) > MOST_FAMILIES and are_losses:
         places = {effect.equation for effect in effects}
         return LOSS if len(places) == 1 else LOSS_SOMEWHERE

@@ -66,7 +66,7 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
                 model = model.with_values({name: guess.share * size})
             is_open = value is None or not parameter.fixed
             if isinstance(guess, Tried) and is_open:
-                size = _largest(model, grid, x, guess.of)
+                size = largest(model, grid, x, guess.of)
                 upper = max(_upper_bound(model, grid, guess, size), parameter.lower)
                 middle = size * guess.shares[len(guess.shares) // 2]
                 start = middle if value is None else value
@@ -92,13 +92,8 @@ def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
     return guess.most * size * room
 
 
-def values_to_try(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
-    """The values to try for a parameter, over the states ``x``, (n_shares,)."""
-    return _largest(model, grid, x, guess.of) * np.array(guess.shares)
-
-
-def _largest(model: Model, grid: Grid, x: np.ndarray, of: str) -> float:
-    """Size of what a value is tried in shares of.
+def largest(model: Model, grid: Grid, x: np.ndarray, of: str) -> float:
+    """Size of what a value is tried in shares of, over the states ``x``.
 
     The longest duration of a trajectory for ``t``, the usual time between samples for
     ``dt``, else the largest magnitude of a formula; 1 where that vanishes.

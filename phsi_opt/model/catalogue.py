@@ -251,7 +251,7 @@ def _places(
 
 def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]:
     """The names of the laws in the equation of x, see ``laws``."""
-    source, grows_with, _ = WORDS[role_of(model, x)]
+    source, grows_with, place, _ = WORDS[role_of(model, x)]
     article = "an" if source[0] in "aeiou" else "a"
     e = effort_of(model, x)
     omega = "omega"  # of a wave, that is not taken
@@ -266,6 +266,7 @@ def _names(model: BaseModel, x: str, units: Mapping[str, str]) -> dict[str, str]
         "source": source,
         "a_source": f"{article} {source}",
         "grows_with": grows_with,
+        "place": place,
     }
     zero = ZEROS.get(units.get(x, ""), 0.0)
     if not zero:

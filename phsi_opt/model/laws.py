@@ -11,7 +11,7 @@ The texts of a row contain names in braces, which the ``catalogue`` fills in:
   tells none; a model without an energy has it. What a law adds is divided by it, too;
 - ``{s}`` another storage or input, ``{s_e}`` its effort; ``{level}`` what flows over;
 - ``{q1}``, ``{q2}`` two positions;
-- ``{source}``, ``{a_source}``, ``{grows_with}``, ``{input_size}`` words of the field.
+- ``{source}``, ``{a_source}``, ``{grows_with}``, ``{place}``, ``{input_size}`` words.
 
 A row with a name that an equation does not have is not offered there. A loss is
 R_ii dH/dx_i: a force c f(v) against the velocity v has R_ii = c f(v)/v.
@@ -36,7 +36,6 @@ from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.structure import Role
 from phsi_opt.model.terms import Dictionary, Term
 
-HYSTERESIS = "hysteresis"
 SECOND_STORAGE = "a storage that is not measured"
 
 # ---- parameters inside the bodies ----------------------------------------------------
@@ -97,6 +96,7 @@ INNER_PARAMETERS = {
     ),
     # The displacement over which a hysteresis yields.
     "hysteresis_width_{x}": _tried("{q}", 0.05, 0.1, 0.2, 0.4),
+    "bouc_wen_shape_{x}": Parameter(lower=-2.0, guess=Tried("1", (-1.0, 0.0), 2.0)),
     # Within this share of the typical velocity its absolute value is rounded; that of
     # the hysteresis' state, which stays within -1 and 1, within 0.05.
     "hysteresis_slow_{x}": _width("{e}", 0.02),
@@ -137,6 +137,18 @@ def delayed_signals(model: BaseModel) -> dict[str, tuple[str, str]]:
     return found
 
 
+def _bouc_wen(z: str, shape: str = "") -> str:
+    """The rate of a hysteresis by Bouc (1967) and Wen (1976) with n = 1, rounded.
+
+    The force is -c z, with w dz/dt = v - (|v| z + s v |z|)/2. With the shape s = 1, z
+    stays within -1 and 1, and w is the displacement over which it yields; with s < -1
+    the force grows ever faster, and falls faster still on the way back.
+    """
+    size = f"sqrt({{e}}**2 + hysteresis_slow_{{x}}**2)*{z}"
+    back = f"{shape}{{e}}*sqrt({z}**2 + 0.0025)"
+    return f"({{e}} - ({size} + {back})/2)/hysteresis_width_{{x}}"
+
+
 # By the state that the bodies name.
 MEMORIES: Mapping[str, Mapping[str, str]] = {
     # The force follows the lagged input z: lag dz/dt = u - z.
@@ -147,14 +159,8 @@ MEMORIES: Mapping[str, Mapping[str, str]] = {
     # resistance R between the two, c = 1/(R C1) and tau = R C2, so that C2/C1 = c tau.
     # What the model had for both before is now for the first alone.
     "{x}_second": {"{x}_second": "({x} - {x}_second)/following_time_{x}"},
-    # Bouc (1967) and Wen (1976) with n = 1, rounded: the force is -c z, with
-    # w dz/dt = v - (|v| z + v |z|)/2, so that z stays within -1 and 1, and w is the
-    # displacement over which it yields.
-    "hysteresis_{x}": {
-        "hysteresis_{x}": "({e} - (sqrt({e}**2 + hysteresis_slow_{x}**2)"
-        "*hysteresis_{x} + {e}*sqrt(hysteresis_{x}**2 + 0.0025))/2)"
-        "/hysteresis_width_{x}"
-    },
+    "hysteresis_{x}": {"hysteresis_{x}": _bouc_wen("hysteresis_{x}")},
+    "bouc_wen_{x}": {"bouc_wen_{x}": _bouc_wen("bouc_wen_{x}", "bouc_wen_shape_{x}*")},
     "{x}_delayed": READING_MEMORY,
 }
 
@@ -211,6 +217,7 @@ second charge storage | c (z - {x}), tau dz/dt = {x} - z | relaxation
 parametric stiffness | -{q} (a sin({omega} t) + b cos({omega} t)) |
 parametric elastance | -{q} (a sin({omega} t) + b cos({omega} t)) |
 hysteresis | -c z, w dz/dt = {e} - (|{e}| z + {e} |z|)/2 | bouc-wen, presliding
+bouc-wen hysteresis | -c z, w dz/dt = {e} - (|{e}| z + s {e} |z|)/2 | free hysteresis
 overflow from | c max({s_e} - limit, 0) | spill, weir
 heat exchange with | c ({s_e} - {e}) | heat transfer, ambient, conduction
 sensor offset | sensor + c | offset, bias, zero error
@@ -251,6 +258,8 @@ WORDS_OF_NUMBERS = {
     "saturation": "limit of the saturation",
     "following time": "time constant of the second storage",
     "clipping": "limit of the clipping",
+    "hysteresis width": "width of the hysteresis",
+    "bouc wen shape": "shape s of the hysteresis",
     "lag": "lag",
     "delay": "delay",
     "heat exchange": "heat exchange",
@@ -365,9 +374,7 @@ FAMILIES = {
     "GROWING": "a loss that grows with {grows_with}",
     "CHANGING": "{a_source} that changes with the time",
     "LATE": "a delay of the input",
-    "POSITION": "a force that depends on the position",
-    "VOLUME": "a pressure that depends on the volume",
-    "CHARGE": "a voltage that depends on the charge",
+    "POSITION": "{a_source} that depends on the {place}",
     "SATURATION": "a storage that saturates",
     "SECOND": SECOND_STORAGE,
     "READING": "an error of the sensor",
@@ -381,6 +388,7 @@ SHORTHAND = {
     "LATE_INPUT": LATE_INPUT,
     "LATE_READING": LATE_READING,
     "OUTSIDE": "-max({q} - play, 0) + max(-{q} - play, 0)",
+    "HELD": "hysteresis_force_{x} >= 0",
     "WAVES": "-{q}*sin({omega}*t); -{q}*cos({omega}*t)",
 }
 
@@ -458,16 +466,13 @@ input delay{of_u} | | {slope}*(LATE_INPUT) | LATE | formula
 ENERGIES = _laws(
     "H",
     """
-linear stiffness | BODY | {q}**2/2 | POSITION | {name}_{q} | -{q}
-quadratic stiffness | BODY | {q}**3/3 | POSITION | {name}_{q} | -{q}**2
-cubic stiffness | BODY | {q}**4/4 | POSITION | {name}_{q} | -{q}**3
+linear stiffness | BODY, PIPE | {q}**2/2 | POSITION | {name}_{q} | -{q}
+quadratic stiffness | BODY, PIPE | {q}**3/3 | POSITION | {name}_{q} | -{q}**2
+cubic stiffness | BODY, PIPE | {q}**4/4 | POSITION | {name}_{q} | -{q}**3
 gravity torque | BODY | -cos({angle}) | POSITION | {name}_{q} | -sin({angle})
-linear stiffness | PIPE | {q}**2/2 | VOLUME | {name}_{q} | -{q}
-quadratic stiffness | PIPE | {q}**3/3 | VOLUME | {name}_{q} | -{q}**2
-cubic stiffness | PIPE | {q}**4/4 | VOLUME | {name}_{q} | -{q}**3
-linear elastance | COIL | {q}**2/2 | CHARGE | {name}_{q} | -{q}
-quadratic elastance | COIL | {q}**3/3 | CHARGE | {name}_{q} | -{q}**2
-cubic elastance | COIL | {q}**4/4 | CHARGE | {name}_{q} | -{q}**3
+linear elastance | COIL | {q}**2/2 | POSITION | {name}_{q} | -{q}
+quadratic elastance | COIL | {q}**3/3 | POSITION | {name}_{q} | -{q}**2
+cubic elastance | COIL | {q}**4/4 | POSITION | {name}_{q} | -{q}**3
 coil saturation | COIL | {own}**4/4 | SATURATION | {name}_{own}
 coil or capacitor saturation | CIRCUIT | {own}**4/4 | SATURATION | {name}_{own}
 coupling stiffness | BODY | ({q1} - {q2})**2/2 | a coupling of two positions
@@ -486,7 +491,8 @@ second heat storage | HEAT | {x}_second - {x} | SECOND | {name}_{x} >= 0
 second charge storage | CIRCUIT | {x}_second - {x} | SECOND | {name}_{x} >= 0
 parametric stiffness | BODY, PIPE | WAVES | a stiffness that changes with the time |
 parametric elastance | COIL | WAVES | a capacitance that changes with the time |
-hysteresis | BODY, PIPE, COIL | -hysteresis_{x} | hysteresis | hysteresis_force_{x} >= 0
+hysteresis | BODY, PIPE, COIL | -hysteresis_{x} | hysteresis | HELD
+bouc-wen hysteresis | BODY, PIPE, COIL | -bouc_wen_{x} | hysteresis | HELD
 """,
 )
 # Between storages, and from the surroundings. What the other storage loses by it is an
@@ -532,9 +538,7 @@ def laws_told() -> dict[str, str]:
 def is_second_storage(effect: Effect) -> bool:
     """Whether an effect splits a storage in two.
 
-    With half of it gone, the capacity that the model had means another thing. So a
-    linearisation of the model without the effect says nothing about it: it expected
-    none of a house and of a cell in which a re-fit explains 39 and 77 % of the squared
-    error above the noise floor.
+    Half of it gone, the capacity of the model means another thing: a linearisation of
+    the model without the effect says nothing about it.
     """
     return effect.family == SECOND_STORAGE

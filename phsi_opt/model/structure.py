@@ -259,14 +259,14 @@ class Role(StrEnum):
 
 # What comes from outside, such as a force; what a loss grows with; what resists both.
 WORDS = {
-    Role.BODY: ("force", "speed", "inertia"),
-    Role.PIPE: ("pressure", "the flow", "inertia"),
-    Role.TANK: ("inflow", "the level", "capacity"),
-    Role.COIL: ("voltage", "the current", "inductance"),
-    Role.CAPACITOR: ("current", "the voltage", "capacitance"),
-    Role.CIRCUIT: ("source", "the current or voltage", "inductance or capacitance"),
-    Role.HEAT: ("heat input", "the temperature", "heat capacity"),
-    Role.UNKNOWN: ("force", "the speed or level", "inertia or capacity"),
+    Role.BODY: ("force", "speed", "position", "inertia"),
+    Role.PIPE: ("pressure", "the flow", "volume", "inertia"),
+    Role.TANK: ("inflow", "the level", "", "capacity"),
+    Role.COIL: ("voltage", "the current", "charge", "inductance"),
+    Role.CAPACITOR: ("current", "the voltage", "", "capacitance"),
+    Role.CIRCUIT: ("source", "the current or voltage", "", "inductance or capacitance"),
+    Role.HEAT: ("heat input", "the temperature", "", "heat capacity"),
+    Role.UNKNOWN: ("force", "the speed or level", "", "inertia or capacity"),
 }
 OF_MOMENTA = {MECHANICAL: Role.BODY, HYDRAULIC: Role.PIPE, ELECTRICAL: Role.COIL}
 OF_OTHERS = {

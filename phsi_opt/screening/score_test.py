@@ -18,11 +18,7 @@ from itertools import product
 import numpy as np
 
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.initialization.relative_guesses import (
-    resolve_guesses,
-    values_at,
-    values_to_try,
-)
+from phsi_opt.initialization.relative_guesses import largest, resolve_guesses, values_at
 from phsi_opt.initialization.starting_values import frequency_grid
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -139,7 +135,8 @@ class ScoreTest:
             if entry.prunable and not parameter.fixed:
                 linear.append(name)
             if isinstance(guess, Tried) and parameter.value is None:
-                tried[name] = values_to_try(model, grid, states, guess)
+                size = largest(model, grid, states, guess.of)
+                tried[name] = size * np.array(guess.shares)
             if isinstance(guess, Scan) and frequency is None:
                 frequency = name
                 scanned = guess.variable if parameter.value is None else None
@@ -199,9 +196,9 @@ def _within_what_is_tried(model: Model, tried: dict[str, np.ndarray]) -> Model:
     """
 
     def bounded(name: str, parameter: Parameter) -> Parameter:
-        if name not in tried or len(tried[name]) < 2:
+        values = np.sort(tried.get(name, ()))
+        if len(values) < 2 or not values[0] > 0:  # steps are ratios
             return parameter
-        values = np.sort(tried[name])
         lower = max(float(values[0] ** 2 / values[1]), parameter.lower)
         upper = min(float(values[-1] ** 2 / values[-2]), parameter.upper)
         return replace(parameter, lower=lower, upper=upper)
