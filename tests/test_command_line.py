@@ -224,6 +224,7 @@ HEADERS = {  # what a header tells: part, name, unit
     "Temperature 1": ("state", "Temperature_1", ""),
     "Controle_u": ("input", "Controle_u", ""),
     "Heater 1 (%)": ("input", "Heater_1", "%"),
+    "%": ("state", "x_2", ""),
     "u2": ("input", "u2", ""),
     "force_kN": ("input", "force", "kN"),
     "v_m_s": ("state", "v", "m/s"),

@@ -263,6 +263,9 @@ def test_one_filled_cell_far_away_does_not_make_a_sheet_that_fills_the_memory(
     book = with_part(SHEET, lambda xml: xml.replace(b'r="B41"', b'r="XFD41"'))
     with pytest.raises(ph.DataError, match="or more than 100 cells"):
         from_excel(book, **COLUMNS)
+    monkeypatch.setattr(excel_tables, "MOST_CELLS", 60)  # 41 rows of 2 or more
+    with pytest.raises(ph.DataError, match="or more than 60 cells"):
+        from_excel(with_part(SHEET, bytes), **COLUMNS)
 
 
 # ---- study files and fits ------------------------------------------------------------

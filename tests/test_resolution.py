@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.channel_noise import resolution
+from phsi_opt.data.channel_noise import lattice_step, resolution
 from phsi_opt.diagnosis.candidate import Grade
 
 T = np.linspace(0.0, 14.0, 281)
@@ -71,6 +71,13 @@ def test_what_is_not_quantised_has_no_step(kind: str) -> None:
     values = CONTINUOUS[kind]()
     assert resolution([values]) == 0.0
     assert resolution([values, values]) == 0.0
+
+
+def test_few_values_that_lie_evenly_by_chance_have_no_step() -> None:
+    values = np.array([0.0, 1.0, 2.05])
+    assert lattice_step(values, 0.05) == 0.0
+    assert lattice_step(values[:2], 0.05) == 1.0
+    assert lattice_step(np.arange(9.0), 0.05) == pytest.approx(1.0)
 
 
 def test_the_step_scales_with_the_unit_and_does_not_ask_for_the_order() -> None:

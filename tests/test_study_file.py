@@ -275,6 +275,7 @@ def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
     ('"position_m"', '"position"', "data.states.q.column", "Did you mean 'position_m'?"),
     ('"spring.csv"', '"sprung.csv"', "data.files", "there is no such file"),
     ('files = ["spring.csv"]', "", "data.files", "expected the data file"),
+    ('["spring.csv"]', '["spring.csv", "spring.csv"]', "data.files", "is listed 2 times"),
     ("q = { column", "Q = { column", "data.states.q", "Did you mean 'Q'?"),
     ("measured = false, ", "", "data.states.p.column", "or measured = false"),
     ("measured = false", "measured = 1", "data.states.p.measured", "true or false"),
@@ -335,6 +336,22 @@ def test_a_fault_is_told_with_its_line_and_a_missing_key_with_that_of_its_table(
     assert f"line {told['model.H']}: model.H: expected" in str(caught.value)
 
 
+def test_what_a_model_does_not_use_and_has_no_unit_is_told(spring: Path) -> None:
+    from phsi_opt.study_file.survey import unfilled
+
+    forces = "model.F: no forces, such as F = { p = "
+    assert [one[: len(forces)] for one in unfilled(spring)] == [forces]
+    changed(
+        spring,
+        ('states = ["q", "p"]', 'states = ["q", "p"]\ninputs = ["u", "w"]'),
+        ("p**2/(2*m)", "p**2/(2*m) - u*q"),
+        (', unit = "m"', ""),
+    )
+    idle, units = unfilled(spring)[1:]
+    assert idle == "model.inputs: no formula contains w"
+    assert units.startswith("units: no unit is given for q (such as")
+
+
 # ---- writing -------------------------------------------------------------------------
 
 
@@ -344,6 +361,7 @@ def test_a_file_that_was_written_reads_as_what_it_was_written_from(spring) -> No
     other.mkdir()
     again = ph.StudyFile.read(file.write(other / "copy.toml"))
     assert again.data.files == ("../spring.csv",)
+    assert "\ninputs =" not in file.text() and "\nmemory" not in file.text()
     assert again.measurements().digest == file.measurements().digest
     assert replace(again, data=file.data, folder=file.folder) == file
     assert again.model() == file.model()
@@ -431,6 +449,9 @@ def test_what_a_study_file_cannot_hold_is_refused_by_name(tmp_path: Path) -> Non
     clash = ph.Effect("wind", "F", "v", ph.formula("g*v", g=ph.Parameter(2.0)))
     with pytest.raises(ph.ModelError, match="'g' of an effect differs"):
         ph.StudyFile.of(everything(), data, own_effects=(clash,))
+    in_mm = replace(data, units={"x_1": "mm", "t": "ms"})
+    with pytest.raises(ph.DataError, match=r"the data are in ms, mm, and .*in_si\(\)"):
+        ph.StudyFile.of(everything(), in_mm)
     with pytest.raises(ph.DataError, match="names in common"):
         ph.StudyFile.of(everything(), data[:2], data[1:])
     with pytest.raises(ph.DataError, match="units of the data held out"):

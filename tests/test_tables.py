@@ -196,12 +196,14 @@ def test_a_data_frame_is_not_changed() -> None:
     (frame(u=[0.0, np.nan, 1.0]), {"inputs": ["u"]}, "column 'u', row 'b': the value is nan"),
     (frame(run=["a", None, "a"]), {"trajectory": "run"}, "column 'run', row 'b': the trajectory's name is missing"),
     (frame().iloc[:0], {}, "data frame has no samples"),
+    ([[0.0, 1.0]], {}, r"frame is a list; expected a pandas.DataFrame \(files: from_csv\)"),
     (frame().rename(columns={"u": "q"}), {}, "2 columns called 'q'"),
 ])  # fmt: skip
 def test_a_data_frame_that_cannot_be_used_is_refused_by_row(
-    table: pd.DataFrame, options: dict[str, Any], message: str
+    table: Any, options: dict[str, Any], message: str
 ) -> None:
-    table = table.set_axis(["a", "b", "c"][: len(table)], axis=0)
+    if isinstance(table, pd.DataFrame):
+        table = table.set_axis(["a", "b", "c"][: len(table)], axis=0)
     with pytest.raises(ph.DataError, match=message):
         ph.Measurements.from_dataframe(
             table, **({"time": "t", "states": ["q"]} | options)

@@ -1,6 +1,7 @@
 """Units: what is written is converted to SI once, checked, and told as it was written."""
 
 import copy
+import datetime as dt
 import pickle
 import re
 from pathlib import Path
@@ -12,8 +13,10 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.model.unit_checks import UnitCheck
 from phsi_opt.presentation.units import (
+    dates_words,
     in_si,
     measure_of,
+    rate_unit,
     scale_of,
     scale_of_rate,
     time_words,
@@ -161,6 +164,25 @@ def test_times_and_rates_are_told_in_the_units_that_were_written() -> None:
     assert scale_of_rate("V", house, 600.0).unit == "l/min"
     assert scale_of(unit_of_rate("1", house["t"])).unit == "1/min"
     assert time_words(100.0, in_si({"t": "h"})["t"]) == "0.0278 h"
+
+
+def test_a_rate_is_per_hour_in_a_long_record_unless_it_has_a_name_of_its_own() -> None:
+    units = {"t": "s", "T": "degC", "q": "m", "x": ""}
+    scale = scale_of_rate("T", units, 86400.0)
+    assert (scale.unit, scale.shown(1.0)) == ("degC/h", 3600.0)
+    assert scale_of_rate("q", units, 86400.0).unit == "m/s"
+    assert (rate_unit("", "s"), rate_unit("m", "")) == ("", "")
+
+
+@pytest.mark.parametrize(("last", "words"), [
+    (5, "2024-03-05 14:30 to 14:30:05"),
+    (3600, "2024-03-05 14:30 to 15:30"),
+    (43200, "2024-03-05 14:30 to 2024-03-06 02:30"),
+    (3 * 86400, "2024-03-05 to 2024-03-08"),
+])  # fmt: skip
+def test_dates_are_told_as_exactly_as_their_range_asks(last: float, words: str) -> None:
+    assert dates_words(0.0, last, dt.datetime(2024, 3, 5, 14, 30)) == words
+    assert dates_words(0.0, last, None) == ""
 
 
 # ---- measurements --------------------------------------------------------------------

@@ -91,11 +91,9 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
         steps = [_even_step(own) for own in different if len(own) > 1]
         if len(steps) >= 2 and min(steps) > 0:
             step = float(np.median(steps))
-    if step > 0:
-        return step
-    if len(values) > 1 and _stays_and_comes_back(runs):
-        return float(np.median(np.diff(values)))
-    return 0.0
+    if step == 0 and len(values) > 1 and _stays_and_comes_back(runs):
+        step = float(np.median(np.diff(values)))
+    return step
 
 
 def _n_repeated(runs: Sequence[np.ndarray]) -> int:

@@ -309,7 +309,7 @@ def _leave_out_other_clocks(
         if one is time:
             clock = ""
         elif one.is_time and one.values is not None and not one.is_counter:
-            is_same = _runs_alike(time, one)
+            is_same = not one.n_missing and _runs_alike(time.values, one.values)
             clock = "" if is_same else one.column
             said = f"as regular as {time.column}" if is_same else "has its own times"
             one.said = f"{OTHER_CLOCK}: {said}"
@@ -317,12 +317,11 @@ def _leave_out_other_clocks(
             one.said = f"{OTHER_CLOCK}, {clock}: resample it to {time.column} to use it"
 
 
-def _runs_alike(time: Column, other: Column) -> bool:
+def _runs_alike(times: np.ndarray | None, other: np.ndarray) -> bool:
     """Whether another clock counts the same moments, from elsewhere, in its unit."""
-    if other.n_missing or time.values is None or other.values is None:
-        return not other.n_missing
-    steps = np.diff(time.values)
-    own = np.diff(other.values)
+    if times is None:  # dates
+        return True
+    steps, own = np.diff(times), np.diff(other)
     scale = np.median(own) / np.median(steps)
     return bool(np.all(np.abs(own - scale * steps) <= 0.01 * np.abs(own)))
 
