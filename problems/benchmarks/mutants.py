@@ -1,4 +1,4 @@
-"""Mutation testing of the numerical core: does a test fail for every small change?
+"""Mutation testing of the central modules: does a test fail for every small change?
 
     python -m problems.benchmarks.mutants [--sample=40] [--show] [MODULE ...]
 
