@@ -8,7 +8,8 @@ function phsiChart(host, chart) {
   const hidden = new Set(curves.filter((curve) => !curve.is_shown).map((curve) => curve.group || curve.name));
   const seen = (panel) => panel.curves.filter((curve) => !hidden.has(curve.group || curve.name));
   const whole = chart.ticks.length ? [-0.5, chart.ticks.length - 0.5] : chart.map ? edges(chart.map.x) : reach(curves.flatMap((curve) => ends(curve.x)));
-  let range = whole;
+  const size = () => `${host.clientWidth} ${host.clientHeight}`;
+  let range = whole, drawnAt = "";
 
   function ends(values) {
     let [low, high] = [Infinity, -Infinity];
@@ -70,13 +71,17 @@ function phsiChart(host, chart) {
       const side = (sign) => known.map((k) => `${x(curve.x[k]).toFixed(1)} ${y(curve.y[k] + sign * curve.std[k]).toFixed(1)}`);
       svg += `<polygon points="${[...side(1), ...side(-1).reverse()].join(" ")}" fill="${curve.color}" fill-opacity=".2"${curve.look === "band" ? ` stroke="${curve.color}"` : ""}/>`;
     }
-    const isRings = curve.look === "rings", isPoints = curve.look === "points" || isRings;
-    if (!isPoints && curve.look !== "band") svg += `<path d="${path(curve, x, y, height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
-    if (!isPoints && curve.look !== "steps") return svg;
+    const isRings = curve.look === "rings", isPoints = curve.look === "points";
+    if (isPoints) { // one element for all of them: hundreds take a browser long
+      const dots = curve.y.flatMap((value, k) => value === null || !isFinite(y(value)) ? [] : `M${x(curve.x[k]).toFixed(1)} ${y(value).toFixed(1)}h0`);
+      return `${svg}<path d="${dots.join("")}" stroke="${curve.color}" stroke-width="3.6" stroke-linecap="round"/>`;
+    }
+    if (!isRings && curve.look !== "band") svg += `<path d="${path(curve, x, y, height)}" fill="none" stroke="${curve.color}" stroke-width="2" stroke-dasharray="${DASHES[curve.look] || ""}"/>`;
+    if (!isRings && curve.look !== "steps") return svg;
     curve.y.forEach((value, k) => {
       if (value === null || !isFinite(y(value))) return;
       const [cx, cy] = [x(curve.x[k]).toFixed(1), y(value)];
-      svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isRings ? 6 : isPoints ? 1.8 : 4}" ${isRings ? 'fill="none" stroke-width="2" stroke' : "fill"}="${curve.color}"/>`;
+      svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isRings ? 6 : 4}" ${isRings ? 'fill="none" stroke-width="2" stroke' : "fill"}="${curve.color}"/>`;
       const text = curve.texts[k] || "";
       svg += text && `<text x="${cx}" y="${cy + (curve.side === "top" ? -9 : 18)}" text-anchor="middle" style="fill: ${curve.color}">${plain(text)}</text>`;
     });
@@ -109,9 +114,9 @@ function phsiChart(host, chart) {
   }
   function draw() {
     const width = host.clientWidth, panels = chart.map ? [{ label: chart.map.y_label, curves: [], height: 1, scale: "" }] : chart.panels;
+    drawnAt = size();
     if (!width) return;
     const box = host.querySelector("svg"), tickRows = Math.max(1, ...chart.ticks.map((lines) => lines.length));
-    host.querySelector(".keys").outerHTML = legend();
     const height = Math.max(host.clientHeight - host.querySelector(".keys").offsetHeight - 4, 120);
     const bottom = height - 18 * tickRows - (chart.x_label ? 22 : 4);
     const x = (value) => LEFT + (value - range[0]) / (range[1] - range[0]) * (width - LEFT - RIGHT);
@@ -187,10 +192,10 @@ function phsiChart(host, chart) {
     if (!key) return;
     const name = key.dataset.name;
     if (!hidden.delete(name)) hidden.add(name);
+    key.setAttribute("aria-pressed", !hidden.has(name));
     draw();
-    [...host.querySelectorAll("button[data-name]")].find((one) => one.dataset.name === name)?.focus();
   });
-  const watch = new ResizeObserver(draw);
+  const watch = new ResizeObserver(() => { if (size() !== drawnAt) draw(); });
   watch.observe(host);
   draw();
   return {
