@@ -6,11 +6,13 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import openpyxl
 import pytest
 
 import phsi_opt as ph
@@ -27,18 +29,23 @@ from phsi_opt.page.drafts import (
 )
 from phsi_opt.page.gallery import draft_of, match_states
 from phsi_opt.page.guards import UploadLimit
-from phsi_opt.page.parts import complaint_words
+from phsi_opt.page.parts import complaint_words, words
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
-from phsi_opt.page.worker import Shown
+from phsi_opt.page.worker import WAITS, Shown
+from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study_file.gallery import GALLERY
+from phsi_opt.study_file.toml_text import toml_tables
 from tests.page_tools import contrast, spring_table, wait_for
-from tests.test_logger_files import tdms_file
+from tests.test_logger_files import mdf_file, tdms_file
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
 ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
+# What the page was given of ``studied``, whether what is missing was said to be worked
+# out, and what was said of the work.
+SHOWN: list[tuple[StudyContent, bool, Any]] = []
 CONSIDERED = ("coulomb friction", "quadratic drag", "cubic stiffness")
 
 
@@ -79,12 +86,20 @@ def studied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     """The spring, fitted, with the friction that was found added."""
     made = filled(tmp_path_factory.mktemp("studied"))
     consider_few(made)
-    made.fit()
-    wait_for(lambda: made.job is None)
-    assert made.content is not None, made.message
-    assert made.content.present is not None, made.message
-    made.add(made.content.present.proposed[0])
-    wait_for(lambda: made.job is None)
+    show = Session._show
+
+    def noted(self: Session, shown: Shown) -> None:
+        show(self, shown)
+        SHOWN.append((shown.content, self.is_diagnosing, self.job and self.job.words))
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Session, "_show", noted)
+        made.fit()
+        wait_for(lambda: made.job is None)
+        assert made.content is not None, made.message
+        assert made.content.present is not None, made.message
+        made.auto()
+        wait_for(lambda: made.job is None)
     yield made
     made.close()
 
@@ -132,6 +147,50 @@ def test_the_file_of_a_logger_is_a_table(
     else:
         said = "file 'log.TDMS' needs nptdms. Install it: pip install"
         assert said in session.upload_error
+    session.close()
+
+
+def workbook(path: Path) -> Path:
+    book = openpyxl.Workbook()
+    for name, column in (("fast", "q (mm)"), ("slow", "oil (degC)")):
+        rows = [("t (s)", column), *((n / 2, n * n % 7) for n in range(8))]
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    book.remove(book.worksheets[0])
+    book.save(path)
+    return path
+
+
+@pytest.mark.parametrize("make", [workbook, mdf_file, tdms_file])
+def test_another_sheet_or_group_of_a_file_is_chosen(make: Any, tmp_path: Path) -> None:
+    suffix = {workbook: ".xlsx", mdf_file: ".mf4", tdms_file: ".tdms"}[make]
+    key = "sheet" if make is workbook else "group"
+    content = make(tmp_path / f"log{suffix}").read_bytes()
+    session = Session(tmp_path / "own")
+    assert session.upload(f"a{suffix}", content), session.upload_error
+    known: Any = session.draft.data
+    assert known.sheets == ("fast", "slow")
+    known.parts["held_out"].way = NOTHING
+    session.choose_sheet("slow")
+    data: Any = session.draft.data
+    if make is tdms_file:  # its slow group has one column, and no times
+        assert [one.column for one in data.columns] == ["oil"]
+    else:
+        assert data.columns[1].unit == "degC", session.upload_error
+    assert session.draft.content()["data"][key] == "slow"
+    assert data.parts["held_out"].way == NOTHING, "what was said stays"
+    assert session.upload(f"b{suffix}", content), session.upload_error
+    assert data.files == [f"a{suffix}", f"b{suffix}"]
+    assert data.sheets[0] == "slow"
+    (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
+    told = toml_tables((tmp_path / "again.toml").read_text())
+    again = DataDraft.of(told, session.draft.places)
+    assert again.sheets[0] == "slow"
+    assert session.step(-1) == session.step(-1) == "data"
+    session.choose_sheet("none of this name")
+    back: Any = session.draft.data
+    assert back.sheets[0] == "fast"
     session.close()
 
 
@@ -224,6 +283,9 @@ def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     session.fit()
     assert session.job is None
     assert "cannot be fitted yet" in session.message
+    session.draft.model.table["R"]["p"] = "r*exp(-q)"
+    session.draft.model.table["F"]["p"] = ["f1*t", "f2"]
+    assert unknown_names(session.draft.model) == ["kk", "r", "f1", "f2"]
 
 
 SPRING_FILE = """
@@ -307,6 +369,24 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert content.forces and not content.present.forces
     ranked = {row.effect: row for row in content.present.ranking}
     assert ranked["quadratic drag on p"].unit == "N s^2/m^2"
+
+
+def test_it_is_told_whether_a_model_is_diagnosed_or_will_be(studied: Session) -> None:
+    told = [(len(one.steps), one.present is not None) for one, _, _ in SHOWN]
+    fitted = [(1, False), (1, True)]
+    assert told == [*fitted, (2, False), (2, True), (2, True)]
+    for content, is_diagnosing, _ in SHOWN:
+        assert is_diagnosing == (content.present is None)
+        said = words("not_asked", content.steps[-1], "m", is_diagnosing)
+        assert ("diagnosis is running" in said) == is_diagnosing
+    assert [said for _, _, said in SHOWN[:2]] == [
+        "Fitted; diagnosing",
+        "Fitted; drawing the law",
+    ]
+    *before, last = [one.stopped for one, _, _ in SHOWN]
+    assert set(before) == {""}, "it has not stopped while it goes on"
+    assert last.startswith("nothing missing: ")
+    assert all(one.content.present is not None for one in studied.models)
 
 
 def test_the_exported_script_reproduces_every_step(studied, tmp_path) -> None:
@@ -430,6 +510,8 @@ def test_a_study_file_opens_when_its_tables_are_there(tmp_path: Path) -> None:
     elsewhere = text.replace(b"motor.csv", b"/etc/hostname")
     assert session.upload("other.toml", elsewhere)
     assert session.message.startswith("other.toml reads /etc/hostname: upload this")
+    assert session.upload("mine.toml", text)
+    assert session.message == "", "the other file is not waited for any more"
     session.close()
 
 
@@ -452,7 +534,7 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session, monkeypatch) -
 
     def noted(self: Session, shown: Shown) -> None:
         assert self.job is not None
-        counted_as_made.append(self.job.is_shown)
+        counted_as_made.append(self.job.then)
         show(self, shown)
 
     monkeypatch.setattr(Session, "_show", noted)
@@ -468,7 +550,7 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session, monkeypatch) -
     assert time.monotonic() - began < ENDS_WITHIN
     assert not is_running(pid)
     assert session.job is None
-    assert session.message.startswith("Fitted; the diagnosis was")
+    assert session.message == "Fitted; cancelled while diagnosing."
     assert session.content.present is None
     session.diagnose()
     wait_for(lambda: session.job is None)
@@ -483,6 +565,31 @@ def test_a_worker_that_is_lost_is_told(session: Session) -> None:
     os.kill(session._worker.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None, ENDS_WITHIN)
     assert "ended unexpectedly" in session.message
+
+
+def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turns = threading.BoundedSemaphore(1)
+    monkeypatch.setattr("phsi_opt.page.worker.TURNS", turns)
+    other = filled(tmp_path / "other")
+    consider_few(other)
+    session.fit()
+    wait_for(lambda: bool(session.job and session.job.line))
+    other.fit()
+    wait_for(lambda: bool(other.job and other.job.line == WAITS))
+    other.cancel()
+    other.fit()
+    assert session._worker is not None
+    os.kill(session._worker.pid, signal.SIGKILL)
+    wait_for(lambda: session.job is None, ENDS_WITHIN)
+    wait_for(lambda: other.content is not None)
+    session.fit()
+    other.cancel()
+    wait_for(lambda: bool(session.job and session.job.line not in ("", WAITS)))
+    session.cancel()
+    wait_for(lambda: turns.acquire(blocking=False))
+    other.close()
 
 
 # ---- sessions and limits -------------------------------------------------------------

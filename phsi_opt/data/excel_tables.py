@@ -59,7 +59,7 @@ def table_of_excel(
     title = f"{file.title}, sheet {sheet!r}"
     rows = sheets[sheet]
     table = table_of_rows(file, title, "row", rows, wanted, form, "", may_be_several)
-    return replace(table, sheets=tuple(filled))
+    return replace(table, sheets=tuple(sorted(filled, key=lambda one: one != sheet)))
 
 
 def _sheets(file: OpenedFile) -> dict[str, Rows]:

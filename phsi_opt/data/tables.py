@@ -109,6 +109,8 @@ def chosen_part(
     Raises:
         DataError: there is no such one, or it is empty, or there are several.
     """
+    if may_be_several and name not in filled:
+        name = None
     if name is not None:
         require_known(name, known, f"{title} has no {word} {name!r}", DataError)
     elif len(filled) > 1 and not may_be_several:

@@ -27,6 +27,7 @@ from phsi_opt.page.drafts import (
     STUDY_KIND,
     TABLE_KINDS,
     TIME,
+    USUAL,
     USUAL_WAYS,
     ColumnDraft,
     DataDraft,
@@ -185,6 +186,9 @@ class DataView:
                     drop = partial(run.io_bound, self.session.remove_file, file)
                     remove = ui.button(f"Remove {file}", on_click=drop)
                     remove.props("flat dense")
+            if len(data.sheets) > 1:
+                word = "sheet" if "sheet" in data.settings else "group of channels"
+                choice(word, sorted(data.sheets), data.sheets[0], self._set_sheet)
             for column in data.columns:
                 self._column(data, column)
             if not data.with_role(TIME):
@@ -193,6 +197,9 @@ class DataView:
         with card():
             heading("Data not used for fitting")
             self.parts()
+
+    async def _set_sheet(self, name: str) -> None:
+        await run.io_bound(self.session.choose_sheet, name)
 
     def _column(self, data: DataDraft, column: ColumnDraft) -> None:
         async def set_role(role: str) -> None:
@@ -235,8 +242,10 @@ class DataView:
             part.table["runs"] = list(e.value)
             await self.checked()
 
-        ways = dict.fromkeys((USUAL_WAYS[section], *KEYS_OF_WAYS, NOTHING))
-        choice(label_of(section), list(ways), part.way, set_way, width="16em")
+        ways = {one: one for one in (USUAL_WAYS[section], *KEYS_OF_WAYS, NOTHING)}
+        if USUAL in ways and len(runs) < 3:
+            ways[USUAL] = "nothing, as there are few runs"
+        choice(label_of(section), ways, part.way, set_way, width="16em")
         if part.way == RUNS:
             chosen = set(listed(part.table.get("runs", ())))
             field = ui.select(
@@ -451,7 +460,8 @@ def unknown_names(draft: ModelDraft) -> list[str]:
     known = {one.name for one in draft.parameters}
     found: dict[str, None] = {}
     model = draft.content()
-    slots = [("H", model.get("H", "")), *((s, model.get(s, {}).values()) for s in "RF")]
+    slots = [("H", model.get("H", ""))]
+    slots += [(slot, one) for slot in "RF" for one in model.get(slot, {}).values()]
     for slot, formulas in slots:
         for formula in listed(formulas):
             if not isinstance(formula, str) or not formula.strip():

@@ -192,6 +192,8 @@ class DataDraft:
     )
     # Keys of [data] that are no columns, such as ``thinned``.
     settings: Content = field(default_factory=dict)
+    # Of the first file: sheets of a workbook or groups of channels, that shown first.
+    sheets: tuple[str, ...] = ()
     # The step between lines, where no column has the times.
     time: Content = field(default_factory=dict)
     # Units of states that nobody measured.
@@ -204,11 +206,11 @@ class DataDraft:
         Columns are those of its tables; where no look helps (no header, or MATLAB's
         variables), those that it names.
         """
+        data = content["data"]
         try:
-            draft = look_at(places)
+            draft = look_at(places, sheet_of(data))
         except DataError:
             draft = cls(places)
-        data = content["data"]
         by_column = {column.column: column for column in draft.columns}
         for column in draft.columns:
             column.role = NOT_USED
@@ -276,7 +278,7 @@ class DataDraft:
         Raises:
             DataError: a file cannot be read.
         """
-        found = look_at(places)
+        found = look_at(places, sheet_of(self.settings))
         self.places = places
         self.runs = found.runs
         self.n_samples = found.n_samples
@@ -298,7 +300,12 @@ def _told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Conten
             yield role, name, table
 
 
-def look_at(places: Mapping[str, Path]) -> DataDraft:
+def sheet_of(settings: Mapping[str, Any]) -> str | None:
+    """The sheet of a workbook, or the group of channels, that keys of [data] name."""
+    return settings.get("sheet") or settings.get("group")
+
+
+def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
     """The columns of the files, with a guess of what each is.
 
     A column is numeric where most of its cells are numbers; then a cell that is none is
@@ -306,12 +313,13 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
 
     Args:
         places: tables with the same columns, a run each; where they lie, by name.
+        sheet: that of workbooks, or the group of channels, where the files have it.
 
     Raises:
         DataError: a file cannot be read, or has other columns than the first.
     """
     draft = DataDraft(dict(places))
-    seen = [survey(NamedFile(place, name)) for name, place in places.items()]
+    seen = [survey(NamedFile(place, name), sheet) for name, place in places.items()]
     for one in seen:
         for column in one.columns:
             if column.is_numeric:
@@ -322,6 +330,7 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
         if one.step is not None:
             draft.time = {"step": one.step}
     draft.runs = list(dict.fromkeys(draft.runs))
+    draft.sheets = seen[0].table.sheets
     draft.settings = {one.key: one.content for one in seen[0].read if one.is_set}
     for column in seen[0].columns:  # parts have the same words here except for one
         role = NOT_USED if column.part == UNUSED else column.part

@@ -120,9 +120,6 @@ class Sessions:
         self._study_file = study_file
         self._by_key: dict[str, Session] = {}
 
-    def __len__(self) -> int:
-        return len(self._by_key)
-
     def of(self, key: str) -> Session:
         """The session of a browser; a new one where it has none.
 

@@ -26,6 +26,7 @@ from phsi_opt.page.drafts import (
     StudyDraft,
     look_at,
     refusal_of,
+    sheet_of,
     suffix_of,
 )
 from phsi_opt.page.gallery import draft_of, match_states
@@ -124,25 +125,24 @@ class Moment:
 class Job:
     """Work that goes on."""
 
+    verb: Verb
     label: str  # such as "Fitting the base model"
     line: str = ""  # what the worker said last of the present model; "" for nothing yet
     # What it has done once its model is there, in words; "" where it goes on.
     done: str = ""
-    # Whether this model is there; what is missing may still be looked for.
-    is_shown: bool = False
-    compares: bool = False  # whether it changes a model whose charts are shown already
+    then: str = ""  # what is done since this model is there; "" where it is not yet
     began: float = field(default_factory=time.monotonic)
 
-    def show(self) -> None:
+    def show(self, then: str) -> None:
         """Note that the model is there; what was said before is of its making."""
-        self.is_shown = True
+        self.then = then
         self.line = ""
 
     @property
     def words(self) -> str:
         """What is done now."""
-        is_done = self.done and self.is_shown
-        label = f"{self.done}; diagnosing" if is_done else self.label
+        is_done = self.done and self.then
+        label = f"{self.done}; {self.then}" if is_done else self.label
         is_new = self.line.lower() not in ("", label.lower())
         return f"{label}: {self.line}" if is_new else label
 
@@ -243,6 +243,7 @@ class Session:
         """Open the study file that was uploaded, once all of its tables are."""
         path = self._state / OPENED_FILE
         known = self.draft.places
+        self.message = ""
         try:
             named = tables_of(path).get("data", {}).get("files", ())
             places = {}
@@ -297,7 +298,7 @@ class Session:
 
     def _take_file(self, name: str, place: Path) -> None:
         known = self.draft.data
-        data = look_at({name: place})
+        data = look_at({name: place}, sheet_of(known.settings) if known else None)
         self.message = ""
         known_columns = [] if known is None else [one.column for one in known.columns]
         is_alike = known_columns == [one.column for one in data.columns]
@@ -326,6 +327,22 @@ class Session:
                 else:
                     self.draft.data = None
             except DataError as error:  # a file has changed, or is gone
+                self.upload_error = str(error)
+            self.check()
+            self.shape += 1
+
+    def choose_sheet(self, name: str) -> None:
+        """Take the table of another sheet of a workbook, or group of channels."""
+        with self._taking:
+            known = self.draft.data
+            if known is None:
+                return
+            self.upload_error = ""
+            try:
+                self.draft.data = replace(
+                    look_at(known.places, name), parts=known.parts
+                )
+            except DataError as error:
                 self.upload_error = str(error)
             self.check()
             self.shape += 1
@@ -381,6 +398,12 @@ class Session:
     def content(self) -> StudyContent | None:
         """The study as it stands; None before there is one."""
         return None if self.model is None else self.model.content
+
+    @property
+    def is_diagnosing(self) -> bool:
+        """Whether what the model that is shown lacks is being worked out."""
+        is_open = self.content is not None and self.content.present is None
+        return is_open and self.job is not None and self.job.verb != Verb.REPORT
 
     @property
     def is_stale(self) -> bool:
@@ -505,8 +528,8 @@ class Session:
         if self.job is None:
             return
         message = f"Cancelled: {self.job.label}. Results obtained before are kept."
-        if self.job.done and self.job.is_shown:
-            message = f"{self.job.done}; the diagnosis was cancelled."
+        if self.job.done and self.job.then:
+            message = f"{self.job.done}; cancelled while {self.job.then}."
         self._end_worker()
         self.message = message
         self._ready_worker()
@@ -517,8 +540,7 @@ class Session:
             return
         self.message = ""
         self.failure = ""
-        compares = order.verb in (Verb.ADD, Verb.AUTO)
-        self.job = Job(label, done=done, compares=compares)
+        self.job = Job(order.verb, label, done=done)
         model = None if order.verb == Verb.FIT else self.model
         self._ready_worker().tell(order, model.study if model else None)
         self.version += 1
@@ -558,7 +580,8 @@ class Session:
         elif isinstance(message, Shown):
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
-                self.job.show()
+                is_known = message.content.present is not None
+                self.job.show("drawing the law" if is_known else "diagnosing")
             self._show(message)
         elif isinstance(message, tuple) and self.model and self.now is not None:
             self.models[self.now] = replace(self.model, laws=message)
@@ -598,7 +621,7 @@ class Session:
             self.now = len(self.models) - 1
             self._keep_moment()
             self._compare_with_base()
-            if self.job is None or not self.job.compares:
+            if self.job is None or self.job.verb == Verb.FIT:
                 self.look = Look(content.shown, content.shown_channel)
         else:
             assert self.now is not None

@@ -38,9 +38,21 @@ FOCUS_VERDICT = """
 if (document.activeElement === document.body || document.activeElement.disabled)
   document.getElementById('verdict')?.focus({preventScroll: true});
 """
+# Keys press the buttons of the header; a text field undoes what is typed in it itself.
+UNDO_BY_KEYS = """
+document.addEventListener("keydown", (event) => {
+  const field = event.target.closest("input, textarea"), key = event.key.toLowerCase();
+  if (!(event.ctrlKey || event.metaKey) || event.altKey || !"zy".includes(key)) return;
+  if (field && !field.readOnly && field.type !== "checkbox") return;
+  const name = key === "y" || event.shiftKey ? "Control+Y" : "Control+Z";
+  document.querySelector(`[aria-keyshortcuts="${name}"]`)?.click();
+  event.preventDefault();
+});
+"""
 READY = "Ready."
 PAGE_PARTS = (DATA_PART, MODEL_PART, STUDY_PART)
 UNDO_AND_REDO = {-1: "Undo", 1: "Redo"}
+KEYS_OF_STEPS = {-1: "Control+Z", 1: "Control+Y"}
 HEADER_BUTTON = "flat color=primary"
 
 
@@ -65,7 +77,7 @@ class Shell:
         ui.colors(primary=PRIMARY, onprimary=ON_PRIMARY)
         ui.add_css(Path(str(files("phsi_opt.page") / "page.css")))
         ui.add_css(ours("chart.css"))
-        ui.add_body_html(f"<script>{ours('chart.js')}</script>")
+        ui.add_body_html(f"<script>{ours('chart.js')}{UNDO_BY_KEYS}</script>")
         ui.dark_mode(value=None)  # as the system
         views: Any = (self._data, self._model, self._study)
         self._to_build = dict(zip(PAGE_PARTS, views, strict=True))
@@ -80,6 +92,7 @@ class Shell:
                 for by, name in UNDO_AND_REDO.items():
                     step = ui.button(name, on_click=partial(self._step, by))
                     self._steps[by] = step.props(HEADER_BUTTON)
+                    step.props["aria-keyshortcuts"] = KEYS_OF_STEPS[by]
                 ui.button("New", on_click=self._ask_to_begin_again).props(HEADER_BUTTON)
         session = self._session
         # Whether there is more to see than fields to fill in.
@@ -130,6 +143,8 @@ class Shell:
         self._client.run_javascript(FOCUS_CONTENT)
 
     async def _checked(self) -> None:
+        self._session.shape += 1  # other windows draw the fields anew
+        self._shape += 1  # here they show it
         await run.io_bound(self._session.check)
 
     # ---- the work that goes on -------------------------------------------------------
@@ -219,7 +234,8 @@ class Shell:
         session = self._session
         if session.content is None:
             return session.job, session.complaints, session.failure
-        return session.content, session.is_stale, session.failure
+        is_asked = session.is_diagnosing
+        return session.content, session.is_stale, session.failure, is_asked
 
 
 def _can_begin(session: Session) -> bool:

@@ -121,8 +121,10 @@ class StudyView:
     def _verdict(self, content: StudyContent) -> None:
         diagnosed = content.present
         if diagnosed is None:
-            said_by("not_asked", content.steps[-1], content.unit)
-            self._begins("Diagnose", self._session.diagnose, False)
+            is_asked = self._session.is_diagnosing
+            said_by("not_asked", content.steps[-1], content.unit, is_asked)
+            if not is_asked:
+                self._begins("Diagnose", self._session.diagnose, False)
             return
         said_by("verdict", content)
         if content.warning:
@@ -323,29 +325,38 @@ class StudyView:
         with card():
             heading("Effects, best first" if diagnosed.proposed else title)
             ui.label(BAR).classes("faint")
-            ranking = diagnosed.ranking
-            for row in ranking[:N_SHOWN]:
-                self._candidate(content, row, row.effect in diagnosed.proposed)
-            if ranking[N_SHOWN:]:
-                more = ui.expansion(f"{len(ranking) - N_SHOWN} more").classes("w-full")
-                with more:
-                    for row in ranking[N_SHOWN:]:
-                        self._candidate(content, row, row.effect in diagnosed.proposed)
+            others = diagnosed.ranking[N_SHOWN:]
+            self._candidates(content, diagnosed, diagnosed.ranking[:N_SHOWN])
+            if others:
+                more = ui.expansion(f"{len(others)} more").classes("w-full")
+                more.on_value_change(lambda: open_others())
 
-    def _candidate(self, content: StudyContent, row: Ranked, is_proposed: bool) -> None:
-        """A candidate with its button, flat where something speaks against it."""
-        with ui.column().classes("candidate gap-1"):
-            with ui.row().classes("w-full items-center no-wrap justify-between"):
-                said_by("ranked", row, is_proposed)
-                if not self._session.is_stale:
-                    label = "Add" if is_proposed else "Add anyway"
-                    then = partial(self._session.add, row.effect)
-                    add = self._begins(label, then, quiet=True)
-                    named = f"{label} {proper_names(row.effect)}, of the ranking"
-                    add.props("dense").props["aria-label"] = named
-                    if not is_proposed:
-                        add.props("flat").props(remove="outline")
-            said_by("candidate", row, content.steps[-1], content.unit, FAILING_ERROR)
+        def open_others() -> None:  # drawn late: a page is sooner there
+            with more:
+                if not more.default_slot.children:
+                    self._candidates(content, diagnosed, others)
+
+    def _candidates(
+        self, content: StudyContent, diagnosed: Diagnosed, rows: Sequence[Ranked]
+    ) -> None:
+        """Candidates with their buttons, flat where something speaks against them."""
+        is_stale = self._session.is_stale
+        for row in rows:
+            is_proposed = row.effect in diagnosed.proposed
+            with ui.column().classes("candidate gap-1"):
+                with ui.row().classes("w-full items-center no-wrap justify-between"):
+                    said_by("ranked", row, is_proposed)
+                    if not is_stale:
+                        label = "Add" if is_proposed else "Add anyway"
+                        then = partial(self._session.add, row.effect)
+                        add = self._begins(label, then, quiet=True)
+                        named = f"{label} {proper_names(row.effect)}, of the ranking"
+                        add.props("dense").props["aria-label"] = named
+                        if not is_proposed:
+                            add.props("flat").props(remove="outline")
+                said_by(
+                    "candidate", row, content.steps[-1], content.unit, FAILING_ERROR
+                )
 
     def _exports(self) -> None:
         with card().classes("last"):

@@ -11,7 +11,8 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from importlib.resources import files
 from multiprocessing.connection import Connection
@@ -24,9 +25,11 @@ from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study import Study
 from phsi_opt.study_file.kept_fits import KeptFits
-from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
 
+# Orders that are carried out at once; others wait, and the page goes on answering.
+TURNS = threading.BoundedSemaphore(2 * (os.cpu_count() or 1))
+WAITS = "waiting until other studies are solved"
 WARMS_UP = "house"  # an example whose units take most to read
 Receiver = Callable[["WorkerHandle", Any], None]
 
@@ -99,6 +102,7 @@ class WorkerHandle:
         self._connection, theirs = context.Pipe()
         self._on_message = on_message
         self._orders: SimpleQueue[Order | bytes | None] = SimpleQueue()
+        self._ends: SimpleQueue[None] = SimpleQueue()  # of orders, or of the process
         self.study: bytes | None = None  # the one that it has, as it was sent
         self._process = context.Process(target=work, args=(theirs,), daemon=True)
         self._process.start()
@@ -139,18 +143,25 @@ class WorkerHandle:
                 self._orders.put(None)
             if isinstance(message, Shown):
                 self.study = message.study
+            if message is None or isinstance(message, Done):
+                self._ends.put(None)
             self._on_message(self, message)
 
     def _write(self) -> None:
-        """Send studies and orders, which a worker that starts takes late."""
-        try:
+        """Send studies and orders, each order when it is its turn."""
+        with suppress(OSError):  # the process has ended; the other thread tells
             while (order := self._orders.get()) is not None:
                 if isinstance(order, bytes):
                     self._connection.send_bytes(order)
-                else:
+                    continue
+                if not TURNS.acquire(blocking=False):
+                    self._on_message(self, WAITS)
+                    TURNS.acquire()
+                try:
                     self._connection.send(order)
-        except OSError:  # the process has ended; the other thread tells
-            return
+                    self._ends.get()
+                finally:
+                    TURNS.release()
 
 
 # ---- the process ---------------------------------------------------------------------
@@ -225,18 +236,18 @@ def _carried_out(study: Study, order: Order, send: Callable[[Shown], None]) -> A
         return study.report(order.what)
     if order.verb == Verb.ADD:
         study.add(order.what or None)
-    elif order.verb == Verb.AUTO:
-        for _ in range(DEFAULT_MAX_STEPS):  # shown after each step
-            n_steps = len(study.steps)
-            study.auto(max_steps=1)
-            if len(study.steps) == n_steps:
-                break
+    n_steps = 0
+    while len(study.steps) > n_steps:
+        n_steps = len(study.steps)
+        if study.record.present is None:
+            study.record = replace(study.record, stopped="")  # it goes on
             send(_shown(study))
-    send(_shown(study))
-    study.diagnose()
-    if not study.added:
-        return _shown(study)
-    send(_shown(study))
+            study.diagnose()
+            send(_shown(study))
+        if order.verb == Verb.AUTO:
+            study.auto(max_steps=1)
+    if order.verb == Verb.AUTO:
+        send(_shown(study))  # with why it stopped
     return study.record.laws()  # the verdict does not wait for these
 
 

@@ -232,13 +232,16 @@ class DataSection:
         )
 
 
-def table_at(path: DataFile, section: DataSection | None = None) -> Table:
+def table_at(
+    path: DataFile, section: DataSection | None = None, part: str | None = None
+) -> Table:
     """The table of a file, whose suffix tells what it is.
 
     Without a section of the user, all vectors of the commonest length are taken of a
-    MATLAB file, and of a workbook the first sheet with content.
+    MATLAB file, and of a workbook or a logger's file the sheet or group of this name,
+    or else the first with content.
     """
-    given = section or DataSection()
+    given = section or DataSection(sheet=part, group=part)
     is_unknown = section is None
     reader = reader_of(path)
     (file,) = opened_files(path, as_text=reader == TEXT_READER)

@@ -181,13 +181,13 @@ class TableSurvey:
         return f"{time.values.min():g} to {time.values.max():g}"
 
 
-def survey(path: DataFile) -> TableSurvey:
-    """Look at a table.
+def survey(path: DataFile, part: str | None = None) -> TableSurvey:
+    """Look at a table: of several in a file that of a sheet or group, if it is there.
 
     Raises:
         DataError: it cannot be read as a table, or has too few lines.
     """
-    table = table_at(path)
+    table = table_at(path, part=part)
     columns = columns_of(table)
     n_lines = len(table.frame)
     if n_lines < 2:
