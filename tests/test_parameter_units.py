@@ -133,6 +133,46 @@ def test_sizes_of_effects_have_the_unit_that_their_equation_gives(
     assert size_unit(model, effect, units) == expected
 
 
+@pytest.mark.parametrize("unit_of_L", ["H", "V s/A", ""])
+@pytest.mark.parametrize("unit_of_C", ["F", ""])
+def test_an_inductance_in_henry_makes_sizes_physical(
+    unit_of_L: str, unit_of_C: str
+) -> None:
+    loop = ph.formula("-(R*i + uC)/L + u/L", L=coil(unit_of_L), R=coil(""))
+    charge = ph.formula("i/C", C=coil(unit_of_C))
+    kind = "electrical"
+    model = ph.FirstOrder(["i", "uC"], {"i": loop, "uC": charge}, ["u"], kind=kind)
+    units = {"t": "s", "i": "A", "u": "V"}
+    known = {"L": unit_of_L or "H", "R": "Ohm", "C": "F"}
+    assert parameter_units(model, units) == known
+    for name, unit in LOSSES_OF_A_COIL.items():
+        effect = effect_named(model, name, "i", units)
+        assert size_unit(model, effect, units) == unit
+        assert inertia_words(model.add(effect), effect, units) == ""
+
+
+LOSSES_OF_A_COIL = {
+    "cubic elastance": "1/V^2",
+    "charge-dependent resistance": "1/(A V)",
+    "quadratic resistance": "V/A^2",
+    "constant voltage": "V",
+}
+
+
+def coil(unit: str) -> ph.Parameter:
+    return ph.Parameter(0.01, lower=0, unit=unit)
+
+
+def test_resistances_behind_a_torque_constant_are_in_ohm() -> None:
+    known = {
+        "K": ph.Parameter(0.1, unit="V s/rad"),
+        "J": ph.Parameter(1, unit="kg m^2"),
+    }
+    rate = ph.formula("K*(u - K*w)/(R*J)", R=ph.Parameter(1.1, fixed=True), **known)
+    model = ph.FirstOrder(["w"], {"w": rate}, inputs=["u"])
+    assert parameter_units(model, SPEED) == {"K": "V s/rad", "R": "Ohm", "J": "kg m^2"}
+
+
 def test_a_size_without_an_inertia_is_told_per_unit_of_it() -> None:
     slow = ph.FirstOrder(["w"], {"w": "(K*u - w)/T"}, inputs=["u"])
 

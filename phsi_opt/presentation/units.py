@@ -30,6 +30,8 @@ DERIVED = {
     "V": "kg m^2/(A s^3)",
     "Wb": "kg m^2/(A s^2)",
     "Ohm": "kg m^2/(A^2 s^3)",
+    "H": "kg m^2/(A^2 s^2)",
+    "F": "A^2 s^4/(kg m^2)",
 }
 # What a rate is called where it has the powers of one of these.
 NAMED_RATES = (
@@ -157,14 +159,17 @@ def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
             return unit
     if set(powers) - set(KNOWN) or len(powers) == 1:
         return _written(powers)
-    if basic.get("kg") and set(basic) <= OF_MECHANICS:
+    is_of_circuit = bool(named) and named[0] in ("A", "V")
+    if basic.get("kg") and set(basic) <= OF_MECHANICS and not is_of_circuit:
         return _mechanical(basic)
+    if "A" in basic and abs(basic.get(RADIAN, 0)) == 2:  # of (V s/rad)^2 in a motor
+        basic = product(basic, {RADIAN: basic[RADIAN]}, -1)
     for unit, known in KNOWN.items():
         if basic == known:
             return unit
     mass = powers.get("kg", 0.0)
     in_volts = product(product(powers, KNOWN["V"], -mass), {"V": mass})
-    is_electrical = "A" in powers and "m" not in in_volts
+    is_electrical = ("A" in powers or is_of_circuit) and "m" not in in_volts
     return _written(in_volts if is_electrical else powers)
 
 
