@@ -154,6 +154,6 @@ def test_a_diagnosis_finds_the_optimum_that_a_fit_has_missed(stuck: float) -> No
     errors, _, said = found.reason.partition("; ")
     assert errors.startswith("held-out error 0.0")
     assert said == (
-        "there is no evidence of a missing force, and no effect is decisive"
+        "there is no evidence of anything missing, and no effect is decisive"
     )
     assert found.fit.values["G"] == pytest.approx(9.0, abs=0.01)

@@ -133,8 +133,8 @@ def test_each_step_is_told_and_an_executor_weighs_the_candidates(drag) -> None:
     effects = ["quadratic drag", "cubic stiffness"]
     ph.diagnose(fit, data, effects=effects, progress=said.append, executor=counted)
     assert said == [
-        "estimating the missing force",
-        "estimating the missing force together with the model",
+        "estimating what is missing",
+        "estimating what is missing together with the model",
         "screening 2 candidate effects",
         "computing the evidence of quadratic drag on p",
         "re-fitting with quadratic drag on p",

@@ -3,7 +3,7 @@
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue import effect_named, inertia_words
+from phsi_opt.model.catalogue import effect_named, inertia_words, lacking_quantity
 from phsi_opt.model.parameter_units import parameter_units, state_units
 from phsi_opt.presentation.units import (
     coefficient_unit,
@@ -186,6 +186,23 @@ def test_a_size_without_an_inertia_is_told_per_unit_of_it() -> None:
     assert per(slow, SPEED, "sensor offset") == ""
     assert per(motor(), SPEED, "coulomb friction") == ""
     assert per(spring(), LENGTHS, "coulomb friction") == ""
+
+
+@pytest.mark.parametrize(("model", "units", "quantity"), [
+    (spring(), LENGTHS, "force"),
+    (spring(), {}, "force"),
+    (pendulum(), ANGLES, "torque"),
+    (motor(), SPEED, "torque"),
+    (car("-F/m", m=ph.Parameter(1420.0, fixed=True, unit="kg")), CAR, "force"),
+    (house(), HOUSE, "heat flow"),
+    (tank(), VOLTS, "flow"),
+    (ph.FirstOrder(["i"], {"i": "u - i"}, ["u"]), {"i": "A", "t": "s"}, "voltage"),
+    (ph.FirstOrder(["x"], {"x": "u - x"}, ["u"]), {"t": "s"}, "term"),
+])  # fmt: skip
+def test_what_an_equation_lacks_has_the_name_of_its_field(
+    model: ph.Model, units: dict[str, str], quantity: str
+) -> None:
+    assert lacking_quantity(model, model.states[-1], units) == quantity
 
 
 def test_millimetres_are_no_metres_and_keep_their_name() -> None:

@@ -189,7 +189,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
     assert [one.name for one in record.unestablished] == ["coulomb friction on p"]
     headline = study_content(record).headline
     assert headline.sentence.endswith(
-        "There is no evidence of a force missing in the present model."
+        "There is no evidence that the present model lacks anything."
     )
     assert headline.severity == LOOK
     assert headline.remark == "with an effect that is not established"
@@ -358,7 +358,7 @@ def test_the_law_that_was_found_is_drawn_as_sharp_as_it_is(study: ph.Study) -> N
     is_moving = np.abs(law.x) > 0.1
     assert np.allclose(law.law[is_moving], -size * np.sign(law.x[is_moving]), rtol=0.01)
     names = [curve.name for curve in follows_chart(law).panels[0].curves]
-    assert names == ["force", "the law that was found"]
+    assert names == ["estimated", "the law that was found"]
 
 
 def test_the_run_is_shown_in_which_the_models_differ_most(content) -> None:

@@ -1,5 +1,6 @@
 """Where a model fails: in time, states and frequency, and what the force follows."""
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -11,7 +12,12 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.analysis import ForceAnalysis, _said, step_without_name
+from phsi_opt.force_analysis.analysis import (
+    ForceAnalysis,
+    _said,
+    place_answer,
+    step_without_name,
+)
 from phsi_opt.force_analysis.cross_validation import (
     explained_share,
     fold_numbers,
@@ -130,7 +136,7 @@ def test_what_the_hidden_force_follows_and_does_with_energy_is_named(
     # the single one then.
     assert variable in followed.split(", ")
     assert share > 0.8  # what noise and smoothing leave of the force
-    shares = found.energy.drop(columns=["equation", "mean_power"]).iloc[0]
+    shares = found.energy.drop(columns=["equation", "mean_power", "unit"]).iloc[0]
     assert shares.drop("unexplained").idxmax() == cause
     assert shares.sum() == pytest.approx(1.0, abs=1e-12)
     assert words in cause_of(found.force_in("p"))
@@ -144,6 +150,7 @@ def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     # Minus friction times speed, but for what smoothing takes off where the velocity
     # turns.
     assert found.energy["mean_power"].iloc[0] == pytest.approx(-3 * speed, rel=0.15)
+    assert found.energy["unit"].iloc[0] == "W"
 
 
 def test_noise_earns_no_share_and_units_change_none(cases) -> None:
@@ -402,3 +409,35 @@ def test_a_law_of_the_position_that_does_not_repeat_is_no_wave() -> None:
     analysis = analysed(stop)
     assert analysis.force_in("p").wave is None
     assert analysis.follows.iloc[0]["variable"] == "q"
+
+
+def circuit_with(hidden: float) -> ForceAnalysis:
+    """A loop of resistor, coil and capacitor, which lacks a voltage."""
+    loop = ph.formula("(u - R*i - uC)/L", R=ph.Parameter(4.0), L=0.5)
+    model = ph.FirstOrder(
+        ["i", "uC"], {"i": loop, "uC": "10*i"}, ["u"], kind="electrical"
+    )
+    t = np.linspace(0, 6, 201)
+    u = np.sin(3 * t) + np.sin(7 * t)
+    x = ph.simulate(model, t, [0.0, 0.0], u, force=lambda t, x: [hidden * x[1] ** 3, 0])
+    y = x + np.random.default_rng(0).normal(0, 1e-3, x.shape)
+    units = {"t": "s", "i": "A", "uC": "V", "u": "V"}
+    data = ph.Measurements.from_arrays(
+        t, y, u, states=["i", "uC"], inputs=["u"], units=units
+    )
+    return ForceAnalysis.of(Record.of(ph.identify(model, data), data))
+
+
+def test_a_circuit_lacks_a_voltage_and_knows_no_positions() -> None:
+    found = circuit_with(-3.0)
+    force = found.force_in()
+    assert force.equation == "i"
+    said = " ".join((found.sentences[0], str(place_answer(force, False, False))))
+    assert "di/dt lacks a voltage of rms" in said
+    assert "the voltage uC" in said
+    figure = plot_where(found)
+    labels = [ax.get_xlabel() + ax.get_ylabel() + ax.get_title() for ax in figure.axes]
+    told = " ".join((said, *labels))
+    assert "missing voltage (A/s)" in told
+    assert not re.search(r"force|position|velocity|speed", told)
+    assert found.energy["unit"].tolist()[0] == "A^2/s"

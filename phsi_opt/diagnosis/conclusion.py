@@ -184,13 +184,13 @@ class _Judge:
         if larger.trained.rmse > self.base.trained.rmse:
             return "its free-run error is larger than without it"
         if any(is_wave(effect) and effect.needs_clock for effect in effects):
-            return "a force remains, and every force in time contains such waves"
+            return "more is missing, and every function of time contains such waves"
         of_force = self.of_force(second)
         share = self.base.share_explained(larger)
         if of_force < MOST_OF_IT and not share > LEAST_ERROR_EXPLAINED:
             return (
-                f"it explains only {100 * of_force:.0f} % of the force (mean square) "
-                f"and {100 * share:.0f} % of the error"
+                f"it explains only {100 * of_force:.0f} % of what is missing (mean "
+                f"square) and {100 * share:.0f} % of the error"
             )
         return self.rival(first)
 
@@ -285,10 +285,11 @@ class _Judge:
         reason = f"{said}; {self.change(last)}; {_grade_words(self.ranking[0])}"
         if not is_complete:
             verdict = Verdict.PARTLY_NAMED
+            share = self.base.share_explained(last)
             reason += (
-                f". It accounts for {100 * self.of_force(second):.0f} % of the missing "
-                f"force (mean square) and {100 * self.base.share_explained(last):.0f} %"
-                " of the squared error above the noise floor; a force remains"
+                f". It accounts for {100 * self.of_force(second):.0f} % of what is "
+                f"missing (mean square) and {100 * share:.0f} % of the squared error "
+                "above the noise floor; more is missing"
             )
         return self.diagnosis(verdict, reason, findings, effects, last.fit)
 
@@ -334,11 +335,11 @@ class _Judge:
         errors = _errors(base)
         log_evidence = self.record.base.log_evidence
         if base.is_noise or not self.is_force_evident(log_evidence, base):
-            none = "there is no evidence of a missing force, and no effect is decisive"
+            none = "there is no evidence of anything missing, and no effect is decisive"
             return self.diagnosis(Verdict.NOTHING_MISSING, f"{errors}; {none}")
         reason = (
-            f"{errors}: there is evidence of a missing force, but no effect of "
-            "the catalogue explains it"
+            f"{errors}: there is evidence that something is missing, but no "
+            "effect of the catalogue explains it"
         )
         steps = self.steps_in_words()
         if steps:

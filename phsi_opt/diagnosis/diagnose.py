@@ -84,7 +84,7 @@ def diagnose(
     """
     check_executor(executor)
     say = progress or silent
-    say("estimating the missing force")
+    say("estimating what is missing")
     fit = fit_of(fit, data, "diagnose")
     check_problem(fit.model, data)
     choice = EffectChoice(effects, without).checked(fit.model, data.units)
@@ -123,7 +123,7 @@ def diagnose_comparison(
     """
     base = DiagnosedModel.of(trained, judged, loss, progress, executor)
     _check_effects(effects, base.fit.model)
-    base.say("estimating the missing force together with the model")
+    base.say("estimating what is missing together with the model")
     try:
         record = base.evidence_record()
     except SolveError as error:

@@ -76,7 +76,7 @@ def _ranked_beside(
     for one in screened[len(candidates) :]:
         lost = "its expected evidence is much smaller"
         if one.gain <= 0:
-            lost = "it would explain no more than a random force"
+            lost = "it would explain no more than a random disturbance"
         candidates.append(_expected(base, one, lost))
     return _in_order(candidates), likeliest
 

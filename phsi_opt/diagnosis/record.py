@@ -259,7 +259,8 @@ class Diagnosis(Summarised):
         name = self.record.trajectories[self.data.trajectory_number(trajectory)]
         force = self.missing_force
         along = force[force["trajectory"] == name]
-        return plot_missing_force(along, self._forced, self.data.units, ax)
+        lacking = {one.equation: one.quantity for one in self.analysis.forces}
+        return plot_missing_force(along, lacking, self.data.units, ax)
 
     def figure(self, equation: str | None = None) -> "Figure":
         """Missing force over time and states, its dependence, and its spectrum.

@@ -256,7 +256,7 @@ def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel 
     values = {name: weighed.model.values[name] for name in fit.model.free}
     states = base.record.estimate.grid.split(weighed.states[: record.n_fitted_nodes])
     start = replace(fit, model=fit.model.with_values(values), states=states)
-    base.say("re-fitting the model from the estimate with a random force")
+    base.say("re-fitting the model from the estimate with a random disturbance")
     aligned = base.record.aligned
     try:
         better = identify(start.model, aligned, base.loss, start=start)

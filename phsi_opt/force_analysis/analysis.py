@@ -115,15 +115,15 @@ class ForceAnalysis:
         """Whether the forces dissipate, store or supply energy.
 
         A row per equation: equation, mean_power (force times effort, averaged over the
-        time; negative: taken out), parameters, constant, dissipated, conserved, inputs,
-        time and unexplained. These shares are parts of the force's mean square on
-        stretches of time left out, each what its cause adds to the stronger ones; they
-        sum to one.
+        time; negative: taken out), its unit, parameters, constant, dissipated,
+        conserved, inputs, time and unexplained. These shares are parts of the force's
+        mean square on stretches of time left out, each what its cause adds to the
+        stronger ones; they sum to one.
         """
         rows = []
         for force in self.forces:
             known = {"equation": force.equation, "mean_power": force.mean_power}
-            rows.append({**known, **force.causes.shares})
+            rows.append({**known, "unit": force.power_unit, **force.causes.shares})
         return printed_table(rows)
 
     @cached_property
@@ -232,7 +232,7 @@ def range_words(force: EquationForce, name: str, ranges: Sequence[StrongRange]) 
         "range",
         called=plain_name(force, name),
         unit=spaced(force.scale_of(name).unit),
-        is_velocity=bool(force.position_of(name)),
+        is_velocity=force.place_noun == "position" and bool(force.position_of(name)),
         ranges=ranges,
     ).lead
 
@@ -247,7 +247,7 @@ def plain_name(force: EquationForce, name: str) -> str:
         return name
     position = force.position_of(name)
     if position:
-        return f"the velocity of {position}"
+        return f"the {force.velocity_words(position)}"
     values = force.record.variable(name)
     for state in model.states:
         if np.allclose(values, force.record.variable(state)):

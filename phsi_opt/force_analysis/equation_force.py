@@ -1,5 +1,6 @@
 """The missing force of one equation with all that is found of it, and its labels."""
 
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -24,11 +25,18 @@ from phsi_opt.force_analysis.localization import (
     strongest_window,
 )
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
-from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.model.catalogue import lacking_quantity
+from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC
+from phsi_opt.model.structure import kind_of, position_of_momentum
 from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import (
     Scale,
+    are_alike,
+    coefficient_unit,
     dates_words,
+    powers_as_written,
+    product,
+    rate_unit,
     scale_of,
     scale_of_rate,
     times_words,
@@ -39,6 +47,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 DIFFERENCE = " - "  # between the two variables of a difference
+# A position and its rate, by the kind of the position.
+BODIES = ("position", "velocity of")
+NAMES_OF_PAIRS = defaultdict(lambda: BODIES)
+NAMES_OF_PAIRS[HYDRAULIC] = ("volume", "flow of")
+NAMES_OF_PAIRS[ELECTRICAL] = ("charge", "current of")
 EVERYWHERE = "everywhere"  # the region where none stands out
 
 
@@ -105,6 +118,18 @@ class EquationForce(Force):
         h = self.record.h
         return float((self.w * self.effort) @ h / h.sum())
 
+    @property
+    def power_unit(self) -> str:
+        """The unit of `mean_power`, "" where it is not known."""
+        units = self.record.units
+        time = units.get("t", "")
+        effort = units.get(self.equation, "")
+        if self.record.model.has_energy:
+            effort = rate_unit(units.get(self.position, ""), time)
+        force = powers_as_written(rate_unit(units.get(self.equation, ""), time))
+        rate = powers_as_written(effort)
+        return coefficient_unit(product(force, rate), ("W",)) if force and rate else ""
+
     @cached_property
     def follows(self) -> "pd.DataFrame":
         """The variables that predict the force, best first (see `dependence`)."""
@@ -153,9 +178,15 @@ class EquationForce(Force):
         longest = float(self.record.t.max())
         return scale_of_rate(self.equation, self.record.units, longest)
 
-    def force_label(self, quantity: str = "missing force") -> str:
+    @cached_property
+    def quantity(self) -> str:
+        """What is missing, such as a force, a voltage or a heat flow."""
+        record = self.record
+        return lacking_quantity(record.model, self.equation, record.units)
+
+    def force_label(self, what: str) -> str:
         """Label of an axis for the force, with the unit in which it is told."""
-        return label(quantity, self.scale.unit)
+        return label(what, self.scale.unit)
 
     @property
     def strongest_run(self) -> int:
@@ -167,10 +198,27 @@ class EquationForce(Force):
         """The position whose rate the effort of the equation is; "" where none is."""
         return position_of_momentum(self.record.model).get(self.equation, "")
 
+    @property
+    def place_noun(self) -> str:
+        """What the position of the equation is called: in a circuit it is a charge."""
+        unit = self.record.units.get(self.position, "")
+        kind = kind_of(self.record.model, self.position)
+        return "voltage" if are_alike(unit, "V") else NAMES_OF_PAIRS[kind][0]
+
+    def velocity_words(self, position: str) -> str:
+        """Such as "velocity of q"; in a circuit it is a current."""
+        return f"{NAMES_OF_PAIRS[kind_of(self.record.model, position)][1]} {position}"
+
     def position_of(self, variable: str) -> str:
-        """The position whose velocity an effort is; "" for other variables."""
+        """The position whose velocity an effort is; "" for other variables.
+
+        A state that has a name of its own, such as a current, is told by that.
+        """
+        model = self.record.model
         state = self._states_of_efforts.get(variable, "")
-        return position_of_momentum(self.record.model).get(state, "")
+        position = position_of_momentum(model).get(state, "")
+        is_known = position and NAMES_OF_PAIRS[kind_of(model, position)] == BODIES
+        return position if model.has_energy or is_known else ""
 
     @property
     def _states_of_efforts(self) -> dict[str, str]:
@@ -207,7 +255,7 @@ class EquationForce(Force):
         position = self.position_of(name)
         if position:
             unit = self.scale_of(name).unit
-            return label(f"velocity of {position}", unit)
+            return label(self.velocity_words(position), unit)
         name = self._named(name)
         if name in self.record.model.efforts:
             return f"effort {name}"

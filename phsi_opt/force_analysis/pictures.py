@@ -52,6 +52,7 @@ def force_of(force: EquationForce, time: Scale) -> Force:
     """All that is drawn of a missing force; ``time`` is the unit of its times."""
     return Force(
         f"d{force.equation}/dt",
+        force.quantity,
         sentence(force),
         force_runs(force, TRAINING, time),
         force.strongest_run,
@@ -73,7 +74,8 @@ def force_runs(force: EquationForce, part: str, time: Scale) -> tuple[ForceRun, 
         w = force.w[kept] / scale.size
         std = force.deviation[kept] / scale.size
         origin = record.origin_of(name)
-        runs.append(ForceRun(name, part, force.equation, scale.unit, t, w, std, origin))
+        known = (name, part, force.equation, force.quantity, scale.unit)
+        runs.append(ForceRun(*known, t, w, std, origin))
     return tuple(runs)
 
 
@@ -89,7 +91,7 @@ def map_of(force: EquationForce) -> ForceMap | None:
     return ForceMap(
         force.variable_label(names[0]),
         force.variable_label(names[1]),
-        force.force_label("mean missing force"),
+        force.force_label(f"mean missing {force.quantity}"),
         (found.x_edge[:-1] + found.x_edge[1:]) / 2,
         (found.y_edge[:-1] + found.y_edge[1:]) / 2,
         found.statistic.T,
@@ -136,7 +138,7 @@ def follows_of(
     centre, mean, std = np.array(columns)[:, count > 2]  # of fewer there is no spread
     step = max(1, len(z) // MOST_PER_CURVE)
     said = said or dependence_title(force, variable)
-    labels = (x_label, force.force_label())
+    labels = (x_label, force.force_label(f"missing {force.quantity}"))
     points = (z[::step], w[::step])
     shown = None if law is None else law[::step] / force.scale.size
     return Follows(heading, *labels, *points, centre, mean, std, said, shown)
@@ -184,7 +186,8 @@ def _sure_title(force: EquationForce) -> str:
     is_sure = np.abs(force.w) > SURE_DEVIATIONS * force.deviation
     percent = f"{100 * np.mean(is_sure[is_inside]):.0f} %"
     begin = f"{force.window.trajectory}, d{force.equation}/dt"
-    return f"{begin}: a force is significantly missing during {percent} of the time"
+    said = f"a {force.quantity} is significantly missing during {percent} of the time"
+    return f"{begin}: {said}"
 
 
 def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
@@ -214,7 +217,7 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     rough = np.quantile(of_draws, 1 - CHANCE_LEVEL, axis=1)
     level = uniform_filter1d(rough, size=9, mode="nearest") / force.scale.size
     curves = (
-        Curve("missing force", frequencies, amplitudes, MODEL),
+        Curve(f"missing {force.quantity}", frequencies, amplitudes, MODEL),
         Curve("explained by its uncertainty", frequencies, level, MEASURED, "dash"),
     )
     unit = frequency_unit(record.units)
@@ -225,7 +228,11 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
     if len(visible) and len(amplitudes) > 1:
         ax.set_xlim(0, frequencies[min(visible[-1] + 1, len(amplitudes) - 1)])
     constant = is_mostly_constant(force.w)
-    what = "mostly constant; its varying part" if constant else "the missing force"
+    what = (
+        "mostly constant; its varying part"
+        if constant
+        else f"the missing {force.quantity}"
+    )
     seen = "nowhere larger than its uncertainty"
     is_above = amplitudes > level
     if is_above.any():

@@ -47,7 +47,7 @@ from phsi_opt.model.structure import (
 )
 from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.presentation.units import are_alike
+from phsi_opt.presentation.units import are_alike, rate_unit
 
 
 def catalogue(
@@ -206,6 +206,30 @@ def inertia_of(model: BaseModel, x: str, units: Mapping[str, str]) -> str:
             if parameter_units(pushed, units)["force"] == drive:
                 return inertia
     return ""
+
+
+# What an equation may be short of, by the role of its state and, where several are
+# possible, by the unit of what drives it; a plain "term" for others.
+LACKING = {
+    (Role.BODY, "N m"): "torque",
+    (Role.BODY, ""): "force",
+    (Role.PIPE, ""): "pressure",
+    (Role.TANK, ""): "flow",
+    (Role.COIL, ""): "voltage",
+    (Role.CAPACITOR, ""): "current",
+    (Role.CIRCUIT, "V"): "voltage",
+    (Role.CIRCUIT, "A"): "current",
+    (Role.HEAT, ""): "heat flow",
+}
+
+
+def lacking_quantity(model: BaseModel, x: str, units: Mapping[str, str]) -> str:
+    """What is missing in the equation of x, such as a force, a voltage, a heat flow."""
+    known = with_kinds_of_units(model, units)
+    unit = state_units(known, units)[x]
+    drive = drive_of(unit) or rate_unit(unit, units.get("t", ""))
+    role = role_of(known, x)
+    return LACKING.get((role, drive)) or LACKING.get((role, ""), "term")
 
 
 def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) -> str:

@@ -44,7 +44,7 @@ BAR = (
     "of the present model, and its mark is the noise floor."
 )
 HOW_TO_LOOK = (
-    "Click in a chart to see the missing force at that time; drag to zoom, "
+    "Click in a chart to see what is missing at that time; drag to zoom, "
     "double-click to reset."
 )
 NO_MODEL = "no other model"
@@ -174,7 +174,7 @@ class StudyView:
             self.overlay()
             ui.label(HOW_TO_LOOK).classes("faint")
         with card():
-            heading("The missing force")
+            heading("What is missing")
             self.follows()
             self.force()
 
@@ -273,7 +273,7 @@ class StudyView:
         forces = content.forces_along(run)
         if forces:
             chart = force_chart(forces, content.time.unit, self._mark(run))
-            self._plotted(chart, "Chart: the missing force over time", 260)
+            self._plotted(chart, "Chart: what is missing over time", 260)
 
     # ---- models, ranking and exports -------------------------------------------------
 

@@ -205,7 +205,8 @@ def force_chart(
 ) -> Chart:
     """The missing forces of one run with two standard deviations each."""
     units = {one.unit for one in forces}
-    y_label = label("missing force", units.pop() if len(units) == 1 else "")
+    what = " and ".join(dict.fromkeys(one.quantity for one in forces))
+    y_label = label(f"missing {what}", units.pop() if len(units) == 1 else "")
     x_label = time_label(unit_of_time, forces[0].origin)
     return Chart(x_label, (_force_panel(forces, y_label),), forces[0].run, mark=mark)
 
@@ -226,7 +227,7 @@ def follows_chart(found: Follows) -> Chart:
 
     Before a law is found, with its mean in bins: these would smear the step of a law.
     """
-    dots = Curve("force", found.x, found.force, MEASURED, POINTS)
+    dots = Curve("estimated", found.x, found.force, MEASURED, POINTS)
     binned = (found.centre, found.mean, MODEL, STEPS, found.std, DEVIATION)
     through = Curve("mean in bins", *binned)
     if found.law is not None:

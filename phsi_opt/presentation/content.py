@@ -208,6 +208,7 @@ class ForceRun:
     run: str
     part: str  # of the data
     equation: str  # the state whose rate lacks the force
+    quantity: str  # what it is, such as a force, a voltage or a heat flow
     unit: str  # of the force
     t: np.ndarray
     force: np.ndarray
@@ -260,6 +261,7 @@ class Force:
     """The missing force of one equation, such as "dp/dt"."""
 
     equation: str
+    quantity: str  # as of its runs
     sentence: str
     runs: tuple[ForceRun, ...]  # along the training runs
     shown: int  # number of the run to show first

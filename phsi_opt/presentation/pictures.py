@@ -84,20 +84,20 @@ def plot_free_run(
 
 def plot_missing_force(
     table: pd.DataFrame,
-    equations: Sequence[str],
+    quantities: Mapping[str, str],
     units: Mapping[str, str],
     ax: Axes | None = None,
 ) -> Axes:
-    """The missing force along one trajectory, with two standard deviations."""
+    """What is missing along one trajectory, by equation, with two deviations."""
     time = scale_of(units.get("t", ""))
     forces = []
-    for state in equations:
+    for state, quantity in quantities.items():
         scale = scale_of_rate(state, units, 0.0)
         t, w, std = table[["t", state, f"std_{state}"]].to_numpy(dtype=float).T
         sizes = (w / scale.size, std / scale.size)
-        run = ForceRun("", TRAINING, state, scale.unit, time.shown(t), *sizes)
-        forces.append(run)
-    title = "A force is significantly missing where the band does not include zero"
+        known = ("", TRAINING, state, quantity, scale.unit)
+        forces.append(ForceRun(*known, time.shown(t), *sizes))
+    title = "Significant where the band does not include zero"
     return drawn(force_chart(forces, time.unit), title, ax, (8.0, 3.6))
 
 

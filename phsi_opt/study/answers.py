@@ -257,6 +257,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
         __package__,
         "since",
         begin=_beginning(force, strongest) if is_in_one else "",
+        quantity=force.quantity,
         again="repeatedly" if _comes_and_goes(force, strongest) else "",
         n_runs=len(runs),
         n_clear=len(clear),
