@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
+from phsi_opt.presentation.numbers import time_constant_words
 from phsi_opt.presentation.tables import (
     MOST_ROWS,
     PrintedTable,
@@ -175,3 +176,16 @@ def test_a_model_prints_its_equations_and_the_catalogue_a_table() -> None:
     for effect in effects:
         row = rf"^{re.escape(effect.name)} +{effect.equation} +{effect.slot} "
         assert re.search(row, str(effects), re.MULTILINE)
+
+
+def test_a_rate_is_told_as_its_time_constant() -> None:
+    assert time_constant_words(0.2511, 0.0011, "1/h") == (
+        "time constant 3.982 +- 0.017 h"
+    )
+    # The ends are 1/(0.25 + 0.098) and 1/(0.25 - 0.098): no symmetric interval.
+    assert time_constant_words(0.25, 0.05, "1/h") == (
+        "time constant 4.00 h (95 %: 2.87 to 6.58)"
+    )
+    assert time_constant_words(0.25, 0.15, "1/h") == "", "may be none at all"
+    assert time_constant_words(0.25, 0.01, "degC/h") == ""
+    assert time_constant_words(0.25, float("nan"), "1/h") == ""

@@ -419,7 +419,11 @@ def circuit_with(hidden: float) -> ForceAnalysis:
     )
     t = np.linspace(0, 6, 201)
     u = np.sin(3 * t) + np.sin(7 * t)
-    x = ph.simulate(model, t, [0.0, 0.0], u, force=lambda t, x: [hidden * x[1] ** 3, 0])
+
+    def lacking(time: float, x: np.ndarray) -> np.ndarray:
+        return np.array([hidden * x[1] ** 3, 0.0])
+
+    x = ph.simulate(model, t, [0.0, 0.0], u, force=lacking)
     y = x + np.random.default_rng(0).normal(0, 1e-3, x.shape)
     units = {"t": "s", "i": "A", "uC": "V", "u": "V"}
     data = ph.Measurements.from_arrays(

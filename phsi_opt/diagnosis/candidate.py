@@ -10,6 +10,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
+from phsi_opt.presentation.numbers import time_constant_words
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import Size
 
@@ -159,6 +160,7 @@ class Finding:
         if np.isfinite(self.std_error):
             size += f" +- {self.std_error:.2g}"
         size += spaced(self.unit)
+        size = time_constant_words(self.coefficient, self.std_error, self.unit) or size
         first = self.effects[0]
         if self.is_name:
             return f"{first} ({size})"

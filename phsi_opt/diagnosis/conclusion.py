@@ -190,7 +190,7 @@ class _Judge:
         if of_force < MOST_OF_IT and not share > LEAST_ERROR_EXPLAINED:
             return (
                 f"it explains only {100 * of_force:.0f} % of what is missing (mean "
-                f"square) and {100 * share:.0f} % of the error"
+                f"square) and {100 * max(0.0, share):.0f} % of the error"
             )
         return self.rival(first)
 
@@ -285,7 +285,7 @@ class _Judge:
         reason = f"{said}; {self.change(last)}; {_grade_words(self.ranking[0])}"
         if not is_complete:
             verdict = Verdict.PARTLY_NAMED
-            share = self.base.share_explained(last)
+            share = max(0.0, self.base.share_explained(last))
             reason += (
                 f". It accounts for {100 * self.of_force(second):.0f} % of what is "
                 f"missing (mean square) and {100 * share:.0f} % of the squared error "

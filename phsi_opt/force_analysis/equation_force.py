@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 DIFFERENCE = " - "  # between the two variables of a difference
 # A position and its rate, by the kind of the position.
 BODIES = ("position", "velocity of")
-NAMES_OF_PAIRS = defaultdict(lambda: BODIES)
+NAMES_OF_PAIRS: dict[str, tuple[str, str]] = defaultdict(lambda: BODIES)
 NAMES_OF_PAIRS[HYDRAULIC] = ("volume", "flow of")
 NAMES_OF_PAIRS[ELECTRICAL] = ("charge", "current of")
 EVERYWHERE = "everywhere"  # the region where none stands out
@@ -200,7 +200,7 @@ class EquationForce(Force):
 
     @property
     def place_noun(self) -> str:
-        """What the position of the equation is called: in a circuit it is a charge."""
+        """The name of a position in the field of the equation, such as charge."""
         unit = self.record.units.get(self.position, "")
         kind = kind_of(self.record.model, self.position)
         return "voltage" if are_alike(unit, "V") else NAMES_OF_PAIRS[kind][0]

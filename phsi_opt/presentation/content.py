@@ -12,7 +12,13 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.presentation.numbers import as_exact_as, number, said, with_error
+from phsi_opt.presentation.numbers import (
+    as_exact_as,
+    number,
+    said,
+    time_constant_words,
+    with_error,
+)
 from phsi_opt.presentation.units import Scale
 
 Number = float | None
@@ -289,7 +295,9 @@ class Ranked:
     @property
     def size(self) -> str:
         """The coefficient with its standard error and unit; then the others."""
-        size = f"{with_error(self.coefficient, self.std_error)} {self.unit}".rstrip()
+        known = (self.coefficient, self.std_error)
+        size = f"{with_error(*known)} {self.unit}".rstrip()
+        size = said(time_constant_words(*known, self.unit)) or size
         return f"{size}; {self.beside}" if self.beside else size
 
     def error_with(self, unit: str) -> str:

@@ -68,6 +68,24 @@ def with_error(value: float, std_error: float) -> str:
     return said(estimate_text(value, std_error))
 
 
+OF_RATES = ("1/ms", "1/s", "1/min", "1/h", "1/days")
+
+
+def time_constant_words(rate: float, std_error: float, unit: str) -> str:
+    """A rate c in 1/h as its time constant 1/c in h; "" for what is no rate above zero.
+
+    Its error is that of the rate times 1/c^2; from a tenth on its 95 % interval is
+    told, whose ends are the reciprocals of those of the rate.
+    """
+    if unit not in OF_RATES or not rate > 2 * std_error > 0:
+        return ""
+    time = unit.removeprefix("1/")
+    if 10 * std_error < rate:
+        return f"time constant {estimate_text(1 / rate, std_error / rate**2)} {time}"
+    ends = [1 / (rate + 1.96 * std_error), 1 / (rate - 1.96 * std_error)]
+    return f"time constant {with_interval(1 / rate, ends, f' {time}')}"
+
+
 def with_interval(value: float, ends: Sequence[float], unit: str = "") -> str:
     """An estimate with its 95 % interval, where three digits show that."""
     low, high = map(number, ends, (3, 3))

@@ -26,7 +26,13 @@ from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
-from phsi_opt.presentation.numbers import capitalised, number, with_error
+from phsi_opt.presentation.numbers import (
+    capitalised,
+    number,
+    said,
+    time_constant_words,
+    with_error,
+)
 from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
@@ -139,7 +145,8 @@ def finding_words(diagnosis: Diagnosis, finding: Finding) -> str:
     """An effect with its size, and the others of its class."""
     first = finding.effects[0]
     size = Size(finding.coefficient, finding.std_error, finding.unit)
-    words = size_words(diagnosis.base.fit, first, size)
+    fits = [one.fit for one in diagnosis.ranking if one.fit and one.effect == first]
+    words = size_words((fits or [diagnosis.base.fit])[0], first, size)
     return f"{first}{words}{alternatives(finding, str(first))}"
 
 
@@ -147,8 +154,25 @@ def size_words(fit: Fit, effect: Effect, size: Size) -> str:
     """The size of an effect behind its name, per unit of what no equation tells."""
     if not np.isfinite(size.value):
         return ""
+    known = (size.value, size.std_error)
+    time = time_constant_words(*known, size.unit)
+    if time:
+        return f", {said(time)}{_capacity_words(fit, effect)}"
     per = inertia_words(fit.model, effect, fit.units)
-    return f", {with_error(size.value, size.std_error)}{spaced(size.unit)}{per}"
+    return f", {with_error(*known)}{spaced(size.unit)}{per}"
+
+
+def _capacity_words(fit: Fit, effect: Effect) -> str:
+    """The capacity of a second storage over that of the first: rate times time."""
+    names = [effect.term.terms[-1].name, f"following_time_{effect.equation}"]
+    if not (is_second_storage(effect) and set(names) <= set(fit.names)):
+        return ""
+    rate, time = map(fit.estimates.__getitem__, names)
+    slopes = np.array([time, rate])
+    places = list(map(fit.names.index, names))
+    variance = slopes @ fit.covariance[np.ix_(places, places)] @ slopes
+    ratio = with_error(rate * time, float(np.sqrt(max(variance, 0.0))))
+    return f", with {ratio} times the capacity of the first"
 
 
 def alternatives(finding: Finding, name: str) -> str:

@@ -46,6 +46,7 @@ from phsi_opt.presentation.content import (
     thinned,
 )
 from phsi_opt.presentation.numbers import (
+    label,
     number,
     number_of,
     proper_names,
@@ -119,7 +120,7 @@ def study_content(
         model = -1 if place == last else 0
         glance = glance_of(study.diagnoses[place], runs, time, model)
     return StudyContent(
-        title=study.title or f"Study of {', '.join(study.train.measured)}",
+        title=study.title or _usual_title(study.train),
         subtitle=described.lead,
         headline=headline_of(study),
         steps=study.errors(size),
@@ -145,6 +146,12 @@ def study_content(
         unestablished=tuple(one.name for one in study.unestablished),
         warning=study.last.judged.warning,
     )
+
+
+def _usual_title(data: Measurements) -> str:
+    """What was measured, with units, such as "Study of q (mm)"."""
+    units = (scale_of(data.units.get(name, "")).unit for name in data.measured)
+    return f"Study of {', '.join(map(label, data.measured, units))}"
 
 
 # ---- errors --------------------------------------------------------------------------
