@@ -330,7 +330,7 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
     text = Reader(page).text
     verdict = str(study.diagnose().verdict)
     assert content.headline.status == verdict
-    assert f"<title>Study of q: {verdict}</title>" in page
+    assert f"<title>Study of q (m): {verdict}</title>" in page
     for step in study.history["effect"]:
         assert proper_names(step) in text
     assert (
