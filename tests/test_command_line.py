@@ -202,6 +202,7 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     ("when,q\n20210131,1\n20210201,2\n20210202,1\n", ['column = "when", unit = "s", date_format = "%Y%m%d" }', "numbers such as 20210131 look like dates"]),
     ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 has no name of a run"]),
     ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['q = { column = "q", unit = "m" }', "# units_row = 2  # units in line 2"]),
+    ("t,u,q\n0,1,1\n1,,2\n2,2,1\n", ["1 to 2, 1 cell missing; an input must be known at every sample\n"]),
     ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
 ])  # fmt: skip
 def test_init_looks_at_the_columns(tmp_path, table, words) -> None:

@@ -299,6 +299,17 @@ def test_a_group_of_channels_is_a_table_and_groups_are_never_mixed(
     assert seen.read[0].is_set and str(seen.read[0]) == 'group = "fast"    others: slow'
 
 
+def test_groups_without_a_name_are_numbered(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as mdf:
+        for values in (T, U):
+            mdf.append([asammdf.Signal(np.array(values), np.array(T), name="q")])
+        path = mdf.save(tmp_path / "log.mf4", overwrite=True)
+    columns: dict[str, Any] = {"time": "time", "states": ["q"]}
+    (run,) = ph.Measurements.from_mdf(path, group="group 2", **columns)
+    assert run.x[:, 0].tolist() == U
+
+
 def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(ph.DataError, match=r'needs asammdf.*"phsi_opt\[loggers\]"'):

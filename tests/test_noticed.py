@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import phsi_opt as ph
-from phsi_opt.data.noticed import NOT_HELD
+from phsi_opt.data.noticed import NOT_HELD, lone_peaks
 from phsi_opt.presentation.charts import Chart, Curve
 
 T = 0.01 * np.arange(2000)
@@ -58,6 +58,20 @@ def test_single_samples_far_from_both_neighbours_are_outliers() -> None:
     q = changed([400, 1200], [1.5, -2.0])
     assert noticed(q)[1] == "2 outliers of one sample, the first at t = 4 s"
     assert data_of(q).look.channels[0].outliers.tolist() == [400, 1200]
+
+
+def test_an_outlier_is_beyond_the_noise_and_its_surroundings() -> None:
+    t, run = np.cumsum(1.0 + np.arange(100) % 3), np.repeat([0, 1], [60, 40])
+
+    def found(size: float, other: float = 0.0, place: int = 50) -> list[int]:
+        y = 2 * t  # a line has no deviations, however it is sampled
+        y[[place, 53]] += size, other
+        return lone_peaks(t, y, run, noise=1.0).tolist()
+
+    assert (found(6.0), found(6.3), found(-6.3)) == ([], [50], [50])
+    assert (found(7.0, 1.2), found(7.0, 1.5)) == ([50], [])
+    assert found(7.0, place=56) == [56]
+    assert found(7.0, place=59) == found(7.0, place=60) == [], "ends of runs"
 
 
 @pytest.mark.parametrize("q", [

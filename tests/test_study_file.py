@@ -143,7 +143,10 @@ def test_of_three_runs_one_is_kept_for_the_end(
 
 def test_times_may_be_cut_counted_or_dates(spring: Path) -> None:
     whole = ph.StudyFile.read(spring).measurements()
-    cut = changed(spring, ("[data.states]", "between = [1.0, 2.0]\n[data.states]"))
+    empty = 'columns = []\nsheet = ""\n'  # counts as left out
+    cut = changed(
+        spring, ("[data.states]", f"{empty}between = [1.0, 2.0]\n[data.states]")
+    )
     data = ph.StudyFile.read(cut).measurements()
     assert all(run.t[0] == 1.0 and run.t[-1] == 2.0 for run in data)
     steps = changed(cut, ('column = "t_s"', "step = 0.025"), ("between", "# between"))
@@ -230,7 +233,10 @@ a = {{ start = 1.0 }}
 def test_terms_may_be_polynomials_and_waves(spring: Path) -> None:
     changed(
         spring,
-        ('R = { p = "c" }', 'F = { p = [{ trigonometric = "t" }, { body = "1" }] }'),
+        (
+            'R = { p = "c" }',
+            'F = { p = [{ trigonometric = "t", n = 2, frequency = 3.0 }, { body = "1" }] }',
+        ),
         ('"k*q**2/2 + p**2/(2*m)"', '{ polynomials = ["q", "p"], degree = 2 }'),
         ("m = 2.5  # weighed", ""),
         ('k = { start = 10.0, lower = 0, unit = "N/m" }', ""),
@@ -239,7 +245,7 @@ def test_terms_may_be_polynomials_and_waves(spring: Path) -> None:
     model = ph.StudyFile.read(spring).model()
     assert ph.polynomials(["q", "p"], degree=2) == model.H
     constant = ph.polynomials(["q"], degree=1, constant=True).terms[0]
-    assert model.F["p"].terms == (*ph.trigonometric("t").terms, constant)
+    assert model.F["p"].terms == (*ph.trigonometric("t", 2, 3.0).terms, constant)
 
 
 def test_nothing_of_a_study_file_runs(spring: Path, tmp_path: Path) -> None:
@@ -271,6 +277,8 @@ def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
     }
     assert "Did you mean 'k'?" in found["model.H"]
     assert "expected one of q, p" in found["model.R.z"]
+    said = "held_out: expected exactly one of runs or share or after; found runs and "
+    assert said in found["held_out"]
     assert "outside its bounds" in found["parameters.k"]
 
 
@@ -278,6 +286,7 @@ def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
     ("[data]", "[date]", "date", "Did you mean 'data'?"),
     ("[data]", "[data", "", "this is not TOML"),
     ('files = ["spring.csv"]', "", "data.files", "expected the data file"),
+    ('"spring.csv"', '"sprung.csv"', "data.files", "there is no such file"),
     ('["spring.csv"]', '["spring.csv", "spring.csv"]', "data.files", "is listed 2 times"),
     ("q = { column", "Q = { column", "data.states.q", "Did you mean 'Q'?"),
     ("measured = false, ", "", "data.states.p.column", "or measured = false"),
@@ -302,6 +311,7 @@ def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
     ("{ lower = 0 }", "{ guess = { kind = 'Share' } }", "parameters.c.guess.of", "needs this key"),
     ("[data.states]", "between = [5]\n[data.states]", "data.between", "two times"),
     ("[data.states]", "between = [6, 9]\n[data.states]", "data", "0 samples"),
+    ("added = []", 'without = ["gep on p"]', "study.without", "Did you mean 'gap on p'?"),
     ("added = []", "max_steps = 0", "study.max_steps", "at least 1"),
     ("[study]", "[loss]\nstart = 2\n[study]", "loss.start", "Did you mean 'starts'?"),
     ("[study]", "[loss]\nhuber = 1\nmodel_error = true\n[study]", "loss", "outliers"),
@@ -441,6 +451,11 @@ def test_a_model_and_measurements_become_a_study_file_and_come_back(tmp_path) ->
     assert again.loss == loss
     assert again.own_effects == (own_effect(),)
     assert again.steps.without == ("harmonic force",)
+    file.write(tmp_path / "study.toml")  # the same table is no other file
+    parts = data[:1].split(0.5)
+    file = ph.StudyFile.of(everything(), *parts)
+    again = ph.StudyFile.read(file.write(tmp_path / "one.toml"))
+    assert [one and one.digest for one in again.split()] == [p.digest for p in parts]
 
 
 def test_what_a_study_file_cannot_hold_is_refused_by_name(tmp_path: Path) -> None:
@@ -450,6 +465,8 @@ def test_what_a_study_file_cannot_hold_is_refused_by_name(tmp_path: Path) -> Non
     clash = ph.Effect("wind", "F", "v", ph.formula("g*v", g=ph.Parameter(2.0)))
     with pytest.raises(ph.ModelError, match="'g' of an effect differs"):
         ph.StudyFile.of(everything(), data, own_effects=(clash,))
+    with pytest.raises(ph.ModelError, match="model=None"):
+        ph.StudyFile.of(None, data)  # type: ignore[arg-type]
     in_mm = replace(data, units={"x_1": "mm", "t": "ms"})
     with pytest.raises(ph.DataError, match=r"the data are in ms, mm, and .*in_si\(\)"):
         ph.StudyFile.of(everything(), in_mm)

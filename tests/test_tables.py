@@ -148,7 +148,7 @@ def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
         ph.Measurements.from_csv(opened, time="t", states=["q"])
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"t,q\n0,1\x00\xff\n")
-    with pytest.raises(ph.DataError, match="it contains binary data"):
+    with pytest.raises(ph.DataError, match=r"binary\.csv' .*contains binary data"):
         ph.Measurements.from_csv(binary, time="t", states=["q"])
     with pytest.raises(ph.DataError, match=r"missing\.csv' cannot be read"):
         ph.Measurements.from_csv(tmp_path / "missing.csv", time="t", states=["q"])
@@ -189,6 +189,7 @@ def test_a_data_frame_is_not_changed() -> None:
     (frame(q=[1.0, 2j, 2.0]), {}, "column 'q', row 'a': .* is not a real number. Convert the column"),
     (frame(q=pd.date_range("2024-01-01", periods=3)), {}, "column 'q', row 'a': Timestamp.*seconds since the start"),
     (frame(t=[0.0, np.nan, 1.0]), {}, "column 't', row 'b': the value is nan"),
+    (frame(t=[pd.Timestamp(2024, 1, 1), pd.NaT, pd.Timestamp(2024, 1, 2)]), {}, "column 't', row 'b': the time is missing"),
     (frame(u=[0.0, np.nan, 1.0]), {"inputs": ["u"]}, "column 'u', row 'b': the value is nan"),
     (frame(run=["a", None, "a"]), {"trajectory": "run"}, "column 'run', row 'b': the trajectory's name is missing"),
     (frame().iloc[:0], {}, "data frame has no samples"),
@@ -257,6 +258,7 @@ def test_rows_may_be_counted_where_no_column_has_the_times() -> None:
     ("0,1\n1,2\n", {"states": ["q"]}, r"no column 'q'; expected one of 0, '1'\."),
     ("0,1\n1,x\n", {}, "column 1, line 2: 'x' is not a real number"),
     ("t,q\n1,2\n", {"columns": ["t", "q"]}, "line 1 contains names.*Omit columns"),
+    ("0,1\n1,2\n", {"skip": 9}, "open file: skip=9, and there is no such row"),
     ("0,1\n1,2\n", {"columns": ["t"]}, "has 2 columns; columns=.* names 1"),
     ("0,1\n", {"columns": "tq"}, "columns='tq' is not a list of names"),
     ("0,1\n", {"columns": ["t", 1]}, "columns contains 1; expected names as text"),

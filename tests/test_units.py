@@ -14,12 +14,14 @@ import phsi_opt as ph
 from phsi_opt.model.unit_checks import UnitCheck
 from phsi_opt.presentation.units import (
     dates_words,
+    frequency_words,
     in_si,
     measure_of,
     rate_unit,
     scale_of,
     scale_of_rate,
     time_words,
+    times_words,
     unit_of_rate,
 )
 
@@ -164,6 +166,18 @@ def test_times_and_rates_are_told_in_the_units_that_were_written() -> None:
     assert scale_of_rate("V", house, 600.0).unit == "l/min"
     assert scale_of(unit_of_rate("1", house["t"])).unit == "1/min"
     assert time_words(100.0, in_si({"t": "h"})["t"]) == "0.0278 h"
+    assert times_words(-7200.0, 0.0, "s") == "-120 to 0 min"
+
+
+@pytest.mark.parametrize(("frequency", "time", "words"), [
+    (2.0, "s", "at 2 Hz"),
+    (2.0, "ms", "at 2 cycles per ms"),
+    (2.0, "", "at 2 cycles per unit of time"),
+    (2.0, "h", "with a period of 0.5 h"),
+    (1 / 7200, "s", "with a period of 120 min"),
+])  # fmt: skip
+def test_a_slow_frequency_is_told_by_its_period(frequency, time, words) -> None:
+    assert frequency_words(frequency, {"t": time}) == words
 
 
 def test_a_rate_is_per_hour_in_a_long_record_unless_it_has_a_name_of_its_own() -> None:
