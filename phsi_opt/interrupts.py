@@ -23,14 +23,9 @@ Result = TypeVar("Result")
 
 @dataclass
 class _Listening:
-    """What is known of Ctrl-C while a long call is at work.
+    """What is known of Ctrl-C while a long call is at work."""
 
-    Attributes:
-        is_noted: whether Ctrl-C was pressed since it began.
-        is_solving: whether the solver works.
-    """
-
-    is_noted: bool = False
+    is_noted: bool = False  # pressed since the call began
     is_solving: bool = False
 
     def take(self, number: int, frame: FrameType | None) -> None:

@@ -11,12 +11,6 @@ from typing import Any
 # Bytes; a text table of that size is some 50 million numbers.
 LARGEST_FILE = 500_000_000
 BYTES_AT_ONCE = 1_000_000
-OTHER_KINDS = {
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
 WHY_NOT_READ: dict[type[OSError], str] = {
     FileNotFoundError: "there is no such file; check the path",
     IsADirectoryError: "it is a folder; give the path of a file",
@@ -45,10 +39,9 @@ def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError
     if not stat.S_ISREG(status.st_mode):
-        kind = OTHER_KINDS.get(stat.S_IFMT(status.st_mode), "of another kind")
         raise OSError(
-            f"it is {kind}, not a regular file; write its content to a file and give "
-            "the path of that file"
+            "it is a pipe, a socket or a device, not a regular file; write its content "
+            "to a file and give the path of that file"
         )
     _check_size(status.st_size, most)
     with open(path, "rb") as file:
@@ -95,7 +88,7 @@ def _check_size(size: int, most: int) -> None:
 
 
 def why_not_read(error: OSError) -> str:
-    """Why a file cannot be read, in words."""
+    """Why a file cannot be read (or written), in words."""
     for kind, said in WHY_NOT_READ.items():
         if isinstance(error, kind):
             return said

@@ -1,33 +1,32 @@
 """A file is written whole or not at all: aside first, then renamed into its place.
 
-A process that is killed while it writes leaves what was there before, and at most a
-file that ends in ``.part``.
+A process that is killed while it writes leaves what was there before, and a file that
+ends in ``.part``, which whoever writes that file next removes.
 """
 
+import glob
 import os
-import tempfile
+import shutil
+from contextlib import suppress
 from pathlib import Path
+from secrets import token_hex
+from typing import BinaryIO
 
 from phsi_opt.errors import DataError
+from phsi_opt.reading import why_not_read
 
-NO_FOLDER = "its folder does not exist; create it, or give another path"
-WHY_NOT_WRITTEN: dict[type[OSError], str] = {
-    IsADirectoryError: "it is a folder; give the path of a file",
-    FileNotFoundError: NO_FOLDER,
-    NotADirectoryError: NO_FOLDER,
-    PermissionError: "writing is not permitted there; check the permissions",
-}
+try:
+    import fcntl
+except ImportError:  # Windows, where a file that is open cannot be removed
+    fcntl = None  # type: ignore[assignment]
 
 
 def write_whole(path: str | Path, content: str | bytes) -> Path:
-    """Write a file; whoever reads it sees all of it, or none.
+    """Write a file and return its path; whoever reads it sees all of it, or none.
 
     Args:
         path: Of the file, in a folder that exists. A file that is there is replaced.
         content: All of it; text is written as UTF-8, with the line ends that it has.
-
-    Returns:
-        The path.
 
     Raises:
         DataError: The file cannot be written; what was there stays.
@@ -44,10 +43,12 @@ def written_path(path: str | Path) -> Path:
     """The path of a file that will be written, before the work for it begins.
 
     Raises:
-        DataError: This is no path, or of a folder that does not exist.
+        DataError: This is no path, a folder, or in a folder that does not exist.
     """
     try:
         place = Path(path)
+        if place.is_dir():
+            raise IsADirectoryError
         if not place.parent.is_dir():
             raise FileNotFoundError
     except (OSError, TypeError, ValueError) as error:
@@ -56,31 +57,48 @@ def written_path(path: str | Path) -> Path:
 
 
 def _unwritable(path: str | Path, error: Exception) -> DataError:
-    """The error of a file that cannot be written, with what to do."""
     why = f"expected a path ({error})"
-    if isinstance(error, OSError):
-        why = f"{error.strerror}; give another path" if error.strerror else str(error)
-    for kind, said in WHY_NOT_WRITTEN.items():
-        if isinstance(error, kind):
-            why = said
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        why = "its folder does not exist; create it, or give another path"
+    elif isinstance(error, OSError):
+        why = why_not_read(error)
     return DataError(f"file {str(path)!r} cannot be written: {why}.")
 
 
+def remove_unfinished(place: Path) -> None:
+    """Remove what processes that are gone have begun to write of a file."""
+    place = place.resolve()
+    for part in place.parent.glob(_part(glob.escape(place.name[:40]), "?" * 8)):
+        with suppress(OSError), part.open("rb") as file:
+            _lock(file)
+            part.unlink()
+
+
 def _replace(place: Path, content: bytes) -> None:
-    if place.is_dir():
-        raise IsADirectoryError
     place = place.resolve()  # where the name is a link, the file that it leads to
-    mask = os.umask(0)
-    os.umask(mask)
-    # The rights of a new file; a temporary one is its owner's alone.
-    rights = place.stat().st_mode & 0o777 if place.exists() else 0o666 & ~mask
+    remove_unfinished(place)
     # in the same folder, because a file system is not renamed across
-    handle, name = tempfile.mkstemp(".part", f".{place.name[:40]}.", place.parent)
+    part = place.with_name(_part(place.name[:40], token_hex(4)))
     try:
-        with open(handle, "wb") as file:
+        with part.open("xb") as file:
+            _lock(file)
             file.write(content)
-        os.chmod(name, rights)
-        os.replace(name, place)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        if place.exists():
+            shutil.copymode(place, part)
+        os.replace(part, place)
+    except BaseException as error:
+        part.unlink(missing_ok=True)
+        is_taken = isinstance(error, FileNotFoundError | BlockingIOError)
+        if not is_taken or not place.parent.is_dir():
+            raise
+        _replace(place, content)  # before or after the lock, another removed the part
+
+
+def _part(name: str, random: str) -> str:
+    return f".{name}.{random}.part"
+
+
+def _lock(file: BinaryIO) -> None:
+    """Lock an open file until it is closed; a killed process loses its locks."""
+    if fcntl is not None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,5 +1,9 @@
 """Wrong arguments end in an error of this package that names them, and nothing is lost."""
 
+import fcntl
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -117,6 +121,49 @@ def test_a_file_behind_a_link_is_replaced_and_keeps_its_rights(tmp_path: Path) -
     assert link.is_symlink()
     assert file.read_bytes() == b"after\r\n"
     assert file.stat().st_mode & 0o777 == 0o600
+
+
+KILLED_IN_WRITING = """
+import os, signal, sys
+from phsi_opt.writing import write_whole
+os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+write_whole(sys.argv[1], "after")
+"""
+
+
+def test_what_a_killed_process_began_to_write_is_removed_by_the_next(tmp_path) -> None:
+    place = tmp_path / "[a] fit.json"
+    place.write_text("before")
+    mine = tmp_path / ".[a] fit.json.mine.part"
+    mine.touch()
+    subprocess.run([sys.executable, "-c", KILLED_IN_WRITING, place], check=False)
+    assert place.read_text() == "before"
+    assert len(list(tmp_path.iterdir())) == 3
+    write_whole(place, "anew")
+    assert place.read_text() == "anew"
+    assert sorted(tmp_path.iterdir()) == [mine, place]
+
+
+def test_what_a_living_process_writes_is_left_to_it(
+    tmp_path: Path, monkeypatch
+) -> None:
+    place = tmp_path / "fit.json"
+    part = tmp_path / ".fit.json.01234567.part"
+    with part.open("wb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        write_whole(place, "mine")
+        assert part.exists()
+    replace = os.replace
+
+    def taken_away(source: str, target: Path) -> None:
+        monkeypatch.setattr(os, "replace", replace)
+        write_whole(target, "another's")  # its own is closed, and taken for left
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", taken_away)
+    write_whole(place, "after")
+    assert place.read_text() == "after"
+    assert list(tmp_path.iterdir()) == [place]
 
 
 def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None:

@@ -276,7 +276,7 @@ def written_demonstration(folder: Path) -> Path:
                     f"{place} exists already with changes, and was not overwritten. "
                     "Give another folder: phsi-opt demo FOLDER."
                 )
-            place.write_bytes(text)
+            write_whole(place, text)
     except OSError as error:
         raise DataError(f"{folder} cannot be written ({error}).") from None
     return folder / "study.toml"

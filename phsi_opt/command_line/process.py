@@ -7,7 +7,6 @@ and what went wrong, go to standard error. It needs none of the solver's librari
 """
 
 import contextlib
-import glob
 import json
 import multiprocessing
 import shutil
@@ -26,9 +25,10 @@ import typer
 
 from phsi_opt.command_line.job import Answer, ExitCode, Finished, Job, answer_to
 from phsi_opt.command_line.worker import work
-from phsi_opt.errors import DataError, PhsiOptError
+from phsi_opt.errors import PhsiOptError
 from phsi_opt.presentation.numbers import duration
 from phsi_opt.study_file.toml_text import add_effects, tables_of
+from phsi_opt.writing import remove_unfinished, written_path
 
 Show = Callable[[str | None], None]
 
@@ -79,11 +79,7 @@ def do(job: Job, as_json: bool) -> NoReturn:
     """Have a job done, say how it ended, and end with the exit code."""
     with told_errors(as_json, job.study):
         for path in job.places:  # before the work, not after it
-            if path.is_dir() or not path.parent.is_dir():
-                raise DataError(
-                    f"{path} cannot be written: {path.parent} is not a folder, or "
-                    f"{path} is one. Give the name of a file in an existing folder."
-                )
+            written_path(path)
     answer, kept, seconds = supervise(job)
     done = kept or Finished()
     files = list(map(str, done.files))
@@ -147,9 +143,8 @@ def supervise(job: Job) -> tuple[Answer | None, Finished | None, float]:
         process.kill()
         process.join(timeout=0.5)
         here.close()
-        for path in job.places:  # what `write_whole` had not finished
-            for part in path.parent.glob(f".{glob.escape(path.name[:40])}.*.part"):
-                part.unlink(missing_ok=True)
+        for path in job.places:
+            remove_unfinished(path)
     return answer, kept[-1] if kept else None, time.monotonic() - began
 
 

@@ -47,10 +47,7 @@ class _Worker(SpawnProcess):
 
 
 class _Workers(SpawnContext):
-    """Makes the processes of a pool and keeps them, so that they can be ended.
-
-    They are spawned: a fork would copy locks that threads hold.
-    """
+    """Spawns the processes of a pool (a fork would copy locks), and can end them."""
 
     def __init__(self) -> None:
         self._made: list[_Worker] = []
