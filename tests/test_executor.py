@@ -1,16 +1,21 @@
 """Diagnoses, starts and re-fits side by side: the bits of one after the other."""
 
+import hashlib
+import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.sweeps.local_workers import local_workers
+from phsi_opt.sweeps.local_workers import THREAD_VARIABLES, local_workers
 from phsi_opt.sweeps.sweep import Ahead
 from tests import sweep_tasks
 from tests.machines import driven_spring
@@ -191,3 +196,54 @@ def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:
     with pytest.raises(KeyboardInterrupt):
         identified(Pressed())
     assert [future.cancelled() for future in Pressed.begun] == [True, True]
+
+
+# ---- other processes -----------------------------------------------------------------
+
+
+def fit_digest(n_samples: int = 200) -> str:
+    """Of estimates, standard errors and states, to the last bit."""
+    fit = fitted(record(n_samples, 2))
+    parts = [fit.estimates, fit.covariance.tolist(), fit.states[0].tolist()]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def study_digest(folder: Path) -> str:
+    """Of a study with a diagnosis, an effect and a report."""
+    unknown = ph.Parameter(1.0, lower=0)
+    model = driven_spring(unknown, unknown)
+    study = ph.Study(model, record(300, 0), record(60, 1), effects=EFFECTS)
+    study.auto(1)
+    assert study.added
+    report = study.report(folder / "report.html").read_text("utf-8")
+    found = study.diagnose()
+    parts = [study.fit.estimates, found.candidates.to_csv(), found.reason, report]
+    return hashlib.sha256(repr(parts).encode()).hexdigest()
+
+
+def elsewhere(call: str, seed: str, n_threads: str) -> str:
+    """What a process with another order of sets, and threads of BLAS, prints."""
+    threads = dict.fromkeys(THREAD_VARIABLES, n_threads)
+    environment = {**os.environ, **threads, "PYTHONHASHSEED": seed}
+    code = f"from pathlib import Path\nfrom tests.test_executor import *\nprint({call})"
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=Path(__file__).parents[1],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return run.stdout.strip()
+
+
+def test_a_process_with_another_hash_seed_and_two_threads_fits_the_same_bits() -> None:
+    assert elsewhere("fit_digest()", "7", "2") == fit_digest()
+
+
+@pytest.mark.slow
+def test_a_study_and_its_report_are_the_same_in_another_process(tmp_path) -> None:
+    expected = study_digest(tmp_path)
+    for seed, n_threads in (("1", "1"), ("2", "2")):
+        there = elsewhere(f"study_digest(Path({str(tmp_path)!r}))", seed, n_threads)
+        assert there == expected
