@@ -1,10 +1,14 @@
 # Everything is installed into .venv, with the versions of .ci/constraints.txt. `make` lists the targets.
 
 PYTHON ?= python3
+PYTHON_NEWEST ?= python3.13
 VENV := .venv
 PY := $(VENV)/bin/python
 CONSTRAINTS := .ci/constraints.txt
-EXTRAS := neural,baselines,app,distributed,peers,dev
+LOWEST := .ci/constraints_lowest.txt
+EXTRAS := neural,baselines,app,distributed,loggers,peers,dev
+# Tests of what other packages do for this one: tables, formulas, units, fits, charts, workers, the command line.
+OTHERS := $(addprefix tests/test_,tables.py logger_files.py units.py model.py identify.py sweeps.py report.py noticed.py)
 # Bytecode is left to the first use of a module: compiling all that is installed takes longer than installing it.
 PIP_INSTALL := -m pip install -qq --no-compile
 # More arguments, e.g. `make test ARGS='-m slow'` or `make thesis ARGS=tanks`.
@@ -17,7 +21,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo thesis league results test browser lint types docs package constraints clean
+.PHONY: help install demo thesis league results test lowest newest browser lint types docs package constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,6 +44,24 @@ results: $(VENV)/.full ## list the pages in results/ that are older than the cod
 # The tests of one file share fits, so they stay together; one thread each, since every processor has tests of its own.
 test: $(VENV)/.full browser ## run the tests on all processors, but for slow ones (ARGS="-m slow": those)
 	@OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile $(ARGS)
+
+lowest: $(LOWEST) ## run the tests that depend most on other packages with the lowest versions that pyproject.toml allows
+	@$(call tested_elsewhere,$(PYTHON),lowest,-c $(LOWEST))
+
+newest: ## run them with the newest versions, on Python 3.13 where there is one (PYTHON_NEWEST=/path/to/python)
+	@if $(PYTHON_NEWEST) -V > /dev/null 2>&1; then $(call tested_elsewhere,$(PYTHON_NEWEST),newest,); \
+	else echo "There is no $(PYTHON_NEWEST) on this machine: nothing was tested with it."; fi
+
+# In an environment of its own, where warnings of other versions are no errors: arguments are the interpreter, a folder in .venv, and more arguments of pip.
+define tested_elsewhere
+set -e; echo "Installing phsi_opt into $(VENV)/$(2)."; $(1) -m venv $(VENV)/$(2); \
+$(VENV)/$(2)/bin/python $(PIP_INSTALL) --upgrade pip 'setuptools>=77'; \
+$(VENV)/$(2)/bin/python $(PIP_INSTALL) $(3) --no-build-isolation -e '.[app,distributed,loggers]' pytest hypothesis; \
+OMP_NUM_THREADS=1 $(VENV)/$(2)/bin/python -m pytest -o filterwarnings=default $(OTHERS) $(ARGS)
+endef
+
+$(LOWEST): pyproject.toml .ci/lowest.py
+	@$(PY) .ci/lowest.py > $@
 
 browser: ## install Chromium for the tests of the page, where there is none and apt may be used
 	@if command -v chromium > /dev/null || command -v chromium-browser > /dev/null || \
