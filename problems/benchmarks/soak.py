@@ -74,7 +74,8 @@ def soaked(n_fits: int, n_studies: int) -> Iterator[dict[str, float | str]]:
         for seed in range(n):
             work(seed)
             if (seed + 1) % max(n // 10, 1) == 0:
-                row = {"after": f"{seed + 1} {name}", **counted()}
+                row: dict[str, float | str] = {"after": f"{seed + 1} {name}"}
+                row |= counted()
                 print(row, flush=True)
                 yield row
 
