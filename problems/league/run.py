@@ -1,49 +1,34 @@
 """A league table: public sets under the protocol of those who published them.
 
-    python -m problems.league.run [SET ...] [--data=FOLDER]
+    python -m problems.league.run [SET ...] [--data=FOLDER] [--jobs=N]
 
 Each model is fitted to the training record. A test is one free run over the whole test
 record; its starting state is estimated from the first samples alone, and the root mean
 square error is counted from there on. "Found" is what a study added to a base model
 that lacks what the set is known for; it looks at pieces of the training record only.
 A set that is named is run and printed; without names all are run and the page written.
+Each result is kept as it comes, in results/league/COMMIT: the same command goes on
+where it was interrupted.
 """
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 import phsi_opt as ph
 from phsi_opt.simulation.simulate import free_run
+from phsi_opt.sweeps.sweep import sweep
 from problems.league.entries import LEAGUE, Entry
 from problems.tools import provenance
 from problems.tools.command_line import chosen
 from problems.tools.data_paths import folder, is_present
 from problems.tools.pages import render
+from problems.tools.workers import workers
 
+Result = dict[str, Any]
 WAYS = ("base model", "found", "physics written down")
-
-
-@dataclass(frozen=True)
-class Result:
-    """A model of a set, fitted and tested.
-
-    Attributes:
-        name: of the set.
-        way: how the model came about.
-        errors: of the tests, by their names, in the entry's unit.
-        seconds: of fit and study; of the tests.
-        added: effects that a study found.
-        fit: of the whole training record.
-    """
-
-    name: str
-    way: str
-    errors: dict[str, float]
-    seconds: tuple[float, float]
-    added: tuple[str, ...]
-    fit: ph.Fit
 
 
 def error(fit: ph.Fit | ph.Model, test: ph.Measurements, entry: Entry) -> float:
@@ -82,17 +67,23 @@ def with_states(data: ph.Measurements, states: tuple[str, ...]) -> ph.Measuremen
     )
 
 
-def fitted(name: str, way: str, train: ph.Measurements) -> Result:
-    """The model of a set that came about in this way, fitted and tested."""
+def fitted(case: tuple[str, str]) -> Result:
+    """The model of a set that came about in a way, fitted and tested.
+
+    A mapping: the errors of the tests by their names, in the entry's unit; the seconds
+    of fit and study, and of the tests; effects that a study added; the fit as text.
+    """
+    name, way = case
     entry = LEAGUE[name]
+    train = entry.train()
     begin = time.process_time()
-    added: tuple[str, ...] = ()
+    added: list[str] = []
     model = entry.physics() if way == WAYS[2] else entry.base()
     if way == WAYS[1]:
         first, second = entry.pieces(train)
         study = ph.Study(model, first, held_out=second)
         study.auto()
-        added = tuple(study.history["effect"][1:])
+        added = list(study.history["effect"][1:])
         model = study.model
     hidden = tuple(x for x in model.states if x not in train.states)
     fit = ph.identify(model, with_states(train, hidden))
@@ -100,17 +91,18 @@ def fitted(name: str, way: str, train: ph.Measurements) -> Result:
     errors = {}
     for test, data in entry.tests().items():
         errors[test] = error(fit, with_states(data, hidden), entry)
-    seconds = (middle - begin, time.process_time() - middle)
-    return Result(name, way, errors, seconds, added, fit)
+    seconds = [middle - begin, time.process_time() - middle]
+    told = {"errors": errors, "seconds": seconds, "added": added, "fit": str(fit)}
+    return {"name": name, "way": way, **told}
 
 
-def page(results: list[Result]) -> str:
+def page(results: Sequence[Result]) -> str:
     """A row per test, and one per fit."""
     rows = []
     for name, entry in LEAGUE.items():
-        of_set = [result for result in results if result.name == name]
-        for test in of_set[0].errors:
-            errors = [f"{result.errors[test]:.3g}" for result in of_set]
+        of_set = [result for result in results if result["name"] == name]
+        for test in of_set[0]["errors"]:
+            errors = [f"{result['errors'][test]:.3g}" for result in of_set]
             rows.append(
                 [name, test, entry.n_first, *errors, entry.published, entry.unit]
             )
@@ -120,18 +112,20 @@ def page(results: list[Result]) -> str:
 def main() -> None:
     """Run the sets that are there, print each result, write the page."""
     words = chosen()
-    results = []
+    cases = {}
     for name, entry in LEAGUE.items():
         is_wanted = not words or any(word.lower() in name.lower() for word in words)
-        if not is_wanted or not is_present(folder(entry.folder)):
-            continue
-        train = entry.train()
-        for way in WAYS:
-            result = fitted(name, way, train)
-            print(result, flush=True)
-            results.append(result)
-    if not words and len(results) == len(WAYS) * len(LEAGUE):
-        provenance.write("league.md", page(results))
+        if is_wanted and is_present(folder(entry.folder)):
+            cases |= {f"{name}, {way}": (name, way) for way in WAYS}
+    done: dict[str, Result] = {}
+    kept = provenance.RESULTS / "league" / provenance.commit()
+    with workers() as executor:
+        for one in sweep(fitted, cases, executor=executor, folder=kept):
+            done[one.key] = one.result
+            print(one.key, one.result["errors"], one.result["added"], flush=True)
+            print(one.result["fit"], flush=True)
+    if not words and len(done) == len(WAYS) * len(LEAGUE):
+        provenance.write("league.md", page([done[key] for key in cases]))
 
 
 if __name__ == "__main__":
