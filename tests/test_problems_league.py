@@ -7,7 +7,7 @@ import pytest
 
 import phsi_opt as ph
 from problems.league.entries import LEAGUE
-from problems.league.run import error
+from problems.league.run import WAYS, error, page
 
 T = np.arange(0, 4, 0.05)
 
@@ -38,3 +38,15 @@ def test_a_free_run_is_cut_at_the_limit_of_the_sensor_and_samples_there_tell_no_
     limited = replace(entry(20), most=1.0)
     assert error(DECAY, record(y), limited) == pytest.approx(0, abs=1e-3)
     assert error(DECAY, record(y), entry(20)) > 10
+
+
+def test_the_page_says_where_others_are_ahead_and_by_how_much():
+    found = {"EMPS": 148.2, "Silverbox": 0.2, "cascaded tanks": 0.1}
+    results = []
+    for name in LEAGUE:
+        error = {"the test": found.get(name, 1.0)}
+        told = {"seconds": [1.0, 1.0], "added": [], "fit": "its equations"}
+        results += [{"name": name, "way": way, "errors": error, **told} for way in WAYS]
+    behind = [line for line in page(results).splitlines() if line.startswith("- ")]
+    assert len(behind) == 1
+    assert behind[0].startswith("- EMPS, the test: what was found has 2 times")

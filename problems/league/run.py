@@ -112,7 +112,7 @@ def page(results: Sequence[Result]) -> str:
 def main() -> None:
     """Run the sets that are there, print each result, write the page."""
     words = chosen()
-    cases = {}
+    cases: dict[str, tuple[str, str]] = {}
     for name, entry in LEAGUE.items():
         is_wanted = not words or any(word.lower() in name.lower() for word in words)
         if is_wanted and is_present(folder(entry.folder)):
