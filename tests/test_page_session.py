@@ -1,6 +1,7 @@
 """The page without a browser: drafts, session, worker, limits, words, colours."""
 
 import asyncio
+import gc
 import os
 import re
 import signal
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -558,13 +560,32 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session, monkeypatch) -
     assert session.content.present is not None, "it went on from what was kept"
 
 
-def test_a_worker_that_is_lost_is_told(session: Session) -> None:
+def test_a_worker_that_is_lost_is_told_and_nothing_else_is(session: Session) -> None:
+    consider_few(session)
     session.fit()
-    wait_for(lambda: bool(session.job and session.job.line))
+    wait_for(lambda: session.content is not None)
+    fitted = session.content
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None, ENDS_WITHIN)
     assert "ended unexpectedly" in session.message
+    assert session.content is fitted and not session.is_stale
+    session.diagnose()
+    wait_for(lambda: session.job is None)
+    assert session.content.present is not None, "it went on from what was kept"
+
+
+def test_a_session_that_ends_leaves_no_memory_process_or_file(tmp_path: Path) -> None:
+    session = filled(tmp_path / "own")
+    session.show_up()
+    assert session._worker is not None
+    pid = session._worker.pid
+    known = weakref.ref(session)
+    session.close()
+    del session
+    wait_for(lambda: gc.collect() >= 0 and known() is None, ENDS_WITHIN)
+    assert not is_running(pid)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
