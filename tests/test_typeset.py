@@ -64,3 +64,10 @@ def test_a_name_cannot_be_markup_and_large_models_are_left_out() -> None:
     assert re.search("<mi>lt</mi>", line) and "&lt" not in line
     many = ph.FirstOrder(["x"], {"x": ph.polynomials(["x"], 61)})
     assert typeset_equations(many, many.values, "s") == ()
+
+
+def test_names_of_several_words_are_upright_text() -> None:
+    model = ph.FirstOrder(["T"], {"T": "-T"}, kind="thermal")
+    larger = model.add("second heat storage", "T")
+    rate, _ = typeset_equations(larger, dict.fromkeys(larger.entries, 1.0), "h")
+    assert "<msub><mtext>second heat storage</mtext><mi>T</mi></msub>" in rate

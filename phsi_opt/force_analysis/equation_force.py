@@ -184,10 +184,6 @@ class EquationForce(Force):
         record = self.record
         return lacking_quantity(record.model, self.equation, record.units)
 
-    def force_label(self, what: str) -> str:
-        """Label of an axis for the force, with the unit in which it is told."""
-        return label(what, self.scale.unit)
-
     @property
     def strongest_run(self) -> int:
         """Number of the trajectory in which the force is strongest."""
@@ -248,10 +244,10 @@ class EquationForce(Force):
     def variable_label(self, name: str) -> str:
         """Label of an axis for a variable, or for a difference, with its unit."""
         if DIFFERENCE in name:
-            both = map(self._named, name.split(DIFFERENCE))
-            return label(
-                DIFFERENCE.join(both), self.scale_of(name.split(DIFFERENCE)[0]).unit
-            )
+            first, second = name.split(DIFFERENCE)
+            both = map(_without_memory, map(self._named, (first, second)))
+            told = DIFFERENCE.join(both)
+            return label(told, self.scale_of(first).unit)
         position = self.position_of(name)
         if position:
             unit = self.scale_of(name).unit
@@ -260,3 +256,9 @@ class EquationForce(Force):
         if name in self.record.model.efforts:
             return f"effort {name}"
         return label(name, self.scale_of(name).unit)
+
+
+def _without_memory(name: str) -> str:
+    """Such as "T of the second storage" for the memory state T_second."""
+    state = name.removesuffix("_second")
+    return name if state == name else f"{state} of the second storage"

@@ -28,6 +28,7 @@ from phsi_opt.presentation.content import (
     ForceRun,
     thinned,
 )
+from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import Scale, frequency_unit, scale_of_time
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def map_of(force: EquationForce) -> ForceMap | None:
     return ForceMap(
         force.variable_label(names[0]),
         force.variable_label(names[1]),
-        force.force_label(f"mean missing {force.quantity}"),
+        label(f"mean missing {force.quantity}", force.scale.unit),
         (found.x_edge[:-1] + found.x_edge[1:]) / 2,
         (found.y_edge[:-1] + found.y_edge[1:]) / 2,
         found.statistic.T,
@@ -138,7 +139,7 @@ def follows_of(
     centre, mean, std = np.array(columns)[:, count > 2]  # of fewer there is no spread
     step = max(1, len(z) // MOST_PER_CURVE)
     said = said or dependence_title(force, variable)
-    labels = (x_label, force.force_label(f"missing {force.quantity}"))
+    labels = (x_label, label(f"missing {force.quantity}", force.scale.unit))
     points = (z[::step], w[::step])
     shown = None if law is None else law[::step] / force.scale.size
     return Follows(heading, *labels, *points, centre, mean, std, said, shown)
@@ -221,7 +222,7 @@ def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
         Curve("explained by its uncertainty", frequencies, level, MEASURED, "dash"),
     )
     unit = frequency_unit(record.units)
-    panel = Panel(force.force_label("amplitude"), curves, scale=FROM_ZERO)
+    panel = Panel(label("amplitude", force.scale.unit), curves, scale=FROM_ZERO)
     draw(ax, Chart(f"frequency ({unit})", (panel,)))
     # Cut off behind the last frequency with more than a fiftieth of the largest.
     visible = np.flatnonzero(amplitudes > amplitudes.max() / 50)

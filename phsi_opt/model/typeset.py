@@ -18,6 +18,7 @@ from phsi_opt.presentation.numbers import decimal
 
 MOST_READ = 60  # of a model whose equations somebody reads
 TIMES, THIN_SPACE = "<mo>&InvisibleTimes;</mo>", '<mspace width="0.17em"/>'
+SEVERAL_WORDS = re.compile(r"<mi>([^<]+ [^<]+)</mi>")  # upright, as text is
 BY_NUMBER = re.compile(r"<mi>N(\d+)N</mi>")  # of a name in what SymPy writes
 
 
@@ -133,4 +134,4 @@ def _name(name: str) -> str:
     base, _, index = name.rpartition(".")[2].rpartition("_")
     written = f"{base.replace('_', ' ')}_{index}" if base else index
     text: str = mathml(sp.Symbol(written), printer="presentation")
-    return text
+    return SEVERAL_WORDS.sub(r"<mtext>\1</mtext>", text)

@@ -30,7 +30,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
-from phsi_opt.presentation.numbers import number, number_of, proper_names
+from phsi_opt.presentation.numbers import capitalised, number, number_of, proper_names
 from phsi_opt.presentation.summary import Part, Summary, printed_table
 from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.screening.effect_size import Size, fitted_size
@@ -333,14 +333,15 @@ class StudyRecord:
             variable = _natural_variable(effect, larger)
             record = replace(force.record, model=larger, points=points)
             force = replace(force, record=record)
+        what = capitalised(force.quantity)
         said = (
-            f"The added law: the force missing in d{effect.equation}/dt if {effect} "
-            "is removed from the present model and all other values are kept"
+            f"The added law: the {force.quantity} missing in d{effect.equation}/dt if "
+            f"{effect} is removed from the present model and all other values are kept"
         )
         return follows_of(
             force,
             variable,
-            proper_names(f"Force that is missing without {effect}"),
+            proper_names(f"{what} that is missing without {effect}"),
             proper_names(said),
             law,
         )
