@@ -572,7 +572,8 @@ def test_a_worker_that_is_lost_is_told_and_nothing_else_is(session: Session) -> 
     assert session.content is fitted and not session.is_stale
     session.diagnose()
     wait_for(lambda: session.job is None)
-    assert session.content.present is not None, "it went on from what was kept"
+    further = session.content
+    assert further and further.present is not None, "it went on from what was kept"
 
 
 def test_a_session_that_ends_leaves_no_memory_process_or_file(tmp_path: Path) -> None:
