@@ -127,6 +127,16 @@ def test_columns_and_units_follow_the_names_of_states_and_inputs() -> None:
     np.testing.assert_array_equal(fewer.trajectories[0].u, U[:, 1:])
 
 
+def test_an_input_that_the_model_does_not_have_is_noted() -> None:
+    t = np.linspace(0.0, 1.0, 11)
+    u = np.column_stack([np.sin(t), np.cos(t)])
+    data = ph.Measurements.from_arrays(t, t, u, states=["T"], inputs=["P", "Ta"])
+    for inputs, noted in ((["P"], ["input Ta was measured"]), (["P", "Ta"], [])):
+        heated = ph.FirstOrder(["T"], {"T": "P/C"}, inputs=inputs)
+        notes = AlignedData.of(heated, data).notes
+        assert [note[:21] for note in notes] == noted
+
+
 def test_the_memory_of_an_effect_is_added_as_never_measured() -> None:
     larger = bare().add("hysteresis", "p")
     extended = aligned(larger, record("qp"))

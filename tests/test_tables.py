@@ -357,7 +357,7 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
     ("2021-11-22", "x", {}, "line 3: 'x' is neither a number nor a date"),
     ("0", "2021-11-22", {}, "line 3: '2021-11-22' is not a real number"),
     ("2021-11-22", "2021-11-23", {"start": "2021-11-22Z"}, "start='2021-11-22Z' is not a date without time zone"),
-    ("2021-11-22", "2021-11-23", {"units": {"t": "h"}}, "the unit 'h', and times"),
+    ("2021-11-22", "2021-11-23", {"units": {"t": "h"}}, "the unit 'h', and dates"),
 ])  # fmt: skip
 def test_dates_that_cannot_be_used_are_refused_by_row(
     first: str, second: str, options: dict[str, Any], message: str

@@ -370,3 +370,33 @@ def test_a_unit_that_is_not_known_cannot_be_converted(tmp_path: Path) -> None:
     text = 'k = { start = 50, unit = "N" }\nm = { value = 2.5, unit = "kg" }'
     found = complaints(written(tmp_path, data, MM, text))
     assert "N/m" in found["parameters.k.unit"]
+
+
+def circuit(of_charge: str) -> UnitCheck:
+    model = ph.FirstOrder(
+        ["i", "q"],
+        {
+            "i": ph.formula(
+                "(u - R*i - q/C)/L",
+                R=ph.Parameter(4.0, unit="Ohm"),
+                C=ph.Parameter(2e-5, unit="F"),
+                L=0.01,
+            ),
+            "q": ph.formula("i"),
+        },
+        inputs=["u"],
+    )
+    return UnitCheck(model, {"t": "s", "i": "A", "q": of_charge, "u": "V"})
+
+
+def test_a_charge_in_c_is_in_coulombs_and_contradicts_no_farad() -> None:
+    circuit("C").refuse()
+    circuit("A s").refuse()
+    with pytest.raises(ph.ModelError, match="q in V"):
+        circuit("V").refuse()
+
+
+def test_a_temperature_in_c_contradicts_no_kelvin() -> None:
+    known = {"k": ph.Parameter(1.0, unit="W/K"), "c": ph.Parameter(1.0, unit="J/K")}
+    loss = ph.formula("-k*T/c", **known)
+    UnitCheck(ph.FirstOrder(["T"], {"T": loss}), {"t": "s", "T": "C"}).refuse()

@@ -172,3 +172,17 @@ def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None
     )
     assert did_you_mean("xyz", ["velocity"]) == ""
     assert did_you_mean(3, []) == ""
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        ((T, X), {}),
+        ((T, X), {"states": ["q", "p"]}),
+        ((), {"t": T, "x": X}),
+        (([T], [X]), {"states": ["q", "p"]}),
+    ],
+)
+def test_arrays_given_to_measurements_are_told_their_reader(args, named) -> None:
+    with pytest.raises(ph.DataError, match="from_arrays"):
+        ph.Measurements(*args, **named)

@@ -102,6 +102,12 @@ class Measurements(TableReaders, Summarised):
     hold: Hold = "linear"
     noise: Mapping[str, float] | None = None
 
+    def __new__(cls, *args: Any, **named: Any) -> Self:
+        """Arrays are refused before Python counts the arguments."""
+        if args or named:
+            checked_trajectories(args[0] if args else named.get("trajectories"))
+        return super().__new__(cls)
+
     def __post_init__(self) -> None:
         trajectories = checked_trajectories(self.trajectories)
         states = checked_names(self.states, "states")

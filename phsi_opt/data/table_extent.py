@@ -315,13 +315,9 @@ def _section(texts: list[Row], values: list[Row]) -> Section:
         texts = values[:1]  # a header with numbers in it
     elif values and not texts:
         first = values[0]
-        is_head = first.has_words_for_values(typical) or _are_positions(first.cells)
+        names = ["", *range(n_filled(first.cells) - 1)]  # of columns without, in pandas
+        are_positions = [*map(str, first.cells)] == [*map(str, names)]
+        is_head = first.has_words_for_values(typical) or are_positions
         n_before = int(is_head)
         texts = values[:n_before]
     return Section(texts, values[n_before:], typical)
-
-
-def _are_positions(cells: Sequence[Any]) -> bool:
-    """Whether these are ",0,1,2", as pandas calls columns without names."""
-    n_names = n_filled(cells) - 1
-    return cells[0] == "" and [*map(str, cells[1:])] == [*map(str, range(n_names))]

@@ -17,6 +17,7 @@ from phsi_opt.arguments import is_size, require_known
 from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
+from phsi_opt.data.headers import unit_of_header
 from phsi_opt.data.logger_tables import table_of_groups
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
@@ -100,7 +101,7 @@ class TableReaders:
             trajectory: The column that names each line's trajectory. The lines of one
                 trajectory need not be contiguous but keep their order.
             hold, units, noise: As the attributes of `Measurements`; units that are not
-                given are those of a line of units.
+                given are those of a line of units, or of the header: "q [m]", "v_m_s".
             step: The time between lines, where no column tells it.
             start: Where times are dates: the moment at which t is 0, such as
                 "2021-11-22"; None: the first sample of each trajectory. Dates are
@@ -276,9 +277,7 @@ class TableReaders:
             are_dates = are_dates or bool(origins)
         if faults:
             raise TableError(faults)
-        units = _with_seconds(words.get("units") or {}, are_dates)
-        if isinstance(units, Mapping):
-            units = _with_written_units(units, tables, layout)
+        units = _units(words.get("units") or {}, are_dates, tables, layout)
         make: Any = cls  # a `Measurements`, which names its fields
         made: Self = make(
             tuple(trajectories),
@@ -419,35 +418,28 @@ def _times(
     return t, []
 
 
-def _with_written_units(
-    known: Mapping[str, str], tables: Sequence[Table], layout: Layout
-) -> dict[str, str]:
-    """The known units, and others of the tables' own rows or channels."""
-    columns = {**layout.states, **layout.inputs, "t": layout.time}
-    units = dict(known)
-    for table in tables:
-        for name, column in columns.items():
-            unit = table.units.get(column, "") if isinstance(column, str) else ""
-            if unit and name not in known and units.setdefault(name, unit) != unit:
-                raise DataError(
-                    f"{table.title}: {name!r} has the unit {unit!r}, but in a table "
-                    f"before it {units[name]!r}; expected one unit. Convert the "
-                    f"tables, or say which it is: units={{{name!r}: ...}}."
-                )
-    return units
-
-
-def _with_seconds(units: Any, are_dates: bool) -> Any:
-    """The units, with seconds as that of the time where times are dates."""
-    if not are_dates or not isinstance(units, Mapping):
-        return units  # what is no mapping is refused by `checked_by_name`
-    unit = units.get("t", "s")
-    if unit != "s":
+def _units(given: Any, are_dates: bool, tables: Sequence[Table], layout: Layout) -> Any:
+    """The given units, and others of dates, the tables' own rows, and headers."""
+    if not isinstance(given, Mapping):
+        return given  # it is refused by `checked_by_name`
+    units = {"t": "s", **given} if are_dates else dict(given)
+    if are_dates and units["t"] != "s":
         raise DataError(
-            f"units: the time 't' has the unit {unit!r}, and times that are dates are "
-            "read in seconds; expected 's'. Leave 't' out of units."
+            f"units: the time 't' has the unit {units['t']!r}, and dates are read in "
+            "seconds; expected 's'. Leave 't' out of units."
         )
-    return {**units, "t": "s"}
+    columns = {**layout.states, **layout.inputs, "t": layout.time}
+    open_names = [name for name in columns if name not in units]
+    for table, name in itertools.product(tables, open_names):
+        column = str(columns[name])
+        unit = table.units.get(column) or unit_of_header(column, name == "t")
+        if unit and units.setdefault(name, unit) != unit:
+            raise DataError(
+                f"{table.title}: {name!r} has the unit {unit!r}, but in a table "
+                f"before it {units[name]!r}; expected one unit. Convert the "
+                f"tables, or say which it is: units={{{name!r}: ...}}."
+            )
+    return units
 
 
 def _check_column(table: Table, column: Any, layout: Layout) -> None:

@@ -145,7 +145,9 @@ def table_of_rows(
     names: Sequence[str] | None = form.columns
     if names is None and head:
         if row_word == "line":
-            width = _width_of_header(head, width)
+            n_names = n_filled(head)  # a last one for comments that no line has is none
+            is_for_comments = str(head[n_names - 1]).lower() == "comment"
+            width = n_names - int(width < n_names and is_for_comments)
             reference = "in the header"
         else:
             width = max(width, n_filled(head))
@@ -213,14 +215,6 @@ def _extent(rows: Rows, form: TextFormat, separator: str, title: str) -> Extent:
                 f"file has rows {min(rows)} to {max(rows)}."
             )
     return extent_of(rows, form.skip, form.units_row, separator == BLANKS)
-
-
-def _width_of_header(head: Sequence[Any], width: int) -> int:
-    """The number of names; a last one for comments that no line has is left out."""
-    n_names = n_filled(head)
-    if width < n_names and str(head[n_names - 1]).lower() == "comment":
-        return n_names - 1
-    return n_names
 
 
 def _filled_lines(file: OpenedFile, separator: str) -> Iterator[tuple[int, list[str]]]:

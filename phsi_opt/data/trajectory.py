@@ -114,6 +114,9 @@ def run_numbers(runs: Sequence[Trajectory]) -> np.ndarray:
     return np.repeat(np.arange(len(runs)), [run.n_samples for run in runs])
 
 
+FROM_ARRAYS = "For arrays: Measurements.from_arrays(t, x, states=[...])."
+
+
 def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
     """At least one trajectory, each under a name of its own, as a tuple.
 
@@ -124,13 +127,13 @@ def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
     if not is_sequence or isinstance(trajectories, str) or not trajectories:
         raise DataError(
             f"trajectories={shown(trajectories)}; "
-            "expected a list or tuple of at least one Trajectory."
+            f"expected a list or tuple of at least one Trajectory. {FROM_ARRAYS}"
         )
     for i, run in enumerate(trajectories):
         if not isinstance(run, Trajectory):
             raise DataError(
                 f"trajectories[{i}] is a {type(run).__name__}; "
-                "expected a Trajectory (see from_arrays)."
+                f"expected a Trajectory. {FROM_ARRAYS}"
             )
     check_unique([run.name for run in trajectories], "trajectory name")
     return tuple(trajectories)

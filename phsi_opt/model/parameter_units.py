@@ -124,7 +124,7 @@ def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
     """The powers of the units by parameter and state, as far as they are determined."""
     whole = Equations.of(model)
     for numbers_are_pure in (True, False):
-        for split in (powers_as_written, powers_in_base_units):
+        for split in (powers_as_written, powers_in_base_units, _unambiguous):
             powers = whole.solution(units, split, numbers_are_pure)
             if powers is not None:
                 return powers
@@ -135,6 +135,12 @@ def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
             alone.say_term(placed)
             found = (alone.solution(units, powers_as_written) or {}) | found
     return found
+
+
+def _unambiguous(unit: str) -> Powers | None:
+    """In base units, but for C: it is a coulomb to one and a degree to another."""
+    powers = powers_in_base_units(unit)
+    return None if powers and "C" in powers else powers
 
 
 @dataclass(frozen=True)

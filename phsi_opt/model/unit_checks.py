@@ -80,7 +80,8 @@ class UnitCheck:
         found = {}
         for place, unit in stated.items():
             written = scale_of(unit).unit if self.as_written else str(unit)
-            if written and measure_of(written) is not None:
+            measure = measure_of(written) if written else None
+            if measure and "C" not in measure.powers:  # a coulomb, or a degree
                 found[place] = written
         return found
 

@@ -1,159 +1,20 @@
-"""A look at one column: what its header says, whether its cells are numbers.
-
-Units stand in brackets ("q [m]", "T (degC)", "Time(s)"), after a stroke ("x / mm"), or
-after the last underscore where it is one ("position_m", "Tempo_s"); "v_m_s" is in m/s,
-"a_m_s2" in m/s2. A column of a MATLAB matrix, "X(:,2)", has none.
+"""A look at one column: whether its cells are numbers, and what it may be.
 
 A column is meant to be numeric where most of its cells are numbers: then a cell that is
 none is a mistake in the file, and it is reported with its line.
 """
 
-import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from phsi_opt.data.table_extent import unit_in
+from phsi_opt.data.headers import COUNTER_WORDS, TIMES, Header
 from phsi_opt.data.tables import MISSING_CELLS, Table, plain_number, rows_of_runs
-from phsi_opt.data.text_tables import PART
 from phsi_opt.data.times import clock_of, format_of_dates
 from phsi_opt.data.trajectory import is_stepped
-from phsi_opt.model.kinds import kind_of_unit
 from phsi_opt.presentation.numbers import number_of, shortened
-
-# ---- headers -------------------------------------------------------------------------
-
-IN_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-AFTER_STROKE = re.compile(r"^(.*?\S)(?:\s+(?:/|in)|,)\s+(\S+)$")
-SERIAL = re.compile(r"\s*\([^)]*:[^)]*\)$")  # of a logger: "Temp, °C (S/N: 1234)"
-OF_MATRIX = re.compile(r"([\w.]+)\((?::,\s*)?(\d+)(?:,\s*:)?\)")
-TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
-# Words that are units behind a name; pint knows c and in, too.
-UNIT_WORD = re.compile(
-    "[nuµmcdkMG]?(m|V|rad|N|Nm|Ns|Nms|Pa|bar|[Ll]|A|C|Wb|Ah|K|J)"
-    "|deg[CF]?|°[CF]?|rev|rpm|[cdm]?m3|psi|mH2O|Vs|k?Wh"
-)
-SPELLED = {"sec": "s", "seconds": "s"}
-# Single letters after an underscore that are more often an index than a unit.
-INDICES = frozenset({"l", "C", "d"})
-WORD = re.compile(r"[^\W\d_]+\d*")
-
-TIME_WORDS = frozenset(
-    {
-        *("t", "time", "times", "timestamp", "datetime", "date", "tempo", "zeit"),
-        *("temps", "datum", "uhrzeit", "zeitstempel"),
-    }
-)
-STEP_WORDS = frozenset({"ts", "dt", "step"})
-RUN_WORDS = frozenset(
-    {"run", "trajectory", "trial", "experiment", "versuch", "record", PART}
-)
-COUNTER_WORDS = frozenset(
-    {"no", "nr", "number", "sample", "index", "count", "scan", "row", "line", "point"}
-)
-INPUT_WORDS = frozenset(
-    {
-        *("u", "in", "input", "command", "cmd", "controle", "control", "pwm", "duty"),
-        *("force", "torque", "current", "heater", "pump", "valve", "throttle", "motor"),
-        *("uest", "uval", "drive", "actuator", "thrust"),
-    }
-)
-# These may be what drives a system, or what is to be found: only a remark is made.
-PERHAPS_INPUT_WORDS = frozenset(
-    {
-        *("solar", "sun", "irradiance", "radiation", "ghi", "wind", "load", "power"),
-        *("ambient", "outdoor", "outside", "supply", "inflow", "heating", "pulses"),
-        *("disturbance", "ps", "ph", "ta", "thm", "qh"),
-    }
-)
-SET_POINT_WORDS = frozenset(
-    {"setpoint", "reference", "referencia", "referenz", "sollwert", "target", "desired"}
-)
-
-
-@dataclass(eq=False)
-class Header:
-    """A header."""
-
-    column: str  # as it stands in the table
-    label: str  # without the unit
-    unit: str = ""  # "" where it does not tell one
-
-    @classmethod
-    def of(cls, text: str) -> "Header":
-        """The label and the unit of a header."""
-        of_matrix = OF_MATRIX.fullmatch(text)
-        if of_matrix is not None:
-            return Header(text, f"{of_matrix[1]}_{of_matrix[2]}")
-        column = text
-        text = SERIAL.sub("", column)
-        for form in (IN_BRACKETS, AFTER_STROKE):
-            found = form.match(text)
-            is_after_comma = form is AFTER_STROKE and "," in text
-            if found and found[1] and (not is_after_comma or unit_in(found[2])):
-                return Header(column, found[1], SPELLED.get(found[2], found[2]))
-        label, _, last = text.rpartition("_")
-        name, _, numerator = label.rpartition("_")
-        time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
-        may_be_rate = name and time in TIMES and UNIT_WORD.fullmatch(numerator)
-        is_rate = may_be_rate and kind_of_unit(f"{numerator}/{time}") != ""
-        if is_rate and not _any_of(_words(text)[:1], TIME_WORDS):
-            return Header(column, name, f"{numerator}/{last}")
-        is_unit = last in TIMES or UNIT_WORD.fullmatch(last)
-        if label and last not in INDICES and is_unit:
-            return Header(column, label, SPELLED.get(last, last))
-        return Header(column, text)
-
-    @property
-    def is_time(self) -> bool:
-        """Whether it says that it is the time; T is a temperature."""
-        words = _words(self.label.rpartition(".")[2])  # of a field of a struct
-        if not words or self.label == "T" or self.unit not in ("", *TIMES):
-            return False
-        return words[0] in TIME_WORDS or (words[-1] in TIME_WORDS and self.unit != "")
-
-    @property
-    def is_run(self) -> bool:
-        """Whether it says that it names runs."""
-        return _any_of(_words(self.label)[:1], RUN_WORDS)
-
-    @property
-    def is_step(self) -> bool:
-        """Whether it says that it is the time between samples."""
-        return _words(self.label) in ([word] for word in STEP_WORDS)
-
-    def has_one_of(self, known: frozenset[str]) -> bool:
-        """Whether one of its words is known, whatever the numbers behind them."""
-        return _any_of((w.rstrip("0123456789") for w in _words(self.label)), known)
-
-    @property
-    def is_set_point(self) -> bool:
-        """Whether it says that it is what a controller aims at."""
-        words = [word.rstrip("0123456789") for word in _words(self.label)]
-        is_reference = any(word.endswith("ref") for word in words)
-        is_split = words[:2] == ["set", "point"]
-        return is_reference or is_split or _any_of(words, SET_POINT_WORDS)
-
-    @property
-    def suggested_name(self) -> str:
-        """A name that formulas can use, from the label."""
-        name = re.sub(r"\W+", "_", self.label).strip("_")
-        return f"x{name}" if name[:1].isdigit() else name
-
-
-def _words(text: str) -> list[str]:
-    """The words of a text, in lower case, with the numbers behind them."""
-    return [word.lower() for word in WORD.findall(text)]
-
-
-def _any_of(words: Iterable[str], known: frozenset[str]) -> bool:
-    return not known.isdisjoint(words)
-
-
-# ---- cells ---------------------------------------------------------------------------
 
 TIME = "time"
 RUN = "run"
@@ -294,11 +155,6 @@ class Column(Header):
             return [np.arange(len(self.lines))]
         return list(rows_of_runs(run.cells).values())
 
-    def neighbours(self, run: "Column | None") -> np.ndarray:
-        """The rows of each sample and of the next one of its run, (n_pairs, 2)."""
-        runs = self.rows_of(run)
-        return np.vstack([np.column_stack([rows[:-1], rows[1:]]) for rows in runs])
-
     def is_held(self, run: "Column | None") -> bool:
         """Whether it is constant between jumps, in its runs; gaps tell nothing."""
         if self.values is None or self.n_missing or self.wrong:
@@ -312,7 +168,7 @@ class Column(Header):
             return self.wrong
         if self.n_missing:
             return f"{self.first_missing} has no time"
-        pairs = self.neighbours(run)
+        pairs = np.vstack([np.c_[rows[:-1], rows[1:]] for rows in self.rows_of(run)])
         late = pairs[self.values[pairs[:, 1]] <= self.values[pairs[:, 0]]]
         if not len(late):
             return ""
@@ -374,7 +230,7 @@ def _look_at(column: Column, n_of_this_name: int) -> str:
 def _format_of_numbers(column: Column, values: np.ndarray) -> str:
     """How numbers are dates; days are, where the header says so."""
     clock = clock_of(values) if column.is_time and not column.unit else ""
-    if clock == "excel" and not _any_of(_words(column.label), DATE_WORDS):
+    if clock == "excel" and not column.has_one_of(DATE_WORDS):
         clock = ""
     return format_of_dates(values) or clock
 

@@ -19,6 +19,7 @@ import pandas as pd
 
 from phsi_opt.data.checks import RESERVED_NAMES, checked_names
 from phsi_opt.data.file_opening import DataFile
+from phsi_opt.data.headers import INPUT_WORDS, PERHAPS_INPUT_WORDS, TIMES, Header
 from phsi_opt.data.table_extent import NUMBER
 from phsi_opt.data.tables import Table
 from phsi_opt.data.times import clock_of, is_milliseconds
@@ -26,16 +27,12 @@ from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
     INPUT,
-    INPUT_WORDS,
     PERHAPS_INPUT,
-    PERHAPS_INPUT_WORDS,
     RUN,
     STATE,
     TIME,
-    TIMES,
     UNUSED,
     Column,
-    Header,
     columns_of,
 )
 from phsi_opt.study_file.gallery import BaseModel, give_parts

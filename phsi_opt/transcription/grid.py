@@ -217,7 +217,7 @@ class AlignedData:
 
     Made once and handed on: alignments for larger models are kept. The grid has one
     interval between neighbouring samples; notes say which runs are copies of others,
-    and which inputs jump but are interpolated.
+    which inputs jump but are interpolated, and which the model does not have.
     """
 
     data: Measurements
@@ -241,7 +241,7 @@ class AlignedData:
         copies = copies_in(ordered)
         once = counted_once(ordered, copies)
         notes = (sentence_about(copies),) if copies else ()
-        return cls(once, grid_of(once), notes + tuple(_notes_on_jumps(once)))
+        return cls(once, grid_of(once), (*notes, *_notes_on_inputs(model, data)))
 
     def for_model(self, model: Model) -> "AlignedData":
         """The same for a model that has states more; itself where it has none."""
@@ -289,11 +289,16 @@ def check_problem(model: Any, data: Any, name: str = "data") -> None:
         )
 
 
-def _notes_on_jumps(data: Measurements) -> Iterator[str]:
-    """A sentence on every input that jumps and is not held."""
+def _notes_on_inputs(model: Model, data: Measurements) -> Iterator[str]:
+    """A sentence on every input that is not used, or that jumps and is not held."""
     for k, hold in enumerate(hold_of_each(data.hold, data.inputs)):
-        if hold != "zero" and is_stepped([run.u[:, k] for run in data]):
-            name = data.inputs[k]
+        name = data.inputs[k]
+        if name not in model.inputs:
+            yield (
+                f"input {name} was measured, but is no input of the model; to consider "
+                "effects that depend on it, add it to these (no formula needs it)"
+            )
+        elif hold != "zero" and is_stepped([run.u[:, k] for run in data]):
             yield (
                 f"input {name} is constant between jumps, but it is interpolated "
                 "between samples, so that it acts half a sample too early; if it keeps "
