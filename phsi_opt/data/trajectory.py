@@ -114,26 +114,24 @@ def run_numbers(runs: Sequence[Trajectory]) -> np.ndarray:
     return np.repeat(np.arange(len(runs)), [run.n_samples for run in runs])
 
 
-FROM_ARRAYS = "For arrays: Measurements.from_arrays(t, x, states=[...])."
-
-
 def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
     """At least one trajectory, each under a name of its own, as a tuple.
 
     Raises:
         DataError: this is no such list or tuple.
     """
+    repair = "For arrays: Measurements.from_arrays(t, x, states=[...])."
     is_sequence = isinstance(trajectories, Sequence)
     if not is_sequence or isinstance(trajectories, str) or not trajectories:
         raise DataError(
             f"trajectories={shown(trajectories)}; "
-            f"expected a list or tuple of at least one Trajectory. {FROM_ARRAYS}"
+            f"expected a list or tuple of at least one Trajectory. {repair}"
         )
     for i, run in enumerate(trajectories):
         if not isinstance(run, Trajectory):
             raise DataError(
                 f"trajectories[{i}] is a {type(run).__name__}; "
-                f"expected a Trajectory. {FROM_ARRAYS}"
+                f"expected a Trajectory. {repair}"
             )
     check_unique([run.name for run in trajectories], "trajectory name")
     return tuple(trajectories)
