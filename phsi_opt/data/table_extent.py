@@ -109,11 +109,6 @@ class Row:
         n_cells = len(self.kinds) - self.kinds.count(GAP)
         return 2 * n_alike > n_cells or not n_cells
 
-    def has_words_for_values(self, typical: str) -> bool:
-        """Whether a cell is a word where others are values."""
-        columns = zip(self.kinds, typical, strict=False)
-        return any(own == WORD and other in (VALUE, DATE) for own, other in columns)
-
 
 @dataclass(frozen=True, eq=False)
 class Section:
@@ -317,7 +312,9 @@ def _section(texts: list[Row], values: list[Row]) -> Section:
         first = values[0]
         names = ["", *range(n_filled(first.cells) - 1)]  # of columns without, in pandas
         are_positions = [*map(str, first.cells)] == [*map(str, names)]
-        is_head = first.has_words_for_values(typical) or are_positions
+        pairs = zip(first.kinds, typical, strict=False)
+        has_words = any(own == WORD and other in (VALUE, DATE) for own, other in pairs)
+        is_head = has_words or are_positions
         n_before = int(is_head)
         texts = values[:n_before]
     return Section(texts, values[n_before:], typical)

@@ -252,7 +252,9 @@ class TableReaders:
         return cls.from_tables([table_of_frame(frame)], **words)
 
     @classmethod
-    def from_tables(cls, tables: Sequence[Table], **words: Unpack[TableWords]) -> Self:
+    def from_tables(
+        cls, tables: Sequence[Table], headers: bool = True, **words: Unpack[TableWords]
+    ) -> Self:
         """From tables, whose trajectories are in the order in which they begin.
 
         Where several tables have a column that names the trajectory, the table's own
@@ -260,6 +262,7 @@ class TableReaders:
 
         Args:
             tables: At least one, as a file or a data frame has it.
+            headers: Whether headers tell units that are not given.
             **words: The others, as in `from_excel`.
 
         Raises:
@@ -277,7 +280,7 @@ class TableReaders:
             are_dates = are_dates or bool(origins)
         if faults:
             raise TableError(faults)
-        units = _units(words.get("units") or {}, are_dates, tables, layout)
+        units = _units(words.get("units") or {}, are_dates, tables, layout, headers)
         make: Any = cls  # a `Measurements`, which names its fields
         made: Self = make(
             tuple(trajectories),
@@ -418,7 +421,9 @@ def _times(
     return t, []
 
 
-def _units(given: Any, are_dates: bool, tables: Sequence[Table], layout: Layout) -> Any:
+def _units(
+    given: Any, are_dates: bool, tables: Sequence[Table], layout: Layout, headers: bool
+) -> Any:
     """The given units, and others of dates, the tables' own rows, and headers."""
     if not isinstance(given, Mapping):
         return given  # it is refused by `checked_by_name`
@@ -432,7 +437,8 @@ def _units(given: Any, are_dates: bool, tables: Sequence[Table], layout: Layout)
     open_names = [name for name in columns if name not in units]
     for table, name in itertools.product(tables, open_names):
         column = str(columns[name])
-        unit = table.units.get(column) or unit_of_header(column, name == "t")
+        of_header = unit_of_header(column, name == "t") if headers else ""
+        unit = table.units.get(column) or of_header
         if unit and units.setdefault(name, unit) != unit:
             raise DataError(
                 f"{table.title}: {name!r} has the unit {unit!r}, but in a table "

@@ -81,11 +81,6 @@ class Table:
     # looked for
     further: tuple[Variable, ...] = ()
 
-    @property
-    def part_word(self) -> str:
-        """The key by which one of its sheets is chosen."""
-        return "group" if self.extent is None else "sheet"
-
     def place(self, column: Any, i: int) -> str:
         """The words for the i-th cell of a column."""
         return f"{self.title}, column {column!r}, {self.row(i)}:"

@@ -209,7 +209,8 @@ class DataSection:
         arguments = self.reader_arguments()
         for name in OF_FILES:
             arguments.pop(name, None)
-        data = Measurements.from_tables(tables, **arguments)
+        # `init` writes the units of headers; one that stands empty was taken away.
+        data = Measurements.from_tables(tables, headers=False, **arguments)
         if self.between is not None:
             data = data.between(*self.between)
         if self.thinned is not None:

@@ -86,8 +86,9 @@ class TableSurvey:
         extent = table.extent
         keys = []
         if len(table.sheets) > 1:
+            part = "group" if extent is None else "sheet"
             said = f"others: {some_of(table.sheets[1:])}"
-            keys.append(ReadKey(table.part_word, table.sheets[0], said, is_set=True))
+            keys.append(ReadKey(part, table.sheets[0], said, is_set=True))
         if extent is None:
             return keys
         word = table.row_word
