@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
-from phsi_opt.presentation.numbers import time_constant_words
+from phsi_opt.presentation.numbers import time_constant_words, typeset
 from phsi_opt.presentation.tables import (
     MOST_ROWS,
     PrintedTable,
@@ -189,3 +189,8 @@ def test_a_rate_is_told_as_its_time_constant() -> None:
     assert time_constant_words(0.25, 0.15, "1/h") == "", "may be none at all"
     assert time_constant_words(0.25, 0.01, "degC/h") == ""
     assert time_constant_words(0.25, float("nan"), "1/h") == ""
+
+
+def test_powers_with_a_fraction_stay_as_they_are_written() -> None:
+    assert typeset("m^2.5/s") == "m^2.5/s"
+    assert typeset("rad/s^2") == "rad/s\N{SUPERSCRIPT TWO}"

@@ -8,7 +8,7 @@ from typing import Any
 
 LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
-UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
+UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])(?![.\d])")  # formulas have ** for it
 DEGREES = re.compile(r"\bdeg(?=[CF]\b)")  # of a temperature
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 POWER_OF_TEN = re.compile(
