@@ -26,6 +26,7 @@ from phsi_opt.page.drafts import (
     NOTHING,
     RUNS,
     STATE,
+    TIME,
     ColumnDraft,
     DataDraft,
 )
@@ -271,6 +272,26 @@ def test_the_run_for_the_end_is_chosen_like_those_held_out(session: Session) -> 
     assert found.key.split(".")[0] in ("held_out", "final"), found
 
 
+def test_dates_are_read_in_the_order_of_which_they_can_be(tmp_path: Path) -> None:
+    days = ["01/12/2026,23:50:00", "01/12/2026,23:55:00", "01/13/2026,00:00:00"]
+    lines = [f"{day},{20 + i}" for i, day in enumerate(days)]
+    table = "\n".join(["Date,Time,Room (degC)", *lines]) + "\n"
+    session = Session(tmp_path)
+    assert session.upload("room.csv", table.encode()), session.upload_error
+    data = session.draft.data
+    assert data is not None
+    date = data.columns[0]
+    assert date.title == "Date + Time"
+    assert date.table["date_format"] == "%m/%d/%Y %H:%M:%S"
+    session.choose(GALLERY["room"])
+    assert not [one for one in session.check() if one.key.startswith("data.time")]
+    date.becomes(NOT_USED)
+    data.time |= {"step": 5.0, "unit": "min"}
+    assert not [one for one in session.check() if one.key.startswith("data.time")]
+    date.becomes(TIME)
+    assert date.table["date_format"] == "%m/%d/%Y %H:%M:%S"
+
+
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     session.draft.model.table["H"] = "kk*q**2/2 + p**2/(2*m)"
     session.draft.model.table["R"]["p"] = "c*("
@@ -282,6 +303,9 @@ def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     assert words["model.R.p"].startswith("Loss R of p")
     assert words["parameters.k.lower"].startswith("Least k")
     assert unknown_names(session.draft.model) == ["kk"]
+    session.draft.model.table["R"]["p"] = "d"
+    session.draft.model.table["F"]["p"] = "f*v0"
+    assert unknown_names(session.draft.model) == ["kk", "d", "f", "v0"]
     session.fit()
     assert session.job is None
     assert "cannot be fitted yet" in session.message

@@ -77,7 +77,7 @@ TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
 DATA_SECTIONS = ("data", *USUAL_WAYS)
 FIELDS_OF_ROLE = {
-    TIME: ("data.time", "unit"),
+    TIME: ("data.time", "unit date_format"),
     STATE: ("data.states.*", "name unit noise"),
     INPUT: ("data.inputs.*", "name unit hold"),
 }
@@ -192,8 +192,10 @@ class DataView:
             for column in data.columns:
                 self._column(data, column)
             if not data.with_role(TIME):
-                fields(data.time, "data.time", "step", self.checked)
+                fields(data.time, "data.time", "step unit", self.checked, "the times")
             fields(data.settings, "data", "thinned", self.checked)
+            about = self.session.draft.kept.setdefault("study", {})
+            fields(about, "study", "title", self.checked)
         with card():
             heading("Data not used for fitting")
             self.parts()
@@ -212,13 +214,13 @@ class DataView:
 
         with field_row():
             with ui.element("div").style("width: 11em"):
-                ui.label(str(column.column)).style("font-weight: 600")
+                ui.label(column.title).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
             roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
-            choice(f"{column.column} is", roles, column.role, set_role, width="10em")
+            choice(f"{column.title} is", roles, column.role, set_role, width="10em")
             if column.role in FIELDS_OF_ROLE:
                 of_role = FIELDS_OF_ROLE[column.role]
-                fields(column.table, *of_role, self.checked, str(column.column))
+                fields(column.table, *of_role, self.checked, column.title)
 
     @ui.refreshable_method
     def parts(self) -> None:
@@ -263,7 +265,6 @@ class DataView:
 # ---- part 2: the base model, picked or written, with a live check --------------------
 
 NOT_MEASURED = "not measured"
-# The tiles are drawn anew a moment after one was chosen.
 FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 # A remark that goes leaves its place, so that no button moves from under a click.
 STAYING_PLACE = "min-height: 2.5em; width: 100%"
@@ -362,7 +363,6 @@ class ModelView:
         await self.checked()
 
     async def _named(self) -> None:
-        """States or inputs have other names now; the fields below follow."""
         self.by_state.refresh()
         await self.checked()
 
@@ -383,12 +383,11 @@ class ModelView:
                 self._column(INPUT, name)
 
     def _column(self, role: str, name: str) -> None:
-        """Which column of the table shows a state or an input."""
         data = self.session.draft.data
         if data is None:
             return
         options = [NOT_MEASURED] if role == STATE else []
-        options += [str(one.column) for one in data.columns if one.is_numeric]
+        options += [one.title for one in data.columns if one.is_numeric]
         known: ColumnDraft | None = data.column_named(role, name)
 
         async def changed(column: str) -> None:
@@ -397,9 +396,8 @@ class ModelView:
             self.session.shape += 1
             await self.checked()
 
-        value = NOT_MEASURED if known is None else str(known.column)
-        if value not in options:
-            options.append(value)
+        value = NOT_MEASURED if known is None else known.title
+        options = list(dict.fromkeys([*options, value]))
         choice(f"column of {name}", options, value, changed, width="12em")
 
     @ui.refreshable_method

@@ -66,7 +66,6 @@ class Kind(NamedTuple):
 
 
 def _number_in(text: str, kind: type[float] = float) -> Any:
-    """The number; the text itself where it is none, so that reading refuses it."""
     try:
         return kind(text.strip())
     except ValueError:
@@ -80,7 +79,6 @@ def _pairs_in(text: str) -> list[list[str]]:
 
 
 def _terms_in(text: str) -> Any:
-    """A formula as it is; a table or list of terms as TOML has it."""
     if not text.startswith(("{", "[")):
         return text
     try:
@@ -125,7 +123,8 @@ class ColumnDraft:
     table: Content = field(default_factory=dict)
     examples: tuple[str, ...] = ()  # its first cells
     is_numeric: bool = True  # whether it holds numbers; else it can only name runs
-    hold: str = ""  # "zero" where it is constant between jumps
+    # What its cells tell of it in a role: an input that is held, dates of a time.
+    seen: dict[str, Content] = field(default_factory=dict)
     # A state to the user, for which the base model that was chosen last has no place.
     fits_no_state: bool = False
 
@@ -135,6 +134,11 @@ class ColumnDraft:
         return str(self.table.get("name", ""))
 
     @property
+    def title(self) -> str:
+        """Its header, or those from which it is put together."""
+        return " + ".join(map(str, listed(self.column)))
+
+    @property
     def unit(self) -> str:
         """Such as "m"; "" where it is unknown."""
         return str(self.table.get("unit", ""))
@@ -142,8 +146,8 @@ class ColumnDraft:
     def becomes(self, role: str, name: str = "") -> None:
         """Take a role; the name stays unless there is another one."""
         self.role = role
-        hold = {"hold": self.hold} if role == INPUT and self.hold else {}
-        self.table = {"name": name or self.name, "unit": self.unit, **hold}
+        named = {"name": name or self.name, "unit": self.unit}
+        self.table = {**named, **self.seen.get(role, {})}
 
     def content(self) -> Content:
         """What a study file says of it."""
@@ -223,8 +227,7 @@ class DataDraft:
                     by_column[column] = ColumnDraft(column)
                     draft.columns.append(by_column[column])
                 by_column[column].role = role
-                told = {"name": name, **_without(table, "column")}
-                by_column[column].table = told
+                by_column[column].table = {"name": name, **_without(table, "column")}
             elif role == TIME:
                 draft.time = dict(table)
             else:
@@ -251,7 +254,7 @@ class DataDraft:
         for known in self.columns:
             if known.role == role and known.name == name:
                 known.role = NOT_USED
-            if column is not None and str(known.column) == column:
+            if column is not None and known.title == column:
                 known.becomes(role, name)
 
     def content(self, states: list[str]) -> Content:
@@ -263,9 +266,7 @@ class DataDraft:
             content["time"] = column.content()
         for role, section in CHANNELS.items():
             columns = self.with_role(role)
-            content[section] = {
-                one.name or str(one.column): one.content() for one in columns
-            }
+            content[section] = {one.name or one.title: one.content() for one in columns}
         for name in states:
             unit = self.unmeasured.get(name, "")
             lacking = {"measured": False, **({"unit": unit} if unit else {})}
@@ -288,7 +289,6 @@ class DataDraft:
 
 
 def _told_columns(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Content]]:
-    """What a section [data] says of columns: role, name, and table of each."""
     if "trajectory" in content:
         yield RUN, "", {"column": content["trajectory"]}
     time = dict(content["time"])
@@ -339,7 +339,8 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
             table={"unit": column.unit},
             examples=tuple(column.cells[:3]),
             is_numeric=column.is_numeric,
-            hold=column.hold,
+            seen={TIME: {"date_format": column.date_format}}
+            | ({INPUT: {"hold": column.hold}} if column.hold else {}),
         )
         found.becomes(role, column.name)
         draft.columns.append(found)
@@ -508,7 +509,8 @@ class StudyDraft:
 
     def content(self) -> Content:
         """The tables of the study file."""
-        content: Content = {**self.kept, "model": self.model.content()}
+        kept = {name: one for name, one in self.kept.items() if one}
+        content: Content = {**kept, "model": self.model.content()}
         if self.data is not None:
             content["data"] = self.data.content(self.model.names("states"))
             for name, part in self.data.parts.items():

@@ -49,7 +49,7 @@ def left_over(draft: StudyDraft) -> str:
     """Which columns fit no state of the base model, in a sentence; "" where all do."""
     base = GALLERY.get(draft.model.title)
     columns = draft.data.columns if draft.data else []
-    left = {str(one.column): one.unit for one in columns if one.fits_no_state}
+    left = {one.title: one.unit for one in columns if one.fits_no_state}
     if not left or base is None:
         return ""
     verb = "fits" if len(left) == 1 else "fit"

@@ -42,6 +42,7 @@ LABELS = {
     "data.time": "time column",
     "data.time.column": "time column",
     "data.time.step": "time between lines",
+    "data.time.date_format": "format of the dates",
     "data.thinned": "number of samples to average",
     "data.states.*": "column of {name}",
     "data.inputs.*": "column of {name}",
@@ -54,6 +55,7 @@ LABELS = {
     "final.runs": "runs for the end",
     "final.share": "share for the end",
     "final.after": "for the end from the time",
+    "study.title": "title of the report, such as the machine",
     "model.pairs": "pairs: dq/dt = dH/dp",
     "model.H": "energy H",
     "model.R.*": "loss R of {name}",
@@ -201,6 +203,7 @@ ADVICE = (
         r"the model has this name: give \{ column = .*?\}\.",
         "it is in the model: choose its column, or that it was not measured.",
     ),
+    (r"set date_format = ", "give the format of the dates, such as "),
     (r"a fixed parameter needs a value: .*", "enter the known value, such as 2.5."),
     (
         r"the names of the (states|inputs), such as \[\"(.+?)\", \"(.+?)\"\]\.",
@@ -223,7 +226,6 @@ def complaint_words(complaint: Complaint) -> str:
 
 
 def _place_words(key: str) -> str:
-    """What the page calls the field of a key, or else that of what it is a part of."""
     for entry in reversed(KEYS):  # parts stand behind what they are a part of
         pattern = re.escape(entry.path).replace(r"\*", r"([^.\[]+)")
         found = re.fullmatch(f"{pattern}(\\[.*|\\..*)?", key)

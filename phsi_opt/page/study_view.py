@@ -235,7 +235,6 @@ class StudyView:
         plotted(chart, told, height).on("moment", click, ["detail"])
 
     def _mark(self, run: Run) -> tuple[float, str] | None:
-        """The time that is marked with its words, where the run has it."""
         look = self._session.look
         if look.t is None or not run.holds(look.t):
             return None
@@ -308,7 +307,6 @@ class StudyView:
                 self._listed(place, one)
 
     def _listed(self, place: int, one: Model) -> None:
-        """A model of the list, with the button that shows it."""
         session = self._session
         with ui.row().classes("candidate items-center no-wrap justify-between"):
             said_by("listed_model", titled(place, one), one.content)
