@@ -160,7 +160,6 @@ class DescentRun:
         return [self.model.entries[name] for name in self.model.free]
 
     def _set_bounds(self) -> None:
-        """The bounds of the parameters that keep theirs."""
         bounds = []
         for entry in self.entries:
             bounded = entry.slot != "R" or self.settings.keep_damping_positive
@@ -258,10 +257,7 @@ def loss_and_slopes(model: Model, scheme: str) -> ca.Function:
 
 
 def _released(model: Model, values: Mapping[str, float]) -> Model:
-    """The model without the bounds of a damping that has left them.
-
-    Otherwise the record could not hold its value.
-    """
+    """The model without bounds of a damping that left them, to hold its value."""
 
     def released(name: str, parameter: Parameter) -> Parameter:
         is_within = parameter.lower <= values[name] <= parameter.upper

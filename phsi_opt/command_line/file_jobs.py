@@ -106,7 +106,6 @@ def _shown(data: object, study: Path, draws: bool) -> dict[str, object]:
 
 
 def _draw(data: Measurements, path: Path) -> None:
-    """Write the picture, unless it is there already."""
     drawn = repr((data.digest, sorted(data.look.units.items()), data.look.hold))
     mark = PICTURE_MARK + sha256(drawn.encode()).hexdigest().encode() + b" -->\n"
     try:
@@ -228,7 +227,6 @@ def effects_of(path: Path | None) -> Answer:
 
 
 def _effects_told(file: StudyFile, model: Model) -> Iterator[dict[str, Any]]:
-    """The effects that can be added to a model, in its names and units."""
     units = in_si(file.data.units)
     for effect, adds in effects_told(model, units):
         if effect.slot != "sensor" or file.data.states[effect.equation].measured:

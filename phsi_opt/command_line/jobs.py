@@ -71,7 +71,6 @@ def run(job: Job, tell: Tell) -> Answer:
 
 
 def _of_saved_fit(job: Job, file: StudyFile, tell: Tell) -> Answer:
-    """Compare or diagnose a fit that was saved."""
     fit = Fit.load(str(job.fit))
     train, held_out = file.split()
     if job.kind == COMPARE:

@@ -338,7 +338,6 @@ class Comparison(Summarised):
         )
 
     def _channels(self, number: int) -> "list[Channel]":
-        """What a picture shows of one trajectory."""
         from phsi_opt.presentation.pictures import Channel
 
         x = self.data.trajectories[number].x
@@ -473,11 +472,9 @@ def _parameter_covariance(
     scale: np.ndarray,
     information: np.ndarray,
 ) -> np.ndarray:
-    """Covariance of the scaled parameters along a record, (n_theta, n_theta).
-
-    That of the fit; what is estimated from the record (``is_own``) follows it, given
-    the other parameters.
-    """
+    """Covariance of the scaled parameters along a record, (n_theta, n_theta)."""
+    # That of the fit; what is estimated from the record (``is_own``) follows it, given
+    # the other parameters.
     is_known = np.isfinite(np.diag(fit.covariance))
     fitted = np.where(np.outer(is_known, is_known), fit.covariance, 0.0)
     shared = np.flatnonzero(~is_own)

@@ -231,10 +231,8 @@ class _Line:
         self.solutions = {self.value: best}
 
     def rise(self, held: float) -> float:
-        """-2 log likelihood above the best fit with the parameter held at a value.
-
-        Started from the nearest point known.
-        """
+        """-2 log likelihood above the best fit with the parameter held at a value."""
+        # Started from the nearest point known.
         known = self.solutions
         if held in known:
             return max(known[held].chi_square - self.lowest, 0.0)
@@ -253,10 +251,8 @@ class _Line:
         return rise
 
     def end(self, bound: float, half: float, threshold: float) -> float:
-        """Where the profile crosses the threshold towards a bound of the parameter.
-
-        The bound, or infinity, where it does not within eight half widths.
-        """
+        """Where the profile crosses the threshold towards a bound of the parameter."""
+        # The bound, or infinity, where it does not within eight half widths.
         side = -1.0 if bound < self.value else 1.0
         reach = abs(bound - self.value)
 
@@ -449,10 +445,8 @@ def _drawn_estimates(
     loss: MaximumLikelihood,
     seed: np.random.SeedSequence,
 ) -> dict[str, Any]:
-    """The estimates of one draw by name; or why there are none.
-
-    A draw is what the fitted model shows plus noise, measured where the data are.
-    """
+    """The estimates of one draw by name; or why there are none."""
+    # A draw is what the fitted model shows plus noise, measured where the data are.
     rng = np.random.default_rng(seed)
     sigma = np.array([noise.get(name, 0.0) for name in data.states])
     runs = []

@@ -56,11 +56,10 @@ def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
 
 @dataclass(eq=False)
 class _Judge:
-    """One diagnosis on the way to its verdict.
+    """One diagnosis on the way to its verdict."""
 
-    ``larger`` is the re-fit with the first effect of the ranking, ``is_complete``
-    whether no force is evident beside it; both once they are known.
-    """
+    # ``larger`` is the re-fit with the first effect of the ranking, ``is_complete``
+    # whether no force is evident beside it; both once they are known.
 
     base: DiagnosedModel
     record: EvidenceRecord
@@ -88,11 +87,9 @@ class _Judge:
         self.ranking[place] = replace(self.ranking[place], **known)
 
     def first(self) -> DiagnosedModel | None:
-        """The base with an effect that is decisive; this is put first.
-
-        Of those that the evidence does not tell from the likeliest the one with fewest
-        unknowns, and that the catalogue has first.
-        """
+        """The base with an effect that is decisive; this is put first."""
+        # Of those that the evidence does not tell from the likeliest the one with
+        # fewest unknowns, and that the catalogue has first.
 
         def size(one: Candidate) -> tuple[int, int]:
             return one.effect.n_unknowns, self.effects.index(one.effect)
@@ -107,11 +104,9 @@ class _Judge:
         return None
 
     def tied(self) -> list[Candidate]:
-        """Effects that the evidence does not tell from the likeliest.
-
-        None where all of them together are not decisive: one of them is there if the
-        sum of their odds says so.
-        """
+        """Effects that the evidence does not tell from the likeliest."""
+        # None where all of them together are not decisive: one of them is there if the
+        # sum of their odds says so.
         believed = [one for one in self.ranking if one.was_weighed and not one.lost]
         highest = max((one.log_evidence for one in believed), default=-np.inf)
         least = highest - STRONG_EVIDENCE
@@ -258,7 +253,6 @@ class _Judge:
     def named(
         self, larger: DiagnosedModel, second: "_Judge | None" = None
     ) -> Diagnosis:
-        """The first effect, alone or with a second."""
         judges = [self] if second is None else [self, second]
         last = thorough_refit(judges[-1].larger or larger)
         if second is None:
@@ -294,11 +288,9 @@ class _Judge:
         return self.diagnosis(verdict, reason, findings, effects, last.fit)
 
     def finding(self, last: DiagnosedModel) -> Finding:
-        """The first with those that the data do not tell from it, and its size.
-
-        The likeliest of these are re-fitted; one that a re-fit presses to a bound or to
-        nothing is none of them.
-        """
+        """The first with those that the data do not tell from it, and its size."""
+        # The likeliest of these are re-fitted; one that a re-fit presses to a bound or
+        # to nothing is none of them.
         names = {one.name for one in self.tied()}
         places = []
         for place, one in enumerate(self.ranking):

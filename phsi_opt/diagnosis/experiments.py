@@ -353,10 +353,7 @@ class _FittedModel:
         return Runs(rates(self.model))
 
     def shown(self, experiment: Experiment, names: Sequence[str]) -> np.ndarray | None:
-        """What sensors of the named states show in an experiment, (n_samples, n_names).
-
-        None where the model cannot be simulated.
-        """
+        """What sensors show, (n_samples, n_names); None: it cannot be simulated."""
         model = self.model
         inputs = list(map(self.data.inputs.index, model.inputs))
         hold = hold_of_each(self.data.hold, self.data.inputs)[inputs]
@@ -369,10 +366,7 @@ class _FittedModel:
         return np.asarray(y.full().T[:, list(map(model.index, names))])
 
     def measurements(self, experiments: Sequence[Experiment]) -> Measurements | None:
-        """The model's course through experiments, as if it were measured without noise.
-
-        None where the model cannot be simulated.
-        """
+        """The model's course without noise; None: it cannot be simulated."""
         data = self.data
         runs = []
         for experiment in experiments:
@@ -394,10 +388,8 @@ class _FittedModel:
         )
 
     def misfit(self, shown: Measurements, noise: Mapping[str, float]) -> float | None:
-        """Squared residuals of the best imitation, in noise variances; None for none.
-
-        Each run of what is imitated has a start of its own; the noise is by state.
-        """
+        """Squared residuals of the best imitation in noise variances, or None."""
+        # Each run of what is imitated has a start of its own; the noise is by state.
         most = max((int(np.max(steps)) for steps in self.fit.steps), default=1)
         known = {name: noise[name] for name in shown.measured}
         loss = MaximumLikelihood(noise=known, steps=FINER_STEPS * most)

@@ -107,7 +107,6 @@ def _candidate(
     weighed: Weighed,
     n_effects: int,
 ) -> Candidate:
-    """An effect with its evidence."""
     alone = record.base
     model = base.fit.model
     # Those of its parameters that all trajectories share.

@@ -468,7 +468,6 @@ def finer_at_corner(
 
 
 def _n_intervals(steps: Sequence[np.ndarray]) -> int:
-    """Number of intervals, over all gaps between samples."""
     return sum(int(of_run.sum()) for of_run in steps)
 
 

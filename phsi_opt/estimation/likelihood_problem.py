@@ -160,12 +160,10 @@ class LikelihoodProblem:
         return replace(start, theta=unscaled["theta"], states=states, is_optimum=True)
 
     def _steps(self, start: StartingPoint) -> tuple[np.ndarray, ...]:
-        """Intervals in every gap between samples, fine where a memory fades.
-
-        The memory that a trajectory begins with is free; that of a short delay fades
-        within a few samples. With coarse steps there it could take values far off for
-        the sake of the first residuals, and a simulation from them would go astray.
-        """
+        """Intervals in every gap between samples, fine where a memory fades."""
+        # The memory that a trajectory begins with is free; that of a short delay fades
+        # within a few samples. With coarse steps there it could take values far off for
+        # the sake of the first residuals, and a simulation from them would go astray.
         steps = start.steps
         if not steps:
             n_steps = self.loss.steps or 1

@@ -241,10 +241,7 @@ def _settled(
 
 
 def _noise_free_is_success(solution: Solution) -> Solution:
-    """A stall where the residuals are far below the least noise is no failure.
-
-    The data are explained; there is nothing that could be made smaller.
-    """
+    """A stall where residuals are far below the least noise is no failure."""
     outcome = solution.outcome
     mean_square = float(np.sum(solution.residual**2)) / 2
     is_noise_free = mean_square < 0.01**2  # of the noise that is assumed

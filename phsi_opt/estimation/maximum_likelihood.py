@@ -84,10 +84,8 @@ def by_likelihood(problem: LikelihoodProblem, start: Fit | None) -> LikelihoodEs
 def _with_fine_steps(
     problem: LikelihoodProblem, estimate: LikelihoodEstimate
 ) -> LikelihoodEstimate:
-    """Solved again with finer steps until the integration error is not visible.
-
-    Where these lead nowhere the last optimum stays, with a note.
-    """
+    """Solved again with finer steps until the integration error is not visible."""
+    # Where these lead nowhere the last optimum stays, with a note.
     for _ in range(5):
         steps = finer_steps(estimate) if estimate.is_success else None
         if steps is None:
@@ -275,11 +273,10 @@ def _optimum_at(
 def _random_values(
     problem: LikelihoodProblem, first: StartingPoint
 ) -> list[np.ndarray]:
-    """Values (n_theta,) of the points besides the first, ``starts`` of the loss in all.
-
-    Those of the first times a log-normal factor; values of zero are moved by a share of
-    the parameter's size: the change that moves some equation by the size of its rate.
-    """
+    """Values (n_theta,) of the points besides the first, ``starts`` of the loss."""
+    # Those of the first times a log-normal factor; values of zero are moved by a share
+    # of the parameter's size: the change that moves some equation by the size of its
+    # rate.
     n_further = problem.loss.starts - 1
     if not n_further:
         return []

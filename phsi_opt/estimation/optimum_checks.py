@@ -154,12 +154,10 @@ def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
 
 
 def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
-    """What the errors do to the estimates: the larger of two shares.
-
-    Of a standard error, in the direction of theta in which it is largest (many small
-    shifts of one sign add up); and of the noise, root mean square over the measured
-    values.
-    """
+    """What the errors do to the estimates: the larger of two shares."""
+    # Of a standard error, in the direction of theta in which it is largest (many small
+    # shifts of one sign add up); and of the noise, root mean square over the measured
+    # values.
     reduced = estimate.reduced
     information = reduced.information
     covariance = regularized_inverse(information, estimate.held)

@@ -152,14 +152,12 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
 def _without_imitators(
     solver: PHSISolver, model: Model, used: Grid, best: PHSIEstimate
 ) -> list[PHSIEstimate]:
-    """Estimates pruned from the dictionary without what imitates its waves.
-
-    Over a short record polynomials in the time imitate a slow wave. L1 prefers them,
-    because their coefficients are the smaller ones: a cubic of 0.01 is worth 10 at
-    t = 10. The wave is then pruned before L1 goes, and no re-solve brings it back. So
-    the rule that compares starts decides. Nothing is tried where pruning kept waves
-    alone.
-    """
+    """Estimates pruned from the dictionary without what imitates its waves."""
+    # Over a short record polynomials in the time imitate a slow wave. L1 prefers them,
+    # because their coefficients are the smaller ones: a cubic of 0.01 is worth 10 at t
+    # = 10. The wave is then pruned before L1 goes, and no re-solve brings it back. So
+    # the rule that compares starts decides. Nothing is tried where pruning kept waves
+    # alone.
     pruning = solver.task.pruning
     if pruning is None:
         return []
@@ -195,11 +193,9 @@ def best_of_starts(
 
 
 def _bic_like(estimate: PHSIEstimate) -> tuple[bool, float]:
-    """Success first; then n log(loss) + n_free log(n).
-
-    The smaller loss, a term more only where it pays: BIC, as a rule of thumb, since the
-    defects are not independent.
-    """
+    """Success first; then n log(loss) + n_free log(n)."""
+    # The smaller loss, a term more only where it pays: BIC, as a rule of thumb, since
+    # the defects are not independent.
     loss = max(estimate.solution.outcome.objective, TINY)
     n = estimate.n_values
     cost = n * np.log(loss) + len(estimate.model.free) * np.log(n)

@@ -265,10 +265,8 @@ def _accurate(
     guess: Sequence[np.ndarray],
     steps: Sequence[np.ndarray],
 ) -> LikelihoodEstimate | None:
-    """The most likely states, with steps so fine that an accurate run agrees with them.
-
-    An accurate run from the first state would otherwise leave the others.
-    """
+    """The most likely states, with steps so fine that an accurate run agrees."""
+    # An accurate run from the first state would otherwise leave the others.
     likely = partial(maximum_along, aligned, sigma, likelihood_of(fit), model)
     state = likely(guess, steps)
     for _ in range(STEP_REFINEMENTS):

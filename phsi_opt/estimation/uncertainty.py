@@ -205,12 +205,10 @@ _Open = tuple[float, np.ndarray, int | None]
 
 
 def _open_directions(covariance: np.ndarray, size: np.ndarray) -> list[_Open]:
-    """Those about which the data are silent.
-
-    Only the ridge holds a direction from a hundredth of the ridge's own variance. Below
-    1e-11 of the largest information all is rounding; a variance up to 100 is not
-    suspicious. Of parameters whose absolute values are ``size``.
-    """
+    """Those about which the data are silent."""
+    # Only the ridge holds a direction from a hundredth of the ridge's own variance.
+    # Below 1e-11 of the largest information all is rounding; a variance up to 100 is
+    # not suspicious. Of parameters whose absolute values are ``size``.
     eigenvalues, directions = np.linalg.eigh(covariance)
     best_known = float(np.min(eigenvalues, where=eigenvalues > 0, initial=np.inf))
     # Rounded below zero: nothing but the ridge holds the direction.
@@ -247,10 +245,7 @@ def _members(direction: np.ndarray, spread: np.ndarray, size: np.ndarray) -> np.
 
 
 def _is_scaling(spread: np.ndarray, size: np.ndarray) -> bool:
-    """Whether a direction multiplies several parameters by one factor that is open.
-
-    It changes no others, and the data leave the factor open.
-    """
+    """Whether a direction multiplies several parameters alone by an open factor."""
     is_member = spread > MEMBER_SHARE * np.max(spread)
     is_member |= spread > OPEN_FACTOR * size
     member_size = size[is_member]

@@ -177,7 +177,6 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
 
 
 def _draw_title(ax: "Axes", text: str) -> None:
-    """The title, in lines that are as long as a panel is wide."""
     ax.set_title(fill(text, width=62), fontsize=10)
 
 

@@ -75,10 +75,8 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
 
 
 def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
-    """Upper bound of what is tried; none where it follows states that nobody measured.
-
-    Such states may change their scale.
-    """
+    """Upper bound of what is tried; none where it follows unmeasured states."""
+    # Such states may change their scale.
     followed = names_of(guess.of)
     room = 1.0
     for number, name in enumerate(model.states):

@@ -155,10 +155,7 @@ def interpolated(grid: Grid) -> np.ndarray:
 
 
 def _measured_scale(grid: Grid) -> np.ndarray:
-    """Standard deviation of each measured state, or its size where it is constant.
-
-    (n_states,), NaN where nobody measured it.
-    """
+    """Spread of each state, or size where constant, (n_states,); NaN: unmeasured."""
     scale = np.full(grid.y.shape[1], np.nan)
     for k in np.flatnonzero(grid.measured_states):
         deviation = np.nanstd(grid.y[:, k])
@@ -170,11 +167,9 @@ def _measured_scale(grid: Grid) -> np.ndarray:
 def _with_unmeasured_scale(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, scale: np.ndarray
 ) -> np.ndarray:
-    """Sizes with those of the states that nobody measured, where one is NaN.
-
-    A state is as large as the measured rates that it drives through the model say; one
-    where it drives none.
-    """
+    """Sizes with those of the states that nobody measured, where one is NaN."""
+    # A state is as large as the measured rates that it drives through the model say;
+    # one where it drives none.
     if np.all(np.isfinite(scale)):
         return scale
     known = np.flatnonzero(np.isfinite(scale))
@@ -197,10 +192,8 @@ def _with_unmeasured_scale(
 
 
 def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
-    """Root mean square of each state's rate, (n_states,).
-
-    Over 200 stretches of a record, where the noise of a sample no longer dominates.
-    """
+    """Root mean square of each state's rate, (n_states,)."""
+    # Over 200 stretches of a record, where the noise of a sample no longer dominates.
     stride = max(1, grid.n_nodes // 200)
     is_inside = grid.trajectory[:-stride] == grid.trajectory[stride:]
     if is_inside.any():
@@ -288,11 +281,9 @@ def _rates_and_slopes(
 
 
 def _least_squares_steps(slopes: np.ndarray, missing: np.ndarray) -> np.ndarray | None:
-    """Steps (n_nodes, n_unknown) that bring the rates nearest to what is missing.
-
-    By slopes (n_nodes, n_known, n_unknown), of what is missing (n_nodes, n_known). None
-    where the slopes leave a direction open, or are not finite.
-    """
+    """Steps (n_nodes, n_unknown) that bring the rates nearest to what is missing."""
+    # By slopes (n_nodes, n_known, n_unknown), of what is missing (n_nodes, n_known).
+    # None where the slopes leave a direction open, or are not finite.
     gram = np.einsum("aki,akj->aij", slopes, slopes)
     mean = np.mean(gram, axis=0)
     if not np.all(np.isfinite(mean)):

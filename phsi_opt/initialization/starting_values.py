@@ -75,10 +75,8 @@ def starting_values(
 
 
 def _linear_groups(model: Model) -> list[list[int]]:
-    """Groups of parameters in which the right-hand side is linear, others fixed.
-
-    Those of H and F, then those of R; a parameter with a value of its own keeps it.
-    """
+    """Groups of parameters in which the right-hand side is linear, others fixed."""
+    # Those of H and F, then those of R; a parameter with a value of its own keeps it.
     rhs = model.rhs()
     arguments = argument_symbols(rhs)
     rates = rhs(*arguments)
@@ -122,11 +120,9 @@ def _with_optimum(
     theta: np.ndarray,
     group: list[int],
 ) -> np.ndarray:
-    """Theta with the coefficients ``group`` at their optimum, others fixed.
-
-    The squared defects are linearised, which is exact where they are linear in the
-    group.
-    """
+    """Theta with the coefficients ``group`` at their optimum, others fixed."""
+    # The squared defects are linearised, which is exact where they are linear in the
+    # group.
     unknown = Theta.of(model, ("",))
     known = known_defects.at(theta)
     jacobian = known.slopes[:, group]
@@ -149,11 +145,9 @@ def _with_optimum(
 def _optimum(
     A: np.ndarray, b: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], l1: np.ndarray
 ) -> np.ndarray | None:
-    """Coefficients z of least |A z - b|^2 + l1 |z| within bounds; None: not found.
-
-    Where the loss does not change along a direction (Casimirs of S), rounding errors
-    would set them; the smallest ones are taken there.
-    """
+    """Coefficients z of least |A z - b|^2 + l1 |z| within bounds; None: not found."""
+    # Where the loss does not change along a direction (Casimirs of S), rounding errors
+    # would set them; the smallest ones are taken there.
     n = A.shape[1]
     lower, upper = bounds
     q, r = np.linalg.qr(np.vstack([A, RANK * np.eye(n)]))
@@ -256,13 +250,12 @@ def _candidate_frequencies(
     linear: Sequence[int],
     scan: FrequencyScan,
 ) -> list[float]:
-    """Peaks of two scans, those of the first one first.
-
-    In the first the terms are free that do not contain the variable, in the second all
-    others: over a short record a polynomial in the time imitates a slow wave, so there
-    only fast waves stand out. The amplitudes enter linearly, so that their columns are
-    the same in both. The places ``linear`` in theta are free besides the wave.
-    """
+    """Peaks of two scans, those of the first one first."""
+    # In the first the terms are free that do not contain the variable, in the second
+    # all others: over a short record a polynomial in the time imitates a slow wave, so
+    # there only fast waves stand out. The amplitudes enter linearly, so that their
+    # columns are the same in both. The places ``linear`` in theta are free besides the
+    # wave.
     of_variable = _terms_of(scan.variable, model)
     amplitudes = list(map(model.free.index, scan.amplitudes))
     remainders = []

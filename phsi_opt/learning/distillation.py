@@ -122,10 +122,7 @@ class _Problem:
         return [_Trial(term, x) for (term, _), x in zip(new, traces, strict=True)]
 
     def values(self, term: Term) -> np.ndarray | None:
-        """The term along the record, (n,).
-
-        None where it is not finite, or nothing that the physics has not.
-        """
+        """The term along the record, (n,); None: not finite, or in the physics."""
         known = dict(zip(self.names, self.samples.v.T, strict=True))
         inner = {name: parameter.start for name, parameter in term.inner.items()}
         with np.errstate(all="ignore"):

@@ -279,11 +279,11 @@ def _from_content(content: dict[str, Any]) -> Hybrid:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What stays the same in all turns: the grid without the force, where it acts.
+    """What stays the same in all turns: the grid without the force, where it acts."""
 
-    The defects are linear in the output weights of the network, and nearly linear in
-    the coefficients of the dictionary. Forces are (n_intervals, n_stages, n_equations).
-    """
+    # The defects are linear in the output weights of the network, and nearly linear in
+    # the coefficients of the dictionary. Forces are (n_intervals, n_stages,
+    # n_equations).
 
     grid: Grid
     equations: tuple[str, ...]
@@ -316,10 +316,7 @@ class _Problem:
         return KnownDefects(forced, grid, self.rule.name).at(forced.theta)
 
     def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
-        """The stages of the integrator, and what the force must add there on average.
-
-        Beside the dictionary's values, which were found with the force.
-        """
+        """The stages of the integrator, and the mean force that is missing there."""
         forced, grid = self.forced(model, force)
         theta = np.repeat(forced.theta[:, None], grid.n_intervals, axis=1)
 
@@ -343,10 +340,7 @@ class _Problem:
         return replace(data, target=data.target + data.mean(force))
 
     def folds(self) -> np.ndarray:
-        """Number of the fold of every interval, (n_intervals,).
-
-        Whole trajectories, or blocks where there are fewer than `N_FOLDS` of them.
-        """
+        """Fold of every interval, (n_intervals,): trajectories, or blocks of few."""
         trajectory = self.grid.runs
         if trajectory[-1] + 1 >= N_FOLDS:
             return trajectory % N_FOLDS
@@ -355,10 +349,8 @@ class _Problem:
     def with_best_output(
         self, trained: TrainedForce, model: Model, data: TrainingSet
     ) -> TrainedForce:
-        """Output weights by ridge regression over all defects.
-
-        Every coefficient of H and R may take a step with them.
-        """
+        """Output weights by ridge regression over all defects."""
+        # Every coefficient of H and R may take a step with them.
         known = self.defects(model, trained.at(data.stages))
         d = known.d.copy()
         d[:, self.rows] = data.target  # without the force

@@ -91,10 +91,8 @@ class LearnedForce:
         return replace(self.physics, model=model, states=(), steps=())
 
     def _bodies(self) -> list[str]:
-        """The bias and the weighted units, as formulas of the variables.
-
-        These are standardised, and held at the edge of the data.
-        """
+        """The bias and the weighted units, as formulas of the variables."""
+        # These are standardised, and held at the edge of the data.
         network = self.network
         scales = np.array([*network.seen, network.shift, network.spread])
         variables = []
@@ -284,10 +282,8 @@ def _checked_names(model: Model, on: Sequence[str]) -> tuple[str, ...]:
 
 
 def _re_estimated(learned: LearnedForce, record: Record) -> Fit:
-    """The physics with its parameters estimated beside the force.
-
-    What is theirs in the missing force, they take.
-    """
+    """The physics with its parameters estimated beside the force."""
+    # What is theirs in the missing force, they take.
     fit = record.fit
     if not fit.model.free:
         return fit

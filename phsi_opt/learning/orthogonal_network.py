@@ -222,11 +222,9 @@ def _loss(
 def _outputs(
     network: Network, samples: ForceSamples, response: Response, used: np.ndarray
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Traces of the hidden units (n_values, n_features), and output weights by ridge.
-
-    The bias is the last of both. Weights are within the directions whose force is
-    orthogonal to the physics, found where values are ``used``, (n_values,) of bool.
-    """
+    """Traces of hidden units (n_values, n_features), and output weights by ridge."""
+    # The bias is the last of both. Weights are within the directions whose force is
+    # orthogonal to the physics, found where values are ``used``, (n_values,) of bool.
     units = network.features(samples.v)
     features = np.hstack([units, np.ones((len(units), 1))])
     scaled = features / samples.std[:, None]

@@ -470,7 +470,6 @@ class EffectChoice:
 
 
 def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
-    """The effects and names as a tuple, if they are a list of such."""
     if isinstance(given, str | Effect) or not isinstance(given, Iterable):
         raise ModelError(
             f"{what}={shown(given)} must be a list of effects or of their names, "
@@ -536,5 +535,4 @@ def _as_offered(
 
 
 def _term_of(effect: Effect) -> tuple[object, ...]:
-    """What an effect adds, by whatever name."""
     return (effect.slot, effect.equation, [term.body for term in effect.term])

@@ -83,7 +83,6 @@ class Model(BaseModel, Summarised):
         super().__init__(states=states, inputs=inputs, memory=memory, **terms)
 
     def _summary(self) -> Summary:
-        """The equations, and the parameters in a table."""
         return model_summary(self)
 
     def add(self, effect: Effect | str, equation: str | None = None) -> Self:
@@ -170,11 +169,9 @@ class Model(BaseModel, Summarised):
 
     @property
     def _formulas(self) -> Hashable:
-        """All that what is built depends on: the formulas and the numbers in them.
-
-        Values of unknown parameters are arguments, and bounds, units and guesses are
-        for others.
-        """
+        """All that what is built depends on: the formulas and the numbers in them."""
+        # Values of unknown parameters are arguments, and bounds, units and guesses are
+        # for others.
         terms = []
         for slot, equation, term in self.placed():
             inner = tuple(term.inner)

@@ -97,7 +97,6 @@ class UnitCheck:
         return list(itertools.filterfalse(set(places).__contains__, self._stated))
 
     def _in_other_units(self, places: Iterable[str]) -> list[str]:
-        """Those whose units are not SI's."""
         return [place for place in places if self._measure(place).size != 1.0]
 
     @cached_property

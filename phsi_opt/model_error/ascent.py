@@ -441,12 +441,7 @@ class ScoreTest:
 
 
 def _gain(slopes: np.ndarray, information: np.ndarray) -> float:
-    """The most that a quadratic rises by variances that are not negative.
-
-    Args:
-        slopes: (n,) at zero.
-        information: (n, n), of diagonal one.
-    """
+    """The most that a quadratic rises by variances (n,) that are not negative."""
     if not np.any(slopes > 0):
         return 0.0
     regular = information + 1e-9 * np.eye(len(slopes))  # where there is none

@@ -374,11 +374,9 @@ class DisturbanceSearch:
         return tuple(chosen)
 
     def _function_candidates(self) -> tuple[StateFunction, ...]:
-        """The functions that are tried, as large as the typical rate.
-
-        None where they have more than 80 columns in the border: each costs as much as
-        one more parameter.
-        """
+        """The functions that are tried, as large as the typical rate."""
+        # None where they have more than 80 columns in the border: each costs as much as
+        # one more parameter.
         problem = self.problem
         rates = self.rates().tolist()
         candidates = []
@@ -401,14 +399,8 @@ def _log_evidence(likelihood: MarginalLikelihood, disturbances: Disturbances) ->
 
 
 def _chosen_sizes(border: Border, rates: np.ndarray) -> np.ndarray:
-    """Sizes of functions that the evidence asks for, (n_functions,); 0: left out.
-
-    One after the other; each time the one whose size, or change of size, gains most.
-
-    Args:
-        border: with all functions.
-        rates: (n_functions,) typical rate in the equation of each.
-    """
+    """Sizes of functions that the evidence asks for, (n_functions,); 0: left out."""
+    # One after the other; each time the one whose size, or change of size, gains most.
     sizes = np.zeros(len(rates))
     for _ in rates:
         trials = []

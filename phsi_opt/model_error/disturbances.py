@@ -291,11 +291,9 @@ class Coordinates:
 
     @cached_property
     def _members(self) -> list[tuple[list[int], float, float]]:
-        """Of every coordinate the slopes that move together, and its bounds.
-
-        Slopes are those of `ascent.Slopes`: noise of each channel, size of each
-        process, time of each process, size of each function.
-        """
+        """Of every coordinate the slopes that move together, and its bounds."""
+        # Slopes are those of `ascent.Slopes`: noise of each channel, size of each
+        # process, time of each process, size of each function.
         origin = self.origin
         n_channels, n_processes = len(self.channels), len(origin.processes)
         lowest = list(map(self._lowest_noise, self.channels))
@@ -331,11 +329,9 @@ class Coordinates:
         return [[place] for place in places]
 
     def _lowest_noise(self, channel: int) -> float:
-        """Coordinate of the least white noise of a channel.
-
-        White noise is what errors that last leave of the least noise, and not less than
-        a tenth of it: the weight of a value is one over its white noise.
-        """
+        """Coordinate of the least white noise of a channel."""
+        # White noise is what errors that last leave of the least noise, and not less
+        # than a tenth of it: the weight of a value is one over its white noise.
         least = self.least_noise[channel]
         lasting = [one.size for one in self.origin.sensors if one.place == channel]
         remaining = least**2 - sum(size**2 for size in lasting)

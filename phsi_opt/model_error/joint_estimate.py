@@ -204,12 +204,10 @@ class JointProblem:
 
     @cached_property
     def _may_curve(self) -> bool:
-        """Whether the curvature of the dynamics may take part.
-
-        Not where samples measure all of many states: these are solved for by their own
-        curvature, which is diagonal (`optimization.banded`). The band of the whole
-        would take four times the memory, and tens of gigabytes for 400 states.
-        """
+        """Whether the curvature of the dynamics may take part."""
+        # Not where samples measure all of many states: these are solved for by their
+        # own curvature, which is diagonal (`optimization.banded`). The band of the
+        # whole would take four times the memory, and tens of gigabytes for 400 states.
         grid = self.values.grid
         is_many = self.values.n_states >= FEWEST_STATES
         is_chained = is_many and bool(np.all(grid.measured[grid.sample]))
@@ -276,13 +274,12 @@ class JointProblem:
         return replace(self, tilt=tilt)
 
     def _log_volume(self, likelihood: MarginalLikelihood) -> float:
-        """What the log likelihood of given parameters has besides the squares.
-
-        It is the logarithm of the volume that disturbances have under these parameters.
-        Starting states are unknown numbers like the parameters, and not integrated out:
-        a flat prior of theirs would prefer parameters with less information about them
-        (Cox and Reid, Journal of the Royal Statistical Society B 49, 1987).
-        """
+        """What the log likelihood of given parameters has besides the squares."""
+        # It is the logarithm of the volume that disturbances have under these
+        # parameters. Starting states are unknown numbers like the parameters, and not
+        # integrated out: a flat prior of theirs would prefer parameters with less
+        # information about them (Cox and Reid, Journal of the Royal Statistical Society
+        # B 49, 1987).
         n = self.values.n_states
         starts = self.values.grid.first[:, None] * n + np.arange(n)
         border = likelihood.at(self.disturbances, held=starts.ravel()).border
@@ -367,10 +364,7 @@ class JointProblem:
         passed: Sequence[tuple[float, float]],
         most_tried: int = MOST_TRIED,
     ) -> "_Place | None":
-        """The first place on the way to the aim, halved again and again, that is lower.
-
-        None where there is none.
-        """
+        """The first lower place on the way to the aim, which is halved; or None."""
         for n_halvings in range(most_tried):
             share = 0.5**n_halvings
             there = self._moved(place, place.point.towards(aim.point, share))
@@ -391,11 +385,10 @@ class JointProblem:
         passed: Sequence[tuple[float, float]],
         share: float,
     ) -> bool:
-        """Whether a place at a share of the way is lower than those before.
-
-        Where parameters stay, by an exact penalty (Han 1977): beside sharp corners
-        steps that any fall of one of both lets pass crept to forces that are not there.
-        """
+        """Whether a place at a share of the way is lower than those before."""
+        # Where parameters stay, by an exact penalty (Han 1977): beside sharp corners
+        # steps that any fall of one of both lets pass crept to forces that are not
+        # there.
         if not np.isfinite(there.objective):
             return False
         if aim.length < 1e-2:  # what it gains is beyond the accuracy of numbers
@@ -424,37 +417,22 @@ class JointProblem:
 
 @dataclass(frozen=True, eq=False)
 class _Aim:
-    """The optimum of a linearised record.
-
-    Attributes:
-        point: there.
-        length: of the way there, in standard deviations.
-        multipliers: of the dynamics, (n_constraints,).
-    """
+    """The optimum of a linearised record."""
 
     point: JointPoint
-    length: float
-    multipliers: np.ndarray
+    length: float  # of the way there, in standard deviations
+    multipliers: np.ndarray  # of the dynamics, (n_constraints,)
 
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A point beside the record linearised near by.
-
-    Attributes:
-        problem: that is solved.
-        point: parameters, states and disturbances.
-        known: defects and what is shown at the point.
-        likelihood: of the record linearised there.
-        multipliers: (n_constraints,) of the dynamics by the last step; None: there was
-            none.
-    """
+    """A point beside the record linearised near by."""
 
     problem: JointProblem
     point: JointPoint
     known: PointValues
-    likelihood: MarginalLikelihood
-    multipliers: np.ndarray | None = None
+    likelihood: MarginalLikelihood  # of the record linearised there
+    multipliers: np.ndarray | None = None  # (n_constraints,), of the last step
 
     @classmethod
     def of(
@@ -477,11 +455,9 @@ class _Place:
         return replace(self, likelihood=self.likelihood.relinearized(self._linear()))
 
     def curved(self) -> "_Place":
-        """The same place, where the curvature of the dynamics takes part.
-
-        The optimum of what is then quadratic is Newton's step. Where forces are large
-        the steps of Gauss and Newton, who leave it out, shrink slowly or grow.
-        """
+        """The same place, where the curvature of the dynamics takes part."""
+        # The optimum of what is then quadratic is Newton's step. Where forces are large
+        # the steps of Gauss and Newton, who leave it out, shrink slowly or grow.
         assert self.multipliers is not None
         problem = self.problem
         curvature = problem.linearizer.curvature(self.point.z, self.multipliers)
@@ -495,7 +471,6 @@ class _Place:
 
     @property
     def linear(self) -> Linearization:
-        """The record linearised near by."""
         return self.likelihood.problem
 
     @cached_property
@@ -524,7 +499,6 @@ class _Place:
 
     @property
     def violation(self) -> float:
-        """The largest violation of the dynamics that hold."""
         return float(np.max(np.abs(self._excess[self._holds]), initial=0.0))
 
     @cached_property
@@ -533,11 +507,7 @@ class _Place:
         return float(np.sum(np.abs(self._excess[self._holds])))
 
     def is_below(self, passed: Sequence[tuple[float, float]]) -> bool:
-        """Whether it is clearly lower than each place before, in one of both.
-
-        Args:
-            passed: objective and violations of each.
-        """
+        """Whether objective or violations are clearly lower than at places before."""
         for objective, missed in passed:
             fall = LEAST_FALL * missed
             if self.objective >= objective - fall and self.missed >= missed - fall:
@@ -575,11 +545,7 @@ class _Place:
         return float(total)
 
     def aim(self, damping: float) -> _Aim:
-        """The optimum of the record linearised here, or with damping before it.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
+        """The optimum of the record linearised here, or with damping before it."""
         found = self._within_bounds(self.system, damping)
         point = self._moved_by(found)
         return _Aim(
@@ -590,19 +556,13 @@ class _Place:
 
     @cached_property
     def system(self) -> OptimalitySystem:
-        """Of the record linearised here, no state held.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
+        """Of the record linearised here, no state held."""
         return self.likelihood.at(self.problem.disturbances, REGULAR)
 
     def _within_bounds(self, system: OptimalitySystem, damping: float) -> Smoothed:
-        """The optimum within the bounds; states at one that lead out of it are held.
-
-        Steps leave out the curvature of the dynamics, multipliers times violations at
-        most. What the data tell of a direction has to be clear of it.
-        """
+        """The optimum within the bounds; states at one that lead out of it are held."""
+        # Steps leave out the curvature of the dynamics, multipliers times violations at
+        # most. What the data tell of a direction has to be clear of it.
         problem = self.problem
         values = problem.values
         left_out = 0.0
@@ -623,13 +583,7 @@ class _Place:
             system = system.likelihood.at(problem.disturbances, REGULAR, held)
 
     def corrected(self, system: OptimalitySystem) -> JointPoint | None:
-        """The optimum by the slopes of the place before: what curvature made is undone.
-
-        None where a value is no number.
-
-        Args:
-            system: of those slopes.
-        """
+        """The optimum by the slopes of the place before; None: a value is no number."""
         if not np.isfinite(self.violation):
             return None
         again = system.at_values(self.known.misfit, self.known.g)

@@ -202,12 +202,7 @@ class Border:
 def _without(
     matrix: np.ndarray, right: np.ndarray, own: np.ndarray, others: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A symmetric system in own unknowns, the others eliminated.
-
-    Returns:
-        Schur complement and right-hand side, and the others' solutions for each of the
-        own unknowns and the right-hand side.
-    """
+    """Schur complement and right side of own unknowns, and the others' solutions."""
     mixed = matrix[np.ix_(others, own)]
     inner = matrix[np.ix_(others, others)]
     through = solve_border(inner, np.c_[mixed, right[others]])

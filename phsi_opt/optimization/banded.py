@@ -231,11 +231,9 @@ class Passage:
         return blocks[self.of_last] + carried
 
     def _carried(self, blocks: csr_matrix, place: np.ndarray) -> csr_matrix:
-        """What intervals inside add to whole gaps, but for rounding.
-
-        ``blocks`` (n_inside, n_columns) has one block of columns per gap, that of the
-        number ``place`` (n_gaps,).
-        """
+        """What intervals inside add to whole gaps, but for rounding."""
+        # ``blocks`` (n_inside, n_columns) has one block of columns per gap, that of the
+        # number ``place`` (n_gaps,).
         apart = min(APART, self._n)
         while (carried := self._carried_by(apart, blocks, place)) is None:
             apart = min(2 * apart, self._n)

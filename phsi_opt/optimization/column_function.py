@@ -67,11 +67,9 @@ def _instructions(
     operation_of: Callable[[int, int], Any],
     number: Callable[[float], Any],
 ) -> list[Instruction]:
-    """The instructions of a function of scalars with dense arguments.
-
-    ``operation_of`` gives the operation of CasADi's number for a number of operands,
-    ``number`` makes a value of a constant.
-    """
+    """The instructions of a function of scalars with dense arguments."""
+    # ``operation_of`` gives the operation of CasADi's number for a number of operands,
+    # ``number`` makes a value of a constant.
     listed = []
     for k in range(function.n_instructions()):
         kind = function.instruction_id(k)

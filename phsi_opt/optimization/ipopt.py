@@ -389,11 +389,9 @@ def _ipopt_options(settings: SolverSettings) -> dict[str, Any]:
 
 
 def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
-    """Whether the last iterates go to and fro over a kink, where constraints hold.
-
-    The logarithm of the objective, times the number of residuals, changes as -2 log
-    likelihood does.
-    """
+    """Whether the last iterates go to and fro over a kink, where constraints hold."""
+    # The logarithm of the objective, times the number of residuals, changes as -2 log
+    # likelihood does.
     history = stats.get("iterations", {})
     objective = np.array(history.get("obj", []))[-8:]
     violation = np.array(history.get("inf_pr", []))[-8:]

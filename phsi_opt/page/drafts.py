@@ -73,7 +73,6 @@ def _number_in(text: str, kind: type[float] = float) -> Any:
 
 
 def _pairs_in(text: str) -> list[list[str]]:
-    """The pairs of states of a text such as "q-p, r-s"."""
     pairs = [pair.replace("-", " ").split() for pair in re.split(r"[,;\n]", text)]
     return [pair for pair in pairs if pair]
 

@@ -159,11 +159,9 @@ class Sessions:
         self._by_key.clear()
 
     def _make_room(self) -> None:
-        """End an empty session where there are too many.
-
-        First goes what no page ever showed, then what was seen longest ago. A session
-        that holds somebody's work stays.
-        """
+        """End an empty session where there are too many."""
+        # First goes what no page ever showed, then what was seen longest ago. A session
+        # that holds somebody's work stays.
         if len(self._by_key) < MOST_SESSIONS:
             return
         empty = [key for key, one in self._by_key.items() if one.is_empty]

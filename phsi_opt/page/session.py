@@ -272,10 +272,8 @@ class Session:
         return refusal
 
     def _take(self, name: str, content: bytes) -> None:
-        """Store a table under a name of the page's own, and look at all files.
-
-        Columns that are known keep what was said of them.
-        """
+        """Store a table under a name of the page's own, and look at all files."""
+        # Columns that are known keep what was said of them.
         self._n_uploads += 1
         place = self._uploads / f"table_{self._n_uploads}{suffix_of(name)}"
         place.write_bytes(content)
@@ -606,11 +604,9 @@ class Session:
         self.version += 1
 
     def _show(self, shown: Shown) -> None:
-        """Take a new model, or what is known now of the one that is shown.
-
-        Charts of a base model open at the run that judges it. After a further step they
-        stay where they were: the reader compares before and after.
-        """
+        """Take a new model, or what is known now of the one that is shown."""
+        # Charts of a base model open at the run that judges it. After a further step
+        # they stay where they were: the reader compares before and after.
         content, known = shown.content, self.model
         drafted = self._fitting or (known.drafted if known else self.draft.as_it_is())
         is_fitted = self._fitting is not None  # the first result of a fit

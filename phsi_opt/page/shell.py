@@ -150,10 +150,8 @@ class Shell:
     # ---- the work that goes on -------------------------------------------------------
 
     def _build_status(self) -> None:
-        """What is done now, with the button that ends it; or how it ended.
-
-        Its parts stay and are changed, so that the button keeps the focus.
-        """
+        """What is done now, with the button that ends it; or how it ended."""
+        # Its parts stay and are changed, so that the button keeps the focus.
 
         def end_job() -> None:
             self._session.cancel()

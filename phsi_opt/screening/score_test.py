@@ -190,10 +190,9 @@ def _size(trial: Trial, point: _Point) -> tuple[float, float]:
 
 
 def _within_what_is_tried(model: Model, tried: dict[str, np.ndarray]) -> Model:
-    """Inner parameters up to one step beyond what is tried.
-
-    What a record cannot show, such as a corner below its resolution, has no prior mass.
-    """
+    """Inner parameters up to one step beyond what is tried."""
+    # What a record cannot show, such as a corner below its resolution, has no prior
+    # mass.
 
     def bounded(name: str, parameter: Parameter) -> Parameter:
         values = np.sort(tried.get(name, ()))
@@ -262,11 +261,9 @@ def _best_in_time(
 
 
 def _best_of_all(part: Sensitivities, name: str, tried: np.ndarray) -> float:
-    """The same of frequencies (n_tried,), each worked out on the part.
-
-    For waves along a state: a Fourier sum says little of them, as a slow motion gives
-    every wave along it a slow part.
-    """
+    """The same of frequencies (n_tried,), each worked out on the part."""
+    # For waves along a state: a Fourier sum says little of them, as a slow motion gives
+    # every wave along it a slow part.
     gains = []
     for few in np.array_split(tried, 1 + len(tried) // N_TOGETHER):
         gains += _gains(part, name, few)

@@ -173,11 +173,9 @@ class Sensitivities:
         return (with_effect[:, :n_states] - self.linearized.shown)[..., None]
 
     def _states_with_memory(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the nodes, and at the two ends of every interval.
-
-        A memory acts on an interval with its mean: one that is shorter than an interval
-        is not what lies half way between its values at the ends.
-        """
+        """States at the nodes, and at the two ends of every interval."""
+        # A memory acts on an interval with its mean: one that is shorter than an
+        # interval is not what lies half way between its values at the ends.
         if self._memory is None:
             return self.states, self.states
         memory = self._memory(theta)
@@ -188,11 +186,9 @@ class Sensitivities:
         return memory.states, at_ends
 
     def _defects_at_rest(self) -> np.ndarray:
-        """Defects of a body at rest, (n_intervals * n_states, 1 or 0 columns).
-
-        Where the effect is dry friction on a momentum: at rest the friction is what the
-        rest of the model makes it, whatever its coefficient.
-        """
+        """Defects of a body at rest, (n_intervals * n_states, 1 or 0 columns)."""
+        # Where the effect is dry friction on a momentum: at rest the friction is what
+        # the rest of the model makes it, whatever its coefficient.
         linearized, model = self.linearized, self.trial.model
         equation = self.trial.effect.equation
         found = np.zeros(self._shape)

@@ -550,10 +550,8 @@ class EvidenceRecord:
 
 
 def _at_their_bounds(fit: Fit, parameters: np.ndarray) -> np.ndarray:
-    """Parameters of a fit, (n_free, n_trajectories), those at a bound exactly there.
-
-    A solver stops a hair beside it, and that hair says nothing of a parameter's size.
-    """
+    """Parameters of a fit, (n_free, n_trajectories), those at a bound exactly there."""
+    # A solver stops a hair beside it, and that hair says nothing of a parameter's size.
     exact = parameters.copy()
     for place, name in enumerate(fit.model.free):
         if name in fit.outcome.at_bounds:

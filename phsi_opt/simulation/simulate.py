@@ -172,11 +172,9 @@ class SampledInputs:
 def _pieces(
     t: np.ndarray, u: Any, hold: np.ndarray
 ) -> Iterator[tuple[int, int, Input, float]]:
-    """First and last sample, inputs and longest step of pieces with smooth inputs.
-
-    ``u`` (n_samples, n_inputs) may be a function of the time; ``hold`` (n_inputs,) says
-    what each input does between its samples.
-    """
+    """First and last sample, inputs and longest step of pieces with smooth inputs."""
+    # ``u`` (n_samples, n_inputs) may be a function of the time; ``hold`` (n_inputs,)
+    # says what each input does between its samples.
     end = len(t) - 1
     sample = float(np.max(np.diff(t)))
     if callable(u):
@@ -226,11 +224,10 @@ class BufferedFunction:
 
 
 class _Rate:
-    """The right-hand side along a piece, with a bound on the number of calls.
+    """The right-hand side along a piece, with a bound on the number of calls."""
 
-    It stops a solver that calls it for ever where the solution ends, or with far more
-    steps than there are samples.
-    """
+    # It stops a solver that calls it for ever where the solution ends, or with far more
+    # steps than there are samples.
 
     def __init__(
         self,
@@ -271,7 +268,6 @@ def _stopped(at: float, why: str) -> SolveError:
 
 
 def _real_numbers(values: Any, name: str) -> np.ndarray:
-    """An array of floats."""
     with suppress(ValueError):  # rows of different lengths
         array = np.asarray(values)
         if array.dtype.kind in "biuf":
@@ -371,10 +367,8 @@ def _rates(rhs: ca.Function, theta: Any) -> ca.Function:
 
 @lru_cache(maxsize=4)
 def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
-    """Built once for all records with these parameters, and for every thread.
-
-    A thread's runs are written over by its next.
-    """
+    """Built once for all records with these parameters, and for every thread."""
+    # A thread's runs are written over by its next.
     return Runs(_rates(rhs, np.array(theta)))
 
 
@@ -496,10 +490,7 @@ class _Steps(NamedTuple):
 
 
 def _columns(inputs: SampledInputs, steps: _Steps) -> np.ndarray:
-    """Time, length, inputs and their slopes of every step, a row each.
-
-    Steps of length zero fill the chunk.
-    """
+    """Time, length, inputs, slopes of each step, a row each; length 0: unused."""
     n_steps = len(steps.h)
     begin = inputs.t[steps.interval] + steps.since
     slope = inputs.slope[steps.interval]
@@ -513,10 +504,7 @@ def _columns(inputs: SampledInputs, steps: _Steps) -> np.ndarray:
 
 
 class _Run(NamedTuple):
-    """States at the samples, (n_samples, n_states), and the error of every step.
-
-    The errors are estimates, (n_steps, n_states).
-    """
+    """States at the samples, (n_samples, n_states), and the errors of the steps."""
 
     x: np.ndarray
     errors: np.ndarray

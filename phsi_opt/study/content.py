@@ -187,7 +187,6 @@ def _model(heading: str, fit: Fit) -> Equations:
 
 
 def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRow:
-    """A parameter, its interval as far as its bounds let it go."""
     name = str(row["name"])
     value = float(row["value"])
     std_error = float(row["std_error"])
@@ -247,7 +246,6 @@ def _most_changed(runs: tuple[Run, ...]) -> tuple[int, int]:
 def _run(
     part: str, comparisons: list[Comparison], place: int, most: int, time: Scale
 ) -> Run:
-    """One trajectory with the free runs of all models."""
     data = comparisons[0].data
     run = data.trajectories[place]
     channels = []

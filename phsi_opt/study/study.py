@@ -190,7 +190,6 @@ class Study(Summarised):
         return self._diagnosed(self._choice, executor)
 
     def _diagnosed(self, choice: EffectChoice, executor: Executor | None) -> Diagnosis:
-        """What the present model lacks, of the effects that are considered."""
         record = self.record
         number = len(record.steps) - 1
         if record.present is not None and self.considered[number][0] == choice:
@@ -271,7 +270,6 @@ class Study(Summarised):
         return self._go_on(self.record.step(label, added, fit))
 
     def _check_data(self, fit: Fit) -> None:
-        """Refuse a fit of other measurements than the training data."""
         if fit.provenance.get("data_sha256") != self.train.digest:
             raise DataError(
                 "fit was made from other measurements than the training data of the "
@@ -283,7 +281,6 @@ class Study(Summarised):
         return step.cautioned
 
     def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
-        """The base model with effects, re-fitted from the present estimates."""
         return self.record.fitted(self.record.model_with(effects), self.fit)
 
     @interruptible

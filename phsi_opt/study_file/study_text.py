@@ -102,7 +102,6 @@ def _entries(path: str, table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _content(study: Sections) -> Content:
-    """All tables of a study."""
     if study.loss.noise is not None:
         raise ModelError(
             f"loss: noise={dict(study.loss.noise)!r} belongs to the columns of a "

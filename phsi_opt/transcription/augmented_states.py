@@ -161,10 +161,7 @@ def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
 
 
 def _memory_at_rest(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> the memory whose rates vanish.
-
-    Zeros where the rates are not linear in the memory.
-    """
+    """CasADi function (x, u, t, theta) -> memory without rates; zeros: not linear."""
     rhs = model.rhs()
     states, *others = argument_symbols(rhs)
     z = states[n_old:]

@@ -196,12 +196,9 @@ def _theta_variable(program: Program, unknown: Theta, point: Point) -> ca.MX:
 
 
 def _outlier_slack(program: Program, n_measured: int, limit: float) -> ca.MX:
-    """Add slacks (n_measured,) that take over the part of a residual beyond the limit.
-
-    At a linear cost, so that both together are Huber's function.
-
-    Source: P. J. Huber, Robust estimation of a location parameter, 1964.
-    """
+    """Add slacks (n_measured,) that take over what of a residual is over the limit."""
+    # At a linear cost, so that both together are Huber's function. Source: P. J. Huber,
+    # Robust estimation of a location parameter, 1964.
     start = np.full(n_measured, SLACK_ABOVE)  # standard deviations
     above = program.variable("outlier_above", start, lower=0.0)
     below = program.variable("outlier_below", start, lower=0.0)
