@@ -49,25 +49,16 @@ def silent(line: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Model, measurements and settings of one call of `identify`.
+    """Model, measurements and settings of one call of `identify`."""
 
-    Attributes:
-        model: with its free parameters at values to start from.
-        aligned: measurements in the model's order, laid out.
-        l1: weight of ``|coefficient|`` per slot, in units of the scaled loss.
-        pruning: how terms are removed; None keeps them all.
-        settings: of every solve.
-        say: called with a line of text as the work goes on.
-        executor: where further starts are solved; None: here.
-    """
-
-    model: Model
-    aligned: AlignedData
+    model: Model  # with its free parameters at values to start from
+    aligned: AlignedData  # measurements in the model's order, laid out
+    # Weight of ``|coefficient|`` per slot, in units of the scaled loss.
     l1: dict[str, float]
-    pruning: Pruning | None
-    settings: SolverSettings
-    say: Progress = silent
-    executor: Executor | None = None
+    pruning: Pruning | None  # how terms are removed; None keeps them all
+    settings: SolverSettings  # of every solve
+    say: Progress = silent  # called with a line of text as the work goes on
+    executor: Executor | None = None  # where further starts are solved; None: here
 
     @property
     def data(self) -> Measurements:
@@ -87,31 +78,18 @@ class Task:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(ABC):
-    """The model (after pruning), its program and the solution.
+    """The model (after pruning), its program and the solution."""
 
-    Attributes:
-        task: what was asked for.
-        loss: what was minimised.
-        model: with the terms that were kept; its values are those before the solve.
-        grid: nodes and intervals of the program.
-        unknown: names and places of the free parameters.
-        point: where the solver started, with the scale of each unknown.
-        solution: of its program.
-        l1: the weights that this program has; empty after debiasing.
-        removed: names of the coefficients that pruning removed.
-        notes: sentences for the warnings of the fit.
-    """
-
-    task: Task
-    loss: Loss
-    model: Model
-    grid: Grid
-    unknown: Theta
-    point: Point
-    solution: Solution
-    l1: dict[str, float]
-    removed: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    task: Task  # what was asked for
+    loss: Loss  # what was minimised
+    model: Model  # with the terms that were kept; its values are those before the solve
+    grid: Grid  # nodes and intervals of the program
+    unknown: Theta  # names and places of the free parameters
+    point: Point  # where the solver started, with the scale of each unknown
+    solution: Solution  # of its program
+    l1: dict[str, float]  # the weights that this program has; empty after debiasing
+    removed: tuple[str, ...] = ()  # names of the coefficients that pruning removed
+    notes: tuple[str, ...] = ()  # sentences for the warnings of the fit
 
     @property
     @abstractmethod

@@ -56,18 +56,12 @@ MOST_SOLVES = 5  # each followed by better sizes
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LikelihoodEstimate(Estimate):
-    """The maximum of the likelihood: parameters, states and noise.
-
-    Attributes:
-        likelihood: values and slopes of what was solved.
-        sigma: (n_states,) standard deviation of the noise per state.
-        is_known: (n_states,) whether it was declared.
-    """
+    """The maximum of the likelihood: parameters, states and noise."""
 
     loss: MaximumLikelihood
-    likelihood: LikelihoodValues
-    sigma: np.ndarray
-    is_known: np.ndarray
+    likelihood: LikelihoodValues  # values and slopes of what was solved
+    sigma: np.ndarray  # (n_states,) standard deviation of the noise per state
+    is_known: np.ndarray  # (n_states,) whether it was declared
 
     @property
     def n_values(self) -> int:
@@ -264,20 +258,15 @@ class LikelihoodEstimate(Estimate):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DisturbedEstimate(Estimate):
-    """The most likely parameters, states and forces together.
-
-    Attributes:
-        plain: the maximum of the likelihood without a force, where it began.
-        disturbances: what acts beside the model.
-        search: for disturbances, on the record linearised at the solution.
-        joint: parameters, states and forces.
-    """
+    """The most likely parameters, states and forces together."""
 
     loss: MaximumLikelihood
+    # The maximum of the likelihood without a force, where it began.
     plain: LikelihoodEstimate
-    disturbances: Disturbances
+    disturbances: Disturbances  # what acts beside the model
+    # For disturbances, on the record linearised at the solution.
     search: DisturbanceSearch
-    joint: JointEstimate
+    joint: JointEstimate  # parameters, states and forces
 
     @property
     def n_values(self) -> int:

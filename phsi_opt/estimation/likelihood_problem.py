@@ -35,28 +35,20 @@ from phsi_opt.transcription.parameter_vector import Theta
 
 @dataclass(frozen=True, eq=False)
 class StartingPoint:
-    """Where the maximisation of a likelihood begins.
+    """Where the maximisation of a likelihood begins."""
 
-    Attributes:
-        model: with the guesses of its parameters resolved.
-        theta: (n_theta,) values in the order of `Theta`.
-        states: (n_samples, n_states) per trajectory, at the samples.
-        sigma: (n_states,) noise.
-        notes: sentences for the warnings of the fit.
-        steps: intervals in every gap between samples, (n_samples - 1,) per trajectory;
-            empty: one, or what the loss says.
-        held: parameters that a solve left at their bounds.
-        is_optimum: whether it is one of this very model, with other steps or
-            measurements; then its states need not be found anew.
-    """
-
-    model: Model
-    theta: np.ndarray
+    model: Model  # with the guesses of its parameters resolved
+    theta: np.ndarray  # (n_theta,) values in the order of `Theta`
+    # (n_samples, n_states) per trajectory, at the samples.
     states: tuple[np.ndarray, ...]
-    sigma: np.ndarray
-    notes: tuple[str, ...] = ()
+    sigma: np.ndarray  # (n_states,) noise
+    notes: tuple[str, ...] = ()  # sentences for the warnings of the fit
+    # Intervals in every gap between samples, (n_samples - 1,) per trajectory; empty:
+    # one, or what the loss says.
     steps: tuple[np.ndarray, ...] = ()
-    held: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()  # parameters that a solve left at their bounds
+    # Whether it is one of this very model, with other steps or measurements; then its
+    # states need not be found anew.
     is_optimum: bool = False
 
     @classmethod
@@ -76,17 +68,11 @@ class StartingPoint:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodProblem:
-    """The likelihood of a task, ready to be maximised.
+    """The likelihood of a task, ready to be maximised."""
 
-    Attributes:
-        task: what was asked for.
-        loss: the likelihood.
-        noise: what is known of the noise, and guesses of the rest.
-    """
-
-    task: Task
-    loss: MaximumLikelihood
-    noise: NoiseLevels
+    task: Task  # what was asked for
+    loss: MaximumLikelihood  # the likelihood
+    noise: NoiseLevels  # what is known of the noise, and guesses of the rest
 
     @classmethod
     def of(cls, task: Task, loss: MaximumLikelihood) -> "LikelihoodProblem":

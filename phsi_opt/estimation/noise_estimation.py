@@ -27,17 +27,12 @@ LEAST_COUNTED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevels:
-    """Noise per state before the first solve.
+    """Noise per state before the first solve."""
 
-    Attributes:
-        sigma: (n_states,) standard deviations.
-        is_known: (n_states,) whether it was declared; the others are estimated.
-        least: (n_states,) below which none is estimated: that of quantisation.
-    """
-
-    sigma: np.ndarray
+    sigma: np.ndarray  # (n_states,) standard deviations
+    # (n_states,) whether it was declared; the others are estimated.
     is_known: np.ndarray
-    least: np.ndarray
+    least: np.ndarray  # (n_states,) below which none is estimated: that of quantisation
 
     @classmethod
     def known(cls, sigma: np.ndarray) -> "NoiseLevels":
@@ -70,23 +65,15 @@ class NoiseLevels:
 
 @dataclass(frozen=True, eq=False)
 class NoiseIteration:
-    """Re-estimates the noise from the residuals of a solve.
+    """Re-estimates the noise from the residuals of a solve."""
 
-    Attributes:
-        grid: of the program.
-        is_estimated: (n_states,) whether a state's noise is unknown.
-        n_theta: number of free parameters.
-        huber: limit of the loss, or None.
-        has_l1: whether the loss has an L1 term.
-        least: noise, of all states or (n_states,), below which none is estimated: that
-            of quantisation.
-    """
-
-    grid: Grid
-    is_estimated: np.ndarray
-    n_theta: int
-    huber: float | None
-    has_l1: bool
+    grid: Grid  # of the program
+    is_estimated: np.ndarray  # (n_states,) whether a state's noise is unknown
+    n_theta: int  # number of free parameters
+    huber: float | None  # limit of the loss, or None
+    has_l1: bool  # whether the loss has an L1 term
+    # Noise, of all states or (n_states,), below which none is estimated: that of
+    # quantisation.
     least: np.ndarray | float = 0.0
 
     def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:

@@ -45,18 +45,13 @@ MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A fit and one set of measurements.
+    """A fit and one set of measurements."""
 
-    Attributes:
-        fit: the fit.
-        aligned: the measurements in the model's order, laid out.
-        estimate: states, noise and missing force along the measurements. Of a candidate
-            (see `refitted`) it is that of the base model: noise and starting states
-            are then judged alike for all candidates.
-    """
-
-    fit: Fit
-    aligned: AlignedData
+    fit: Fit  # the fit
+    aligned: AlignedData  # the measurements in the model's order, laid out
+    # States, noise and missing force along the measurements. Of a candidate (see
+    # `refitted`) it is that of the base model: noise and starting states are then
+    # judged alike for all candidates.
     estimate: ForceEstimate
 
     @classmethod
@@ -189,14 +184,10 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedStates:
-    """States at the samples, and the parameters that belong to them.
+    """States at the samples, and the parameters that belong to them."""
 
-    Attributes:
-        states: one (n_samples, n_states) per trajectory.
-        parameters: values of the free parameters by trajectory and name.
-    """
-
-    states: Sequence[np.ndarray]
+    states: Sequence[np.ndarray]  # one (n_samples, n_states) per trajectory
+    # Values of the free parameters by trajectory and name.
     parameters: Mapping[str, Mapping[str, float]]
 
 

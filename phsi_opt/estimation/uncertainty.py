@@ -29,17 +29,13 @@ OPEN_FACTOR = 2
 
 @dataclass(frozen=True, eq=False)
 class SilentDirections:
-    """What the data do not say.
+    """What the data do not say."""
 
-    Attributes:
-        sentences: One per set of parameters.
-        parameters: Places of the parameters in these directions, increasing.
-        pinned: Places of as few of them as must be held at their values, so that the
-            data tell all others.
-    """
-
-    sentences: tuple[str, ...] = ()
+    sentences: tuple[str, ...] = ()  # One per set of parameters
+    # Places of the parameters in these directions, increasing.
     parameters: tuple[int, ...] = ()
+    # Places of as few of them as must be held at their values, so that the data tell
+    # all others.
     pinned: tuple[int, ...] = ()
 
 
@@ -48,17 +44,12 @@ NOTHING_SILENT = SilentDirections()
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """What is known about the estimates.
+    """What is known about the estimates."""
 
-    Attributes:
-        covariance: (n_theta, n_theta); NaN where it is not known.
-        warnings: A sentence per direction that cannot be identified, or why nothing is
-            known.
-        silent: The directions that cannot be identified.
-    """
-
-    covariance: np.ndarray
+    covariance: np.ndarray  # (n_theta, n_theta); NaN where it is not known
+    # A sentence per direction that cannot be identified, or why nothing is known.
     warnings: tuple[str, ...] = ()
+    # The directions that cannot be identified.
     silent: SilentDirections = NOTHING_SILENT
 
 

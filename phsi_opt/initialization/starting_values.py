@@ -176,16 +176,11 @@ def _optimum(
 
 @dataclass(frozen=True)
 class FrequencyScan:
-    """A frequency to scan.
+    """A frequency to scan."""
 
-    Attributes:
-        name: of the frequency in the model.
-        variable: what the wave runs along, such as the time t.
-        amplitudes: names of the coefficients of the terms that share the frequency.
-    """
-
-    name: str
-    variable: str
+    name: str  # of the frequency in the model
+    variable: str  # what the wave runs along, such as the time t
+    # Names of the coefficients of the terms that share the frequency.
     amplitudes: tuple[str, ...]
 
 

@@ -26,16 +26,13 @@ CONSTANTS: Mapping[str, float] = {"pi": math.pi}
 
 @dataclass(frozen=True)
 class Backend:
-    """A library in which formulas are evaluated.
+    """A library in which formulas are evaluated."""
 
-    Args:
-        functions: its function for each name of `FUNCTIONS`.
-        number: what turns a Python number into one of the library.
-        constants: its value for each name of `CONSTANTS`.
-    """
-
+    # Its function for each name of `FUNCTIONS`.
     functions: Mapping[str, Callable[..., Any]]
+    # What turns a Python number into one of the library.
     number: Callable[[float], Any] = float
+    # Its value for each name of `CONSTANTS`.
     constants: Mapping[str, Any] = field(default_factory=lambda: CONSTANTS)
 
 

@@ -21,23 +21,14 @@ from phsi_opt.presentation.summary import Part, Summary, printed_table
 
 @dataclass(frozen=True)
 class Expressions:
-    """The parts of a model as expressions, one per state but for the energy.
+    """The parts of a model as expressions, one per state but for the energy."""
 
-    Args:
-        model: the model.
-        x: the states.
-        u: the inputs.
-        t: the time.
-        values: the parameters, by name.
-        backend: the library whose symbols these are.
-    """
-
-    model: BaseModel
-    x: Sequence[Any]
-    u: Sequence[Any]
-    t: Any
-    values: Mapping[str, Any]
-    backend: Backend = CASADI
+    model: BaseModel  # the model
+    x: Sequence[Any]  # the states
+    u: Sequence[Any]  # the inputs
+    t: Any  # the time
+    values: Mapping[str, Any]  # the parameters, by name
+    backend: Backend = CASADI  # the library whose symbols these are
 
     @cached_property
     def energy(self) -> Any:

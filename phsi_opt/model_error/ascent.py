@@ -65,32 +65,21 @@ class Slopes:
 
     In the order: noise of each channel, size of each process, time of each process,
     size of each function.
-
-    Attributes:
-        log_evidence: where they were taken.
-        gradient: (n,).
-        information: (n, n) average information, a curvature.
     """
 
-    log_evidence: float
-    gradient: np.ndarray
-    information: np.ndarray
+    log_evidence: float  # where they were taken
+    gradient: np.ndarray  # (n,)
+    information: np.ndarray  # (n, n) average information, a curvature
 
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """A process as a component of the variance of data and dynamics.
+    """A process as a component of the variance of data and dynamics."""
 
-    Attributes:
-        process: with its size and time.
-        site: where it acts.
-        whitener: of its values at size one.
-        normals: F with F'F what its prior of size one makes of the projected data.
-    """
-
-    process: Process
-    site: Site
-    whitener: Whitener
+    process: Process  # with its size and time
+    site: Site  # where it acts
+    whitener: Whitener  # of its values at size one
+    # F with F'F what its prior of size one makes of the projected data.
     normals: np.ndarray
 
     @classmethod
@@ -248,18 +237,12 @@ def _shifts_by_noise(
 
 @dataclass(frozen=True, eq=False)
 class Climbed:
-    """Where an ascent ended.
+    """Where an ascent ended."""
 
-    Attributes:
-        vector: (n_coordinates,).
-        log_evidence: there.
-        gain: of it since the origin.
-        information: there, (n_coordinates, n_coordinates), how surely it ended there.
-    """
-
-    vector: np.ndarray
-    log_evidence: float
-    gain: float
+    vector: np.ndarray  # (n_coordinates,)
+    log_evidence: float  # there
+    gain: float  # of it since the origin
+    # There, (n_coordinates, n_coordinates), how surely it ended there.
     information: np.ndarray
 
 

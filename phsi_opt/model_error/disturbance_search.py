@@ -47,40 +47,26 @@ PROMISING_SHARE_TIED = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Disturbances with the logarithm of their marginal likelihood.
+    """Disturbances with the logarithm of their marginal likelihood."""
 
-    Attributes:
-        disturbances: with their sizes.
-        log_evidence: up to a constant of the record.
-        coordinates: in which they were found; None: they were given.
-        information: of them, (n_coordinates, n_coordinates), about its curvature;
-            None likewise.
-    """
-
-    disturbances: Disturbances
-    log_evidence: float
+    disturbances: Disturbances  # with their sizes
+    log_evidence: float  # up to a constant of the record
+    # In which they were found; None: they were given.
     coordinates: Coordinates | None = None
+    # Of them, (n_coordinates, n_coordinates), about its curvature; None likewise.
     information: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class DisturbanceSearch:
-    """A search for the disturbances of a linearised record.
+    """A search for the disturbances of a linearised record."""
 
-    Attributes:
-        problem: the linearised record.
-        moving: (n_moving,) places of the parameters that are free to move.
-        plain: white noise of the plain likelihood, (n_trajectories, n_states).
-        scatter: noise that neighbouring samples show, in the same shape.
-        channels: states whose noise is not known.
-        is_brief: whether one kind of disturbance is enough: that of a re-fit.
-    """
-
-    problem: Linearization
-    moving: np.ndarray
-    plain: np.ndarray
-    scatter: np.ndarray
-    channels: tuple[int, ...]
+    problem: Linearization  # the linearised record
+    moving: np.ndarray  # (n_moving,) places of the parameters that are free to move
+    plain: np.ndarray  # white noise of the plain likelihood, (n_trajectories, n_states)
+    scatter: np.ndarray  # noise that neighbouring samples show, in the same shape
+    channels: tuple[int, ...]  # states whose noise is not known
+    # Whether one kind of disturbance is enough: that of a re-fit.
     is_brief: bool = False
 
     def likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:

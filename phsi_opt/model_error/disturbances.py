@@ -43,16 +43,12 @@ class Process:
 
     After a time dt it keeps the share exp(-dt/time) of its value; the rest is new and
     independent (Uhlenbeck and Ornstein, Physical Review 36, 1930).
-
-    Attributes:
-        place: number of its equation, or of the state whose sensor errs.
-        size: standard deviation, in the unit of that equation or sensor.
-        time: correlation time, in the unit of the record's times; 0: white, a value of
-            its own at every time.
     """
 
-    place: int
-    size: float
+    place: int  # number of its equation, or of the state whose sensor errs
+    size: float  # standard deviation, in the unit of that equation or sensor
+    # Correlation time, in the unit of the record's times; 0: white, a value of its own
+    # at every time.
     time: float
 
 
@@ -62,14 +58,10 @@ class Whitener:
 
     A matrix with two diagonals: the value at a time less what was kept of the previous
     one, over the standard deviation of what is new.
-
-    Attributes:
-        diagonal: (n,).
-        below: (n - 1,), what multiplies the previous value.
     """
 
-    diagonal: np.ndarray
-    below: np.ndarray
+    diagonal: np.ndarray  # (n,)
+    below: np.ndarray  # (n - 1,), what multiplies the previous value
 
     @classmethod
     def of(cls, t: np.ndarray, trajectory: np.ndarray, time: float) -> "Whitener":
@@ -154,17 +146,11 @@ def random_signs(lengths: tuple[int, ...], n: int) -> tuple[np.ndarray, ...]:
 
 @dataclass(frozen=True)
 class StateFunction:
-    """An unknown smooth function of one state, in one equation.
+    """An unknown smooth function of one state, in one equation."""
 
-    Attributes:
-        equation: number of the equation that it acts in.
-        state: number of the state that it is a function of.
-        size: its standard deviation, in the unit of the equation.
-    """
-
-    equation: int
-    state: int
-    size: float
+    equation: int  # number of the equation that it acts in
+    state: int  # number of the state that it is a function of
+    size: float  # its standard deviation, in the unit of the equation
 
 
 def smooth_functions(
@@ -212,20 +198,13 @@ def _covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Disturbances:
-    """Everything that acts and is not in the model, with its sizes.
+    """Everything that acts and is not in the model, with its sizes."""
 
-    Attributes:
-        sigma: (n_trajectories, n_states) standard deviation of the white noise of every
-            sensor.
-        forces: processes that act in equations.
-        sensors: processes that add to what sensors show.
-        functions: of states, that act in equations.
-    """
-
+    # (n_trajectories, n_states) standard deviation of the white noise of every sensor.
     sigma: np.ndarray
-    forces: tuple[Process, ...] = ()
-    sensors: tuple[Process, ...] = ()
-    functions: tuple[StateFunction, ...] = ()
+    forces: tuple[Process, ...] = ()  # processes that act in equations
+    sensors: tuple[Process, ...] = ()  # processes that add to what sensors show
+    functions: tuple[StateFunction, ...] = ()  # of states, that act in equations
 
     @property
     def processes(self) -> tuple[Process, ...]:
@@ -265,24 +244,16 @@ class Coordinates:
     All forces share the factor on their time where it is free, and so do all sensors.
     White processes, those with the shortest time, stay white. Of a large system the
     noises share a factor too, and so do the sizes of the forces, and of the sensors.
-
-    Attributes:
-        origin: the disturbances at zero.
-        channels: states whose white noise is estimated.
-        least_noise: (n_states,) least noise, white and lasting, mean over trajectories.
-        shortest: correlation time, at least.
-        longest: at most.
-        largest_functions: sizes of the functions, at most.
-        fixed_times: whether times stay as they are.
     """
 
-    origin: Disturbances
-    channels: tuple[int, ...]
+    origin: Disturbances  # the disturbances at zero
+    channels: tuple[int, ...]  # states whose white noise is estimated
+    # (n_states,) least noise, white and lasting, mean over trajectories.
     least_noise: np.ndarray
-    shortest: float = 0.0
-    longest: float = np.inf
-    largest_functions: tuple[float, ...] = ()
-    fixed_times: bool = False
+    shortest: float = 0.0  # correlation time, at least
+    longest: float = np.inf  # at most
+    largest_functions: tuple[float, ...] = ()  # sizes of the functions, at most
+    fixed_times: bool = False  # whether times stay as they are
 
     @property
     def is_tied(self) -> bool:

@@ -67,17 +67,11 @@ NEARLY_HELD = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class JointPoint:
-    """A point: parameters, states and disturbances.
+    """A point: parameters, states and disturbances."""
 
-    Attributes:
-        z: (n_variables,) scaled parameters and states.
-        processes: (n_inner,) values of all processes, forces first.
-        coefficients: (n_coefficients,) of the functions of states.
-    """
-
-    z: np.ndarray
-    processes: np.ndarray
-    coefficients: np.ndarray
+    z: np.ndarray  # (n_variables,) scaled parameters and states
+    processes: np.ndarray  # (n_inner,) values of all processes, forces first
+    coefficients: np.ndarray  # (n_coefficients,) of the functions of states
 
     def towards(self, other: "JointPoint", share: float) -> "JointPoint":
         """The point at a share of the way to another one."""
@@ -90,22 +84,14 @@ class JointPoint:
 
 @dataclass(frozen=True, eq=False)
 class JointEstimate:
-    """Where the steps ended.
+    """Where the steps ended."""
 
-    Attributes:
-        place: there.
-        n_steps: how many there were.
-        has_converged: whether the next step would be short.
-        length: of the last step that was not damped, in standard deviations of what is
-            unknown.
-        contraction: length of the last whole step over that of the one before.
-    """
-
-    place: "_Place"
-    n_steps: int
-    has_converged: bool
+    place: "_Place"  # there
+    n_steps: int  # how many there were
+    has_converged: bool  # whether the next step would be short
+    # Of the last step that was not damped, in standard deviations of what is unknown.
     length: float
-    contraction: float
+    contraction: float  # length of the last whole step over that of the one before
 
     @property
     def remaining(self) -> float:
@@ -137,16 +123,13 @@ class JointEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Where steps end.
+    """Where steps end."""
 
-    Attributes:
-        length: of the next step, in standard deviations of what is unknown, up to which
-            it need not be taken. Lengths fall by one factor, or faster.
-        fall: share of the objective that a step lowers it by, up to which they need not
-            be taken.
-    """
-
+    # Of the next step, in standard deviations of what is unknown, up to which it need
+    # not be taken. Lengths fall by one factor, or faster.
     length: float = 1e-4
+    # Share of the objective that a step lowers it by, up to which they need not be
+    # taken.
     fall: float = 0.0
 
 
@@ -155,22 +138,16 @@ EXACTLY = Target()
 
 @dataclass(frozen=True, eq=False)
 class JointProblem:
-    """A record whose disturbances have given sizes.
+    """A record whose disturbances have given sizes."""
 
-    Attributes:
-        linearizer: of the likelihood of parameters and states.
-        disturbances: with their sizes and times.
-        moving: (n_moving,) places of the parameters that are free to move.
-        softness: (n_constraints,) variance of what the scaled dynamics are violated by;
-            zero where they hold; None: they all hold.
-        tilt: (n_theta,) slope in the parameters of what the log likelihood has beside
-            the objective; None: zero.
-    """
-
-    linearizer: Linearizer
-    disturbances: Disturbances
-    moving: np.ndarray
+    linearizer: Linearizer  # of the likelihood of parameters and states
+    disturbances: Disturbances  # with their sizes and times
+    moving: np.ndarray  # (n_moving,) places of the parameters that are free to move
+    # (n_constraints,) variance of what the scaled dynamics are violated by; zero where
+    # they hold; None: they all hold.
     softness: np.ndarray | None = None
+    # (n_theta,) slope in the parameters of what the log likelihood has beside the
+    # objective; None: zero.
     tilt: np.ndarray | None = None
 
     @classmethod

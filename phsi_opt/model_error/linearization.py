@@ -29,19 +29,13 @@ from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValu
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Where a process acts, and what it does to data and dynamics.
+    """Where a process acts, and what it does to data and dynamics."""
 
-    Attributes:
-        place: (n,) node of each of its values; half way between two for a force.
-        t: (n,) times.
-        trajectory: (n,) numbers of the trajectories.
-        effects: sparse, (n_values + n_intervals * n_states, n), on the data.
-    """
-
+    # (n,) node of each of its values; half way between two for a force.
     place: np.ndarray
-    t: np.ndarray
-    trajectory: np.ndarray
-    effects: csc_matrix
+    t: np.ndarray  # (n,) times
+    trajectory: np.ndarray  # (n,) numbers of the trajectories
+    effects: csc_matrix  # sparse, (n_values + n_intervals * n_states, n), on the data
 
     def whitener(self, time: float) -> Whitener:
         """Of a process with this correlation time."""
@@ -50,70 +44,48 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Second derivatives of the dynamics times their multipliers.
+    """Second derivatives of the dynamics times their multipliers."""
 
-    Attributes:
-        of_states: sparse, in the states alone, upper triangle.
-        mixed: (n_nodes * n_states, n_theta), in states and parameters.
-        of_theta: (n_theta, n_theta), in the parameters alone.
-    """
-
-    of_states: coo_matrix
-    mixed: np.ndarray
-    of_theta: np.ndarray
+    of_states: coo_matrix  # sparse, in the states alone, upper triangle
+    mixed: np.ndarray  # (n_nodes * n_states, n_theta), in states and parameters
+    of_theta: np.ndarray  # (n_theta, n_theta), in the parameters alone
 
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """A likelihood linearised at a point.
+    """A likelihood linearised at a point."""
 
-    Attributes:
-        grid: nodes and intervals.
-        nodes: (n_nodes, n_states) states of the solution.
-        dynamics_in_states: J, sparse, (n_intervals * n_states, n_nodes * n_states).
-        dynamics_in_theta: J_theta, (n_intervals * n_states, n_theta).
-        force_effects: B, sparse, a column per (interval, equation): what a force of one
-            does to the dynamics.
-        offset: of the dynamics at the solution, (n_intervals * n_states,); zero where
-            it obeys the model.
-        shown_in_states: C, sparse, (n_values, n_nodes * n_states).
-        shown_in_theta: C_theta, (n_values, n_theta).
-        residual: r, measured minus shown, (n_values,).
-        node: (n_values,) node of every measured value.
-        channel: (n_values,) its state.
-        x_scale: (n_states,) scale of the states.
-        theta_scale: (n_theta,) scale of the parameters.
-        forced: equations that can lack a force.
-        observed: numbers of states that functions may depend on: not the memories.
-        along: (n_nodes, n_states) states along which functions of them are taken; None:
-            those of the solution.
-        linear_share: of their linear part that functions of states keep.
-        curvature: of the dynamics; None: it is left out (Gauss and Newton).
-        softness: (n_intervals * n_states,) variance by which the dynamics may fail to
-            hold, that of a white force; None: they hold.
-        tilt: (n_theta,) slope of a further term of the log likelihood; None: there is
-            none.
-    """
-
-    grid: Grid
-    nodes: np.ndarray
-    dynamics_in_states: Any
-    dynamics_in_theta: np.ndarray
+    grid: Grid  # nodes and intervals
+    nodes: np.ndarray  # (n_nodes, n_states) states of the solution
+    dynamics_in_states: Any  # J, sparse, (n_intervals * n_states, n_nodes * n_states)
+    dynamics_in_theta: np.ndarray  # J_theta, (n_intervals * n_states, n_theta)
+    # B, sparse, a column per (interval, equation): what a force of one does to the
+    # dynamics.
     force_effects: csc_matrix
+    # Of the dynamics at the solution, (n_intervals * n_states,); zero where it obeys
+    # the model.
     offset: np.ndarray
-    shown_in_states: Any
-    shown_in_theta: np.ndarray
-    residual: np.ndarray
-    node: np.ndarray
-    channel: np.ndarray
-    x_scale: np.ndarray
-    theta_scale: np.ndarray
-    forced: tuple[int, ...]
+    shown_in_states: Any  # C, sparse, (n_values, n_nodes * n_states)
+    shown_in_theta: np.ndarray  # C_theta, (n_values, n_theta)
+    residual: np.ndarray  # r, measured minus shown, (n_values,)
+    node: np.ndarray  # (n_values,) node of every measured value
+    channel: np.ndarray  # (n_values,) its state
+    x_scale: np.ndarray  # (n_states,) scale of the states
+    theta_scale: np.ndarray  # (n_theta,) scale of the parameters
+    forced: tuple[int, ...]  # equations that can lack a force
+    # Numbers of states that functions may depend on: not the memories.
     observed: tuple[int, ...]
+    # (n_nodes, n_states) states along which functions of them are taken; None: those of
+    # the solution.
     along: np.ndarray | None = None
+    # Of their linear part that functions of states keep.
     linear_share: float = LINEAR_SHARE
+    # Of the dynamics; None: it is left out (Gauss and Newton).
     curvature: Curvature | None = None
+    # (n_intervals * n_states,) variance by which the dynamics may fail to hold, that of
+    # a white force; None: they hold.
     softness: np.ndarray | None = None
+    # (n_theta,) slope of a further term of the log likelihood; None: there is none.
     tilt: np.ndarray | None = None
 
     @property

@@ -48,21 +48,14 @@ MOST_SOLVED = 3e7
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Everything unknown, where the linearised record makes it most likely.
+    """Everything unknown, where the linearised record makes it most likely."""
 
-    Attributes:
-        theta: (n_theta,) step of the scaled parameters; zero for those that are held.
-        x: (n_nodes, n_states) step of the scaled states.
-        processes: (n_inner,) values of all processes, forces first.
-        coefficients: (n_coefficients,) of the functions of states.
-        multipliers: (n_intervals * n_states,) of the dynamics.
-    """
-
+    # (n_theta,) step of the scaled parameters; zero for those that are held.
     theta: np.ndarray
-    x: np.ndarray
-    processes: np.ndarray
-    coefficients: np.ndarray
-    multipliers: np.ndarray
+    x: np.ndarray  # (n_nodes, n_states) step of the scaled states
+    processes: np.ndarray  # (n_inner,) values of all processes, forces first
+    coefficients: np.ndarray  # (n_coefficients,) of the functions of states
+    multipliers: np.ndarray  # (n_intervals * n_states,) of the dynamics
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,25 +65,18 @@ class Border:
     ::
 
         misfit = constant - 2 gradient'b + b' information b
-
-    Attributes:
-        information: (n, n), of parameters, then coefficients of functions of size one.
-        gradient: (n,).
-        constant: sum of squares without them.
-        log_constant: part of the log evidence that does not depend on them.
-        n_theta: number of parameters.
-        owner: number of the function that a coefficient belongs to, after the
-            parameters; (n_coefficients,).
-        sizes: (n_functions,) of the functions.
     """
 
+    # (n, n), of parameters, then coefficients of functions of size one.
     information: np.ndarray
-    gradient: np.ndarray
-    constant: float
-    log_constant: float
-    n_theta: int
+    gradient: np.ndarray  # (n,)
+    constant: float  # sum of squares without them
+    log_constant: float  # part of the log evidence that does not depend on them
+    n_theta: int  # number of parameters
+    # Number of the function that a coefficient belongs to, after the parameters;
+    # (n_coefficients,).
     owner: np.ndarray
-    sizes: np.ndarray
+    sizes: np.ndarray  # (n_functions,) of the functions
 
     @classmethod
     def sum(cls, borders: Sequence["Border"]) -> "Border":
@@ -461,28 +447,19 @@ class OptimalitySystem:
 
     What it asks of numbers comes when a property is asked for: SolveError where the
     information is lost to rounding.
-
-    Attributes:
-        likelihood: of the record.
-        disturbances: with their sizes.
-        weights: (n_values,) one over the noise variance.
-        whiteners: of the processes, forces first, of size one.
-        factors: of the matrix of unknowns and multipliers.
-        log_constant: part of the log evidence that depends neither on the border nor on
-            the volume of the states.
-        right: (n_unknowns + n_dynamics, n_border + 1) right-hand sides, the last of the
-            data.
-        solved: in the same shape.
     """
 
-    likelihood: MarginalLikelihood
-    disturbances: Disturbances
-    weights: np.ndarray
-    whiteners: list[Whitener]
-    factors: Banded | Chained
+    likelihood: MarginalLikelihood  # of the record
+    disturbances: Disturbances  # with their sizes
+    weights: np.ndarray  # (n_values,) one over the noise variance
+    whiteners: list[Whitener]  # of the processes, forces first, of size one
+    factors: Banded | Chained  # of the matrix of unknowns and multipliers
+    # Part of the log evidence that depends neither on the border nor on the volume of
+    # the states.
     log_constant: float
+    # (n_unknowns + n_dynamics, n_border + 1) right-hand sides, the last of the data.
     right: np.ndarray
-    solved: np.ndarray
+    solved: np.ndarray  # in the same shape
 
     @property
     def problem(self) -> Linearization:
@@ -788,15 +765,10 @@ def white_system(linear: Linearization, sigma: np.ndarray) -> OptimalitySystem:
 
 @dataclass(frozen=True, eq=False)
 class ForcePosterior:
-    """The forces given the measurements and the parameters.
+    """The forces given the measurements and the parameters."""
 
-    Attributes:
-        likelihood: of the linearised record; no parameter moves in it.
-        disturbances: with their sizes, forces among them.
-    """
-
-    likelihood: MarginalLikelihood
-    disturbances: Disturbances
+    likelihood: MarginalLikelihood  # of the linearised record; no parameter moves in it
+    disturbances: Disturbances  # with their sizes, forces among them
 
     @cached_property
     def _system(self) -> OptimalitySystem:

@@ -41,15 +41,10 @@ class Source(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """A covariance of the scaled parameters, and how well it is known.
+    """A covariance of the scaled parameters, and how well it is known."""
 
-    Attributes:
-        covariance: (n_theta, n_theta).
-        freedom: (n_theta,) degrees of freedom of the variances.
-    """
-
-    covariance: np.ndarray
-    freedom: np.ndarray
+    covariance: np.ndarray  # (n_theta, n_theta)
+    freedom: np.ndarray  # (n_theta,) degrees of freedom of the variances
 
 
 # --- Scatter between trajectories
@@ -65,21 +60,16 @@ class Clusters:
     time (CR3 of Bell and McCaffrey, Survey Methodology 28, 2002); trajectories with
     more information than others count as fewer (Carter, Schnepel and Steigerwald,
     Review of Economics and Statistics 99, 2017).
-
-    Attributes:
-        scores: (n_trajectories, n) slopes of the log likelihood in the parameters, and
-            in the coefficients of functions of states.
-        information: (n_trajectories, n, n).
-        prior: (n, n) information that is not the trajectories'.
-        n_theta: number of parameters, the first of the n unknowns.
-        score_variance: of scores over the information, where noise is the only
-            disturbance; one unless residuals were cut.
     """
 
+    # (n_trajectories, n) slopes of the log likelihood in the parameters, and in the
+    # coefficients of functions of states.
     scores: np.ndarray
-    information: np.ndarray
-    prior: np.ndarray
-    n_theta: int
+    information: np.ndarray  # (n_trajectories, n, n)
+    prior: np.ndarray  # (n, n) information that is not the trajectories'
+    n_theta: int  # number of parameters, the first of the n unknowns
+    # Of scores over the information, where noise is the only disturbance; one unless
+    # residuals were cut.
     score_variance: float = 1.0
 
     @classmethod
@@ -178,21 +168,15 @@ class Clusters:
 
 @dataclass(frozen=True, eq=False)
 class PlainEstimate:
-    """An estimate that counts residuals as white noise.
+    """An estimate that counts residuals as white noise."""
 
-    Attributes:
-        search: for disturbances, on its linearised likelihood.
-        covariance: (n_theta, n_theta) of the scaled parameters, from noise alone.
-        is_shared: whether all trajectories share all parameters.
-        within: share of the residuals that are not cut by Huber's loss.
-        score_variance: variance of the scores over the information that the residuals
-            within carry; one where none is cut.
-    """
-
-    search: DisturbanceSearch
+    search: DisturbanceSearch  # for disturbances, on its linearised likelihood
+    # (n_theta, n_theta) of the scaled parameters, from noise alone.
     covariance: np.ndarray
-    is_shared: bool
-    within: float = 1.0
+    is_shared: bool  # whether all trajectories share all parameters
+    within: float = 1.0  # share of the residuals that are not cut by Huber's loss
+    # Variance of the scores over the information that the residuals within carry; one
+    # where none is cut.
     score_variance: float = 1.0
 
     @property
@@ -230,19 +214,12 @@ class PlainEstimate:
 
 @dataclass(frozen=True, eq=False)
 class StandardErrors:
-    """The standard errors of an estimate.
+    """The standard errors of an estimate."""
 
-    Attributes:
-        source: of those that are given.
-        spreads: all that were worked out, by source.
-        disturbances: that were found.
-        log_evidence: of the model with them; NaN where numbers do not hold it.
-    """
-
-    source: Source
-    spreads: Mapping[Source, Spread]
-    disturbances: Disturbances
-    log_evidence: float
+    source: Source  # of those that are given
+    spreads: Mapping[Source, Spread]  # all that were worked out, by source
+    disturbances: Disturbances  # that were found
+    log_evidence: float  # of the model with them; NaN where numbers do not hold it
 
     @property
     def spread(self) -> Spread:

@@ -315,19 +315,15 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class ChainLayout:
-    """Where the entries of matrices of one pattern stand: H, J and the nodes.
+    """Where the entries of matrices of one pattern stand: H, J and the nodes."""
 
-    Attributes:
-        chain: nodes and intervals, in the order of time.
-        order: (n_states,) the states of a node, those that touch near each other.
-        curved: entries of the diagonal of H among all; ``state``: where they stand.
-        sloped: entries of J among all; ``row`` and ``column``: where they stand.
-    """
-
-    chain: Chain
+    chain: Chain  # nodes and intervals, in the order of time
+    # (n_states,) the states of a node, those that touch near each other.
     order: np.ndarray
+    # Entries of the diagonal of H among all; ``state``: where they stand.
     curved: np.ndarray
     state: np.ndarray
+    # Entries of J among all; ``row`` and ``column``: where they stand.
     sloped: np.ndarray
     row: np.ndarray
     column: np.ndarray

@@ -29,15 +29,10 @@ REGULAR = 1e-13  # share of the largest curvature that is added where a state ha
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """How far a step may move the parameters.
+    """How far a step may move the parameters."""
 
-    Attributes:
-        below: (n,) least changes, none above zero.
-        above: (n,) largest changes, none below zero.
-    """
-
-    below: np.ndarray
-    above: np.ndarray
+    below: np.ndarray  # (n,) least changes, none above zero
+    above: np.ndarray  # (n,) largest changes, none below zero
 
     @classmethod
     def at(cls, z: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> "Room":

@@ -35,23 +35,14 @@ from phsi_opt.transcription.sensors import outputs
 
 @dataclass(frozen=True, eq=False)
 class LinearizedRecord:
-    """A record, linearised (see the module's text).
+    """A record, linearised (see the module's text)."""
 
-    Attributes:
-        model: whose dynamics they are.
-        unknown: its parameters in the trajectories.
-        theta: (n_theta,) where it was linearised.
-        states: (n_nodes, n_states) where it was linearised.
-        likelihood: of the record there.
-        disturbances: noise and forces, with their sizes.
-    """
-
-    model: Model
-    unknown: Theta
-    theta: np.ndarray
-    states: np.ndarray
-    likelihood: MarginalLikelihood
-    disturbances: Disturbances
+    model: Model  # whose dynamics they are
+    unknown: Theta  # its parameters in the trajectories
+    theta: np.ndarray  # (n_theta,) where it was linearised
+    states: np.ndarray  # (n_nodes, n_states) where it was linearised
+    likelihood: MarginalLikelihood  # of the record there
+    disturbances: Disturbances  # noise and forces, with their sizes
 
     @classmethod
     def of(cls, record: Record) -> "LinearizedRecord":

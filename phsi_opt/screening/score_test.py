@@ -37,24 +37,19 @@ N_TOGETHER = 50  # waves whose traces are worked out at once
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """What screening expects of one effect.
+    """What screening expects of one effect."""
 
-    Attributes:
-        effect: the candidate; ``model``: the base with it, its guesses as values.
-        coefficient: the expected one (the amplitude of a wave, the inner parameter
-            where the effect has no coefficient); ``std_error``: of it.
-        gain: expected, of the log evidence, less Schwarz' price of its parameters and
-            the logarithm of how many values were tried.
-        n_tried: of values scanned.
-        values: where to begin: of the effect's parameters and of the base's own.
-    """
-
-    effect: Effect
+    effect: Effect  # the candidate; ``model``: the base with it, its guesses as values
     model: Model = field(repr=False)
+    # The expected one (the amplitude of a wave, the inner parameter where the effect
+    # has no coefficient); ``std_error``: of it.
     coefficient: float
     std_error: float
+    # Expected, of the log evidence, less Schwarz' price of its parameters and the
+    # logarithm of how many values were tried.
     gain: float
-    n_tried: int
+    n_tried: int  # of values scanned
+    # Where to begin: of the effect's parameters and of the base's own.
     values: dict[str, float]
 
 

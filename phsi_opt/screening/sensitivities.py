@@ -30,52 +30,34 @@ CORRELATION_RIDGE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """An effect in the model, with what is to be found and what is to be tried.
+    """An effect in the model, with what is to be found and what is to be tried."""
 
-    Attributes:
-        effect: the candidate.
-        model: the base model with it.
-        linear: names of its coefficients, in which it is linear.
-        tried: values to try, (n_values,) by inner parameter.
-        frequency: name of the inner parameter that is a frequency, if there is one.
-        scanned: what its wave runs along, where its value is sought; else None.
-    """
-
-    effect: Effect
-    model: Model
-    linear: list[str]
-    tried: dict[str, np.ndarray]
+    effect: Effect  # the candidate
+    model: Model  # the base model with it
+    linear: list[str]  # names of its coefficients, in which it is linear
+    tried: dict[str, np.ndarray]  # values to try, (n_values,) by inner parameter
+    # Name of the inner parameter that is a frequency, if there is one.
     frequency: str | None
+    # What its wave runs along, where its value is sought; else None.
     scanned: str | None
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What k coefficients of one do.
+    """What k coefficients of one do."""
 
-    Attributes:
-        of_defects: D, (n_intervals * n_states, k).
-        of_outputs: Y, (n_nodes * n_states, k), in the units of the states.
-    """
-
-    of_defects: np.ndarray
-    of_outputs: np.ndarray
+    of_defects: np.ndarray  # D, (n_intervals * n_states, k)
+    of_outputs: np.ndarray  # Y, (n_nodes * n_states, k), in the units of the states
 
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Coefficients within their bounds, and what they explain.
+    """Coefficients within their bounds, and what they explain."""
 
-    Attributes:
-        coefficients: (k,); one where an effect without a coefficient is there as a
-            whole.
-        drop: fall of the misfit, in units of the noise variance.
-        information: of the coefficients, (k, k).
-    """
-
+    # (k,); one where an effect without a coefficient is there as a whole.
     coefficients: np.ndarray
-    drop: float
-    information: np.ndarray
+    drop: float  # fall of the misfit, in units of the noise variance
+    information: np.ndarray  # of the coefficients, (k, k)
 
 
 class Sensitivities:

@@ -68,21 +68,14 @@ SHORT = 1.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Start:
-    """Where a model begins to be weighed.
+    """Where a model begins to be weighed."""
 
-    Attributes:
-        model: with its parameters.
-        theta: (n_theta,) their values.
-        states: (n_nodes, n_states).
-        processes: values of each force, then of each sensor's errors; None: they are
-            not known.
-        disturbances: noise, forces and errors of sensors, with their sizes.
-    """
-
-    model: Model
-    theta: np.ndarray
-    states: np.ndarray = field(repr=False)
+    model: Model  # with its parameters
+    theta: np.ndarray  # (n_theta,) their values
+    states: np.ndarray = field(repr=False)  # (n_nodes, n_states)
+    # Values of each force, then of each sensor's errors; None: they are not known.
     processes: tuple[np.ndarray, ...] | None = field(repr=False)
+    # Noise, forces and errors of sensors, with their sizes.
     disturbances: Disturbances = field(repr=False)
 
 
@@ -151,24 +144,15 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """How models are weighed by one record.
+    """How models are weighed by one record."""
 
-    Attributes:
-        aligned: the measurements, those of the fit first.
-        n_fitted: number of trajectories that the fit was made from.
-        n_states: of the smallest model; further ones are the memory of an effect.
-        channels: measured states whose noise is not known.
-        least_noise: (n_states,) below which that does not fall.
-        longest: correlation time of a force, at most.
-        rates: (n_states,) typical rate of every state, before anything is weighed.
-    """
-
-    aligned: AlignedData
-    n_fitted: int
-    n_states: int
-    channels: tuple[int, ...]
-    least_noise: np.ndarray
-    longest: float
+    aligned: AlignedData  # the measurements, those of the fit first
+    n_fitted: int  # number of trajectories that the fit was made from
+    n_states: int  # of the smallest model; further ones are the memory of an effect
+    channels: tuple[int, ...]  # measured states whose noise is not known
+    least_noise: np.ndarray  # (n_states,) below which that does not fall
+    longest: float  # correlation time of a force, at most
+    # (n_states,) typical rate of every state, before anything is weighed.
     rates: np.ndarray
 
     @property
@@ -375,15 +359,10 @@ def _beside(
 
 @dataclass(frozen=True, eq=False)
 class EvidenceRecord:
-    """Measurements by which models are weighed: those of the fit, and held out.
+    """Measurements by which models are weighed: those of the fit, and held out."""
 
-    Attributes:
-        weighing: how.
-        base: the model of the fit, weighed.
-    """
-
-    weighing: Weighing
-    base: Weighed = field(repr=False)
+    weighing: Weighing  # how
+    base: Weighed = field(repr=False)  # the model of the fit, weighed
 
     @classmethod
     def of(cls, trained: Record, judged: Record | None) -> "EvidenceRecord":

@@ -69,14 +69,10 @@ def padded(model: Model, x: np.ndarray) -> np.ndarray:
 
 
 class MemoryRecord(NamedTuple):
-    """The memory of a model's effects along a record.
+    """The memory of a model's effects along a record."""
 
-    Attributes:
-        states: (n_nodes, n_states) states with the memory as the last of them.
-        interval_means: (n_intervals, n_memory) means of the memory over the intervals.
-    """
-
-    states: np.ndarray
+    states: np.ndarray  # (n_nodes, n_states) states with the memory as the last of them
+    # (n_intervals, n_memory) means of the memory over the intervals.
     interval_means: np.ndarray
 
 

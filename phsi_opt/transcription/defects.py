@@ -173,15 +173,10 @@ def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
 
 
 class SparseSlopes(NamedTuple):
-    """A matrix of slopes of one interval or node, by its entries that are not zero.
+    """A matrix of slopes of one interval or node, by its entries that are not zero."""
 
-    Attributes:
-        function: whose last result are the entries, as a column.
-        places: (n_entries, 2) row and column of each.
-    """
-
-    function: ca.Function
-    places: np.ndarray
+    function: ca.Function  # whose last result are the entries, as a column
+    places: np.ndarray  # (n_entries, 2) row and column of each
 
 
 def linear_function(function: ca.Function, n_states: int) -> SparseSlopes:
@@ -248,14 +243,10 @@ def defect_slopes(
 
 
 class ParameterSlopes(NamedTuple):
-    """Defects at some values of the parameters, and their slopes there.
+    """Defects at some values of the parameters, and their slopes there."""
 
-    Attributes:
-        d: (n_intervals, n_states) defects.
-        slopes: (n_intervals * n_states, n_chosen), a row per interval and equation.
-    """
-
-    d: np.ndarray
+    d: np.ndarray  # (n_intervals, n_states) defects
+    # (n_intervals * n_states, n_chosen), a row per interval and equation.
     slopes: np.ndarray
 
 

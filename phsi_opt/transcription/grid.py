@@ -31,30 +31,21 @@ from phsi_opt.model.unit_checks import UnitCheck
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Nodes and intervals of all trajectories, one after the other.
+    """Nodes and intervals of all trajectories, one after the other."""
 
-    Attributes:
-        t: (n_nodes,) times.
-        y: (n_nodes, n_states) measurements; NaN where nothing was measured.
-        trajectory: (n_nodes,) number of the trajectory of each node.
-        sample: (n_nodes,) whether the node is a sample.
-        begin: (n_intervals,) first node of each interval; the next node is its end.
-        h: (n_intervals,) length in time of each interval.
-        u0: (n_intervals, n_inputs) input at the beginning of the interval; of a smooth
-            input the straight line that acts like it.
-        u1: (n_intervals, n_inputs) input at its end, equal to u0 for a held input.
-        u: (n_nodes, n_inputs) input at each node.
-    """
-
-    t: np.ndarray
-    y: np.ndarray
-    trajectory: np.ndarray
-    sample: np.ndarray
+    t: np.ndarray  # (n_nodes,) times
+    y: np.ndarray  # (n_nodes, n_states) measurements; NaN where nothing was measured
+    trajectory: np.ndarray  # (n_nodes,) number of the trajectory of each node
+    sample: np.ndarray  # (n_nodes,) whether the node is a sample
+    # (n_intervals,) first node of each interval; the next node is its end.
     begin: np.ndarray
-    h: np.ndarray
+    h: np.ndarray  # (n_intervals,) length in time of each interval
+    # (n_intervals, n_inputs) input at the beginning of the interval; of a smooth input
+    # the straight line that acts like it.
     u0: np.ndarray
+    # (n_intervals, n_inputs) input at its end, equal to u0 for a held input.
     u1: np.ndarray
-    u: np.ndarray
+    u: np.ndarray  # (n_nodes, n_inputs) input at each node
 
     @property
     def n_nodes(self) -> int:

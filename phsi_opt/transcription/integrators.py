@@ -26,23 +26,14 @@ Stages = Callable[[RightHandSide, Any, Any, Any], tuple[Any, ...]]
 
 @dataclass(frozen=True)
 class Integrator:
-    """A one-step scheme: ``psi(g, x0, x1, h)`` approximates (x1 - x0)/h.
+    """A one-step scheme: ``psi(g, x0, x1, h)`` approximates (x1 - x0)/h."""
 
-    Attributes:
-        name: what users call it.
-        order: the error of the approximation is of this order in h.
-        symmetric: whether exchanging the two ends, with h negative, changes nothing.
-        shares: of the step at which its stages are, one per stage.
-        weights: of the stages, whole numbers.
-        states: (g, x0, x1, h) -> the states of the stages, numbers, symbols or tensors
-            alike.
-    """
-
-    name: str
-    order: int
-    symmetric: bool
-    shares: tuple[float, ...]
-    weights: tuple[int, ...]
+    name: str  # what users call it
+    order: int  # the error of the approximation is of this order in h
+    symmetric: bool  # whether exchanging the two ends, with h negative, changes nothing
+    shares: tuple[float, ...]  # of the step at which its stages are, one per stage
+    weights: tuple[int, ...]  # of the stages, whole numbers
+    # (g, x0, x1, h) -> the states of the stages, numbers, symbols or tensors alike.
     states: Stages
 
     def psi(self, g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:

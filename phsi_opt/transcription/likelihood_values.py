@@ -31,18 +31,12 @@ from phsi_opt.transcription.parameter_vector import Point, Theta
 
 
 class Pattern(NamedTuple):
-    """Where entries of a sparse matrix stand, while their values come and go.
+    """Where entries of a sparse matrix stand, while their values come and go."""
 
-    Attributes:
-        rows: (n_entries,); entries at one place are added.
-        columns: (n_entries,).
-        shape: of the matrix.
-        chosen: of the values that are given, those of the entries; all by default.
-    """
-
-    rows: np.ndarray
-    columns: np.ndarray
-    shape: tuple[int, int]
+    rows: np.ndarray  # (n_entries,); entries at one place are added
+    columns: np.ndarray  # (n_entries,)
+    shape: tuple[int, int]  # of the matrix
+    # Of the values that are given, those of the entries; all by default.
     chosen: np.ndarray | slice = slice(None)
 
     def part(self, columns: slice) -> "Pattern":
@@ -66,19 +60,12 @@ class Pattern(NamedTuple):
 
 
 class PointValues(NamedTuple):
-    """Everything at a point that does not depend on the noise.
+    """Everything at a point that does not depend on the noise."""
 
-    Attributes:
-        g: (n_constraints,) scaled defects.
-        jacobian: entries of their slopes in z.
-        misfit: (n_values,) measured minus output of the sensors.
-        slopes: entries of the slopes of that output, in z.
-    """
-
-    g: np.ndarray
-    jacobian: np.ndarray
-    misfit: np.ndarray
-    slopes: np.ndarray
+    g: np.ndarray  # (n_constraints,) scaled defects
+    jacobian: np.ndarray  # entries of their slopes in z
+    misfit: np.ndarray  # (n_values,) measured minus output of the sensors
+    slopes: np.ndarray  # entries of the slopes of that output, in z
 
 
 class LikelihoodValues:

@@ -21,22 +21,16 @@ from phsi_opt.model.slots import Entry
 
 @dataclass(frozen=True, eq=False)
 class Theta:
-    """Names and places of the unknown parameters of a model in several trajectories.
+    """Names and places of the unknown parameters of a model in several trajectories."""
 
-    Attributes:
-        model: the model whose free parameters these are.
-        runs: names of the trajectories.
-        names: of each entry: ``k``, and ``m[run 1]``, ``m[run 2]`` for a parameter per
-            trajectory (of several).
-        owner: (n_theta,) position of each entry's parameter in ``model.free``.
-        table: (n_free, n_trajectories) place of each model parameter of each trajectory
-            in theta.
-    """
-
-    model: Model
-    runs: tuple[str, ...]
+    model: Model  # the model whose free parameters these are
+    runs: tuple[str, ...]  # names of the trajectories
+    # Of each entry: ``k``, and ``m[run 1]``, ``m[run 2]`` for a parameter per
+    # trajectory (of several).
     names: tuple[str, ...]
-    owner: np.ndarray
+    owner: np.ndarray  # (n_theta,) position of each entry's parameter in ``model.free``
+    # (n_free, n_trajectories) place of each model parameter of each trajectory in
+    # theta.
     table: np.ndarray
 
     @classmethod
@@ -138,18 +132,15 @@ UNBOUNDED = np.array([-np.inf, np.inf])[:, None, None]
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point to start from, with the size of each quantity.
+    """A point to start from, with the size of each quantity."""
 
-    Attributes:
-        theta: (n_theta,) parameters, in the order of `Theta`; ``theta_scale``: sizes.
-        x: (n_nodes, n_states) states at the nodes; ``x_scale``: (n_states,) sizes.
-        x_bounds: lower and upper bounds of ``x``, (2, n_nodes, n_states).
-    """
-
+    # (n_theta,) parameters, in the order of `Theta`; ``theta_scale``: sizes.
     theta: np.ndarray
+    # (n_nodes, n_states) states at the nodes; ``x_scale``: (n_states,) sizes.
     x: np.ndarray
     theta_scale: np.ndarray
     x_scale: np.ndarray
+    # Lower and upper bounds of ``x``, (2, n_nodes, n_states).
     x_bounds: np.ndarray = field(default_factory=lambda: UNBOUNDED)
 
     @property

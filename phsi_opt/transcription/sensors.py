@@ -18,15 +18,10 @@ from phsi_opt.transcription.parameter_vector import Theta
 
 
 class OutputSlopes(NamedTuple):
-    """Slopes of the output of the sensors at every node.
+    """Slopes of the output of the sensors at every node."""
 
-    Attributes:
-        in_states: (n_nodes, n_states, n_states).
-        in_parameters: (n_nodes, n_states, n_free).
-    """
-
-    in_states: np.ndarray
-    in_parameters: np.ndarray
+    in_states: np.ndarray  # (n_nodes, n_states, n_states)
+    in_parameters: np.ndarray  # (n_nodes, n_states, n_free)
 
 
 def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
