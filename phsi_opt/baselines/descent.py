@@ -21,6 +21,7 @@ from phsi_opt.arguments import (
 )
 from phsi_opt.errors import SolveError
 from phsi_opt.presentation.summary import printed_table
+from phsi_opt.sweeps.sweep import Progress
 from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.losses import l1_weights
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from torch import Generator, Tensor
 
-Progress = Callable[[str], None]
 Step = Callable[[Sequence["Tensor"], float], None]  # down gradients, at a learning rate
 
 STARTS = ("thesis", "normal", "model")

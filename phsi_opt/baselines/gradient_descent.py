@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Descent, Progress, descend
+from phsi_opt.baselines.descent import Adam, Descent, descend
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
@@ -29,6 +29,7 @@ from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.column_function import in_rows
 from phsi_opt.simulation.simulate import BufferedFunction
 from phsi_opt.sweeps.local_workers import one_thread
+from phsi_opt.sweeps.sweep import Progress
 from phsi_opt.transcription.defects import defect, defects, interval_arguments
 from phsi_opt.transcription.grid import aligned_once, grid_of
 from phsi_opt.transcription.losses import complete_intervals

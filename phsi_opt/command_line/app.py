@@ -47,6 +47,13 @@ app = typer.Typer(
 StudyPath = Annotated[
     Path, typer.Argument(help="The study file.", show_default=True, metavar="STUDY")
 ]
+OwnStudy = Annotated[
+    Path | None,
+    typer.Argument(
+        help=f"The study file; default: {STUDY_NAME}, if there is one.",
+        metavar="STUDY",
+    ),
+]
 AsJson = Annotated[
     bool, typer.Option("--json", help="Print one JSON object to standard output.")
 ]
@@ -65,6 +72,11 @@ Missing = Annotated[
         "--exit-code", help="Exit with code 1 if an effect or a force is missing."
     ),
 ]
+
+
+def _own_study() -> Path | None:
+    own = Path(STUDY_NAME)
+    return own if own.is_file() else None
 
 
 def _show_version(is_asked: bool) -> None:
@@ -179,22 +191,14 @@ def add(
 
 @app.command()
 def effects(
-    study: Annotated[
-        Path | None,
-        typer.Argument(
-            help=f"The study file; without one {STUDY_NAME}, if it is there.",
-            metavar="STUDY",
-        ),
-    ] = None,
+    study: OwnStudy = None,
     everything: Annotated[
         bool, typer.Option("--all", help="List the effects of all fields.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
     """List the effects of the catalogue with equations and other names."""
-    if study is None and Path(STUDY_NAME).exists():
-        study = Path(STUDY_NAME)
-    study = None if everything else study
+    study = None if everything else study or _own_study()
     with told_errors(as_json, study):
         from phsi_opt.command_line.file_jobs import effects_of
 
@@ -239,13 +243,7 @@ def study_(
 
 @app.command()
 def page(
-    study: Annotated[
-        Path | None,
-        typer.Argument(
-            help=f"The study file; default: {STUDY_NAME}, if there is one.",
-            metavar="STUDY",
-        ),
-    ] = None,
+    study: OwnStudy = None,
     host: Annotated[str, typer.Option(help="Address of the server.")] = LOOPBACK,
     port: Annotated[int, typer.Option(help="Port of the server.")] = 8080,
     show: Annotated[bool, typer.Option(help="Open a browser.")] = True,
@@ -254,9 +252,7 @@ def page(
     with told_errors():
         from phsi_opt.page.serve import serve
 
-        own = Path(STUDY_NAME)
-        study = study or (own if own.is_file() else None)
-        serve(study, host=host, port=port, show=show)
+        serve(study or _own_study(), host=host, port=port, show=show)
 
 
 @app.command()

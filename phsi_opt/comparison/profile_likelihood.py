@@ -13,7 +13,7 @@ chapter 6).
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -35,7 +35,7 @@ from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.statistics import f_limit
-from phsi_opt.sweeps.sweep import sweep
+from phsi_opt.sweeps.sweep import Progress, sweep
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs_at_samples
@@ -114,7 +114,7 @@ def profile(
     name: str,
     level: float = 0.95,
     *,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Profile:
     """Profile likelihood of one parameter of a fit by `MaximumLikelihood`.
 
@@ -204,7 +204,7 @@ class _Line:
         fit: Fit,
         aligned: AlignedData,
         name: str,
-        say: Callable[[str], None] | None,
+        say: Progress | None,
     ) -> None:
         self.name = name
         self.say = say
@@ -350,7 +350,7 @@ def bootstrap(
     seed: int = 0,
     executor: Executor | None = None,
     folder: str | Path | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Bootstrap:
     """Repeat a fit by `MaximumLikelihood` on records that the fitted model simulates.
 

@@ -20,14 +20,13 @@ from phsi_opt.diagnosis.ranking import ranked
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel, better_base, held_base, refit
 from phsi_opt.errors import ModelError, SolveError
-from phsi_opt.estimation.estimate import Progress, silent
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.sweeps.sweep import check_executor
+from phsi_opt.sweeps.sweep import Progress, check_executor, silent
 from phsi_opt.transcription.grid import aligned_once, check_problem
 from phsi_opt.transcription.losses import MaximumLikelihood
 

@@ -11,14 +11,13 @@ from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_E
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.estimate import Progress
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
-from phsi_opt.sweeps.sweep import Ahead
+from phsi_opt.sweeps.sweep import Ahead, Progress
 
 
 def ranked(

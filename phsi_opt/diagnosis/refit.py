@@ -10,7 +10,7 @@ sharper corners together let it fall by its slope dD / dlog w, which the multipl
 the dynamics tell.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.errors import PhsiOptError, SolveError, some_of
-from phsi_opt.estimation.estimate import Task, silent
+from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import estimate_by, identify
 from phsi_opt.estimation.likelihood_estimate import (
@@ -59,6 +59,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.screening.weighing import EvidenceRecord
+from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood, l1_weights
@@ -79,7 +80,7 @@ class DiagnosedModel:
     trained: Comparison  # on the training record
     judged: Comparison  # on the record that judges; ``trained`` if none is held out
     loss: MaximumLikelihood
-    say: Callable[[str], None] = silent
+    say: Progress = silent
     executor: Executor | None = None  # for weighing candidates in parallel
 
     @classmethod
@@ -88,7 +89,7 @@ class DiagnosedModel:
         trained: Comparison,
         judged: Comparison | None,
         loss: MaximumLikelihood | None,
-        say: Callable[[str], None] = silent,
+        say: Progress = silent,
         executor: Executor | None = None,
     ) -> "DiagnosedModel":
         """Of a fit that was compared; with a random force, it is made again without.

@@ -35,16 +35,12 @@ from phsi_opt.model_error.standard_errors import Source, Spread, StandardErrors
 from phsi_opt.optimization.ipopt import Solution, SolverSettings
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
+from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.grid import AlignedData, Grid
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.transcription.parameter_vector import Point, Theta
 
 Loss = PHSILoss | MaximumLikelihood
-Progress = Callable[[str], None]
-
-
-def silent(line: str) -> None:
-    """The `Progress` that says nothing."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from functools import partial
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, shown
-from phsi_opt.estimation.estimate import Estimate, Loss, Progress, Task, silent
+from phsi_opt.estimation.estimate import Estimate, Loss, Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.free_runs import doubts_of
 from phsi_opt.estimation.likelihood_estimate import with_model_error
@@ -26,7 +26,7 @@ from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units
 from phsi_opt.optimization.ipopt import SolverSettings
-from phsi_opt.sweeps.sweep import check_executor
+from phsi_opt.sweeps.sweep import Progress, check_executor, silent
 from phsi_opt.transcription.grid import AlignedData, checked_data
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss, l1_weights
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.estimate import Progress, pruned, silent
+from phsi_opt.estimation.estimate import pruned
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import (
@@ -37,7 +37,7 @@ from phsi_opt.initialization.relative_guesses import corner_widths, resolve_gues
 from phsi_opt.initialization.scaling import kinematic_states, theta_scale
 from phsi_opt.initialization.starting_values import starting_values
 from phsi_opt.model.model import Model
-from phsi_opt.sweeps.sweep import Ahead
+from phsi_opt.sweeps.sweep import Ahead, Progress, silent
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import PHSILoss

@@ -208,18 +208,12 @@ def force_chart(
     what = " and ".join(dict.fromkeys(one.quantity for one in forces))
     y_label = label(f"missing {what}", units.pop() if len(units) == 1 else "")
     x_label = time_label(unit_of_time, forces[0].origin)
-    return Chart(x_label, (_force_panel(forces, y_label),), forces[0].run, mark=mark)
-
-
-def _force_panel(
-    forces: Sequence[ForceRun], y_label: str, height: float = 1.0
-) -> Panel:
     curves = []
     for k, one in enumerate(forces):
         color = FORCE_COLORS[k % len(FORCE_COLORS)]
         name = f"missing in d{one.equation}/dt"
         curves.append(Curve(name, one.t, one.force, color, std=2 * one.std))
-    return Panel(y_label, curves, height=height)
+    return Chart(x_label, (Panel(y_label, curves),), forces[0].run, mark=mark)
 
 
 def follows_chart(found: Follows) -> Chart:

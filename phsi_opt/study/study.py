@@ -17,7 +17,6 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
-from phsi_opt.estimation.estimate import silent
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given, effect_named
@@ -26,7 +25,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary
 from phsi_opt.study.record import Step, StudyRecord
-from phsi_opt.sweeps.sweep import check_executor
+from phsi_opt.sweeps.sweep import Progress, check_executor, silent
 from phsi_opt.transcription.grid import check_problem
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole, written_path
@@ -89,7 +88,7 @@ class Study(Summarised):
         without: Given = (),
         loss: MaximumLikelihood | None = None,
         title: str = "",
-        progress: Callable[[str], None] | None = None,
+        progress: Progress | None = None,
         fit: Fit | None = None,
     ) -> None:
         check_problem(model, train, "train")

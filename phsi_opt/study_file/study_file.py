@@ -32,6 +32,7 @@ from phsi_opt.study_file.sections import (
     parts_of,
 )
 from phsi_opt.study_file.study_text import study_script, study_text
+from phsi_opt.sweeps.sweep import Progress
 from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole
@@ -273,7 +274,7 @@ class StudyFile(Sections):
 
     def study(
         self,
-        progress: Callable[[str], None] | None = None,
+        progress: Progress | None = None,
         after_each: "Callable[[Study], None] | None" = None,
         kept: "KeptFits | None" = None,
     ) -> "Study":

@@ -22,9 +22,14 @@ from phsi_opt.reading import file_text
 from phsi_opt.sweeps.local_workers import local_workers
 from phsi_opt.writing import write_whole
 
+Progress = Callable[[str], None]
 FORMAT = "phsi_opt sweep 1"
 LONGEST_NAME = 100  # characters of a file's name; file systems take 255 bytes
 DIGEST_LENGTH = 16  # hexadecimal digits that tell long keys apart
+
+
+def silent(line: str) -> None:
+    """The `Progress` that says nothing."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ def sweep(
     folder: str | Path | None = None,
     of: str = "",
     in_flight: int = 64,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Iterator[Done]:
     """Call a function for many cases in parallel, and yield results as they finish.
 
@@ -193,10 +198,10 @@ def _swept(
     executor: Executor | None,
     kept: KeptResults | None,
     in_flight: int,
-    progress: Callable[[str], None] | None,
+    progress: Progress | None,
 ) -> Iterator[Done]:
     """Kept results first, then the others as they are computed."""
-    say = progress or (lambda line: None)
+    say = progress or silent
     n_done = count(1)
     missing = dict(cases)
     for key, result in kept.found(cases) if kept else ():
@@ -280,7 +285,6 @@ def _check(
 
 # ---- a few cases, begun before their results are asked for
 
-Say = Callable[[str], None]
 T = TypeVar("T")
 Result = TypeVar("Result")
 
@@ -296,10 +300,10 @@ class Ahead(Generic[T, Result]):
 
     def __init__(
         self,
-        function: Callable[[T, Say], Result],
+        function: Callable[[T, Progress], Result],
         cases: Mapping[str, T],
         executor: Executor | None,
-        say: Say,
+        say: Progress,
     ) -> None:
         self._function = function
         self._cases = cases
@@ -344,7 +348,7 @@ class _Heard(NamedTuple):
     error: PhsiOptError | None = None
 
 
-def _heard(function: Callable[[Any, Say], Any], case: Any) -> _Heard:
+def _heard(function: Callable[[Any, Progress], Any], case: Any) -> _Heard:
     lines: list[str] = []
     try:
         return _Heard(function(case, lines.append), lines)

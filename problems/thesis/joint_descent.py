@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Progress
+from phsi_opt.baselines.descent import Adam
 from phsi_opt.baselines.gradient_descent import Descent, DescentRun
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.measurements import Measurements
@@ -25,6 +25,7 @@ from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.column_function import in_rows
 from phsi_opt.simulation.simulate import BufferedFunction
 from phsi_opt.sweeps.local_workers import one_thread
+from phsi_opt.sweeps.sweep import Progress
 from problems.peers.joint_force import HybridBaseline, JointForce
 from problems.peers.torch_networks import (
     PlacedForce,
