@@ -529,10 +529,10 @@ def test_a_study_file_opens_when_its_tables_are_there(tmp_path: Path) -> None:
     assert session.message == "mine.toml reads motor.csv: upload this as well."
     assert session.upload("motor.csv", (folder / "motor.csv").read_bytes())
     assert session.complaints == (), session.upload_error
-    assert session.draft.model.table["F"] == {"w": "g*u - a*w"}
+    assert session.draft.model.table["F"] == {"w": "(K*u - b*w)/J"}
     assert not session.upload("wrong.toml", b"[data]\nfiles = 3")
     assert "wrong.toml" in session.upload_error
-    assert session.draft.model.table["F"] == {"w": "g*u - a*w"}, "nothing is lost"
+    assert session.draft.model.table["F"] == {"w": "(K*u - b*w)/J"}, "nothing is lost"
     elsewhere = text.replace(b"motor.csv", b"/etc/hostname")
     assert session.upload("other.toml", elsewhere)
     assert session.message.startswith("other.toml reads /etc/hostname: upload this")

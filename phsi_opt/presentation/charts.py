@@ -79,6 +79,7 @@ CLOSE = 0.1  # of the movement: curves that are nearer are hardly told apart
 FROM_ZERO = "from zero"
 LOG = "log"
 FREE = "free"
+LEGEND_COLUMNS = 3
 Mark = tuple[float, str]  # a time, with what it is called
 
 
@@ -280,7 +281,7 @@ def svg(chart: Chart) -> str:
         for line in chain.from_iterable(map(Axes.get_lines, figure.axes)):
             if line.get_linestyle() == "None":  # each of many points takes 100 letters
                 line.set_rasterized(np.size(line.get_xdata()) > 300)
-        ax.set_title(_short(chart.title), loc="left", fontsize=10)
+        _set_title(ax, _short(chart.title), loc="left", fontsize=10)
         text = io.StringIO()
         written: Any = {"format": "svg", "metadata": {"Date": None, "Creator": None}}
         figure.savefig(text, dpi=150, **written)
@@ -330,8 +331,14 @@ def drawn(
         row.tick_params(axis="x", labelbottom=is_last)
         row.xaxis.label.set_visible(is_last)
     if title:
-        ax.set_title(title)
+        _set_title(ax, title)
     return ax
+
+
+def _set_title(ax: Axes, title: str, **look: Any) -> None:
+    legend = ax.get_legend()
+    n_rows = -(-len(legend.get_texts()) // LEGEND_COLUMNS) if legend else 0
+    ax.set_title(title, pad=6 + 14 * n_rows, **look)  # points, above the legend
 
 
 def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
@@ -360,8 +367,10 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
         ax.set_xlim(-0.5, len(chart.ticks) - 0.5)
         ax.set_xticks(range(len(chart.ticks)), map("\n".join, chart.ticks))
     if ax.get_legend_handles_labels()[0]:
-        room = {"handlelength": 3.5, "columnspacing": 1.2}  # for the longest marker
-        ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=4, **room)
+        # A handle is as long as the longest marker.
+        room: Any = {"handlelength": 3.5, "columnspacing": 1.2}
+        room |= {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0}
+        ax.legend(frameon=False, fontsize=8, ncols=LEGEND_COLUMNS, **room)
 
 
 def _draw_curve(ax: Axes, curve: Curve) -> None:

@@ -213,7 +213,7 @@ class Weighing:
         assert best is not None
         if not best.is_valid:
             raise SolveError(
-                "the evidence of the model could not be computed: no states satisfy "
+                "its evidence could not be computed: no states satisfy "
                 f"it with a force (largest violation {best.joint.violation:.2g}, last "
                 f"step of {best.joint.length:.2g} standard deviations)."
             )

@@ -244,7 +244,7 @@ def main(each: int) -> pd.DataFrame:
 
 
 if __name__ == "__main__":
-    table = main(int(option("each", "5")))
+    table = main(int(option("each", "6")))
     if not chosen():
         page = render(
             "benchmarks/pages/interrupts.md",

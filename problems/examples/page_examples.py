@@ -20,11 +20,11 @@ FOLDER = Path(__file__).parents[2] / "phsi_opt" / "study_file" / "examples"
 def motor() -> pd.DataFrame:
     """Three runs of a motor under steps of voltage; its dry friction is hidden.
 
-    dw/dt = (K u - b w - f sign(w)) / J
+    dw/dt = (K u - b w - f sign(w)) / J, J = 0.05 kg m^2
     """
-    gain = 2.4  # K/J, rad/s^2 per volt
-    drag = 1.5  # b/J, 1/s
-    friction = 3.0  # f/J, rad/s^2
+    gain = 2.4  # K/J, rad/s^2 per volt: K = 0.12 N m/V
+    drag = 1.5  # b/J, 1/s: b = 0.075 N m s/rad
+    friction = 3.0  # f/J, rad/s^2: f = 0.15 N m
     rng = np.random.default_rng(SEED)
     t = np.arange(0.0, 8.0, 0.04)  # s
     parts = []
