@@ -96,7 +96,9 @@ def test_a_free_run_that_leaves_the_measurements_is_told_in_the_first_line() -> 
     data = ph.Measurements.from_arrays(t, x, states=["w"])
     grows, dies = (ph.FirstOrder(["w"], {"w": ph.formula(f)}) for f in ("5", "-w"))
     said = str(ph.compare(grows, data))
-    assert said.startswith("The free run of w leaves the measurements: its error is ")
+    assert said.startswith("The free run of w leaves the measurements (")
+    assert "other starting values" not in said, "nothing is free"
+    assert f"({data.trajectories[0].name}): its error is " in said
     assert "leaves" not in str(ph.compare(dies, data))
     fit = ph.identify(grows, data)  # simulates nothing until it is asked
     assert fit.caution == ph.compare(fit, data).warning
@@ -104,7 +106,7 @@ def test_a_free_run_that_leaves_the_measurements_is_told_in_the_first_line() -> 
     assert str(fit).count("leaves the measurements") == 1
     study = ph.Study(grows, data)
     assert "leaves the measurements" in study.content().headline.caution
-    assert str(study.fit).startswith("The free run of w leaves the measurements: ")
+    assert str(study.fit).startswith("The free run of w leaves the measurements (")
     assert "; see the first line" in " ".join(str(study.fit).split())
     (check,) = [one for one in study.content().checks if one.subject == "solver"]
     assert check.severity != GOOD

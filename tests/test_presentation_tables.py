@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
+from phsi_opt.diagnosis.candidate import Finding
 from phsi_opt.presentation.numbers import time_constant_words, typeset
 from phsi_opt.presentation.tables import (
     MOST_ROWS,
@@ -186,6 +187,8 @@ def test_a_rate_is_told_as_its_time_constant() -> None:
     assert time_constant_words(0.25, 0.05, "1/h") == (
         "time constant 4.00 h (95 %: 2.87 to 6.58)"
     )
+    overflow = ph.Effect("spill", "R", "h", ph.formula("max(h-limit,0)/h", limit=1.0))
+    assert "time constant" not in str(Finding((overflow,), "", 0.25, 0.01, 1.0, "1/h"))
     assert time_constant_words(0.25, 0.15, "1/h") == "", "may be none at all"
     assert time_constant_words(0.25, 0.01, "degC/h") == ""
     assert time_constant_words(0.25, float("nan"), "1/h") == ""

@@ -49,6 +49,7 @@ from phsi_opt.presentation.numbers import (
     estimate_text,
     number,
     p_value_words,
+    percent,
     proper_names,
     said,
     short_constants,
@@ -179,7 +180,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
         r"evidence [\d.]+\)\. With it, the held-out error fell from",
         headline.sentence,
     )
-    assert "no effect of the catalogue explains" in headline.sentence
+    assert "Still, a force is missing" in headline.sentence
     answers = {fact.question: fact.detail for fact in headline.answers}
     assert "dp/dt has an error of" in answers["What is wrong"]
     assert "What to do next" in answers
@@ -284,6 +285,8 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
     assert number(0.04, 3) == "0.0400" and number(0.0, 3) == "0" and number(4.0) == "4"
     assert with_interval(0.04, (0.035, 0.0448)) == "0.0400 (95 %: 0.0350 to 0.0448)"
+    shares = (0.93, 0.9967, 0.99996, 1.0, 0.0)
+    assert [*map(percent, shares)] == ["93", "99.7", "99.996", "100", "0"]
     assert number(2.6e2, 2) == "260" and number(748.6, 2) == "750"
     assert number(2.79e-6, 3) == "2.79×10⁻⁶" and number(3.1e9, 2) == "3.1×10⁹"
     assert said("a floor of 2.79e-06 m, run_1e5") == "a floor of 2.79×10⁻⁶ m, run_1e5"
@@ -307,7 +310,9 @@ def test_a_picture_for_paper_has_plain_numbers_and_no_zero_far_from_its_curves()
         ErrorStep("base model", 1.5, None, 0.05),
         ErrorStep("one", 0.05, None, 0.05),
     ]
-    assert "mathdefault" not in svg(errors_chart(steps, "m"))
+    errors = errors_chart(steps, "m")
+    assert "mathdefault" not in svg(errors)
+    assert errors.panels[0].curves[-1].group == "noise floor 0.0500 m"
     t = np.linspace(0.0, 1.0, 9)
     warm = Chart("t", (Panel("T", (Curve("T", t, 30 + t, "C0"),)),))
     assert drawn(warm).get_ylim()[0] > 20

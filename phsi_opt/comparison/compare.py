@@ -188,7 +188,8 @@ class Comparison(Summarised):
     @property
     def warning(self) -> str:
         """What to do if the free run leaves the data or is almost constant; or ""."""
-        return leaving_words(self.data, self.residuals) or flat_sentence(self.flat)
+        leaves = leaving_words(self.model, self.data, self.residuals)
+        return leaves or flat_sentence(self.flat)
 
     @property
     def weights(self) -> np.ndarray:

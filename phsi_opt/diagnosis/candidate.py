@@ -10,7 +10,6 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.numbers import time_constant_words
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import Size
 
@@ -160,8 +159,9 @@ class Finding:
         if np.isfinite(self.std_error):
             size += f" +- {self.std_error:.2g}"
         size += spaced(self.unit)
-        size = time_constant_words(self.coefficient, self.std_error, self.unit) or size
         first = self.effects[0]
+        known = Size(self.coefficient, self.std_error, self.unit)
+        size = known.time_constant(first) or size
         if self.is_name:
             return f"{first} ({size})"
         others = ", ".join(map(str, self.effects[1:]))

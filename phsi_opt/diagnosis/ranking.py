@@ -12,6 +12,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.laws import parameter_words
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
@@ -126,7 +127,7 @@ def _candidate(
     at_bound = [name for name in names if name in weighed.at_bounds]
     lost = ""
     if at_bound:
-        lost = f"its {at_bound[0].partition('.')[2] or 'size'} ended at a bound"
+        lost = f"{parameter_words(weighed.model, at_bound[0])} ended at a bound"
     return replace(
         _expected(base, one, lost),
         coefficient=size.value,

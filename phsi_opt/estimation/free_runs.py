@@ -6,6 +6,7 @@ hide that an optimum is none: an accurate run shows it.
 """
 
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 
 import numpy as np
 
@@ -34,11 +35,7 @@ def free_runs(
     states: Sequence[np.ndarray],
     parameters: Mapping[str, Mapping[str, float]],
 ) -> tuple[Runs, Runs, Runs]:
-    """Simulated states, what the sensors show of them, and measured minus shown.
-
-    The runs begin at the first of the states, with the parameters of each trajectory.
-    One that breaks off is far beyond every measurement.
-    """
+    """Simulated states, what the sensors show of them, and measured minus shown."""
     data = aligned.data
     simulated = []
     for run, known in zip(data.trajectories, states, strict=True):
@@ -55,7 +52,7 @@ def free_runs(
     return tuple(simulated), tuple(shown), tuple(residuals)
 
 
-def leaving_words(data: Measurements, residuals: Runs) -> str:
+def leaving_words(model: Model, data: Measurements, residuals: Runs) -> str:
     """What to do if a free run leaves the measurements; "" where it does not."""
     places = list(map(data.states.index, data.measured))
     spread = np.maximum(np.nanstd(data.stacked("x")[:, places], axis=0), TINY)
@@ -64,11 +61,14 @@ def leaving_words(data: Measurements, residuals: Runs) -> str:
     worst = int(np.argmax(errors))
     if not errors[worst] > LEAVING_ERROR:
         return ""
+    runs = ", ".join(map(attrgetter("name"), data.trajectories[:3]))
+    advice = "choose other starting values for the parameters"
+    if not model.free:
+        advice = "the formulas and their fixed numbers"
     return (
-        f"The free run of {data.measured[worst]} leaves the measurements: its error is "
-        f"{errors[worst]:.3g} times their standard deviation, that of a constant once. "
-        "This is no usable fit. Check the units, and choose other starting values for "
-        "the parameters."
+        f"The free run of {data.measured[worst]} leaves the measurements ({runs}): its "
+        f"error is {errors[worst]:.3g} times their standard deviation; a constant is "
+        f"better. Check the units, and {advice}."
     )
 
 
@@ -78,5 +78,5 @@ def doubts_of(fit: Fit, aligned: AlignedData) -> str:
     if fit.states and fit.outcome.success:
         parameters = parameters_of(fit, aligned.data)
         residuals = free_runs(fit.model, aligned, fit.states, parameters)[2]
-        words.insert(0, leaving_words(aligned.data, residuals))
+        words.insert(0, leaving_words(fit.model, aligned.data, residuals))
     return " ".join(filter(None, words))

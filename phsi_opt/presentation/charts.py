@@ -35,7 +35,7 @@ from phsi_opt.presentation.numbers import (
     shortened,
     with_interval,
 )
-from phsi_opt.presentation.units import date_words
+from phsi_opt.presentation.units import date_words, spaced
 
 # Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
 MEASURED = "#7a828c"  # grey: what was measured, and what stands for comparison
@@ -131,10 +131,7 @@ class Chart:
 
 
 def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
-    """The errors step by step, with the 95 % interval of the noise floor.
-
-    Of several steps whose errors span a decade the axis is logarithmic.
-    """
+    """The errors step by step, with the 95 % interval of the noise floor."""
     n = len(steps)
     x = np.arange(n, dtype=float)
     errors = np.array([(one.train, one.held_out, one.floor) for one in steps], float)
@@ -145,7 +142,7 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
         curves = [trained, _steps("held out", x, held_out, MODEL)]
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
-    band = f"noise floor {with_interval(floor[-1], ends[-1])}"
+    band = f"noise floor {with_interval(floor[-1], ends[-1], spaced(unit))}"
     low, high = np.pad(ends, ((1, 1), (0, 0)), mode="edge").T
     wide = np.r_[-0.5, x, n - 0.5]  # a band where there is one step too
     middle, half = (low + high) / 2, (high - low) / 2

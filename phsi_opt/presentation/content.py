@@ -16,7 +16,6 @@ from phsi_opt.presentation.numbers import (
     as_exact_as,
     number,
     said,
-    time_constant_words,
     with_error,
 )
 from phsi_opt.presentation.units import Scale
@@ -291,13 +290,13 @@ class Ranked:
     confused_with: tuple[str, ...]  # effects that the data cannot tell from it
     lost: str  # why it is rejected; "" where nothing speaks against it
     beside: str = ""  # its other parameters, as far as they are known
+    time: str = ""  # its time constant; "" for what has none
 
     @property
     def size(self) -> str:
         """The coefficient with its standard error and unit; then the others."""
         known = (self.coefficient, self.std_error)
-        size = f"{with_error(*known)} {self.unit}".rstrip()
-        size = said(time_constant_words(*known, self.unit)) or size
+        size = said(self.time) or f"{with_error(*known)} {self.unit}".rstrip()
         return f"{size}; {self.beside}" if self.beside else size
 
     def error_with(self, unit: str) -> str:

@@ -29,6 +29,12 @@ def number(value: float | None, digits: int = 0) -> str:
     return said(decimal(value, digits or 4, "#" if digits and value else ""))
 
 
+def percent(share: float) -> str:
+    """A share with two digits, or as many more as tell it from 100 %."""
+    rest = -math.log10(1 - share) if share < 1 else 0.0
+    return number(100 * share, max(2, math.ceil(rest)))
+
+
 def decimal(value: float, digits: int, zeros: str = "") -> str:
     """A number with so many digits, up to a million as 260 and not as 2.6e+02.
 
@@ -41,10 +47,7 @@ def decimal(value: float, digits: int, zeros: str = "") -> str:
 
 
 def estimate_text(value: float, std_error: float) -> str:
-    """Value and standard error of an equation, in signs that can be typed.
-
-    Both end with the second digit of the error; further ones say nothing.
-    """
+    """Value and standard error to the second digit of the error, as typed."""
     if not math.isfinite(std_error):
         return f"{value:.6g}"
     if std_error <= 0 or not math.isfinite(value):

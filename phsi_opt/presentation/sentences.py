@@ -16,6 +16,7 @@ from phsi_opt.presentation.numbers import (
     lowered,
     number,
     p_value_words,
+    percent,
     proper_names,
     said,
     typeset,
@@ -39,6 +40,7 @@ UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
 GLOBALS = (frequency_words, p_value_words, scale_of, scale_of_errors, spaced)
 FILTERS = {
     "number": number,
+    "percent": percent,
     "estimate": with_error,
     "with_interval": with_interval,
     "capital": capitalised,

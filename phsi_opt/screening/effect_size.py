@@ -9,6 +9,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.presentation.numbers import time_constant_words
 from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
 
@@ -25,6 +26,11 @@ class Size:
         """The same in a unit, as `scale_of` tells it."""
         scale = scale_of(unit)
         return Size(self.value / scale.size, self.std_error / scale.size, scale.unit)
+
+    def time_constant(self, effect: Effect) -> str:
+        """That of a rate, in words; "" for a law with a level, which is not linear."""
+        known = (self.value, self.std_error, self.unit)
+        return "" if effect.term.terms[0].inner else time_constant_words(*known)
 
     @property
     def z(self) -> float:
@@ -63,15 +69,7 @@ def size_of(
     values: Mapping[str, float],
     covariance: np.ndarray,
 ) -> Size:
-    """Size of an effect; the last of several coefficients, else an inner parameter.
-
-    Args:
-        effect: of which.
-        model: that has it.
-        names: of the parameters that it added, (k,).
-        values: of the parameters, by name.
-        covariance: of these parameters, (k, k).
-    """
+    """Size of an effect; the last of several coefficients, else an inner parameter."""
     if not names:
         return Size(np.nan, np.nan)
     linear = _coefficients(model, names)

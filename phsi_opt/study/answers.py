@@ -30,7 +30,6 @@ from phsi_opt.presentation.numbers import (
     capitalised,
     number,
     said,
-    time_constant_words,
     with_error,
 )
 from phsi_opt.presentation.sentences import say
@@ -107,7 +106,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "nearest": nearest_candidate(diagnosis),
         "vibration": VIBRATION_WORDS,
         "experiment": PROPOSED_EXPERIMENT,
-        "fall_with": lambda candidate: 100 * _fall_with(diagnosis, candidate),
+        "fall_with": partial(_fall_with, diagnosis),
         "is_at_floor": lambda found: not is_failing(found),
         "off_channels": off_channels,
         "evidence_words": evidence_words,
@@ -155,7 +154,7 @@ def size_words(fit: Fit, effect: Effect, size: Size) -> str:
     if not np.isfinite(size.value):
         return ""
     known = (size.value, size.std_error)
-    time = time_constant_words(*known, size.unit)
+    time = size.time_constant(effect)
     if time:
         return f", {said(time)}{_capacity_words(fit, effect)}"
     per = inertia_words(fit.model, effect, fit.units)

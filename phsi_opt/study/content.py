@@ -62,7 +62,7 @@ from phsi_opt.presentation.units import (
     scale_of_errors,
     scale_of_time,
 )
-from phsi_opt.screening.effect_size import names_beside_size
+from phsi_opt.screening.effect_size import Size, names_beside_size
 from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     evidence_words,
@@ -322,11 +322,10 @@ def _ranking(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
         alike.pop(one.name, None)
         told = named.get(one.name, one)
+        known = (float(told.coefficient), float(told.std_error), told.unit)
         found = Ranked(
             one.name,
-            float(told.coefficient),
-            float(told.std_error),
-            told.unit,
+            *known,
             evidence_words(one),
             _known(np.clip(one.share, 0.0, 1.0)),
             _known(size * one.train_rmse),
@@ -334,6 +333,7 @@ def _ranking(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
             tuple(alike),
             one.lost,
             _beside_size(diagnosis, one),
+            Size(*known).time_constant(one.effect),
         )
         ranked.append(found)
     return tuple(ranked)
