@@ -71,7 +71,7 @@ def require_positive(name: str, value: Any) -> None:
 def is_count(value: Any) -> bool:
     """Whether the value is a whole number of at least 1."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return whole and bool(value >= 1)
+    return whole and bool(1 <= value < 2**63)  # more digits cannot be shown
 
 
 def is_size(value: Any) -> bool:

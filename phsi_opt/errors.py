@@ -94,7 +94,10 @@ def shown(value: object) -> str:
         return "a number beyond 10**12"
     if isinstance(value, str) and len(value) > MOST_LETTERS:
         return repr(f"{value[: MOST_LETTERS - 5]}...")
-    written = value.__name__ if isinstance(value, type) else repr(value)
+    try:
+        written = value.__name__ if isinstance(value, type) else repr(value)
+    except ValueError:  # of a list with a number that is too long
+        return f"{type(value).__name__}(...)"
     is_short = len(written) <= MOST_LETTERS and "\n" not in written
     return written if is_short else f"{type(value).__name__}(...)"
 

@@ -265,7 +265,7 @@ def test_setting_a_value_keeps_the_bounds() -> None:
     (lambda: ph.polynomials(["q"], 0), "polynomials: degree=0 is not possible"),
     (lambda: ph.polynomials(["q"], 1.5), "polynomials: degree=1.5 is not possible"),  # type: ignore[arg-type]
     (lambda: ph.polynomials(["q"], 10**9), "degree=1000000000 .* exceeds 64"),
-    (lambda: ph.polynomials(["q"], 10**5000), "degree=a number beyond 10.* exceeds 64"),
+    (lambda: ph.polynomials(["q"], 10**5000), "degree=a number beyond 10"),
     (lambda: ph.polynomials([f"x{i}" for i in range(20)], 5), "degree=5 in 20 variables would have 53130 terms; at most 5000"),
     (lambda: ph.polynomials(["q"], True), "polynomials: degree=True is not possible"),
     (lambda: ph.trigonometric(["t", "q"], n=10**9), "n=1000000000 for 2 variables would have 4000000000 terms"),

@@ -108,9 +108,13 @@ def test_an_entry_is_named_by_its_block_and_a_start_that_is_not_finite_refused()
     program.constrain("defect", y - 1)
     assert program.name_of(3, program.variables) == "y (node=1)"
     assert program.name_of(2, program.constraints) == "defect (2)"
-    match = "the start of x has 1 values that are not finite"
+    match = "1 of x starts at nan with the size 1 and the bounds -inf and inf; expected finite"
     with pytest.raises(ph.ModelError, match=match):
         Program().variable("x", np.array([0.0, np.nan]))
+    with pytest.raises(
+        ph.ModelError, match=r"0 of x .* size inf and the bounds -inf and inf"
+    ):
+        Program().variable("x", np.array([1.0]), scale=np.inf)
 
 
 @pytest.mark.parametrize(("limit", "status", "advice"), [

@@ -261,7 +261,7 @@ def test_rows_may_be_counted_where_no_column_has_the_times() -> None:
     ("0,1\n1,2\n", {"skip": 9}, "open file: skip=9, and there is no such row"),
     ("0,1\n1,2\n", {"columns": ["t"]}, "has 2 columns; columns=.* names 1"),
     ("0,1\n", {"columns": "tq"}, "columns='tq' is not a list of names"),
-    ("0,1\n", {"columns": ["t", 1]}, "columns contains 1; expected names as text"),
+    ("0,1\n", {"columns": ["t", 1]}, "is not a list of names"),
     ("0,1\n", {"separator": ",,"}, "the separator ',,' is not a single character"),
     ("0,1\n", {"decimal": ";"}, "the decimal separator ';' is unknown"),
     ("0,1\n", {"decimal": ",", "separator": ","}, "two different characters"),

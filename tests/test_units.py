@@ -400,3 +400,11 @@ def test_a_temperature_in_c_contradicts_no_kelvin() -> None:
     known = {"k": ph.Parameter(1.0, unit="W/K"), "c": ph.Parameter(1.0, unit="J/K")}
     loss = ph.formula("-k*T/c", **known)
     UnitCheck(ph.FirstOrder(["T"], {"T": loss}), {"t": "s", "T": "C"}).refuse()
+
+
+@pytest.mark.parametrize(
+    "unit", ["9**9**9", "(9)**(9)**(9)", "9^9^9", "m**9**9**9", "9⁹⁹⁹⁹⁹⁹"]
+)
+def test_a_power_of_a_number_is_no_unit_and_not_worked_out(unit: str) -> None:
+    found = measure_of(unit)
+    assert found is None or set(found.powers) - {"m"}

@@ -71,6 +71,14 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: measured(t=None), "t has the type object"),
     (lambda: measured(x=[[1, 2], [3]]), "not a regular array"),
     (lambda: ph.Parameter(1 + 2j), "not a number"),  # type: ignore[arg-type]
+    (lambda: ph.Parameter(upper=np.ma.masked), "upper=masked is not a number"),  # type: ignore[arg-type]
+    (lambda: ph.PseudoHamiltonian(states=["q", "p"], H="p**2", S=[[0, 10**400], [1, 0]]), "is not a matrix of numbers"),
+    (lambda: ph.PseudoHamiltonian(states=["q", "p"], H="p**2", S=[[0, 1j], [-1, 0]]), "is not a matrix of numbers"),
+    (lambda: ph.Parameter([10**5000]), r"value=list\(\.\.\.\) is not a number"),  # type: ignore[arg-type]
+    (lambda: ph.SolverSettings(max_iterations=10**5000), "max_iterations=a number beyond"),
+    (lambda: measured().thinned(10**5000), "thinned\\(a number beyond"),
+    (lambda: measured(t=2**53 + 1), "has the shape"),
+    (lambda: ph.Measurements.from_arrays(T, X, states=np.array(1.0)), "is not a list of names"),  # type: ignore[arg-type]
     (lambda: spring().with_values({"k": 1j}), "not a number"),  # type: ignore[dict-item]
     (lambda: spring().with_values({"k": np.complex128(1)}), "not a number"),  # type: ignore[dict-item]
     (lambda: ph.simulate(spring(), T, [1 + 1j, 0]), "x0=.*real numbers"),

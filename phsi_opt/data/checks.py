@@ -7,7 +7,7 @@ form in which `Measurements` keeps it. Nothing is repaired, interpolated or scal
 
 import keyword
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -91,7 +91,7 @@ def from_first(values: Any, first: Any = ()) -> Any:
     stands in ``first`` begins with the one to count from; (): the values.
     """
     whole = np.asarray(values)
-    if whole.dtype.kind not in "iu" or not whole.size:
+    if whole.dtype.kind not in "iu" or not (whole.ndim and whole.size):
         return values
     begin = int(np.asarray(first if np.size(first) else whole).flat[0])
     if max(abs(int(whole.max())), abs(int(whole.min()))) <= LARGEST_EXACT:
@@ -172,7 +172,7 @@ def checked_names(
 
     There must be at least one state; those of derivatives are reserved, and more.
     """
-    if isinstance(names, str | set) or not isinstance(names, Iterable):
+    if isinstance(names, str | set) or not np.iterable(names):
         raise error(
             f"{what}={shown(names)} is not a list of names; expected e.g. "
             f"{what}=['a', 'b']."

@@ -53,7 +53,7 @@ class NamedFile(os.PathLike[str]):
 
     def exists(self) -> bool:
         """Whether it is there."""
-        return self.place.exists()
+        return os.path.exists(self.place)  # False too where the name is too long
 
 
 DataFile = Path | NamedFile

@@ -472,7 +472,7 @@ class Measurements(TableReaders, Summarised):
         require_known(by, ("mean", "picking"), f"by={by!r} is unknown", DataError)
         if not is_count(n):
             raise DataError(
-                f"thinned({n!r}): expected the number of samples that become one, "
+                f"thinned({shown(n)}): expected the number of samples that become one, "
                 "such as 10."
             )
         size = int(n)

@@ -25,7 +25,7 @@ from phsi_opt.data.table_extent import (
     n_filled,
 )
 from phsi_opt.data.tables import DECIMAL_COMMA, DECIMAL_POINT, THOUSANDS, Extent, Table
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 from phsi_opt.presentation.numbers import number_of
 
 BLANKS = " "  # one blank or several, tabs among them
@@ -53,14 +53,12 @@ class TextFormat:
     def __post_init__(self) -> None:
         columns: Any = self.columns
         is_list = isinstance(columns, Sequence) and not isinstance(columns, str)
-        if columns is not None and (not is_list or not columns):
-            raise DataError(
-                f"columns={columns!r} is not a list of names; expected the name of "
-                'each column, such as columns = ["t", "q"].'
-            )
-        for name in columns or ():
+        for name in () if columns is None else (is_list and columns) or (None,):
             if not isinstance(name, str) or not name:
-                raise DataError(f"columns contains {name!r}; expected names as text.")
+                raise DataError(
+                    f"columns={shown(columns)} is not a list of names; expected the "
+                    'name of each column, such as columns = ["t", "q"].'
+                )
         separator = self.separator
         if separator is not None and not SEPARATOR.fullmatch(str(separator)):
             raise DataError(

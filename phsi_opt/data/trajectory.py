@@ -256,7 +256,7 @@ def trajectories_in_arrays(
 
     Whole times too large for a float are counted from the first.
     """
-    is_list = isinstance(t, list | tuple) and len(t) > 0 and np.ndim(t[0]) > 0
+    is_list = isinstance(t, list | tuple) and len(t) > 0 and np.iterable(t[0])
     if not is_list:
         t, x, u = [t], [x], None if u is None else [u]
     if u is None:

@@ -361,8 +361,10 @@ def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:
         ModelError: S is no n x n matrix of numbers, or is not skew-symmetric.
     """
     try:
+        if np.iscomplexobj(S):
+            raise TypeError
         matrix = np.zeros((n, n)) if S is None else np.array(S, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ModelError(
             f"S={shown(S)} is not a matrix of numbers; expected {n} x {n}."
         ) from None

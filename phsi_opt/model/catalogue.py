@@ -470,16 +470,13 @@ class EffectChoice:
 
 
 def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
-    if isinstance(given, str | Effect) or not isinstance(given, Iterable):
-        raise ModelError(
-            f"{what}={shown(given)} must be a list of effects or of their names, "
-            "such as ['coulomb friction', 'gap on p']."
-        )
-    listed = tuple(given)
+    is_list = isinstance(given, Iterable) and not isinstance(given, str | Effect)
+    listed = tuple(given) if is_list else (None,)
     for one in listed:
         if not isinstance(one, str | Effect):
             raise ModelError(
-                f"{shown(one)} in {what} is neither an Effect nor the name of one."
+                f"{what}={shown(given)} must be a list of effects or of their names, "
+                "such as ['coulomb friction', 'gap on p']."
             )
     return listed
 

@@ -167,7 +167,8 @@ def with_value(parameter: Parameter, value: float) -> Parameter:
 
 def _number(value: Any, name: str) -> float:
     try:
-        if isinstance(value, complex | str):  # the imaginary part would be dropped
+        # The imaginary part would be dropped; what is masked would be NaN.
+        if isinstance(value, str) or np.iscomplexobj(value) or np.ma.is_masked(value):
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):

@@ -93,17 +93,20 @@ class Program:
         numbers near one; ``label`` names an entry in messages.
 
         Raises:
-            ModelError: the start is not finite.
+            ModelError: a start or a size is not finite, or a bound is no number.
         """
-        n_bad = np.sum(~np.isfinite(start))
-        if n_bad:
+        sizes, low, high = np.broadcast_arrays(scale, lower, upper, start)[:3]
+        is_fine = np.isfinite(start) & np.isfinite(sizes) & (sizes > 0)
+        is_bad = ~is_fine | np.isnan(low) | np.isnan(high)
+        for i in np.flatnonzero(is_bad)[:1]:
             raise ModelError(
-                f"the start of {name} has {n_bad} values that are not finite."
+                f"{label(i)} of {name} starts at {start[i]:g} with the size "
+                f"{sizes[i]:g} and the bounds {low[i]:g} and {high[i]:g}; expected "
+                "finite numbers. Give it another start, or rescale its term."
             )
         symbol = ca.MX.sym(name, len(start))
         first = len(self.start)
         self.variables[name] = Block(slice(first, first + len(start)), label)
-        sizes, low, high = np.broadcast_arrays(scale, lower, upper, start)[:3]
         self.z = ca.vertcat(self.z, symbol)
         self.start = np.append(self.start, start / sizes)
         self.scale = np.append(self.scale, sizes)

@@ -259,6 +259,10 @@ def scale_of(unit: str) -> Scale:
     return unit.scale if isinstance(unit, Unit) else Scale(unit)
 
 
+# Pint would work it out: 9**9**9 takes for ever.
+POWER_OF_NUMBER = re.compile(r"\d\)*\s*(\*\*|\^|[⁰¹²³⁴-⁹⁻])")
+
+
 class Measure(NamedTuple):
     """A unit as powers of SI's base units (or words of its own), times a size."""
 
@@ -302,7 +306,7 @@ def _apart(found: re.Match[str]) -> str:
 def _in_pint(name: str) -> Measure:
     """A name by pint; one that pint does not know, or has no size of, is its own."""
     own = Measure({name: 1.0}, 1.0)
-    if name in OWN_WORDS:
+    if name in OWN_WORDS or POWER_OF_NUMBER.search(name):
         return own
     from pint.errors import PintError  # slow to import
 

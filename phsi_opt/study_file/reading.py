@@ -5,6 +5,7 @@ data files, and at last what is held out of them. What depends on a part that is
 already is not looked at, so that one mistake is told once.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -123,7 +124,7 @@ def _measurements(
     for number, name in enumerate(names):
         path = paths[number]
         place: Place = ("data", "files", *([number] if len(names) > 1 else []))
-        if not path.exists():
+        if not os.path.exists(path):  # nor where its name is too long
             said = "there is no such file; paths are relative to the study file."
             faults.add(said, *place)
         elif reader_of(path) != section.reader:
