@@ -147,9 +147,9 @@ def interrupted(call: Call, delay: float) -> float | None:
             os.kill(os.getpid(), signal.SIGINT)
 
     timer = threading.Timer(delay, press)
-    timer.start()
     seconds = None
     try:
+        timer.start()
         call()
         is_ours = is_over.acquire(blocking=False)
         timer.cancel()
