@@ -5,6 +5,7 @@ is different.
 import contextlib
 import signal
 import threading
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.data.text_tables import table_of_csv
 from phsi_opt.interrupts import interruptible, is_noted, solving
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.optimization import ipopt
@@ -62,6 +64,26 @@ def test_the_solver_ends_after_the_iteration_in_which_ctrl_c_is_pressed(
     assert iterations == [False, False]
     assert is_quiet()
     assert ph.identify(SPRING, record(), loss).values == expected
+
+
+def test_reading_ends_where_a_called_library_loses_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As a callback of Python itself does: it prints the exception and goes on."""
+    file = tmp_path / "record.csv"
+    file.write_text("t,q\n0,1\n1,2\n2,3\n")
+
+    def lossy(*given: Any) -> Any:
+        with contextlib.suppress(KeyboardInterrupt):
+            press()
+        return table_of_csv(*given)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("phsi_opt.data.table_readers.table_of_csv", lossy)
+        with pytest.raises(KeyboardInterrupt):
+            ph.Measurements.from_csv(file, time="t", states=["q"])
+    assert is_quiet()
+    assert ph.Measurements.from_csv(file, time="t", states=["q"]).n_samples == 3
 
 
 def test_full_steps_end_where_ctrl_c_is_pressed(monkeypatch) -> None:

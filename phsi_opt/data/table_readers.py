@@ -25,6 +25,7 @@ from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.data.times import Moment, times_in
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
+from phsi_opt.interrupts import interruptible
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -68,6 +69,7 @@ class TableReaders:
     """The readers of `Measurements`, each of which makes one."""
 
     @classmethod
+    @interruptible
     def from_csv(
         cls,
         source: Source | Iterable[Source],
@@ -130,6 +132,7 @@ class TableReaders:
         return cls.from_tables(tables, **words)
 
     @classmethod
+    @interruptible
     def from_excel(
         cls,
         source: BinarySource | Iterable[BinarySource],
@@ -163,6 +166,7 @@ class TableReaders:
         return cls.from_tables(tables, **words)
 
     @classmethod
+    @interruptible
     def from_mat(
         cls,
         source: BinarySource | Iterable[BinarySource],
@@ -189,6 +193,7 @@ class TableReaders:
         return cls.from_tables(tables, **words)
 
     @classmethod
+    @interruptible
     def from_mdf(
         cls,
         source: BinarySource | Iterable[BinarySource],
@@ -214,6 +219,7 @@ class TableReaders:
         return cls.from_tables(tables, **words)
 
     @classmethod
+    @interruptible
     def from_tdms(
         cls,
         source: BinarySource | Iterable[BinarySource],
@@ -239,6 +245,7 @@ class TableReaders:
         return cls.from_tables(tables, **words)
 
     @classmethod
+    @interruptible
     def from_dataframe(cls, frame: "pd.DataFrame", **words: Unpack[TableWords]) -> Self:
         """Read a data frame, which is not changed; columns are its labels.
 
