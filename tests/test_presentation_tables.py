@@ -189,6 +189,12 @@ def test_a_rate_is_told_as_its_time_constant() -> None:
     )
     overflow = ph.Effect("spill", "R", "h", ph.formula("max(h-limit,0)/h", limit=1.0))
     assert "time constant" not in str(Finding((overflow,), "", 0.25, 0.01, 1.0, "1/h"))
+    # Of a state without a unit any coefficient may be a rate.
+    decays = (("R", "1"), ("F", "Ta - h"))
+    for slot, body in (*decays, ("R", "abs(h)"), ("F", "h**2"), ("F", "1")):
+        effect = ph.Effect("x", slot, "h", ph.formula(body))
+        told = str(Finding((effect,), "", 0.25, 0.01, 1.0, "1/h"))
+        assert ("time constant" in told) == ((slot, body) in decays)
     assert time_constant_words(0.25, 0.15, "1/h") == "", "may be none at all"
     assert time_constant_words(0.25, 0.01, "degC/h") == ""
     assert time_constant_words(0.25, float("nan"), "1/h") == ""

@@ -58,6 +58,7 @@ from phsi_opt.presentation.numbers import (
     with_interval,
 )
 from phsi_opt.presentation.units import rate_unit, times_words
+from phsi_opt.screening.effect_size import Size
 from phsi_opt.study.content import _errors, study_content
 from phsi_opt.study.record import StudyRecord
 from problems.examples.demo import model as spring
@@ -278,9 +279,17 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert estimate_text(39.9871, 0.104) == "39.99 +- 0.10"
     assert estimate_text(0.00402, 0.006) == "0.0040 +- 0.0060"
     assert estimate_text(-3.8e-5, 0.0032) == "0.0000 +- 0.0032"
-    assert estimate_text(1.2345e-6, 4.2e-8) == "1.234e-06 +- 4.2e-08"
+    assert estimate_text(1.2345e-6, 4.2e-8) == "(1.235 +- 0.042)e-06"
     assert estimate_text(2.5, np.nan) == "2.5"
     assert estimate_text(263.3, 1895.4) == "300 +- 1900"
+    assert estimate_text(1.77184e-4, 1.3e-8, "1/s") == "(1.77184 +- 0.00013)e-04 1/s"
+    assert estimate_text(0.0053, 4.2e-6, "s") == "5.3000 +- 0.0042 ms"
+    assert estimate_text(2e9, 3e6, "N/m") == "2.0000 +- 0.0030 GN/m"
+    assert estimate_text(2e9, 3e6, "kg m^2") == "(2.0000 +- 0.0030)e+09 kg m^2"
+    assert estimate_text(8.4999812, 7.1e-6) == "8.4999812 +- 0.0000071"
+    assert with_error(2e9, 3e6, "m^2") == "(2.0000 ± 0.0030)×10⁹ m²"
+    assert str(Size(4000.0, 52000.0)) == "not determined"
+    assert str(Size(146.32, np.nan, "mm")) == "146.3 mm"
     assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
     assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
     assert number(0.04, 3) == "0.0400" and number(0.0, 3) == "0" and number(4.0) == "4"
@@ -432,7 +441,7 @@ def test_names_of_the_data_cannot_inject_anything(content: StudyContent) -> None
         parts = tuple(replace(run, run=HOSTILE) for run in force.runs)
         forces.append(replace(force, equation=HOSTILE, runs=parts))
     text = HOSTILE
-    ranked = Ranked(text, 1.0, 0.1, text, text, 0.5, 1.0, None, (text,), text)
+    ranked = Ranked(text, text, 0.1, text, 0.5, 1.0, None, (text,), text)
     told = replace(diagnosed, forces=tuple(forces), ranking=(ranked,))
     hostile = replace(
         content,

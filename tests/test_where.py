@@ -411,6 +411,19 @@ def test_a_law_of_the_position_that_does_not_repeat_is_no_wave() -> None:
     assert analysis.follows.iloc[0]["variable"] == "q"
 
 
+def test_a_sentence_tells_a_force_in_the_unit_of_the_table() -> None:
+    t = np.arange(0.0, 60.0, 2.0)
+    level = 50.0 - 0.2 * t + np.random.default_rng(2).normal(0, 0.1, len(t))
+    data = ph.Measurements.from_arrays(
+        t, level[:, None], states=["h"], units={"t": "s", "h": "cm"}
+    ).in_si()
+    model = ph.FirstOrder(["h"], {"h": ph.formula("0*h")})
+    found = ForceAnalysis.of(Record.of(ph.identify(model, data), data))
+    strength = found.where["strength"][0]
+    assert strength == pytest.approx(0.2, rel=0.1)
+    assert f" of rms {strength:.3g} cm/s," in found.sentences[0]
+
+
 def circuit_with(hidden: float) -> ForceAnalysis:
     """A loop of resistor, coil and capacitor, which lacks a voltage."""
     loop = ph.formula("(u - R*i - uC)/L", R=ph.Parameter(4.0), L=0.5)

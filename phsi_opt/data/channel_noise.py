@@ -54,10 +54,7 @@ def robust_deviation(residuals: np.ndarray) -> float:
 
 
 def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Residuals of samples ``middle`` (n_middle,), which have neighbours on both sides.
-
-    Times and values are (n_samples,), without gaps.
-    """
+    """Residuals of samples ``middle`` (n_middle,), with neighbours on both sides."""
     at = {offset: t[middle + offset] for offset in (0, *NEIGHBOURS)}
     predicted = np.zeros(len(middle))
     variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
@@ -146,10 +143,7 @@ def lattice_step(values: np.ndarray, error: float) -> float:
 def _fitted_lattice(
     values: np.ndarray, step: float, error: float
 ) -> tuple[float, float]:
-    """The step by least squares, and the largest distance of a value from its lattice.
-
-    Gaps of one step are averaged first, so that long gaps are counted right.
-    """
+    """The step by least squares, and the largest distance from its lattice."""
 
     def counted(step: float) -> np.ndarray:  # steps from the first value to each
         return np.concatenate([[0.0], np.cumsum(np.round(gaps / step))])

@@ -81,10 +81,7 @@ def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
 
 
 def _line(look: DataLook, one: ChannelLook, x: np.ndarray) -> Curve:
-    """The channel; lines end where a run or a gap begins, points are where some miss.
-
-    A held input has its steps.
-    """
+    """The channel; lines end at runs and gaps, points are where some miss."""
     color = FORCE if one.hold else MODEL
     y = one.values[one.known]
     x = x[one.known]

@@ -117,10 +117,7 @@ def _listing(variables: Vectors) -> str:
 
 
 def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
-    """A variable in words, and the vectors in it, as they are called in MATLAB.
-
-    Of a matrix these are its columns, or its rows where it is wider than high.
-    """
+    """A variable in words, and the vectors in it, as they are called in MATLAB."""
     if values.dtype.kind == "U":
         return Variable(name, str(values)), {}
     if not values.size:

@@ -652,10 +652,7 @@ def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajecto
 
 
 def _held_means(run: Trajectory, t: np.ndarray) -> np.ndarray:
-    """Means (n_groups, n_inputs) of held inputs from each time to the next.
-
-    The last one is held as long as its trajectory has samples.
-    """
+    """Means (n_groups, n_inputs) of held inputs from each time to the next."""
     ends = np.append(t, run.t[-1])
     means = np.empty((len(t), run.u.shape[1]))
     for i, u in enumerate(run.u.T):

@@ -221,9 +221,7 @@ class SmoothInputs:
         self._spline: Any = CubicSpline(t, u)
 
     def __call__(self, times: np.ndarray | float) -> np.ndarray:
-        """The inputs at times, (..., n_inputs); before and after the samples the value
-        at the end.
-        """
+        """The inputs at times, (..., n_inputs); beyond the samples those at the end."""
         return np.asarray(self._spline(np.clip(times, *self.limits)))
 
     def lines(

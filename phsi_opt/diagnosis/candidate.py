@@ -10,7 +10,6 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import Size
 
 MOST_FAMILIES = 2  # of effects, that the name of a class joins
@@ -151,17 +150,17 @@ class Finding:
         """Whether it is a single effect and not a class."""
         return len(self.effects) == 1
 
+    @property
+    def size(self) -> Size:
+        """The coefficient with its standard error and unit."""
+        return Size(self.coefficient, self.std_error, self.unit)
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self)!r})"
 
     def __str__(self) -> str:
-        size = f"{self.coefficient:.4g}"
-        if np.isfinite(self.std_error):
-            size += f" +- {self.std_error:.2g}"
-        size += spaced(self.unit)
         first = self.effects[0]
-        known = Size(self.coefficient, self.std_error, self.unit)
-        size = known.time_constant(first) or size
+        size = self.size.words(first)
         if self.is_name:
             return f"{first} ({size})"
         others = ", ".join(map(str, self.effects[1:]))

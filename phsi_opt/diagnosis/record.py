@@ -37,11 +37,8 @@ CANDIDATE_COLUMNS = [
     *("log_predictive", "probability", "grade", "force_left", "share", "train_rmse"),
     *("held_out_rmse", "confusable_with", "lost"),
 ]
-# Those that are printed; the others would make lines too long to read.
-PRINTED_COLUMNS = [
-    *("effect", "equation", "coefficient", "std_error", "unit", "log_bayes"),
-    *("log_predictive", "grade", "held_out_rmse"),
-]
+# Those that are printed; all would make lines too long to read.
+PRINTED = ("effect", "size", "log_evidence", "grade", "held_out_rmse")
 N_PRINTED = 6  # candidates that are printed
 
 
@@ -282,7 +279,12 @@ class Diagnosis(Summarised):
             said.append(self.base.warning)
         if self.verdict == Verdict.UNEXPLAINED:
             said.append(f"next: {self.next_step}")
-        best = self.candidates[PRINTED_COLUMNS].head(N_PRINTED)
+        rows = []
+        for one in self.ranking[:N_PRINTED]:
+            size = str(one.size).replace(" ", "\N{NO-BREAK SPACE}")
+            evidence = one.log_evidence if one.was_weighed else float("nan")
+            rows.append((one.name, size, evidence, one.grade, one.held_out_rmse))
+        best = printed_table(rows, columns=list(PRINTED))
         return Summary(
             str(self.verdict),
             (

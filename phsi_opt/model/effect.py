@@ -10,7 +10,7 @@ from types import UnionType
 
 from phsi_opt.arguments import require_known
 from phsi_opt.errors import ModelError
-from phsi_opt.model.expressions import names_of
+from phsi_opt.model.expressions import is_linear, names_of
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import SLOTS
 from phsi_opt.model.terms import Dictionary, Term, read_only
@@ -105,6 +105,17 @@ def is_delay(effect: Effect) -> bool:
             if isinstance(one.guess, Tried) and one.guess.of == "dt":
                 return True
     return False
+
+
+def is_decay(effect: Effect) -> bool:
+    """Whether it is c (s - x) in the equation of a state x: 1/c is a time constant."""
+    x = effect.equation
+    body = effect.term.terms[-1].body
+    names = names_of(body)
+    own = sorted({x, f"dH_d{x}"} & names)
+    if effect.slot == "F":
+        return bool(own) and is_linear(body, own)
+    return effect.slot == "R" and not names
 
 
 def _has_guess(terms: Iterable[Term], kind: type | UnionType) -> bool:

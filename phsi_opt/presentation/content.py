@@ -8,7 +8,6 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from phsi_opt.presentation.numbers import (
     as_exact_as,
     number,
     said,
-    with_error,
 )
 from phsi_opt.presentation.units import Scale
 
@@ -129,10 +127,10 @@ class ParameterRow:
         """The interval in words, and what is odd about it."""
         ends = ""
         if self.lower is not None and self.upper is not None:
-            told = number
+            ends = f"{number(self.lower)} to {number(self.upper)}"
             if 0 < self.std_error < np.inf:
-                told = partial(as_exact_as, self.std_error)
-            ends = said(f"{told(self.lower)} to {told(self.upper)}")
+                both = (self.lower, self.upper)
+                ends = said(as_exact_as(self.std_error, both, " to "))
         return ", ".join(filter(None, (ends, self.remark)))
 
 
@@ -279,9 +277,8 @@ class Ranked:
     """A candidate effect."""
 
     effect: str  # such as "coulomb friction on p"
-    coefficient: float  # its size, with its standard error and unit
-    std_error: float
-    unit: str
+    size: str  # with its standard error and unit, and its other parameters
+    std_error: float  # NaN where it is not known
     evidence: str  # how clearly it is there, such as "decisive, log evidence 95"
     # Of the squared error above the noise that it explains; None: not known.
     share: Number
@@ -289,15 +286,6 @@ class Ranked:
     held_out: Number  # on data held out
     confused_with: tuple[str, ...]  # effects that the data cannot tell from it
     lost: str  # why it is rejected; "" where nothing speaks against it
-    beside: str = ""  # its other parameters, as far as they are known
-    time: str = ""  # its time constant; "" for what has none
-
-    @property
-    def size(self) -> str:
-        """The coefficient with its standard error and unit; then the others."""
-        known = (self.coefficient, self.std_error)
-        size = said(self.time) or f"{with_error(*known)} {self.unit}".rstrip()
-        return f"{size}; {self.beside}" if self.beside else size
 
     def error_with(self, unit: str) -> str:
         """The error with it, on the data that judge where that is known."""

@@ -12,10 +12,13 @@ UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])(?![.\d])")  # formulas have **
 DEGREES = re.compile(r"\bdeg(?=[CF]\b)")  # of a temperature
 RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 POWER_OF_TEN = re.compile(
-    r"(?<![\w.])(\d+(?:\.\d+)?)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
+    r"(?<![\w.])(\d+(?:\.\d+)?|\([^()]+\))e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
 )
 # Names of people; names of effects are small letters in code.
 PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
+# Of units, by powers of a thousand; kg has one, and those of a power take none.
+PREFIXES = {-3: "n", -2: "\N{MICRO SIGN}", -1: "m", 1: "k", 2: "M", 3: "G"}
+PREFIXED = re.compile(r"(?:[msANVWJFH]|Pa|Hz|Wb|Ohm)(?![\w^])")
 LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
 
 
@@ -46,29 +49,45 @@ def decimal(value: float, digits: int, zeros: str = "") -> str:
     return text
 
 
-def estimate_text(value: float, std_error: float) -> str:
-    """Value and standard error to the second digit of the error, as typed."""
-    if not math.isfinite(std_error):
-        return f"{value:.6g}"
-    if std_error <= 0 or not math.isfinite(value):
-        return f"{value:.6g} +- {decimal(std_error, 2)}"
-    return f"{as_exact_as(std_error, value)} +- {as_exact_as(std_error, std_error)}"
+def estimate_text(value: float, std_error: float, unit: str = "") -> str:
+    """Value, standard error and unit as typed; both end with its second digit."""
+    if not 0 < std_error < math.inf or not math.isfinite(value):
+        error = f" +- {decimal(std_error, 2)}" if math.isfinite(std_error) else ""
+        return f"{value:.6g}{error} {unit}".rstrip()
+    return as_exact_as(std_error, (value, std_error), " +- ", unit)
 
 
-def as_exact_as(std_error: float, value: float) -> str:
-    """The value, which ends with the second digit of its standard error."""
+def as_exact_as(
+    std_error: float, values: Sequence[float], between: str, unit: str = ""
+) -> str:
+    """Values that end with the second digit of their standard error.
+
+    Many zeros are a prefix of the unit, or else a power of ten.
+    """
     place = math.floor(math.log10(std_error))
-    size = max(abs(value), std_error)
-    if std_error < 1e-4 or size >= 1e6:
-        return decimal(value, math.floor(math.log10(size)) - place + 2, "#")
-    return f"{round(value, 1 - place) + 0.0:.{max(1 - place, 0)}f}"
+    largest = max(map(abs, values))
+    power = 0
+    if largest >= 1e6 or (largest < 0.1 and place < -4):
+        power = math.floor(math.log10(largest))
+    prefix = PREFIXES.get(power // 3) if power and PREFIXED.match(unit) else None
+    if prefix:
+        power -= power % 3
+    digits = 1 - place + power
+    told = []
+    for value in values:
+        size = round(value / 10.0**power, digits) + 0.0
+        told.append(f"{size:.{max(digits, 0)}f}")
+    text = between.join(told)
+    if power and not prefix:
+        text = f"({text})e{power:+03d}"
+    return f"{text} {prefix or ''}{unit}".rstrip()
 
 
-def with_error(value: float, std_error: float) -> str:
+def with_error(value: float, std_error: float, unit: str = "") -> str:
     """The same as a report has it; the value alone where there is no error."""
     if not math.isfinite(value) or not 0 < std_error < math.inf:
-        return number(value)
-    return said(estimate_text(value, std_error))
+        return f"{number(value)} {unit}".rstrip()
+    return said(estimate_text(value, std_error, unit))
 
 
 OF_RATES = ("1/ms", "1/s", "1/min", "1/h", "1/days")
@@ -84,7 +103,7 @@ def time_constant_words(rate: float, std_error: float, unit: str) -> str:
         return ""
     time = unit.removeprefix("1/")
     if 10 * std_error < rate:
-        return f"time constant {estimate_text(1 / rate, std_error / rate**2)} {time}"
+        return f"time constant {estimate_text(1 / rate, std_error / rate**2, time)}"
     ends = [1 / (rate + 1.96 * std_error), 1 / (rate - 1.96 * std_error)]
     return f"time constant {with_interval(1 / rate, ends, f' {time}')}"
 

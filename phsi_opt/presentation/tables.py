@@ -6,6 +6,7 @@ columns come again. This module imports pandas: it is imported where a table is 
 """
 
 import io
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 COLUMN_GAP = 2  # characters between columns
-LONGEST_WORD = 30  # characters of a word that is not broken
+LONGEST_WORD = 34  # characters of a word that is not broken
+BREAKABLE = re.compile(r"[ \t\r\n]+")  # but for a blank at which no line breaks
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
 
 
@@ -68,7 +70,7 @@ class Column:
         """Characters that it takes where all is broken that may be, with the gap."""
         longest = max(map(len, self.cells), default=1)
         if not self.is_number:  # texts are broken at blanks, after a word or two
-            words = map(len, " ".join(self.cells).split())
+            words = map(len, " ".join(self.cells).split(" "))
             longest = max(min(longest, 12), min(max(words, default=1), LONGEST_WORD))
         return COLUMN_GAP + max(longest, 1, *map(len, self.broken_header.split()))
 
@@ -96,7 +98,7 @@ def text_of_cell(value: Any) -> str:
         return ""
     if isinstance(value, float | np.floating):
         return "-" if np.isnan(value) else f"{value:.4g}"
-    return " ".join(str(value).split())
+    return BREAKABLE.sub(" ", str(value)).strip()
 
 
 def text_of_table(

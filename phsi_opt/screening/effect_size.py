@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.model.effect import Effect, is_wave
+from phsi_opt.model.effect import Effect, is_decay, is_wave
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
-from phsi_opt.presentation.numbers import time_constant_words
+from phsi_opt.presentation.numbers import estimate_text, number, time_constant_words
 from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
 
@@ -27,10 +27,10 @@ class Size:
         scale = scale_of(unit)
         return Size(self.value / scale.size, self.std_error / scale.size, scale.unit)
 
-    def time_constant(self, effect: Effect) -> str:
-        """That of a rate, in words; "" for a law with a level, which is not linear."""
+    def words(self, effect: Effect) -> str:
+        """As text; of a rate at which a state decays its time constant."""
         known = (self.value, self.std_error, self.unit)
-        return "" if effect.term.terms[0].inner else time_constant_words(*known)
+        return (time_constant_words(*known) if is_decay(effect) else "") or str(self)
 
     @property
     def z(self) -> float:
@@ -38,10 +38,11 @@ class Size:
         return abs(self.value) / max(self.std_error, TINY)
 
     def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
+        if abs(self.value) < self.std_error < np.inf:
+            return "not determined"
         if not np.isfinite(self.std_error):
-            return f"{self.value:.3g}{unit}"
-        return f"{self.value:.3g} +- {self.std_error:.2g}{unit}"
+            return f"{number(self.value)} {self.unit}".rstrip()
+        return estimate_text(self.value, self.std_error, self.unit)
 
 
 def new_names(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:

@@ -77,10 +77,7 @@ class Sensitivities:
         self.at_rest = self._defects_at_rest()
 
     def __call__(self, values: dict[str, float]) -> Change:
-        """The change at values of the inner parameters, per unit of each coefficient.
-
-        An effect without a coefficient is there as a whole: k is one.
-        """
+        """The change at inner parameters' values, per unit of each coefficient."""
         linearized = self.linearized
         k = max(len(self._places), 1)
         theta = linearized.parameters_of(self.trial.model, values)

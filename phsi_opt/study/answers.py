@@ -143,9 +143,8 @@ def _acts(effect: Effect) -> str:
 def finding_words(diagnosis: Diagnosis, finding: Finding) -> str:
     """An effect with its size, and the others of its class."""
     first = finding.effects[0]
-    size = Size(finding.coefficient, finding.std_error, finding.unit)
     fits = [one.fit for one in diagnosis.ranking if one.fit and one.effect == first]
-    words = size_words((fits or [diagnosis.base.fit])[0], first, size)
+    words = size_words((fits or [diagnosis.base.fit])[0], first, finding.size)
     return f"{first}{words}{alternatives(finding, str(first))}"
 
 
@@ -153,12 +152,11 @@ def size_words(fit: Fit, effect: Effect, size: Size) -> str:
     """The size of an effect behind its name, per unit of what no equation tells."""
     if not np.isfinite(size.value):
         return ""
-    known = (size.value, size.std_error)
-    time = size.time_constant(effect)
-    if time:
-        return f", {said(time)}{_capacity_words(fit, effect)}"
-    per = inertia_words(fit.model, effect, fit.units)
-    return f", {with_error(*known)}{spaced(size.unit)}{per}"
+    told = size.words(effect)
+    per = _capacity_words(fit, effect)
+    if told == str(size):
+        per = inertia_words(fit.model, effect, fit.units)
+    return f", {said(told)}{per}"
 
 
 def _capacity_words(fit: Fit, effect: Effect) -> str:

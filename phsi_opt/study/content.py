@@ -50,6 +50,7 @@ from phsi_opt.presentation.numbers import (
     number,
     number_of,
     proper_names,
+    said,
     short_constants,
     short_repr,
     with_error,
@@ -62,7 +63,7 @@ from phsi_opt.presentation.units import (
     scale_of_errors,
     scale_of_time,
 )
-from phsi_opt.screening.effect_size import Size, names_beside_size
+from phsi_opt.screening.effect_size import names_beside_size
 from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     evidence_words,
@@ -322,18 +323,17 @@ def _ranking(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
         alike.pop(one.name, None)
         told = named.get(one.name, one)
-        known = (float(told.coefficient), float(told.std_error), told.unit)
+        words = said(told.size.words(one.effect))
         found = Ranked(
             one.name,
-            *known,
+            "; ".join(filter(None, (words, _beside_size(diagnosis, one)))),
+            told.std_error,
             evidence_words(one),
             _known(np.clip(one.share, 0.0, 1.0)),
             _known(size * one.train_rmse),
             _known(size * one.held_out_rmse),
             tuple(alike),
             one.lost,
-            _beside_size(diagnosis, one),
-            Size(*known).time_constant(one.effect),
         )
         ranked.append(found)
     return tuple(ranked)
@@ -347,7 +347,7 @@ def _beside_size(diagnosis: Diagnosis, one: Candidate) -> str:
     rows: Any = one.fit.parameters.set_index("name").loc[names].itertuples()
     told = []
     for row in rows:
-        size = f"{with_error(row.value, row.std_error)} {row.unit}".rstrip()
+        size = with_error(row.value, row.std_error, row.unit)
         told.append(f"{parameter_words(one.fit.model, row.Index)} = {size}")
     return ", ".join(told)
 
