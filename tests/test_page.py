@@ -100,7 +100,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert NAMED.search(said)
     assert "In dp/dt" in said
     assert re.search("(Strongest|Most clearly visible) at t = ", said)
-    assert "has an error of" in said
+    assert "dp/dt lacks a force of" in said
     assert f"{CALLED}, " in said
     assert "missing: named" in said
     assert "the error is 1.4 times the noise." in said

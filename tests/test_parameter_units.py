@@ -180,8 +180,8 @@ def test_a_size_without_an_inertia_is_told_per_unit_of_it() -> None:
         effect = effect_named(model, name, model.states[-1], units)
         return inertia_words(model.add(effect), effect, units)
 
-    assert per(slow, SPEED, "coulomb friction") == " (per unit of inertia)"
-    assert per(house(), HOUSE, "heat loss") == " (per unit of heat capacity)"
+    assert per(slow, SPEED, "coulomb friction") == " (per inertia)"
+    assert per(house(), HOUSE, "heat loss") == " (per heat capacity)"
     assert per(slow, SPEED, "input dead zone") == ""
     assert per(slow, SPEED, "sensor offset") == ""
     assert per(motor(), SPEED, "coulomb friction") == ""
@@ -194,9 +194,9 @@ def test_a_size_without_an_inertia_is_told_per_unit_of_it() -> None:
     (pendulum(), ANGLES, "torque"),
     (motor(), SPEED, "torque"),
     (car("-F/m", m=ph.Parameter(1420.0, fixed=True, unit="kg")), CAR, "force"),
-    (house(), HOUSE, "heat flow"),
-    (tank(), VOLTS, "flow"),
-    (ph.FirstOrder(["i"], {"i": "u - i"}, ["u"]), {"i": "A", "t": "s"}, "voltage"),
+    (house(), HOUSE, "heat flow per heat capacity"),
+    (tank(), VOLTS, "flow per capacity"),
+    (ph.FirstOrder(["i"], {"i": "u - i"}, ["u"]), {"i": "A", "t": "s"}, "voltage per inductance"),
     (ph.FirstOrder(["x"], {"x": "u - x"}, ["u"]), {"t": "s"}, "term"),
 ])  # fmt: skip
 def test_what_an_equation_lacks_has_the_name_of_its_field(

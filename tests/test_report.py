@@ -150,7 +150,7 @@ def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
 
 def test_the_first_screen_says_what_where_since_when_and_what_to_add(content) -> None:
     expected = {
-        "What was wrong": r"Coulomb friction on p was missing: .* dp/dt had an error of [\d.]+ N.*",
+        "What was wrong": r"Coulomb friction on p was missing: .* dp/dt lacked a force of [\d.]+ N.*",
         "Where it was": "In dp/dt.*",
         "Since when": r"(From the start|(From the start, r|R)epeatedly), in both "
         r"training runs\. (Strongest|Most clearly visible) at t = .* of run \d\..*",
@@ -183,7 +183,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
     )
     assert "Still, a force is missing" in headline.sentence
     answers = {fact.question: fact.detail for fact in headline.answers}
-    assert "dp/dt has an error of" in answers["What is wrong"]
+    assert "dp/dt lacks a force of" in answers["What is wrong"]
     assert "What to do next" in answers
 
     assert silent.verdict == ph.Verdict.NOTHING_MISSING
@@ -226,7 +226,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
         r"0\.\d+ m in q \(\d+ % of its standard deviation; noise alone \d+ %\)", wrong
     )
     assert re.search(
-        r"dp/dt has an error of [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
+        r"dp/dt lacks a force of [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
     )
     assert wrong.startswith("The model has an error of 0.")
     assert "Simulated on data not used for fitting." in wrong
@@ -321,7 +321,12 @@ def test_a_picture_for_paper_has_plain_numbers_and_no_zero_far_from_its_curves()
     ]
     errors = errors_chart(steps, "m")
     assert "mathdefault" not in svg(errors)
+    assert errors.panels[0].label == "error, on a log scale (m)"
     assert errors.panels[0].curves[-1].group == "noise floor 0.0500 m"
+    near = errors_chart([ErrorStep("a", 2.0, 1.9, 1), ErrorStep("b", 1.0, 1.1, 1)], "m")
+    train, held_out, _ = near.panels[0].curves
+    assert train.is_below == (False, True)
+    assert held_out.is_below == (True, False)
     t = np.linspace(0.0, 1.0, 9)
     warm = Chart("t", (Panel("T", (Curve("T", t, 30 + t, "C0"),)),))
     assert drawn(warm).get_ylim()[0] > 20

@@ -33,13 +33,13 @@ def told(model: ph.Model, value: float = 0.0053) -> list[str]:
 def test_equations_have_the_names_of_their_parameters() -> None:
     energy, position, momentum = told(spring())
     assert energy == "H=kq22+p22m"
-    assert position == "q˙=pm"
-    assert momentum == "p˙=-kq-Rpq˙+gainuu"
+    assert position == "dqdt=pm"
+    assert momentum == "dpdt=−kq−Rpq˙+gainuu"
 
 
 def test_a_delay_is_written_as_one_and_not_as_its_states() -> None:
     *_, momentum = told(spring().add("input delay", "p"))
-    assert momentum == "p˙=-kq-Rpq˙+gainuu(t−5.3 ms)"
+    assert momentum == "dpdt=−kq−Rpq˙+gainuu(t−5.3 ms)"
     lines = told(spring().add("sensor delay", "q"), 2.0)
     assert lines[-1] == "qmeasured=q(t−2 s)" and len(lines) == 4
 
@@ -56,7 +56,7 @@ def test_coefficients_without_a_name_are_numbers_and_greek_letters_are_greek() -
     wave = ph.formula("sin(omega*t)", omega=ph.Parameter())
     model = ph.FirstOrder(["x_1"], {"x_1": ph.polynomials(["x_1"], 2) + wave})
     (line,) = told(model, 0.12345)
-    assert line == "x1˙=0.123x12+0.123x1+sin(ωt)"
+    assert line == "dx1dt=0.123x12+0.123x1+sin(ωt)"
 
 
 def test_a_name_cannot_be_markup_and_large_models_are_left_out() -> None:

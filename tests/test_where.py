@@ -424,6 +424,42 @@ def test_a_sentence_tells_a_force_in_the_unit_of_the_table() -> None:
     assert f" of rms {strength:.3g} cm/s," in found.sentences[0]
 
 
+def test_a_torque_is_told_in_newton_metres_where_the_inertia_is_known() -> None:
+    t = np.arange(0.0, 8.0, 0.05)
+    u = np.sign(np.sin(2.0 * t))
+    inertia, friction = 0.05, 0.12
+
+    def rate(s: float, w: np.ndarray) -> np.ndarray:
+        pushed = np.interp(s, t, u) - 0.1 * w - friction * np.tanh(w / 0.01)
+        return np.asarray(pushed / inertia)
+
+    w = solve_ivp(rate, (0.0, 8.0), [0.0], t_eval=t, max_step=0.01).y[0]
+    w += np.random.default_rng(3).normal(0, 0.02, len(t))
+    data = ph.Measurements.from_arrays(
+        t,
+        w[:, None],
+        u[:, None],
+        states=["w"],
+        inputs=["u"],
+        units={"t": "s", "w": "rad/s", "u": "N m"},
+    )
+    known = {
+        "J": ph.Parameter(inertia, fixed=True, unit="kg m^2"),
+        "b": ph.Parameter(0.1),
+    }
+    for law, unit in (("(u - b*w)/J", "N m"), ("20*u - 20*b*w", "rad/s^2")):
+        used = {name: known[name] for name in known if name in law}
+        model = ph.FirstOrder(["w"], {"w": ph.formula(law, **used)}, inputs=["u"])
+        found = ForceAnalysis.of(Record.of(ph.identify(model, data), data))
+        strength, told = found.where.loc[0, ["strength", "unit"]]
+        assert told == unit
+        assert strength == pytest.approx(
+            friction if unit == "N m" else friction / inertia, rel=0.1
+        )
+        missing = "torque" if unit == "N m" else "torque per inertia"
+        assert f"lacks a {missing} of rms" in found.sentences[0]
+
+
 def circuit_with(hidden: float) -> ForceAnalysis:
     """A loop of resistor, coil and capacitor, which lacks a voltage."""
     loop = ph.formula("(u - R*i - uC)/L", R=ph.Parameter(4.0), L=0.5)
@@ -455,6 +491,6 @@ def test_a_circuit_lacks_a_voltage_and_knows_no_positions() -> None:
     figure = plot_where(found)
     labels = [ax.get_xlabel() + ax.get_ylabel() + ax.get_title() for ax in figure.axes]
     told = " ".join((said, *labels))
-    assert "missing voltage (A/s)" in told
+    assert "missing voltage (V)" in told
     assert not re.search(r"force|position|velocity|speed", told)
     assert found.energy["unit"].tolist()[0] == "A^2/s"

@@ -25,9 +25,15 @@ from phsi_opt.force_analysis.localization import (
     strongest_window,
 )
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
-from phsi_opt.model.catalogue import lacking_quantity
+from phsi_opt.model.catalogue import inertia_of, lacking_quantity
+from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC
-from phsi_opt.model.structure import kind_of, position_of_momentum
+from phsi_opt.model.parameter_units import drive_of
+from phsi_opt.model.structure import (
+    kind_of,
+    position_of_momentum,
+    with_kinds_of_units,
+)
 from phsi_opt.presentation.numbers import label
 from phsi_opt.presentation.units import (
     Scale,
@@ -172,11 +178,20 @@ class EquationForce(Force):
         pair: list[str] = best["variable"].split(", ")
         return usual if {self.equation, usual[0]} <= set(pair) else pair
 
-    @property
+    @cached_property
     def scale(self) -> Scale:
-        """The unit in which a text or a report tells the force."""
-        longest = float(self.record.t.max())
-        return scale_of_rate(self.equation, self.record.units, longest)
+        """The unit in which a text or a report tells the force.
+
+        Where the equation tells its mass or inertia, that is the unit of a force; else
+        the force is told as the rate that it is missing in.
+        """
+        record = self.record
+        model = with_kinds_of_units(record.model, record.units)
+        inertia = inertia_of(model, self.equation, record.units)
+        if inertia:
+            size = 1 / float(evaluate(inertia, record.model.values, NUMPY))
+            return Scale(drive_of(record.units[self.equation]), size)
+        return scale_of_rate(self.equation, record.units, float(record.t.max()))
 
     @cached_property
     def quantity(self) -> str:

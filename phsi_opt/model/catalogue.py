@@ -221,28 +221,35 @@ LACKING = {
     (Role.CIRCUIT, "A"): "current",
     (Role.HEAT, ""): "heat flow",
 }
+PER = {"voltage": "inductance", "current": "capacitance"}  # where a circuit has both
 
 
 def lacking_quantity(model: BaseModel, x: str, units: Mapping[str, str]) -> str:
-    """What is missing in the equation of x, such as a force, a voltage, a heat flow."""
+    """What is missing in the equation of x: a force, a voltage, a flow per capacity."""
     known = with_kinds_of_units(model, units)
     unit = state_units(known, units)[x]
     drive = drive_of(unit) or rate_unit(unit, units.get("t", ""))
     role = role_of(known, x)
-    return LACKING.get((role, drive)) or LACKING.get((role, ""), "term")
+    found = LACKING.get((role, drive)) or LACKING.get((role, ""))
+    return f"{found}{_per(known, x, units, found)}" if found else "term"
+
+
+def _per(model: BaseModel, x: str, units: Mapping[str, str], what: str = "") -> str:
+    """Such as " per inertia", where the equation of x tells rates and no forces."""
+    is_rate = not model.has_energy and drive_of(state_units(model, units)[x])
+    if not is_rate or inertia_of(model, x, units):
+        return ""
+    return f" per {PER.get(what) or WORDS[role_of(model, x)][-1]}"
 
 
 def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) -> str:
-    """Such as " (per unit of inertia)", where the size is no force but a rate."""
-    x = effect.equation
+    """Such as " (per inertia)", where the size is no force but a rate."""
     term = effect.term.terms[-1]
     is_rate = effect.slot in "RF" and term.coefficient is not None
-    if model.has_energy or not is_rate or names_of(term.body) & set(model.slopes):
+    if not is_rate or names_of(term.body) & set(model.slopes):
         return ""
-    known = with_kinds_of_units(model, units)
-    if not drive_of(state_units(known, units)[x]) or inertia_of(known, x, units):
-        return ""
-    return f" (per unit of {WORDS[role_of(known, x)][-1]})"
+    found = _per(with_kinds_of_units(model, units), effect.equation, units)
+    return found and f" ({found.strip()})"
 
 
 def _places(

@@ -17,6 +17,7 @@ from phsi_opt.model.symbolic import Expressions
 from phsi_opt.presentation.numbers import decimal
 
 MOST_READ = 60  # of a model whose equations somebody reads
+RATE = "<mfrac><mrow><mi>d</mi>{}</mrow><mrow><mi>d</mi><mi>t</mi></mrow></mfrac>"
 TIMES, THIN_SPACE = "<mo>&InvisibleTimes;</mo>", '<mspace width="0.17em"/>'
 SEVERAL_WORDS = re.compile(r"<mi>([^<]+ [^<]+)</mi>")  # upright, as text is
 BY_NUMBER = re.compile(r"<mi>N(\d+)N</mi>")  # of a name in what SymPy writes
@@ -84,7 +85,7 @@ def typeset_equations(
     for k, state in enumerate(model.states):
         if symbols[state] not in instead:
             rate = (plain if state in pairs else parts).rates[k]
-            rows[_dot(_name(state))] = rate
+            rows[RATE.format(_name(state))] = rate
     for k, state in enumerate(model.states):
         if state in model.sensor:
             shown = f"<msub>{_name(state)}<mtext>measured</mtext></msub>"
@@ -96,6 +97,7 @@ def typeset_equations(
             found = sp.expand(found.subs(instead))
         found = found.replace(lambda one: one.is_Float, _exact)
         text = mathml(found, printer="presentation").replace(TIMES, THIN_SPACE)
+        text = text.replace("<mo>-</mo>", "<mo>\N{MINUS SIGN}</mo>")
         text = BY_NUMBER.sub(lambda one: written[int(one[1]) - 1], text)
         lines.append(f'<math display="block">{left}<mo>=</mo>{text}</math>')
     return tuple(lines)

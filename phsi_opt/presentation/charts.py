@@ -96,7 +96,7 @@ class Curve:
     std: np.ndarray | None = None  # half the width of a band around it; None: no band
     band: str = TWO_DEVIATIONS  # what the band is called
     texts: tuple[str, ...] = ()  # beside the points
-    side: str = "top"  # of the texts, or "bottom"
+    is_below: tuple[bool, ...] = ()  # whether a text stands below its point
     is_shown: bool = True  # before somebody asks for it
     group: str = ""  # the name of the curve with which it is shown or not
 
@@ -137,9 +137,14 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     errors = np.array([(one.train, one.held_out, one.floor) for one in steps], float)
     train, held_out, floor = errors.T
     curves = [_steps("training", x, train, MODEL)]
-    if np.isfinite(held_out).any():  # of two equal errors both numbers are seen
-        trained = replace(curves[0], color=MEASURED, side="bottom")
-        curves = [trained, _steps("held out", x, held_out, MODEL)]
+    if np.isfinite(held_out).any():  # of two near errors both numbers are seen
+        is_below = train <= held_out
+        trained = replace(curves[0], color=MEASURED, is_below=tuple(is_below.tolist()))
+        below = tuple((~is_below).tolist())
+        curves = [
+            trained,
+            replace(_steps("held out", x, held_out, MODEL), is_below=below),
+        ]
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
     band = f"noise floor {with_interval(floor[-1], ends[-1], spaced(unit))}"
@@ -149,7 +154,8 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     curves.append(Curve("", wide, middle, FLOOR, FILLED, half, band, group=band))
     known = errors[errors > 0]
     is_log = n > 1 and known.size > 0 and known.max() >= 10 * known.min()
-    panel = Panel(label("error", unit), curves, scale=LOG if is_log else FROM_ZERO)
+    scale, told = (LOG, "error, on a log scale") if is_log else (FROM_ZERO, "error")
+    panel = Panel(label(told, unit), curves, scale=scale)
     changes = [proper_names(step.change(k)) for k, step in enumerate(steps)]
     n_letters = max(60 // n, 8)  # of each label: side by side they have 60
     return Chart("", (panel,), ticks=tuple(wrap(one, n_letters) for one in changes))
@@ -377,11 +383,12 @@ def _draw_curve(ax: Axes, curve: Curve) -> None:
         ax.fill_between(curve.x, lower, upper, label=curve.band, **look)
     look = {"lw": 1.3, "color": curve.color, **MATPLOTLIB_LOOKS[curve.look]}
     ax.plot(curve.x, curve.y, label=_short(curve.name) or None, **look)
-    offset, place = (4, "bottom") if curve.side == "top" else (-4, "top")
-    for x, y, text in zip(curve.x, curve.y, curve.texts, strict=False):
-        if text:
-            look = {"ha": "center", "va": place, "color": curve.color}
-            ax.annotate(text, (x, y), (0, offset), textcoords="offset points", **look)
+    for k, text in enumerate(curve.texts):
+        is_below = curve.is_below and curve.is_below[k]
+        offset, place = (-4, "top") if is_below else (4, "bottom")
+        look = {"ha": "center", "va": place, "color": curve.color}
+        look |= {"xytext": (0, offset), "textcoords": "offset points"}
+        ax.annotate(text, (curve.x[k], curve.y[k]), **look)
 
 
 def _draw_map(ax: Axes, found: ForceMap) -> None:

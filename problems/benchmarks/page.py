@@ -26,7 +26,7 @@ PATIENCE = 120_000  # ms
 PRESENT = "The present model"
 ADDED = "What was added"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-ROUNDS = 3  # of undo, redo and reload, of which the median counts
+ROUNDS = 9  # of undo, redo and reload, of which the median counts
 
 
 @contextmanager

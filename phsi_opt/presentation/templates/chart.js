@@ -25,7 +25,7 @@ function phsiChart(host, chart) {
     return [middles[0] - half, middles[middles.length - 1] + half];
   }
   function said(value, digits = 4) {
-    const text = Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
+    const text = Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-4) ? Number(value.toPrecision(3)).toExponential() : String(Number(value.toPrecision(digits)));
     return text.replace(/e\+?(-?\d+)/, (_, power) => `×10${[...power].map((one) => RAISED[one]).join("")}`).replace(/-/g, "−");
   }
   function ticks(low, high, most) {
@@ -33,12 +33,20 @@ function phsiChart(host, chart) {
     const step = size * [1, 2, 5, 10].find((factor) => factor * size >= rough);
     const found = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
-    return found;
+    return found.length > 1 ? found : ticks(low, high, 2 * most);
   }
   function decades(low, high) {
     const found = [];
-    for (let k = Math.floor(low); k <= high; k++) for (const one of [1, 2, 5]) found.push(k + Math.log10(one));
+    for (let k = Math.floor(low); k <= high; k++) for (const one of high - low > 1.5 ? [1] : [1, 2, 5]) found.push(k + Math.log10(one));
     return found.filter((value) => value >= low && value <= high);
+  }
+  function folded(text, most) { // into lines of so many letters
+    const lines = [""];
+    for (const word of text.split(" ")) {
+      const longer = `${lines[lines.length - 1]} ${word}`.trim();
+      longer.length > most && lines[lines.length - 1] ? lines.push(word) : (lines[lines.length - 1] = longer);
+    }
+    return lines;
   }
   function limits(panel) {
     if (chart.map) return edges(chart.map.y);
@@ -83,7 +91,7 @@ function phsiChart(host, chart) {
       const [cx, cy] = [x(curve.x[k]).toFixed(1), y(value)];
       svg += `<circle cx="${cx}" cy="${cy.toFixed(1)}" r="${isRings ? 6 : 4}" ${isRings ? 'fill="none" stroke-width="2" stroke' : "fill"}="${curve.color}"/>`;
       const text = curve.texts[k] || "";
-      svg += text && `<text x="${cx}" y="${cy + (curve.side === "top" ? -9 : 18)}" text-anchor="middle" style="fill: ${curve.color}">${plain(text)}</text>`;
+      svg += text && `<text x="${cx}" y="${cy + (curve.is_below[k] ? 18 : -9)}" text-anchor="middle" style="fill: ${curve.color}">${plain(text)}</text>`;
     });
     return svg;
   }
@@ -116,7 +124,8 @@ function phsiChart(host, chart) {
     const width = host.clientWidth, panels = chart.map ? [{ label: chart.map.y_label, curves: [], height: 1, scale: "" }] : chart.panels;
     drawnAt = size();
     if (!width) return;
-    const box = host.querySelector("svg"), tickRows = Math.max(1, ...chart.ticks.map((lines) => lines.length));
+    const names = chart.ticks.map((lines) => folded(lines.join(" "), (width - LEFT - RIGHT) / 6.5 / chart.ticks.filter((one) => one.length).length));
+    const box = host.querySelector("svg"), tickRows = Math.max(1, ...names.map((lines) => lines.length));
     const height = Math.max(host.clientHeight - host.querySelector(".keys").offsetHeight - 4, 120);
     const bottom = height - 18 * tickRows - (chart.x_label ? 22 : 4);
     const x = (value) => LEFT + (value - range[0]) / (range[1] - range[0]) * (width - LEFT - RIGHT);
@@ -139,7 +148,7 @@ function phsiChart(host, chart) {
       top += high + GAP;
     });
     if (chart.mark) svg += `<text x="${x(chart.mark[0])}" y="12" text-anchor="middle">${plain(chart.mark[1])}</text>`;
-    const below = chart.ticks.length ? chart.ticks.map((lines, k) => [k, lines]).filter(([k]) => k >= range[0] && k <= range[1]) : ticks(...range, Math.max((width - LEFT) / 80, 4)).map((value) => [value, [said(value)]]);
+    const below = names.length ? names.map((lines, k) => [k, lines]).filter(([k]) => k >= range[0] && k <= range[1]) : ticks(...range, Math.max((width - LEFT) / 80, 4)).map((value) => [value, [said(value)]]);
     below.forEach(([value, lines]) => lines.forEach((line, row) => { svg += `<text x="${x(value)}" y="${bottom + 16 + 17 * row}" text-anchor="middle">${plain(line)}</text>`; }));
     svg += `<text x="${(LEFT + width - RIGHT) / 2}" y="${height - 5}" text-anchor="middle" class="name">${plain(chart.x_label)}</text><line class="cursor" x1="-9" x2="-9" y1="18" y2="${bottom}"/><rect class="drag" y="18" height="${bottom - 18}"/>`;
     box.setAttribute("height", height);
