@@ -445,7 +445,7 @@ def test_a_torque_is_told_in_newton_metres_where_the_inertia_is_known() -> None:
     )
     known = {
         "J": ph.Parameter(inertia, fixed=True, unit="kg m^2"),
-        "b": ph.Parameter(0.1),
+        "b": ph.Parameter(0.1, fixed=True),
     }
     for law, unit in (("(u - b*w)/J", "N m"), ("20*u - 20*b*w", "rad/s^2")):
         used = {name: known[name] for name in known if name in law}
