@@ -1,11 +1,112 @@
 """Checks of settings, each of which names the setting, its value and the expected."""
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from functools import cache, wraps
+from itertools import chain, cycle, repeat
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, PhsiOptError, did_you_mean, shown, some_of
+from phsi_opt.errors import (
+    DataError,
+    ModelError,
+    PhsiOptError,
+    did_you_mean,
+    shown,
+    some_of,
+)
+
+Call = TypeVar("Call", bound=Callable[..., Any])
+types_of = cache(get_type_hints)
+ACCEPTED: Mapping[Any, tuple[type, ...]] = {
+    str: (str,),
+    bool: (bool, np.bool_),
+    int: (int, np.integer),
+    float: (int, float, np.integer, np.floating),
+}
+WRITTEN_AS = {  # by a word of the annotation
+    "Measurements": "Create these with from_csv, from_dataframe or from_arrays.",
+    "Trajectory": "Arrays: Measurements.from_arrays(t, x, states=[...]).",
+    "Executor": "It has a method submit, as ProcessPoolExecutor(4) has.",
+    "Fit": "A Fit is what identify returns.",
+    "Model": "A Model, which comes first, is a PseudoHamiltonian or a FirstOrder.",
+    "Loss": "Write PHSILoss() or MaximumLikelihood().",
+    "Dictionary": "Write formula('...') or polynomials([...], n).",
+    "Sequence": "Write a list, such as ['a', 'b'].",
+    "Mapping": "Write a mapping, such as {'p': ...}.",
+}
+OF_DATA = re.compile("Measurements|Executor")  # their errors are of data
+
+
+def typed(call: Call, error: type[PhsiOptError] = ModelError) -> Call:
+    """Decorate a public function or record: it refuses arguments of other types.
+
+    Checked is what the annotations say, down to the entries of lists and mappings. A
+    list may be any collection, and a bool is no number.
+
+    Raises:
+        PhsiOptError: it names the first argument of another type, its value, the type,
+            and how it is made.
+    """
+    if isinstance(call, type):
+        call.__init__ = typed(call.__init__, error)  # type: ignore[misc]
+        return call
+    names = list(inspect.signature(call).parameters)
+
+    @wraps(call)
+    def checked(*args: Any, **words: Any) -> Any:
+        check_types(dict(zip(names, args, strict=False)) | words, types_of(call), error)
+        return call(*args, **words)
+
+    return checked  # type: ignore[return-value]
+
+
+def check_types(
+    given: Mapping[str, Any],
+    types: Mapping[str, Any],
+    error: type[PhsiOptError] = ModelError,
+) -> None:
+    """Check values by name against the types of these names."""
+    for name, value in given.items():
+        hint = types.get(name, Any)
+        if not is_of(value, hint):
+            kind = re.sub(r"(\w+\.)+", "", inspect.formatannotation(hint))
+            advice = map(WRITTEN_AS.__getitem__, filter(kind.__contains__, WRITTEN_AS))
+            wrong = DataError if OF_DATA.search(kind) else error
+            said = f"{name}={shown(value)} is not possible; expected {kind}."
+            raise wrong(" ".join([said, *advice]))
+
+
+def is_of(value: Any, hint: Any) -> bool:
+    """Whether a value, with all that it holds, is of the type of an annotation."""
+    kind, parts = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, UnionType):
+        return any(map(is_of, repeat(value), parts))
+    if kind in ACCEPTED:
+        is_bool = isinstance(value, bool | np.bool_)
+        is_kind = isinstance(value, ACCEPTED[kind]) and is_bool == (kind is bool)
+        is_whole = is_kind and isinstance(value, int)
+        return is_kind and not (is_whole and abs(value) >= 2**1023)  # beyond floats
+    if kind is Any or not isinstance(kind, type):
+        return True
+    if kind is Executor:  # of any library
+        return callable(getattr(value, "submit", None))
+    if issubclass(kind, Mapping):
+        is_kind = isinstance(value, Mapping)
+        return is_kind and all(map(is_of, chain(*value.items()), cycle(parts)))
+    if not issubclass(kind, Iterable) or not parts:
+        return isinstance(value, kind)
+    others: Any = str | bytes | Mapping
+    if issubclass(kind, Sequence):  # in an order
+        others |= set | frozenset | (np.ndarray if kind is tuple else str)
+    if isinstance(value, others) or not np.iterable(value):
+        return False
+    is_once = isinstance(value, Iterator)
+    return is_once or all(map(is_of, value, repeat(parts[0])))
 
 
 def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
@@ -43,7 +144,11 @@ def require_known(
         PhsiOptError: there is no such name.
     """
     listed = list(known)
-    if name not in listed:
+    try:
+        is_known = name in dict.fromkeys(listed)
+    except TypeError:  # a list, or an array, that has no hash
+        is_known = False
+    if not is_known:
         are_words = all(str(one).isidentifier() for one in listed)
         words = map(str if are_words else repr, listed)  # blanks, commas, numbers
         expected = some_of(list(words)) or "none: there are no names"
@@ -70,12 +175,18 @@ def require_positive(name: str, value: Any) -> None:
 
 def is_count(value: Any) -> bool:
     """Whether the value is a whole number of at least 1."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    return whole and bool(1 <= value < 2**63)  # more digits cannot be shown
+    return is_of(value, int) and bool(1 <= value < 2**63)  # more cannot be shown
 
 
 def is_size(value: Any) -> bool:
     """Whether the value is a finite number of at least zero."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        return False
-    return bool(0 <= value < np.inf)
+    return is_of(value, float) and bool(0 <= value < np.inf)
+
+
+def require_share(
+    name: str, value: Any, error: type[PhsiOptError] = ModelError
+) -> None:
+    """Check that the value is a number between 0 and 1, and neither of them."""
+    if not is_size(value) or not 0 < value < 1:
+        expected = "a number between 0 and 1, such as 0.95"
+        raise error(f"{name}={shown(value)} is not possible; expected {expected}.")

@@ -96,7 +96,7 @@ def shown(value: object) -> str:
         return repr(f"{value[: MOST_LETTERS - 5]}...")
     try:
         written = value.__name__ if isinstance(value, type) else repr(value)
-    except ValueError:  # of a list with a number that is too long
+    except Exception:  # of a list with a number that is too long, or of a user's class
         return f"{type(value).__name__}(...)"
     is_short = len(written) <= MOST_LETTERS and "\n" not in written
     return written if is_short else f"{type(value).__name__}(...)"
@@ -122,7 +122,7 @@ def did_you_mean(name: object, options: Iterable[object]) -> str:
         ``" Did you mean 'x'?"``, or ``""`` when no option is close.
     """
     by_lower_case = {str(option).lower(): str(option) for option in options}
-    asked_for = str(name).lower()
+    asked_for = (name if isinstance(name, str) else shown(name)).lower()
     matches = difflib.get_close_matches(asked_for, by_lower_case, n=1)
     if not matches:
         return ""

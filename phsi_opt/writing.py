@@ -12,7 +12,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import BinaryIO
 
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 from phsi_opt.reading import why_not_read
 
 try:
@@ -62,7 +62,8 @@ def _unwritable(path: str | Path, error: Exception) -> DataError:
         why = "its folder does not exist; create it, or give another path"
     elif isinstance(error, OSError):
         why = why_not_read(error)
-    return DataError(f"file {str(path)!r} cannot be written: {why}.")
+    named = repr(str(path)) if isinstance(path, str | Path) else shown(path)
+    return DataError(f"file {named} cannot be written: {why}.")
 
 
 def remove_unfinished(place: Path) -> None:

@@ -413,9 +413,9 @@ def test_an_effect_that_was_added_since_is_not_offered_again() -> None:
     (None, ["gap on p3"], "'gap on p3' in without .* Did you mean 'gap on p"),
     (None, ["overflow"], "'overflow' in without is not in the catalogue"),
     (None, [own_effect()], "'own on p1' in without is not in the catalogue"),
-    (None, "gap", "without='gap' must be a list"),
-    (own_effect(), (), "must be a list of effects or of their names"),
-    ([3], (), "must be a list of effects"),
+    (None, "gap", "without='gap' .* Write a list"),
+    (own_effect(), (), r"effects=.* expected Sequence\[Effect \| str\]"),
+    ([3], (), r"effects=\[3\] .* expected Sequence\[Effect \| str\]"),
 ])  # fmt: skip
 def test_what_no_equation_can_have_is_refused(effects, without, said) -> None:
     with pytest.raises(ph.ModelError, match=said):

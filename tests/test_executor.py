@@ -110,12 +110,12 @@ def test_processes_and_threads_give_the_bits_of_one_process(
 
 def test_what_cannot_compute_is_refused(fit: ph.Fit) -> None:
     nothing: Any = 2
-    with pytest.raises(ph.DataError, match="executor=2 has no method submit"):
+    with pytest.raises(ph.DataError, match=r"executor=2 .* a method submit"):
         diagnosed(fit, nothing)
     study = ph.Study(fit.model, record(120, 0))
-    with pytest.raises(ph.DataError, match="executor=2 has no method submit"):
+    with pytest.raises(ph.DataError, match=r"executor=2 .* a method submit"):
         study.auto(executor=nothing)
-    with pytest.raises(ph.DataError, match="executor=2 has no method submit"):
+    with pytest.raises(ph.DataError, match=r"executor=2 .* a method submit"):
         study.diagnose(executor=nothing)
 
 

@@ -166,7 +166,7 @@ def test_stiffness_and_mass_that_cannot_be_told_apart_are_flagged() -> None:
 @pytest.mark.parametrize(("options", "message"), [
     ({"l1": {"G": 1.0}}, "l1 names slot 'G'"),
     ({"l1": -1.0}, "expected a finite number of at least 0"),
-    ({"loss": "phsi"}, "is not a loss"),
+    ({"loss": "phsi"}, "loss='phsi' is not possible; expected PHSILoss"),
     ({"loss": ph.PHSILoss()}, "'p' was never measured, but PHSILoss takes the"),
     ({"loss": ph.MaximumLikelihood(noise={"p": 0.1})}, "noise of the measured state 'q' is None"),
     ({"loss": ph.MaximumLikelihood(integrator="rk5")}, "integrator 'rk5' is unknown"),

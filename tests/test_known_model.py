@@ -94,7 +94,7 @@ def test_what_has_to_be_fitted_or_is_no_model_is_refused(fit, data) -> None:
     with pytest.raises(ph.ModelError, match=r"diagnose\(identify\(model, data\), data"):
         ph.diagnose(model, data)
     assert ph.compare(model.with_fixed({"k": 2.3}), data).rmse < 2 * NOISE
-    with pytest.raises(ph.ModelError, match="compare got a str; expected a Fit"):
+    with pytest.raises(ph.ModelError, match=r"fit='fit.json' .* expected Fit \| Model"):
         ph.compare("fit.json", data)  # type: ignore[arg-type]
     with pytest.raises(ph.ModelError, match="no free parameter, and the PHSI loss"):
         ph.identify(damped_spring(), data, ph.PHSILoss())

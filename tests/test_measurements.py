@@ -170,7 +170,7 @@ def test_pairs_that_cannot_be_used_are_refused(changes, message) -> None:
     ({"u": [1, np.nan, 2]}, r"input 'u1' at sample 1 \(t=1.0\) is nan; times and inputs must be known"),
     ({"u": [1, 2, 3], "inputs": ["a", "b"]}, "has 1 input column; expected 2"),
     ({"t": [0], "x": [1]}, "trajectory 'run 1' has 1 sample; expected at least 2"),
-    ({"states": "q"}, "states='q' is not a list of names"),
+    ({"states": "q"}, "states='q' is not possible; expected Sequence"),
     ({"states": []}, "names no state"),
     ({"states": ["1q"]}, "states: '1q' cannot be used in a formula"),
     ({"states": ["t"]}, "states: the name 't' is reserved"),
@@ -179,12 +179,12 @@ def test_pairs_that_cannot_be_used_are_refused(changes, message) -> None:
     ({"u": [1, 2, 3], "inputs": ["q"]}, "the name 'q' is used 2 times"),
     ({"hold": "zeros"}, r"hold='zeros' is unknown; expected one of linear, zero, cubic\. Did you mean 'zero'\?"),
     ({"noise": {"q": 0}}, "noise: 'q' has the standard deviation 0; expected a positive number"),
-    ({"noise": {"q": "1"}}, "standard deviation '1'"),
+    ({"noise": {"q": "1"}}, r"noise={'q': '1'} is not possible; expected Mapping\[str, float\]"),
     ({"noise": {"Q": 1.0}}, r"noise names the unknown 'Q'; expected one of q\. Did you mean 'q'\?"),
-    ({"noise": 0.1}, "noise=0.1 is not a mapping"),
+    ({"noise": 0.1}, "noise=0.1 is not possible; expected Mapping"),
     ({"units": {"w": "m"}}, r"units names the unknown 'w'; expected one of t, q\."),
-    ({"units": {"q": None}}, "units: 'q' has the unit None; expected text"),
-    ({"units": ""}, "units='' is not a mapping"),
+    ({"units": {"q": None}}, r"units={'q': None} is not possible; expected Mapping\[str, str\]"),
+    ({"units": ""}, "units='' is not possible; expected Mapping"),
     ({"names": ["a", "b"]}, "the lengths differ: .*'names': 2.*one entry per trajectory"),
     ({"names": [""]}, "trajectory name '' is not a text"),
     ({"names": ["a\nb"]}, "is not a text of one line"),
@@ -275,7 +275,7 @@ def test_one_trajectory_is_split_in_time_without_sharing_a_sample(
 
 @pytest.mark.parametrize("fraction", [0, 1, 70, np.nan, "0.7", None])
 def test_a_share_outside_zero_and_one_is_refused(fraction: Any) -> None:
-    with pytest.raises(ph.DataError, match="is not between 0 and 1"):
+    with pytest.raises(ph.DataError, match="expected a number between 0 and 1"):
         record().split(fraction)
     short = ph.Measurements.from_arrays([0, 1, 2], [1, 2, 3], states=["q"])
     said = "trajectory 'run 1' has 3 samples; a split in time needs at least 4"

@@ -136,7 +136,7 @@ def test_names_are_parameters_and_inputs_as_they_are_given() -> None:
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (("x", 1, "-k*x"), "coordinates='x' is not a list of names"),
+    (("x", 1, "-k*x"), "coordinates='x' is not possible; expected Sequence"),
     ((["x"], 0, "-k*x"), "mass 'm' is 0; expected a number above zero"),
     ((["x"], ph.Parameter(-1.0), "-k*x"), "mass 'm' is -1"),
     ((["x"], "m*x", "-k*x"), "mass 'm\\*x' depends on 'x'; expected a constant"),

@@ -158,9 +158,10 @@ def test_a_restart_computes_only_what_is_not_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("function", "cases", "in_flight", "said"), [
     (lambda n: n, {"a": 1}, 1, "top level"),
-    (sweep_tasks.square, {1: 1}, 1, "not a text"),
+    (sweep_tasks.square, {1: 1}, 1, "cases={1: 1} .* expected Mapping"),
     (sweep_tasks.square, {"": 1}, 1, "not a text"),
     (sweep_tasks.square, {"a": 1}, 0, "in_flight=0"),
+    (1, {"a": 1}, 1, "function=1 is not possible; expected Callable"),
 ])  # fmt: skip
 def test_what_cannot_be_swept_is_refused_at_once(
     function: Any, cases: Any, in_flight: int, said: str

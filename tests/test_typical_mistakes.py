@@ -67,11 +67,11 @@ MISTAKES: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "a frame for a study": (lambda: ph.Study(spring(), FRAME), ["train=DataFrame(...)", "from_dataframe"]),
     "an array": (lambda: ph.identify(spring(), X), ["data=ndarray(...)", "from_arrays"]),  # type: ignore[arg-type]
     "a path": (lambda: ph.identify(spring(), "bench.csv"), ["data='bench.csv'", "from_csv"]),  # type: ignore[arg-type]
-    "effects of data": (lambda: ph.catalogue(measured()), ["model=Measurements(...)", "a model"]),
+    "effects of data": (lambda: ph.catalogue(measured()), ["model=Measurements(...)", "PseudoHamiltonian"]),
     "a class": (lambda: ph.identify(spring(), measured(), ph.PHSILoss), ["loss=PHSILoss ", "PHSILoss()"]),  # type: ignore[arg-type]
     "a frame as times": (lambda: ph.simulate(spring(), FRAME, [1, 0]), ["(51, 3)", "increasing"]),
     # ---- Python: measurements
-    "states in one text": (lambda: measured(states="qp"), ["states='qp'", "=['a', 'b']"]),
+    "states in one text": (lambda: measured(states="qp"), ["states='qp'", "['a', 'b']"]),
     "transposed": (lambda: measured(x=X.T), ["2 rows", "51", "transposed"]),
     "times as text": (lambda: measured(t=T.astype(str)), ["type text", "astype(float)"]),
     "runs of one name": (lambda: measured([T, T], [X, X], names=["a", "a"]), ["'a'", "Rename"]),
@@ -89,7 +89,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], list[str]]] = {
     "not skew": (lambda: spring(S=[[0, 1], [1, 0]]), ["S[0, 1]=1", "-S[i, j]"]),
     "bounds": (lambda: ph.Parameter(1.0, lower=2, upper=1), ["lower=2", "upper=1", "swap"]),
     "start": (lambda: ph.Parameter(-1.0, lower=0), ["-1", "[0, inf]", "widen"]),
-    "number as text": (lambda: ph.Parameter("2.5"), ["'2.5'", "without quotes"]),  # type: ignore[arg-type]
+    "number as text": (lambda: ph.Parameter("2.5"), ["'2.5'", "expected float"]),  # type: ignore[arg-type]
     "unknown name": (lambda: energy("k*x**2/2"), ["'x'", "k, p, q", "Parameter"]),
     "caret": (lambda: energy("k*q^2/2"), ["'k*q^2", "**"]),
     "bracket": (lambda: energy("k*(q**2/2"), ["'k*(q**2/2'", "Close the bracket"]),

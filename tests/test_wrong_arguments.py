@@ -70,29 +70,37 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: measured(t=T + 0j), "complex"),
     (lambda: measured(t=None), "t has the type object"),
     (lambda: measured(x=[[1, 2], [3]]), "not a regular array"),
-    (lambda: ph.Parameter(1 + 2j), "not a number"),  # type: ignore[arg-type]
-    (lambda: ph.Parameter(upper=np.ma.masked), "upper=masked is not a number"),  # type: ignore[arg-type]
+    (lambda: ph.Parameter(1 + 2j), "value=.* expected float"),  # type: ignore[arg-type]
+    (lambda: ph.Parameter(upper=np.ma.masked), "upper=masked is not possible; expected float"),  # type: ignore[arg-type]
     (lambda: ph.PseudoHamiltonian(states=["q", "p"], H="p**2", S=[[0, 10**400], [1, 0]]), "is not a matrix of numbers"),
     (lambda: ph.PseudoHamiltonian(states=["q", "p"], H="p**2", S=[[0, 1j], [-1, 0]]), "is not a matrix of numbers"),
-    (lambda: ph.Parameter([10**5000]), r"value=list\(\.\.\.\) is not a number"),  # type: ignore[arg-type]
+    (lambda: ph.Parameter([10**5000]), r"value=list\(\.\.\.\) is not possible"),  # type: ignore[arg-type]
     (lambda: ph.SolverSettings(max_iterations=10**5000), "max_iterations=a number beyond"),
     (lambda: measured().thinned(10**5000), "thinned\\(a number beyond"),
     (lambda: measured(t=2**53 + 1), "has the shape"),
-    (lambda: ph.Measurements.from_arrays(T, X, states=np.array(1.0)), "is not a list of names"),  # type: ignore[arg-type]
-    (lambda: spring().with_values({"k": 1j}), "not a number"),  # type: ignore[dict-item]
-    (lambda: spring().with_values({"k": np.complex128(1)}), "not a number"),  # type: ignore[dict-item]
+    (lambda: ph.Measurements.from_arrays(T, X, states=np.array(1.0)), "states=.* Write a list"),  # type: ignore[arg-type]
+    (lambda: spring().with_values({"k": 1j}), "values={'k': 1j}.* expected Mapping"),  # type: ignore[dict-item]
+    (lambda: spring().with_values({"k": np.complex128(1)}), "values=.* expected Mapping"),  # type: ignore[dict-item]
     (lambda: ph.simulate(spring(), T, [1 + 1j, 0]), "x0=.*real numbers"),
     (lambda: ph.simulate(spring(), T, "a"), "x0='a'"),
     (lambda: ph.simulate(spring(), None, [1.0, 0.0]), "t=None"),
     (lambda: ph.simulate(forced("sqrt(q)"), T, [1.0, 0.0]), "is not finite there"),
     (lambda: ph.identify(None, measured()), "model=None"),  # type: ignore[arg-type]
     (lambda: ph.identify(spring(), None), "data=None"),  # type: ignore[arg-type]
-    (lambda: ph.identify(spring(), measured(), "likelihood"), "is not a loss"),  # type: ignore[arg-type]
+    (lambda: ph.identify(spring(), measured(), "likelihood"), "loss='likelihood'"),  # type: ignore[arg-type]
     (
         lambda: ph.identify(spring(), measured(), ph.PHSILoss(), [1]),  # type: ignore[arg-type]
         r"l1=\[1\]",
     ),
     (lambda: ph.identify(spring(), measured(x=0 * X), ph.PHSILoss()), "every state is zero"),
+    (lambda: ph.formula(["q"]), r"expression=\['q'\] is not possible; expected str"),  # type: ignore[arg-type]
+    (lambda: ph.damping(3), "variable 3 is not a usable name"),  # type: ignore[arg-type]
+    (lambda: spring().with_upper({"k": "1"}), "bounds={'k': '1'}"),  # type: ignore[dict-item]
+    (lambda: spring().with_free([["k"]]), r"names=\[\['k'\]\]"),  # type: ignore[list-item]
+    (lambda: ph.simulate(spring(), T, [1.0, 0.0], method="euler"), "method='euler'"),
+    (lambda: measured().split(10**400), "fraction=a number beyond"),
+    (lambda: measured().between(0, 10**5000), "is not a time"),
+    (lambda: spring().with_values({10**5000: 1.0}), "values=dict"),  # type: ignore[dict-item]
     (lambda: ph.SolverSettings(max_iterations=0), "max_iterations=0"),
     (lambda: ph.SolverSettings(max_iterations=1.5), "max_iterations=1.5"),  # type: ignore[arg-type]
     (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
@@ -187,7 +195,6 @@ def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None
     [
         ((T, X), {}),
         ((T, X), {"states": ["q", "p"]}),
-        ((), {"t": T, "x": X}),
         (([T], [X]), {"states": ["q", "p"]}),
     ],
 )

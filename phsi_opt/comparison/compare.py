@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
+from phsi_opt.arguments import typed
 from phsi_opt.criteria import (
     EXPLAINED_IF_NAMED,
     FAILING_ERROR,
@@ -364,6 +365,7 @@ class Comparison(Summarised):
         return Summary(title, (Part(table=self.table),))
 
 
+@typed
 @interruptible
 def compare(fit: Fit | Model, data: Measurements) -> Comparison:
     """Simulate a fitted model from estimated starting states, and compare.

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.optimize import brentq
 
-from phsi_opt.arguments import require, require_known
+from phsi_opt.arguments import require_known, require_share, typed
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
@@ -107,6 +107,7 @@ class Profile:
     __repr__ = __str__
 
 
+@typed
 @interruptible
 def profile(
     fit: Fit,
@@ -150,8 +151,7 @@ def profile(
             f"parameter {name!r} has no standard error (see the warnings of the fit), "
             "so its profile cannot be computed."
         )
-    if not 0 < level < 1:
-        raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
+    require_share("level", level)
     line = _Line(fit, AlignedData.of(fit.model, data), name, progress)
     value = line.value
     freedom = fit.degrees_of_freedom[fit.names.index(name)]
@@ -181,7 +181,6 @@ def check_likelihood(fit: Fit, what: str) -> None:
     Raises:
         ModelError: it is one.
     """
-    require(isinstance(fit, Fit), "fit", fit, "a Fit, as identify returns")
     if fit.loss != "MaximumLikelihood":
         raise ModelError(
             f"the fit was made with {fit.loss}, which has no likelihood and therefore "
@@ -324,8 +323,7 @@ class Bootstrap:
         Raises:
             DataError: ``level`` does not lie between 0 and 1.
         """
-        if not 0 < level < 1:
-            raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
+        require_share("level", level, DataError)
         names = list(self.fit.estimates)
         table = printed_table({"value": self.fit.estimates}, index=names)
         table["ci_lower"] = self.estimates.quantile((1 - level) / 2)
@@ -341,6 +339,7 @@ class Bootstrap:
     __repr__ = __str__
 
 
+@typed
 @interruptible
 def bootstrap(
     fit: Fit,

@@ -8,12 +8,11 @@ form in which `Measurements` keeps it. Nothing is repaired, interpolated or scal
 import keyword
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
 
-from phsi_opt.arguments import require_known
+from phsi_opt.arguments import is_size, require_known
 from phsi_opt.errors import DataError, PhsiOptError, did_you_mean, shown
 from phsi_opt.presentation.units import unit_of
 
@@ -33,13 +32,13 @@ BY_NAME: dict[str, tuple[str, Callable[[Any], Any], Callable[[Any], bool], str]]
     "units": (
         "unit",
         unit_of,
-        lambda unit: isinstance(unit, str) and unit.isprintable(),
+        str.isprintable,
         "text such as 'm' in one line, or '' when unknown",
     ),
     "noise": (
         "standard deviation",
         float,
-        lambda sigma: isinstance(sigma, Real) and 0 < float(sigma) < np.inf,
+        lambda sigma: is_size(sigma) and sigma > 0,
         "a positive number in the state's unit; leave it out when it is unknown",
     ),
     "hold": ("hold", str, HOLDS.__contains__, "'linear', 'zero' or 'cubic'"),
@@ -90,7 +89,10 @@ def from_first(values: Any, first: Any = ()) -> Any:
     Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. What
     stands in ``first`` begins with the one to count from; (): the values.
     """
-    whole = np.asarray(values)
+    try:
+        whole = np.asarray(values)
+    except ValueError:  # `read_only_floats` says of which this is
+        return values
     if whole.dtype.kind not in "iu" or not (whole.ndim and whole.size):
         return values
     begin = int(np.asarray(first if np.size(first) else whole).flat[0])
@@ -142,7 +144,8 @@ def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
     """
     lengths = {}
     for name, values in sequences.items():
-        lengths[name] = len(values) if hasattr(values, "__len__") else None
+        is_sized = np.iterable(values) and hasattr(values, "__len__")
+        lengths[name] = len(values) if is_sized else None
     if len(set(lengths.values())) > 1:
         raise DataError(
             f"the lengths differ: {lengths}; expected {expected}. "
@@ -163,7 +166,7 @@ def check_unique(
 
 
 def checked_names(
-    names: Any,
+    names: Sequence[str],
     what: str,
     reserved: Collection[str] = RESERVED_NAMES,
     error: type[PhsiOptError] = DataError,
@@ -172,11 +175,6 @@ def checked_names(
 
     There must be at least one state; those of derivatives are reserved, and more.
     """
-    if isinstance(names, str | set) or not np.iterable(names):
-        raise error(
-            f"{what}={shown(names)} is not a list of names; expected e.g. "
-            f"{what}=['a', 'b']."
-        )
     listed = tuple(names)
     if what == "states" and not listed:
         raise error("states=[] names no state; expected at least one.")
@@ -196,18 +194,14 @@ def checked_names(
     return listed
 
 
-def checked_by_name(given: Any, names: Sequence[str], what: str) -> dict[str, Any]:
+def checked_by_name(
+    given: Mapping[str, Any], names: Sequence[str], what: str
+) -> dict[str, Any]:
     """The "units", "noise" or "hold" of channels by their names, in the given order.
 
     Raises:
-        DataError: this is no mapping, or an entry cannot be used.
+        DataError: an entry cannot be used.
     """
-    if not isinstance(given, Mapping):
-        example = names[-1] if names else "u"
-        raise DataError(
-            f"{what}={shown(given)} is not a mapping; expected e.g. "
-            f"{{{example!r}: ...}}."
-        )
     noun, kept_as, fits, expected = BY_NAME[what]
     for name, value in given.items():
         require_known(name, names, f"{what} names the unknown {name!r}", DataError)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any, TextIO
 
 from phsi_opt import reading
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 
 Source = str | os.PathLike[str] | TextIO
 BinarySource = str | os.PathLike[str] | IO[bytes]
@@ -76,23 +76,15 @@ def opened_files(source: Any, as_text: bool) -> Iterator[OpenedFile]:
     Raises:
         DataError: this is no source, or a file cannot be read so.
     """
-    if isinstance(source, PATHS) or hasattr(source, "read"):
-        source = [source]
-    if not isinstance(source, list | tuple | Iterator):
+    is_one = hasattr(source, "read") or not isinstance(source, list | tuple | Iterator)
+    sources = [source] if is_one else list(source)
+    is_fine = [isinstance(file, PATHS) or hasattr(file, "read") for file in sources]
+    if not sources or not all(is_fine):
         open_file = "an open file" if as_text else "an open binary file"
         raise DataError(
-            f"source is a {type(source).__name__}; "
-            f"expected a path, a list of paths or {open_file}."
+            f"source={shown(source)} is not possible; expected a path, {open_file}, or "
+            "a list of these."
         )
-    sources = list(source)
-    if not sources:
-        raise DataError("source is an empty list; expected at least one path.")
-    for file in sources:
-        if not isinstance(file, PATHS) and not hasattr(file, "read"):
-            raise DataError(
-                f"source contains a {type(file).__name__}; expected paths or open "
-                "files."
-            )
     for file, run in zip(sources, run_names(sources), strict=True):
         path = _path(file)
         title = f"file {path!r}" if path else "open file"

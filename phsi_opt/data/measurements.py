@@ -12,15 +12,14 @@ import itertools
 import operator
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, wraps
-from numbers import Real
+from functools import cached_property, partial, wraps
 from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
 
 import numpy as np
 
-from phsi_opt.arguments import is_count, require_known
+from phsi_opt.arguments import is_count, is_of, require_known, require_share, typed
 from phsi_opt.data.checks import (
     Hold,
     check_unique,
@@ -71,6 +70,7 @@ def worked_out_once(make: Derived[Arguments]) -> Derived[Arguments]:
     return kept
 
 
+@partial(typed, error=DataError)
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements(TableReaders, Summarised):
     """Several trajectories of the same channels, with names, units and noise levels.
@@ -102,12 +102,6 @@ class Measurements(TableReaders, Summarised):
     hold: Hold = "linear"
     noise: Mapping[str, float] | None = None
 
-    def __new__(cls, *args: Any, **named: Any) -> Self:
-        """Arrays are refused before Python counts the arguments."""
-        if args or named:
-            checked_trajectories(args[0] if args else named.get("trajectories"))
-        return super().__new__(cls)
-
     def __post_init__(self) -> None:
         trajectories = checked_trajectories(self.trajectories)
         states = checked_names(self.states, "states")
@@ -131,6 +125,7 @@ class Measurements(TableReaders, Summarised):
             check_channels(run, states, inputs)
 
     @classmethod
+    @partial(typed, error=DataError)
     def from_arrays(
         cls,
         t: Any,
@@ -163,12 +158,11 @@ class Measurements(TableReaders, Summarised):
         trajectories = trajectories_in_arrays(t, x, u, names)
         if inputs is None:
             inputs = numbered_names("u", trajectories[0].u.shape[1])
-        states = checked_names(states, "states")
-        inputs = checked_names(inputs, "inputs")
         units = {} if units is None else units
-        return cls(trajectories, states, inputs, units, hold, noise)
+        return cls(trajectories, tuple(states), tuple(inputs), units, hold, noise)
 
     @classmethod
+    @partial(typed, error=DataError)
     def from_pairs(
         cls,
         x_start: Any,
@@ -370,7 +364,7 @@ class Measurements(TableReaders, Summarised):
             said = f"there is no trajectory {trajectory!r}"
             require_known(trajectory, names, said, DataError)
             return names.index(trajectory)
-        if not hasattr(trajectory, "__index__"):
+        if not isinstance(trajectory, int | np.integer):
             raise DataError(
                 f"trajectory {shown(trajectory)} is unknown; expected a name "
                 f"({some_of(names)}) or a number, counted from 0. Samples are chosen "
@@ -379,7 +373,7 @@ class Measurements(TableReaders, Summarised):
         number = operator.index(trajectory)
         if number not in range(-len(names), len(names)):
             raise DataError(
-                f"there is no trajectory {number}; there are {len(names)}, "
+                f"there is no trajectory {shown(number)}; there are {len(names)}, "
                 f"counted from 0: {some_of(names)}."
             )
         return number % len(names)
@@ -399,11 +393,7 @@ class Measurements(TableReaders, Summarised):
             DataError: The fraction is not between 0 and 1, or a single trajectory has
                 fewer than 4 samples.
         """
-        if not isinstance(fraction, Real) or not 0 < float(fraction) < 1:
-            raise DataError(
-                f"fraction={fraction!r} is not between 0 and 1; give the share of the "
-                "training data, e.g. 0.7."
-            )
+        require_share("fraction", fraction, DataError)
         if self.n_trajectories > 1:
             n_train = _size_of_first(self.n_trajectories, fraction, at_least=1)
             return self[:n_train], self[n_train:]
@@ -431,13 +421,12 @@ class Measurements(TableReaders, Summarised):
             DataError: The times are not in order, or a trajectory has fewer than 2
                 samples between them.
         """
-        said = f"between({begin!r}, {end!r})"
+        said = f"between({shown(begin)}, {shown(end)})"
         for value in (begin, end):
-            is_number = isinstance(value, Real) and not isinstance(value, bool)
-            if value is not None and (not is_number or np.isnan(value)):
+            if value is not None and not (is_of(value, float) and value == value):
                 raise DataError(
-                    f"{said}: {value!r} is not a time; expected numbers in the unit "
-                    "of the times, or None."
+                    f"{said}: {shown(value)} is not a time; expected numbers in the "
+                    "unit of the times, or None."
                 )
         if begin is not None and end is not None and not begin < end:
             raise DataError(f"{said}: the first time must be less than the last.")
@@ -636,7 +625,7 @@ def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajecto
     if n_left < 2:
         raise DataError(
             f"trajectory {run.name!r} has {run.n_samples} samples, too few for "
-            f"thinned({n}): {n_left} would remain; expected at least 2."
+            f"thinned({shown(n)}): {n_left} would remain; expected at least 2."
         )
     if is_picked or n == 1:
         return part_of(run, slice(None, None, n))

@@ -7,13 +7,14 @@ file is its header, or an integer, its position counted from 0.
 
 import datetime as dt
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 
 import numpy as np
 
-from phsi_opt.arguments import is_size, require_known
+from phsi_opt.arguments import check_types, is_size, require_known, types_of
 from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
@@ -24,14 +25,15 @@ from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.data.times import Moment, times_in
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 from phsi_opt.interrupts import interruptible
 
 if TYPE_CHECKING:
     import pandas as pd
 
 # name -> column, or a list of names which are columns
-ColumnMap = Mapping[str, Any] | Sequence[str]
+Column = Hashable | Sequence[Hashable]  # one, or those of date and time of day
+ColumnMap = Mapping[str, Column] | Sequence[str]
 Part = tuple[str, ...]  # that a column plays, as a study file names it below [data]
 RUN_PART: Part = ("trajectory",)
 TIME_PART: Part = ("time", "column")
@@ -40,7 +42,7 @@ TIME_PART: Part = ("time", "column")
 class TableWords(TypedDict, total=False):
     """What every reader can be given, by the names that `from_csv` explains."""
 
-    time: Any
+    time: Column
     states: Required[ColumnMap]
     inputs: ColumnMap | None
     hold: Hold
@@ -369,6 +371,7 @@ def columns_in(column: Any) -> list[Any]:
 
 
 def _layout(words: TableWords) -> Layout:
+    check_types(words, types_of(TableWords), DataError)
     others = ("hold", "units", "noise")
     return Layout(**{name: one for name, one in words.items() if name not in others})  # type: ignore[arg-type]
 
@@ -432,8 +435,6 @@ def _units(
     given: Any, are_dates: bool, tables: Sequence[Table], layout: Layout, headers: bool
 ) -> Any:
     """The given units, and others of dates, the tables' own rows, and headers."""
-    if not isinstance(given, Mapping):
-        return given  # it is refused by `checked_by_name`
     units = {"t": "s", **given} if are_dates else dict(given)
     if are_dates and units["t"] != "s":
         raise DataError(
@@ -457,15 +458,15 @@ def _units(
 
 def _check_column(table: Table, column: Any, layout: Layout) -> None:
     found = table.frame.columns.tolist()
-    said = f"{table.title} has no column {column!r}"
+    said = f"{table.title} has no column {shown(column)}"
     require_known(column, found, said, DataError)
-    n_found = found.count(column)
+    n_found = Counter(found)[column]
     if n_found > 1:
         raise DataError(
             f"{table.title} has {n_found} columns called {column!r}; expected one. "
             "Rename them so that it is clear which one is meant."
         )
-    if layout.columns.count(column) > 1:
+    if Counter(layout.columns)[column] > 1:
         raise DataError(
             f"{table.title}: the column {column!r} is used twice; expected one column "
             "per name. Choose another one."

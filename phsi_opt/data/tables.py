@@ -188,7 +188,7 @@ def is_missing(cell: Any) -> bool:
         return cell.strip().lower() in MISSING_CELLS
     import pandas as pd
 
-    return cell is None or bool(pd.isna(cell))
+    return pd.api.types.is_scalar(cell) and bool(pd.isna(cell))
 
 
 def plain_number(cell: str, decimal: str | None) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.arguments import check_types, types_of
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.table_extent import (
     WORD,
@@ -51,16 +52,15 @@ class TextFormat:
     units_row: int | None = None  # the row of the units; 0: there is none
 
     def __post_init__(self) -> None:
-        columns: Any = self.columns
-        is_list = isinstance(columns, Sequence) and not isinstance(columns, str)
-        for name in () if columns is None else (is_list and columns) or (None,):
-            if not isinstance(name, str) or not name:
-                raise DataError(
-                    f"columns={shown(columns)} is not a list of names; expected the "
-                    'name of each column, such as columns = ["t", "q"].'
-                )
+        check_types(vars(self), types_of(TextFormat), DataError)
+        columns = self.columns
+        if columns is not None and not (len(columns) and all(columns)):
+            raise DataError(
+                f"columns={shown(columns)} is not a list of names; expected the name "
+                'of each column, such as columns = ["t", "q"].'
+            )
         separator = self.separator
-        if separator is not None and not SEPARATOR.fullmatch(str(separator)):
+        if separator is not None and not SEPARATOR.fullmatch(separator):
             raise DataError(
                 f"the separator {separator!r} is not a single character; expected "
                 "',', ';', '\\t', or ' ' for blanks."
@@ -176,7 +176,7 @@ def table_of_rows(
             continue
         if column not in range(width):
             raise DataError(
-                f"{title} has no column {column}; it has {width} columns, "
+                f"{title} has no column {shown(column)}; it has {width} columns, "
                 f"counted from 0: {list(names)}."
             )
         labels[column] = int(column)

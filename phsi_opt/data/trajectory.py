@@ -17,12 +17,13 @@ from phsi_opt.data.checks import (
     check_same_length,
     check_unique,
     check_values,
+    checked_names,
     from_first,
     hold_of_each,
     numbered_names,
     read_only_floats,
 )
-from phsi_opt.errors import DataError, shown
+from phsi_opt.errors import DataError
 from phsi_opt.presentation.numbers import number_of
 
 
@@ -114,25 +115,14 @@ def run_numbers(runs: Sequence[Trajectory]) -> np.ndarray:
     return np.repeat(np.arange(len(runs)), [run.n_samples for run in runs])
 
 
-def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
+def checked_trajectories(trajectories: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
     """At least one trajectory, each under a name of its own, as a tuple.
 
     Raises:
-        DataError: this is no such list or tuple.
+        DataError: there is none, or a name is used twice.
     """
-    repair = "For arrays: Measurements.from_arrays(t, x, states=[...])."
-    is_sequence = isinstance(trajectories, Sequence)
-    if not is_sequence or isinstance(trajectories, str) or not trajectories:
-        raise DataError(
-            f"trajectories={shown(trajectories)}; "
-            f"expected a list or tuple of at least one Trajectory. {repair}"
-        )
-    for i, run in enumerate(trajectories):
-        if not isinstance(run, Trajectory):
-            raise DataError(
-                f"trajectories[{i}] is a {type(run).__name__}; "
-                f"expected a Trajectory. {repair}"
-            )
+    if not trajectories:
+        raise DataError("trajectories=[]; expected at least one Trajectory.")
     check_unique([run.name for run in trajectories], "trajectory name")
     return tuple(trajectories)
 
@@ -285,9 +275,9 @@ def joined_pairs(
         DataError: the arrays cannot be used, or a pair does not go forward.
     """
     if u[0] is None and u[1] is None:
-        u = (np.empty((np.size(t[0]), 0)),) * 2
-    n_inputs = np.shape(u[0])[1] if np.ndim(u[0]) == 2 else 1
-    names = numbered_names("u", n_inputs) if inputs is None else inputs
+        u = (np.empty((len(read_only_floats(t[0], 1, "t_start")), 0)),) * 2
+    n_inputs = 1 if u[0] is None else read_only_floats(u[0], 2, "u_start").shape[1]
+    names = checked_names(inputs or numbered_names("u", n_inputs), "inputs")
     is_held = hold_of_each(hold, names) == "zero"
     if u[1] is None and is_held.all():
         u = (u[0], u[0])

@@ -11,6 +11,7 @@
 from concurrent.futures import Executor
 from dataclasses import replace
 
+from phsi_opt.arguments import typed
 from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
@@ -26,11 +27,12 @@ from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.sweeps.sweep import Progress, check_executor, silent
-from phsi_opt.transcription.grid import aligned_once, check_problem
+from phsi_opt.sweeps.sweep import Progress, silent
+from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
+@typed
 @interruptible
 def diagnose(
     fit: Fit | Model,
@@ -81,11 +83,9 @@ def diagnose(
         >>> print(found.findings[0])
         coulomb friction on p (1.982 +- 0.14 N)
     """
-    check_executor(executor)
     say = progress or silent
     say("estimating what is missing")
     fit = fit_of(fit, data, "diagnose")
-    check_problem(fit.model, data)
     choice = EffectChoice(effects, without).checked(fit.model, data.units)
     trained = compare(fit, data)
     judged = None

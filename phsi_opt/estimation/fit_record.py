@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from phsi_opt.arguments import require_known, require_share
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
@@ -514,8 +515,7 @@ class FitRecord(Identified):
         Raises:
             DataError: ``level`` does not lie between 0 and 1.
         """
-        if not 0 < level < 1:
-            raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
+        require_share("level", level, DataError)
         quantiles = student_limit((1 - level) / 2, self.degrees_of_freedom)
         half = quantiles * np.sqrt(np.diag(self.covariance))
         values = np.array(list(self.estimates.values()))
@@ -559,7 +559,11 @@ class FitRecord(Identified):
 
         Args:
             name: One of ``names``, or of any parameter of the model.
+
+        Raises:
+            ModelError: there is no such parameter.
         """
+        require_known(name, self._entries, f"parameter {shown(name)} is unknown")
         return self._entries[name]
 
     @cached_property

@@ -10,8 +10,9 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 
+from phsi_opt.arguments import typed
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError, SolveError, shown
+from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.estimate import Estimate, Loss, Task
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.free_runs import doubts_of
@@ -26,11 +27,12 @@ from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import with_kinds_of_units
 from phsi_opt.optimization.ipopt import SolverSettings
-from phsi_opt.sweeps.sweep import Progress, check_executor, silent
+from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.grid import AlignedData, checked_data
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss, l1_weights
 
 
+@typed
 @interruptible
 def identify(
     model: Model,
@@ -82,7 +84,6 @@ def identify(
         k = 40.1 +- 0.2 N/m
     """
     began = time.perf_counter()
-    check_executor(executor)
     loss = loss or MaximumLikelihood()
     if isinstance(loss, PHSILoss) and not model.free:
         raise ModelError(
@@ -135,15 +136,10 @@ def estimate_by(loss: Loss, task: Task, start: Fit | None) -> Estimate:
     """The estimate by a loss, solved in the way of its kind.
 
     Raises:
-        ModelError: for a loss that finds no parameters.
+        ModelError: L1 and a model error that cannot be combined.
     """
     if isinstance(loss, PHSILoss):
         return by_defects(task, loss, start)
-    if not isinstance(loss, MaximumLikelihood):
-        raise ModelError(
-            f"loss={shown(loss)} is not a loss of identify; expected PHSILoss() or "
-            "MaximumLikelihood()."
-        )
     is_debiased = task.pruning is not None and task.pruning.debias
     if loss.model_error and any(task.l1.values()) and not is_debiased:
         raise ModelError(
@@ -175,11 +171,6 @@ def fit_of(fit: Fit | Model, data: Measurements, verb: str) -> Fit:
     """
     if isinstance(fit, Fit):
         return fit
-    if not isinstance(fit, Model):
-        raise ModelError(
-            f"{verb} got a {type(fit).__name__}; expected a Fit, as identify returns, "
-            "or a Model whose parameters are all known."
-        )
     if fit.free:
         raise ModelError(
             f"the model has free parameters ({', '.join(fit.free)}), so it must be "

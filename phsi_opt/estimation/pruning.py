@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.arguments import is_size, require, require_choice, require_size
+from phsi_opt.arguments import require_choice, require_share, require_size, typed
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import chi_square_limit, normal_limit
@@ -16,6 +16,7 @@ from phsi_opt.statistics import chi_square_limit, normal_limit
 TERM_SLOTS = ("H", "R", "F")
 
 
+@typed
 @dataclass(frozen=True)
 class Pruning:
     """Remove terms that are too small or not significant, and solve again, repeatedly.
@@ -48,12 +49,9 @@ class Pruning:
         require_size("Pruning: threshold", self.threshold)
         for slot in self.slots:
             require_choice("Pruning: slot", slot, TERM_SLOTS)
-        chance = self.significance
-        if chance is None:
+        if self.significance is None:
             return
-        expected = "a number between 0 and 1, such as 0.01"
-        fine = is_size(chance) and 0 < chance < 1
-        require(fine, "Pruning: significance", chance, expected)
+        require_share("Pruning: significance", self.significance)
         if not self.debias:
             raise ModelError(
                 "significance needs debias=True: a coefficient that L1 shrinks has no "

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from phsi_opt.arguments import require_known
+from phsi_opt.arguments import is_of, require_known, typed
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError, did_you_mean, shown
 from phsi_opt.model.effect import Effect
@@ -83,11 +83,6 @@ class BaseModel:
 
     def _in_order(self, terms: Mapping[str, Any], slot: str) -> dict[str, Any]:
         """What is given per equation, in the order of the states."""
-        if not isinstance(terms, Mapping):
-            raise ModelError(
-                f"{slot}={shown(terms)} must map a state to its terms, "
-                "such as {'p': formula('u')}."
-            )
         for name in terms:
             self.index(name, f"equation of {slot}")
         return {name: terms[name] for name in self.states if name in terms}
@@ -105,8 +100,7 @@ class BaseModel:
             for equation, terms in equations.items():
                 if isinstance(terms, str):
                     terms = self.variables.formula(terms, slot, known)
-                where = f"{slot}[{equation!r}]" if equation else slot
-                equations[equation] = checked_dictionary(terms, where)
+                equations[equation] = terms
         self._set("H", given.pop("H")[""])
         for slot, equations in given.items():
             self._set(slot, MappingProxyType(equations))
@@ -243,6 +237,7 @@ class BaseModel:
             memory=(*self.memory, *memory),
         )
 
+    @typed
     def without(self, names: set[str]) -> Self:
         """A new model without the terms whose coefficients are named."""
 
@@ -259,6 +254,7 @@ class BaseModel:
             slots[slot] = {name: terms for name, terms in slots[slot].items() if terms}
         return replace(self, **slots)
 
+    @typed
     def with_values(self, values: Mapping[str, float]) -> Self:
         """A new model with the named parameters set.
 
@@ -289,10 +285,12 @@ class BaseModel:
         valued = self.with_values(values)
         return valued._with_settings(values, fixed=True, per_trajectory=False)
 
+    @typed
     def with_free(self, names: Iterable[str]) -> Self:
         """A new model with the named parameters unknown, from their present values."""
         return self._with_settings(set(names), fixed=False)
 
+    @typed
     def with_upper(self, bounds: Mapping[str, float]) -> Self:
         """A new model with the named parameters no higher than the given bounds.
 
@@ -361,10 +359,10 @@ def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:
         ModelError: S is no n x n matrix of numbers, or is not skew-symmetric.
     """
     try:
-        if np.iscomplexobj(S):
+        if S is not None and not is_of(S, Iterable[Iterable[float]]):
             raise TypeError
         matrix = np.zeros((n, n)) if S is None else np.array(S, dtype=float)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError):
         raise ModelError(
             f"S={shown(S)} is not a matrix of numbers; expected {n} x {n}."
         ) from None
@@ -382,17 +380,3 @@ def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:
             "expected S[j, i] = -S[i, j]. Put losses into R."
         )
     return tuple(map(tuple, matrix.tolist()))
-
-
-def checked_dictionary(terms: Any, where: str) -> Dictionary:
-    """The terms themselves, if they are a dictionary.
-
-    Raises:
-        ModelError: they are something else.
-    """
-    if not isinstance(terms, Dictionary):
-        raise ModelError(
-            f"{where}={shown(terms)} is not a dictionary of terms; "
-            "write a formula as text, formula('...') or polynomials([...], n)."
-        )
-    return terms

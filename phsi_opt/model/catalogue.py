@@ -9,12 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import chain, combinations, permutations, product
-from typing import Any
 
 import numpy as np
 
-from phsi_opt.arguments import require
-from phsi_opt.errors import ModelError, did_you_mean, shown, some_of
+from phsi_opt.arguments import typed
+from phsi_opt.errors import ModelError, did_you_mean, some_of
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.effect import Effect, EffectList, is_scanned
 from phsi_opt.model.expressions import divisors, names_of
@@ -50,6 +49,7 @@ from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.units import are_alike, rate_unit
 
 
+@typed
 def catalogue(
     model: BaseModel, units: Mapping[str, str] | None = None, called: str = ""
 ) -> EffectList:
@@ -83,7 +83,6 @@ def effects_told(
     model: BaseModel, units: Mapping[str, str] | None = None
 ) -> Iterator[tuple[Effect, str]]:
     """The effects of the catalogue, each with what it adds, in the model's names."""
-    require(isinstance(model, BaseModel), "model", model, "a model")
     units = units or {}
     known = with_kinds_of_units(model, units)
     inertias = dict.fromkeys(model.states, "")
@@ -400,6 +399,7 @@ def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
 Given = Sequence[Effect | str]
 
 
+@typed
 @dataclass(frozen=True)
 class EffectChoice:
     """The effects that a diagnosis considers.
@@ -418,9 +418,9 @@ class EffectChoice:
     without: Given = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "without", _listed("without", self.without))
+        object.__setattr__(self, "without", tuple(self.without))
         if self.effects is not None:
-            object.__setattr__(self, "effects", _listed("effects", self.effects))
+            object.__setattr__(self, "effects", tuple(self.effects))
 
     def narrowed(self, effects: Given | None, without: Given) -> "EffectChoice":
         """Of other effects, where there are any, and without more of them."""
@@ -474,18 +474,6 @@ class EffectChoice:
             if not is_out and not stands_in(model, effect) and effect not in kept:
                 kept.append(effect)
         return kept
-
-
-def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
-    is_list = isinstance(given, Iterable) and not isinstance(given, str | Effect)
-    listed = tuple(given) if is_list else (None,)
-    for one in listed:
-        if not isinstance(one, str | Effect):
-            raise ModelError(
-                f"{what}={shown(given)} must be a list of effects or of their names, "
-                "such as ['coulomb friction', 'gap on p']."
-            )
-    return listed
 
 
 def _meant(one: Effect | str, effects: Iterable[Effect]) -> list[Effect]:

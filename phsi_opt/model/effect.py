@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from types import UnionType
 
-from phsi_opt.arguments import require_known
+from phsi_opt.arguments import require_known, typed
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import is_linear, names_of
 from phsi_opt.model.parameters import Scan, Tried
@@ -20,6 +20,7 @@ from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_tab
 COLUMNS_OF_EFFECTS = ("effect", "equation", "slot", "family")
 
 
+@typed
 @dataclass(frozen=True)
 class Effect:
     """A named effect that can be added to a model.
@@ -54,7 +55,7 @@ class Effect:
     def __post_init__(self) -> None:
         said = f"effect {self.name!r}: slot {self.slot!r} is unknown"
         require_known(self.slot, SLOTS, said)
-        if not isinstance(self.term, Dictionary) or not self.term.terms:
+        if not self.term.terms:
             raise ModelError(
                 f"effect {self.name!r} has no term; "
                 "write it with formula(...) or polynomials(...)."

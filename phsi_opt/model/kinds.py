@@ -11,7 +11,6 @@ from types import MappingProxyType
 from typing import Any
 
 from phsi_opt.arguments import require_known
-from phsi_opt.errors import ModelError
 from phsi_opt.presentation.units import RADIAN, are_alike, measure_of
 
 MECHANICAL = "mechanical"
@@ -51,11 +50,6 @@ def checked_kinds(
     if isinstance(kind, str):
         told = {name: kind for name in states if name not in memory}
         require_known(kind, KINDS, f"kind {kind!r} is unknown")
-    if not isinstance(told, Mapping):
-        raise ModelError(
-            f"kind={kind!r} must be one of {', '.join(KINDS)}, "
-            "or map states to these, such as {'T1': 'thermal'}."
-        )
     for name, one in told.items():
         said = f"kind of {name!r}, which is not a state of the model"
         require_known(name, states, said)

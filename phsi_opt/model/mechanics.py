@@ -11,6 +11,9 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from phsi_opt.arguments import typed
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS, evaluate, names_of, parse
@@ -28,9 +31,10 @@ LIKE_VELOCITY = re.compile(r"v$|v_|dH_d|dF_d")
 MOST_EXPANDED = 200  # terms that a force is multiplied out to
 
 
+@typed
 def mechanical(
     coordinates: Sequence[str],
-    mass: Any,
+    mass: str | float | Parameter | Sequence[str | float | Parameter],
     forces: str | Sequence[str],
     *,
     inputs: Sequence[str] | None = None,
@@ -146,7 +150,7 @@ def mechanical(
 
 def _one_each(given: Any, what: str, positions: Sequence[str]) -> list[Any]:
     """What is given of each coordinate; a single mass is that of all of them."""
-    is_list = isinstance(given, list | tuple)
+    is_list = np.iterable(given) and not isinstance(given, str)
     each = list(given) if is_list else [given]
     if what == "mass" and not is_list:
         each *= len(positions)

@@ -14,7 +14,8 @@ from typing import Any, Self, TypeVar, cast
 import casadi as ca
 import numpy as np
 
-from phsi_opt.errors import ModelError, shown
+from phsi_opt.arguments import typed
+from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
@@ -64,6 +65,7 @@ class Model(BaseModel, Summarised):
         ModelError: see the two classes.
     """
 
+    @typed
     def __init__(
         self,
         *,
@@ -85,6 +87,7 @@ class Model(BaseModel, Summarised):
     def _summary(self) -> Summary:
         return model_summary(self)
 
+    @typed
     def add(self, effect: Effect | str, equation: str | None = None) -> Self:
         """A new model with the effect's terms in its slot.
 
@@ -102,11 +105,6 @@ class Model(BaseModel, Summarised):
         """
         if isinstance(effect, str):
             return super().add(effect_named(self, effect, equation))
-        if not isinstance(effect, Effect):
-            raise ModelError(
-                f"{shown(effect)} is not an effect; give an Effect, or the name and "
-                "the equation of an effect, such as model.add('coulomb friction', 'p')."
-            )
         if equation not in (None, effect.equation):
             raise ModelError(
                 f"effect {effect.name!r} acts on {effect.equation!r}, "

@@ -7,11 +7,11 @@ them.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError, shown
+from phsi_opt.arguments import typed
+from phsi_opt.errors import ModelError
 from phsi_opt.presentation.numbers import short_repr
 
 
@@ -67,6 +67,7 @@ class Tried:
         object.__setattr__(self, "most", float(self.most))
 
 
+@typed
 @dataclass(frozen=True)
 class Parameter:
     """A named number of the model.
@@ -105,13 +106,11 @@ class Parameter:
         for name in ("lower", "upper", "value"):
             given = getattr(self, name)
             if name != "value" or given is not None:
-                number = _number(given, name)
+                number = float(given)
                 is_bound = name != "value" and np.isinf(number)
                 if not np.isfinite(number) and not is_bound:
                     raise ModelError(f"parameter {name}={number} is not finite.")
                 object.__setattr__(self, name, number)
-        if not isinstance(self.unit, str):
-            raise ModelError(f"parameter unit={self.unit!r} is not text, such as 'm'.")
         if not self.lower <= self.upper:
             raise ModelError(
                 f"parameter bounds are crossed: lower={self.lower:g} is above "
@@ -153,26 +152,8 @@ class Parameter:
 
 
 def with_value(parameter: Parameter, value: float) -> Parameter:
-    """The parameter at the value, or at the bound nearest to it.
-
-    Raises:
-        ModelError: the value is no real number.
-    """
+    """The parameter at the value, or at the bound nearest to it."""
     # A solver may stop a rounding error outside a bound; the record must satisfy its
     # own bounds.
-    number = _number(value, "value")
-    within = float(np.clip(number, parameter.lower, parameter.upper))
+    within = float(np.clip(value, parameter.lower, parameter.upper))
     return replace(parameter, value=within)
-
-
-def _number(value: Any, name: str) -> float:
-    try:
-        # The imaginary part would be dropped; what is masked would be NaN.
-        if isinstance(value, str) or np.iscomplexobj(value) or np.ma.is_masked(value):
-            raise TypeError
-        return float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise ModelError(
-            f"parameter {name}={shown(value)} is not a number; write one such as 1.0, "
-            "without quotes."
-        ) from None

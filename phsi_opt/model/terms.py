@@ -14,7 +14,7 @@ from math import comb
 from types import MappingProxyType
 from typing import Any
 
-from phsi_opt.arguments import require_count
+from phsi_opt.arguments import require_count, typed
 from phsi_opt.errors import ModelError, shown
 from phsi_opt.model.expressions import FUNCTIONS, MAX_EXPONENT, names_of, needs_brackets
 from phsi_opt.model.parameters import Parameter, Scan
@@ -131,12 +131,8 @@ class Dictionary:
                 )
             known.add(key)
 
+    @typed
     def __add__(self, other: "Dictionary") -> "Dictionary":
-        if not isinstance(other, Dictionary):
-            raise ModelError(
-                f"{other!r} cannot be added to a dictionary; "
-                "write formula(...) or polynomials(...)."
-            )
         return Dictionary(self.terms + other.terms)
 
     @property
@@ -157,6 +153,7 @@ class Dictionary:
 # ---- ways to write a dictionary ------------------------------------------------------
 
 
+@typed
 def formula(expression: str, **parameters: Parameter | float) -> Dictionary:
     """A term written as text: ``formula("k*q**2/2", k=Parameter(1.0, lower=0))``.
 
@@ -184,6 +181,7 @@ def parameter_of(value: Parameter | float) -> Parameter:
     return value if isinstance(value, Parameter) else Parameter(value, fixed=True)
 
 
+@typed
 def polynomials(
     variables: str | Iterable[str], degree: int, constant: bool = False
 ) -> Dictionary:
@@ -228,6 +226,7 @@ def _monomial(factors: Sequence[str]) -> str:
     return "*".join(powers)
 
 
+@typed
 def trigonometric(
     variables: str | Iterable[str] = "t", n: int = 1, frequency: float | None = None
 ) -> Dictionary:
@@ -295,15 +294,16 @@ def _variables(*variables: str | Iterable[str]) -> list[str]:
     """The names given, each by itself or in lists."""
     names: list[str] = []
     for given in variables:
-        names.extend([given] if isinstance(given, str) else given)
+        is_list = isinstance(given, Iterable) and not isinstance(given, str)
+        names.extend(given if is_list else [given])  # type: ignore[list-item]
     for name in names:
         if not isinstance(name, str) or not name.isidentifier() or name in FUNCTIONS:
             raise ModelError(
-                f"variable {name!r} is not a usable name; "
+                f"variable {shown(name)} is not a usable name; "
                 "expected letters, digits and underscores."
             )
     if not names or len(set(names)) != len(names):
         raise ModelError(
-            f"variables {names!r} must contain at least one name, and no name twice."
+            f"variables {shown(names)} must have at least one name, and none twice."
         )
     return names

@@ -96,9 +96,10 @@ class Program:
             ModelError: a start or a size is not finite, or a bound is no number.
         """
         sizes, low, high = np.broadcast_arrays(scale, lower, upper, start)[:3]
-        is_fine = np.isfinite(start) & np.isfinite(sizes) & (sizes > 0)
-        is_bad = ~is_fine | np.isnan(low) | np.isnan(high)
-        for i in np.flatnonzero(is_bad)[:1]:
+        with np.errstate(all="ignore"):
+            scaled = np.array([start, low, high]) / sizes
+        is_fine = np.isfinite([sizes, scaled[0]]).all(0) & ~np.isnan(scaled).any(0)
+        for i in np.flatnonzero(~is_fine)[:1]:
             raise ModelError(
                 f"{label(i)} of {name} starts at {start[i]:g} with the size "
                 f"{sizes[i]:g} and the bounds {low[i]:g} and {high[i]:g}; expected "
@@ -108,9 +109,9 @@ class Program:
         first = len(self.start)
         self.variables[name] = Block(slice(first, first + len(start)), label)
         self.z = ca.vertcat(self.z, symbol)
-        self.start = np.append(self.start, start / sizes)
+        self.start = np.append(self.start, scaled[0])
         self.scale = np.append(self.scale, sizes)
-        self.bounds = np.hstack([self.bounds, [low / sizes, high / sizes]])
+        self.bounds = np.hstack([self.bounds, scaled[1:]])
         return symbol * ca.DM(sizes)
 
     def constrain(

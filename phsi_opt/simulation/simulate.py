@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
+from phsi_opt.arguments import require_choice, typed
 from phsi_opt.data.checks import LARGEST_VALUE, Hold, hold_of_each
 from phsi_opt.data.trajectory import SmoothInputs
 from phsi_opt.errors import DataError, SolveError, shown
@@ -37,12 +38,14 @@ LONGEST_WAIT = 10_000
 # some ten seconds of work
 MOST_PER_SAMPLE = 1_000
 ALWAYS_ALLOWED = 1_000_000
+METHODS = ("LSODA", "RK45", "RK23", "DOP853", "Radau", "BDF")
 TOO_FAST = (
     "The model is much faster than the time between samples. Use consistent units "
     "for rates, frequencies and times, or simulate a shorter time."
 )
 
 
+@typed
 @interruptible
 def simulate(
     model: Model,
@@ -81,6 +84,7 @@ def simulate(
         >>> ph.simulate(decay, [0.0, 1.0, 2.0], [1.0]).ravel().round(3)
         array([1.   , 0.368, 0.135])
     """
+    require_choice("method", method, METHODS)
     added = None if force is None else (lambda at, x, u: force(at, x))
     return simulate_forced(model, t, x0, u, added, hold=hold, method=method)
 

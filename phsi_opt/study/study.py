@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from phsi_opt.arguments import require_choice, require_count
+from phsi_opt.arguments import require_choice, require_count, typed
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
@@ -25,8 +25,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary
 from phsi_opt.study.record import Step, StudyRecord
-from phsi_opt.sweeps.sweep import Progress, check_executor, silent
-from phsi_opt.transcription.grid import check_problem
+from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole, written_path
 
@@ -76,6 +75,7 @@ class Study(Summarised):
         SolveError: the base model could not be fitted.
     """
 
+    @typed
     @interruptible
     def __init__(
         self,
@@ -91,7 +91,6 @@ class Study(Summarised):
         progress: Progress | None = None,
         fit: Fit | None = None,
     ) -> None:
-        check_problem(model, train, "train")
         self.base = model
         self._choice = EffectChoice(effects, without).checked(model, train.units)
         self._say = progress or silent
@@ -154,6 +153,7 @@ class Study(Summarised):
         """The effects added to the base model, oldest first."""
         return self.record.last.added
 
+    @typed
     @interruptible
     def compare(self, on: str | None = None) -> Comparison:
         """The free run of the present model.
@@ -175,6 +175,7 @@ class Study(Summarised):
             )
         return found
 
+    @typed
     @interruptible
     def diagnose(self, *, executor: Executor | None = None) -> Diagnosis:
         """Diagnose the present model; computed once per step.
@@ -185,7 +186,6 @@ class Study(Summarised):
         Raises:
             DataError: the executor is not valid.
         """
-        check_executor(executor)
         return self._diagnosed(self._choice, executor)
 
     def _diagnosed(self, choice: EffectChoice, executor: Executor | None) -> Diagnosis:
@@ -213,6 +213,7 @@ class Study(Summarised):
         self.record = replace(record, steps=steps, diagnoses=diagnoses)
         return found
 
+    @typed
     @interruptible
     def add(
         self,
@@ -316,6 +317,7 @@ class Study(Summarised):
         self.record = replace(record, steps=steps, diagnoses=left, stopped="")
         return self.fit
 
+    @typed
     @interruptible
     def auto(
         self,
@@ -353,7 +355,6 @@ class Study(Summarised):
         """
         require_count("max_steps", max_steps)
         require_choice("reach", reach, (DECISIVE, STRONG))
-        check_executor(executor)
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
         choice = self._choice.narrowed(further.effects, further.without)
         for _ in range(max_steps):
@@ -427,6 +428,7 @@ class Study(Summarised):
         """Unit of the errors, that of the channel where one is measured."""
         return self.record.unit
 
+    @typed
     @interruptible
     def report(self, path: str | Path) -> Path:
         """Write the study as a report, and return the path.

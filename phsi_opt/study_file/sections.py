@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.arguments import typed
 from phsi_opt.data.copies import check_can_judge, copies_in
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import (
@@ -45,6 +46,7 @@ def reader_of(path: Path | DataFile) -> str:
     return READERS.get(path.suffix.lower(), TEXT_READER)
 
 
+@typed
 @dataclass(frozen=True)
 class Channel:
     """A column of the table: a state, or an input.
@@ -69,6 +71,7 @@ class Channel:
             object.__setattr__(self, "measured", False)
 
 
+@typed
 @dataclass(frozen=True)
 class Times:
     """The column of the times.
@@ -90,6 +93,7 @@ class Times:
     date_format: str | None = None
 
 
+@typed
 @dataclass(frozen=True)
 class DataSection:
     """The data files and the meaning of their columns.
@@ -256,6 +260,7 @@ def table_at(
     return table_of_excel(file, given.wanted, given.sheet, form, is_unknown)
 
 
+@typed
 @dataclass(frozen=True)
 class HeldOut:
     """The held-out data, selected in one of three ways; the other two are None.

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from phsi_opt.arguments import require
+from phsi_opt.arguments import typed
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, shown
+from phsi_opt.errors import DataError
 from phsi_opt.initialization.relative_guesses import check_rates
 from phsi_opt.model.catalogue import catalogue, effect_named
 from phsi_opt.model.effect import Effect
@@ -76,14 +76,13 @@ class StudyFile(Sections):
             DataError: this is no path.
             StudyFileError: the file has mistakes; the error lists all of them.
         """
-        if not isinstance(path, str | Path):
-            raise DataError(f"path={shown(path)}; expected that of a study file.")
         sections, measured = read_sections(Path(path), places)
         file = cls(**vars(sections), folder=Path(path).parent)
         file.__dict__["_measured"] = measured  # they have been read
         return file
 
     @classmethod
+    @typed
     def of(
         cls,
         model: Model,
@@ -122,9 +121,8 @@ class StudyFile(Sections):
                 table.
             ModelError: a study file cannot represent a part of the model.
         """
-        require(isinstance(model, Model), "model", model, "a model")
         unwritten = None
-        if isinstance(data, Measurements):
+        if not isinstance(data, DataSection):
             if isinstance(held_out, HeldOut):
                 unwritten = in_written_units(data)
             else:

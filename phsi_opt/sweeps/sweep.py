@@ -11,12 +11,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from itertools import count, islice
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 from urllib.parse import quote
 
-from phsi_opt.arguments import is_count
+from phsi_opt.arguments import is_count, typed
 from phsi_opt.errors import DataError, PhsiOptError, SolveError, shown
 from phsi_opt.reading import file_text
 from phsi_opt.sweeps.local_workers import local_workers
@@ -116,6 +117,7 @@ class Done:
     was_kept: bool = False
 
 
+@partial(typed, error=DataError)
 def sweep(
     function: Callable[[Any], Any],
     cases: Mapping[str, Any],
@@ -173,23 +175,8 @@ def sweep(
         [('first', 1), ('second', 2)]
     """
     _check(function, cases, in_flight)
-    check_executor(executor)
     kept = None if folder is None else KeptResults(Path(folder), of)
     return _swept(function, cases, executor, kept, in_flight, progress)
-
-
-def check_executor(executor: object) -> None:
-    """Refuse what cannot compute.
-
-    Raises:
-        DataError: It has no ``submit``.
-    """
-    if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise DataError(
-            f"executor={shown(executor)} has no method submit; expected an executor of "
-            "concurrent.futures, such as ProcessPoolExecutor(4), or a Dask client's "
-            "get_executor()."
-        )
 
 
 def _swept(
@@ -272,9 +259,9 @@ def _check(
             "functools.partial."
         )
     for key in cases:
-        if not isinstance(key, str) or not key:
+        if not key:
             raise DataError(
-                f"the key {key!r} is not a text with at least one character; give "
+                f"the key {shown(key)} is not a text with at least one character; give "
                 "every case such a name."
             )
     if not is_count(in_flight):

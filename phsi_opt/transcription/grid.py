@@ -15,15 +15,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from phsi_opt.arguments import typed
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import SmoothInputs, is_stepped
-from phsi_opt.errors import DataError, ModelError, shown, some_of
+from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.model.unit_checks import UnitCheck
@@ -219,6 +219,7 @@ class AlignedData:
     )
 
     @classmethod
+    @typed
     def of(cls, model: Model, data: Measurements) -> "AlignedData":
         """Align and lay out measurements that hold what the model needs.
 
@@ -227,7 +228,6 @@ class AlignedData:
                 of theirs is not in the model; or these are no measurements.
             ModelError: the model is none.
         """
-        check_problem(model, data)
         ordered = aligned(model, data)
         copies = copies_in(ordered)
         once = counted_once(ordered, copies)
@@ -257,27 +257,6 @@ class AlignedData:
         if all(np.all(n == 1) for n in steps):
             return self.grid
         return grid_of(self.data, steps)
-
-
-def check_problem(model: Any, data: Any, name: str = "data") -> None:
-    """Refuse what is no model, and what are no measurements.
-
-    Raises:
-        DataError: the data, which the message calls by their name, are something else.
-        ModelError: the model is something else.
-    """
-    if not isinstance(model, Model):
-        raise ModelError(
-            f"model={shown(model)} is not a model; expected a PseudoHamiltonian or a "
-            "FirstOrder. The model comes first, then the measurements."
-        )
-    if not isinstance(data, Measurements):
-        readers = {"DataFrame": "from_dataframe", "str": "from_csv"}
-        reader = readers.get(type(data).__name__, "from_arrays")
-        raise DataError(
-            f"{name}={shown(data)} is not a Measurements object; create one with "
-            f"Measurements.{reader}(...)."
-        )
 
 
 def _notes_on_inputs(model: Model, data: Measurements) -> Iterator[str]:

@@ -14,12 +14,11 @@ program is the business of `identify`.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from numbers import Real
 
 import casadi as ca
 import numpy as np
 
-from phsi_opt.arguments import is_count, require, require_positive, require_size
+from phsi_opt.arguments import is_count, require, require_positive, require_size, typed
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import SLACK_ABOVE, Program
@@ -36,6 +35,7 @@ from phsi_opt.transcription.sensors import outputs
 MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
 
+@typed
 @dataclass(frozen=True)
 class PHSILoss:
     """Squared defects of the measured states, and an L1 penalty (thesis Eq. 5.6).
@@ -78,6 +78,7 @@ class PHSILoss:
         return program
 
 
+@typed
 @dataclass(frozen=True)
 class MaximumLikelihood:
     """Squared residuals of the measurements, over states that satisfy the model.
@@ -130,10 +131,7 @@ class MaximumLikelihood:
             may_lack = name == "steps" and n is None
             fine = may_lack or (is_count(n) and n <= MOST_COUNTED)
             require(fine, f"MaximumLikelihood: {name}", n, expected)
-        noise = {} if self.noise is None else self.noise
-        expected = "standard deviations by state, such as {'q': 0.01}, or None"
-        require(isinstance(noise, Mapping), "MaximumLikelihood: noise", noise, expected)
-        for name, size in noise.items():
+        for name, size in (self.noise or {}).items():
             require_positive(f"MaximumLikelihood: noise[{name!r}]", size)
 
     def has_slacks(self, unknown: Theta, l1: Mapping[str, float]) -> bool:
@@ -227,8 +225,6 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
     """
     if l1 is None:
         return {}
-    expected = "a number, or weights by slot such as {'H': 0.1}"
-    require(isinstance(l1, Mapping | Real), "l1", l1, expected)
     weights = dict(l1) if isinstance(l1, Mapping) else {"H": l1, "F": l1}
     for slot, weight in weights.items():
         if slot not in ("H", "R", "F"):
