@@ -1,7 +1,8 @@
 # Everything is installed into .venv, with the versions of .ci/constraints.txt. `make` lists the targets.
 
 PYTHON ?= python3
-PYTHON_NEWEST ?= python3.13
+# The newest one that is tested; pyenv keeps it outside the path.
+PYTHON_NEWEST ?= $(lastword python3.13 $(wildcard $(HOME)/.pyenv/versions/3.13.*/bin/python))
 VENV := .venv
 PY := $(VENV)/bin/python
 CONSTRAINTS := .ci/constraints.txt
