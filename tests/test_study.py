@@ -148,15 +148,17 @@ def test_data_for_the_end_choose_nothing_and_tell_the_error() -> None:
     base, last = (ph.compare(step.fit, final).rmse for step in study.steps)
     assert base > 1.2 * last
     fall = f"{number(base, 3)} to {number(last, 3)} m"
-    told = f"On data kept for the end (run 5), the error fell from {fall}."
+    told = f"In the final test (run 5), the error fell from {fall}."
     content = study.content()
     assert told in content.headline.sentence and told in content.errors
-    assert content.subtitle.startswith("q measured in 1 run to fit, 1 to test, 1 for")
+    assert content.subtitle.startswith(
+        "q measured in 1 run for fitting, 1 for testing and 1 for a final"
+    )
     assert told in " ".join(str(study).split())
     assert told not in changed.content().headline.sentence
     settings = {one.question: str(one) for one in content.settings}
-    assert "help to choose effects" in settings["Data held out"]
-    assert "looked at once" in settings["Final data"]
+    assert "help to choose effects" in settings["Held-out data"]
+    assert "looked at once" in settings["Final test"]
     assert "final=final" in content.code
 
 

@@ -395,7 +395,7 @@ def test_it_is_told_what_to_write_and_that_finds_the_cogging() -> None:
     answer = step_without_name(analysis, {"q": "rad", "t": "s"})
     assert answer.lead == "Add your own term to dp/dt that is periodic in q."
     said = 'study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))'
-    assert said in answer.detail
+    assert said in answer.how
     data = turned(cogging, "rad")
     study = ph.Study(motor(), data)
     study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))

@@ -34,7 +34,7 @@ from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
-WEAK = "its evidence is"  # begins why an effect is rejected that is not decisive
+WEAK = "its evidence is only"  # begins why an effect is rejected that is not decisive
 
 
 def concluded(
@@ -131,7 +131,7 @@ class _Judge:
         at_bound = [name for name in new if name in larger.fit.outcome.at_bounds]
         if at_bound:
             words = parameter_words(larger.fit.model, at_bound[0])
-            self.note(place, lost=f"{words} ended at a bound")
+            self.note(place, lost=f"it fits best with {words} at a limit of its range")
             return None
         self.note_refit(place, larger)
         return larger
@@ -315,8 +315,9 @@ class _Judge:
         first = self.ranking[0]
         self.reject_others((first.effect,))
         reason = (
-            f"the nearest is {first.name} ({first.size}), with {_grade_words(first)}: "
-            f"{self.change(larger)}. It is not named: {doubt}"
+            f"the nearest is {first.name} ({first.size}; log evidence "
+            f"{first.log_evidence:.1f}): {self.change(larger)}. "
+            f"It is not named: {doubt}"
         )
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
@@ -338,9 +339,7 @@ class _Judge:
             reason += f"; it may be {steps}"
         nearest = next((one for one in self.ranking if one.was_weighed), None)
         if nearest is not None and nearest.grade != Grade.NONE:
-            reason += f"; the nearest, {nearest.name}, has {_grade_words(nearest)}"
-            if nearest.lost and not nearest.lost.startswith(WEAK):
-                reason += f", but {nearest.lost}"
+            reason += f"; the nearest is {nearest.name}, but {nearest.lost}"
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
 
     def reject_others(self, named: Sequence[Effect]) -> None:

@@ -127,7 +127,8 @@ def _candidate(
     at_bound = [name for name in names if name in weighed.at_bounds]
     lost = ""
     if at_bound:
-        lost = f"{parameter_words(weighed.model, at_bound[0])} ended at a bound"
+        words = parameter_words(weighed.model, at_bound[0])
+        lost = f"it fits best with {words} at a limit of its range"
     return replace(
         _expected(base, one, lost),
         coefficient=size.value,

@@ -93,9 +93,8 @@ def residual_warnings(
             warnings.append(
                 f"the residuals of {channel} are {ratio:.1f} times the scatter of "
                 "neighbouring samples: the model is incomplete (diagnose it), there "
-                "are outliers (huber = 1.345 in [loss] of a study file; in Python, "
-                "ph.MaximumLikelihood(huber=1.345)), or this is not the best optimum "
-                "(choose other starting values)"
+                "are outliers (a Huber loss gives them less weight), or this is not "
+                "the best optimum (choose other starting values)"
             )
     unresolved = unresolved_channels(data)
     for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():

@@ -17,7 +17,7 @@ from phsi_opt.criteria import MOST_OF_IT
 from phsi_opt.force_analysis.cross_validation import OUTER_QUANTILES, part_of_run
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.waves import spectrum
-from phsi_opt.presentation.numbers import decimal, number
+from phsi_opt.presentation.numbers import decimal, number, range_words
 from phsi_opt.presentation.units import Scale, frequency_words
 from phsi_opt.statistics import TINY, rms
 
@@ -82,7 +82,7 @@ class StrongRange:
     is_highest: bool
 
     def __str__(self) -> str:
-        return f"{self.begin:.3g} to {self.end:.3g}"
+        return range_words(self.begin, self.end)
 
 
 def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:

@@ -109,13 +109,13 @@ def is_delay(effect: Effect) -> bool:
 
 
 def is_decay(effect: Effect) -> bool:
-    """Whether it is c (s - x) in the equation of a state x: 1/c is a time constant."""
+    """Whether it is c (s - x), with s outside of it, in the equation of a state x."""
     x = effect.equation
     body = effect.term.terms[-1].body
     names = names_of(body)
     own = sorted({x, f"dH_d{x}"} & names)
     if effect.slot == "F":
-        return bool(own) and is_linear(body, own)
+        return bool(own) and not effect.memory and is_linear(body, own)
     return effect.slot == "R" and not names
 
 

@@ -15,6 +15,7 @@ from phsi_opt.presentation.numbers import (
     as_exact_as,
     number,
     said,
+    typeset,
 )
 from phsi_opt.presentation.units import Scale
 
@@ -27,6 +28,12 @@ GOOD = "good"
 LOOK = "look"
 BAD = "bad"
 SEVERITY_WORDS = {GOOD: "In order", LOOK: "Worth a look", BAD: "Not in order"}
+# What people read for a verdict, whose own name is for programs.
+VERDICT_WORDS = {
+    "missing: named": "effect found",
+    "missing: partly named": "partly found",
+    "missing: unexplained": "cause unknown",
+}
 
 
 # ---- the verdict ---------------------------------------------------------------------
@@ -36,15 +43,22 @@ SEVERITY_WORDS = {GOOD: "In order", LOOK: "Worth a look", BAD: "Not in order"}
 class Answer:
     """What is to be understood at once, and its details; "" for nothing.
 
-    ``question`` is what it answers, such as "Since when", where it is asked.
+    ``question`` is what it answers, such as "Since when", where it is asked; ``how``
+    which call or setting does it, for those who type.
     """
 
     lead: str
     detail: str = ""
     question: str = ""
+    how: str = ""
+
+    @property
+    def told(self) -> str:
+        """What a report says."""
+        return f"{self.lead} {self.detail}".strip()
 
     def __str__(self) -> str:
-        return f"{self.lead} {self.detail}".strip()
+        return f"{self.told} {self.how}".strip()
 
 
 @dataclass(frozen=True)
@@ -65,7 +79,7 @@ class Headline:
     @property
     def sentence(self) -> str:
         """What was found and what it changed."""
-        return str(self.discovery)
+        return self.discovery.told
 
 
 @dataclass(frozen=True)
@@ -279,21 +293,29 @@ class Ranked:
     effect: str  # such as "coulomb friction on p"
     size: str  # with its standard error and unit, and its other parameters
     std_error: float  # NaN where it is not known
-    evidence: str  # how clearly it is there, such as "decisive, log evidence 95"
+    evidence: str  # for tables, such as "decisive, log evidence 95"
     # Of the squared error above the noise that it explains; None: not known.
     share: Number
     train: Number  # the training error with it
     held_out: Number  # on data held out
     confused_with: tuple[str, ...]  # effects that the data cannot tell from it
-    lost: str  # why it is rejected; "" where nothing speaks against it
+    lost: str  # why it is rejected; "" where it is accepted
+    odds: str = ""  # how sure it is, in words; "" where it is rejected
+    step: int = 0  # in which it was added; 0: in none
+
+    @property
+    def result(self) -> str:
+        """Why it is rejected, or that it is accepted; and the step that added it."""
+        added = f", added in step {self.step}" if self.step else ""
+        return f"{self.lost or 'accepted'}{added}"
 
     def error_with(self, unit: str) -> str:
         """The error with it, on the data that judge where that is known."""
-        if self.held_out is not None:
-            return f"{number(self.held_out, 3)} {unit}".rstrip()
-        if self.train is not None:
-            return f"{number(self.train, 3)} {unit}".rstrip() + " on training data"
-        return ""
+        error = self.train if self.held_out is None else self.held_out
+        if error is None:
+            return ""
+        where = " on training data" if self.held_out is None else ""
+        return typeset(f"{number(error, 3)} {unit}".rstrip()) + where
 
 
 @dataclass(frozen=True)
@@ -369,10 +391,22 @@ class StudyContent:
         """The diagnosis of the present model; None before there is one."""
         return self.diagnoses[-1] if self.is_diagnosed else None
 
+    @property
+    def where(self) -> str:
+        """What the part is called that tells where the model fails, or failed."""
+        if self.headline.status != "nothing missing":
+            return "Where it fails"
+        return "Where the base model failed" if self.added else "Diagnosis"
+
     def forces_along(self, run: Run) -> list[ForceRun]:
         """The missing force of each equation along a run."""
         place = (run.name, run.part)
         return [one for one in self.forces if (one.run, one.part) == place]
+
+
+def verdict_words(status: str) -> str:
+    """What people read for a status."""
+    return VERDICT_WORDS.get(status, status)
 
 
 def unestablished_words(names: Sequence[str]) -> str:

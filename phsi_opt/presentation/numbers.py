@@ -83,6 +83,13 @@ def as_exact_as(
     return f"{text} {prefix or ''}{unit}".rstrip()
 
 
+def range_words(begin: float, end: float, unit: str = "") -> str:
+    """Both ends to the third digit of their distance."""
+    if not 0 < end - begin < math.inf:
+        return f"{begin:.3g} to {end:.3g} {unit}".rstrip()
+    return as_exact_as((end - begin) / 10, (begin, end), " to ", unit)
+
+
 def with_error(value: float, std_error: float, unit: str = "") -> str:
     """The same as a report has it; the value alone where there is no error."""
     if not math.isfinite(value) or not 0 < std_error < math.inf:

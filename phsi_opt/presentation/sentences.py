@@ -1,8 +1,9 @@
 """Sentences by templates, so that what is said stands in one place, and reads as said.
 
 A template is a file of macros beside the room's code, called ``tell_`` and a name. Each
-is an `Answer`: its lead and, behind "||", its detail. Lines may be broken and indented
-at will; in the answer blanks are single, and none stands before a stop or a comma.
+is an `Answer`: its lead and, each behind "||", its detail and how a program does it.
+Lines may be broken and indented at will; in the answer blanks are single, and none
+stands before a stop or a comma.
 """
 
 import re
@@ -10,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.errors import some_of
-from phsi_opt.presentation.content import Answer, unestablished_words
+from phsi_opt.presentation.content import Answer, unestablished_words, verdict_words
 from phsi_opt.presentation.numbers import (
     capitalised,
     lowered,
@@ -46,6 +47,7 @@ FILTERS = {
     "capital": capitalised,
     "lowered": lowered,
     "unestablished": unestablished_words,
+    "verdict": verdict_words,
     "typeset": typeset,
     "said": said,
     "proper": proper_names,
@@ -73,8 +75,9 @@ def environment(package: str, folder: str = "", **settings: Any) -> "Environment
 
 def say(package: str, name: str, **facts: Any) -> Answer:
     """What the macro of a name in the package's ``words.jinja`` says of facts."""
-    lead, _, detail = _told(package, "words.jinja", name, facts).partition(BEHIND_LEAD)
-    return Answer(_one_line(lead), _one_line(detail))
+    parts = _told(package, "words.jinja", name, facts).split(BEHIND_LEAD)
+    lead, detail, how = (*map(_one_line, parts), "", "")[:3]
+    return Answer(lead, detail, how=how)
 
 
 def lines(package: str, name: str, **facts: Any) -> str:

@@ -27,8 +27,8 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import (
-    capitalised,
     number,
+    range_words,
     said,
     with_error,
 )
@@ -92,8 +92,7 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "d": diagnosis,
         "force": force,
         "units": diagnosis.record.data.units,
-        "which": "held-out" if is_held_out else "training",
-        "judged": "data not used for fitting" if is_held_out else "the training data",
+        **_judging(is_held_out),
         "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
         # Times the noise floor up to which an error is that of the noise, and from
         # which it alone says that something is missing.
@@ -109,12 +108,18 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "fall_with": partial(_fall_with, diagnosis),
         "is_at_floor": lambda found: not is_failing(found),
         "off_channels": off_channels,
-        "evidence_words": evidence_words,
+        "odds_words": odds_words,
         "found": [finding_words(diagnosis, one) for one in diagnosis.findings],
         "likely_cause": likely_cause,
         "is_second_storage": is_second_storage,
     }
     return say(__package__, name, **facts, **more)
+
+
+def _judging(is_held_out: bool) -> dict[str, str]:
+    """What the data are called that judge, and the error on them."""
+    judged = "data not used for fitting" if is_held_out else "the training data"
+    return {"judged": judged, "the_error": f"the error on {judged}"}
 
 
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
@@ -152,24 +157,27 @@ def size_words(fit: Fit, effect: Effect, size: Size) -> str:
     """The size of an effect behind its name, per unit of what no equation tells."""
     if not np.isfinite(size.value):
         return ""
+    if is_second_storage(effect):
+        return _storage_words(fit, effect)
     told = size.words(effect)
-    per = _capacity_words(fit, effect)
-    if told == str(size):
-        per = inertia_words(fit.model, effect, fit.units)
+    per = inertia_words(fit.model, effect, fit.units) if told == str(size) else ""
     return f", {said(told)}{per}"
 
 
-def _capacity_words(fit: Fit, effect: Effect) -> str:
-    """The capacity of a second storage over that of the first: rate times time."""
+def _storage_words(fit: Fit, effect: Effect) -> str:
+    """Time constant and capacity of a second storage."""
     names = [effect.term.terms[-1].name, f"following_time_{effect.equation}"]
-    if not (is_second_storage(effect) and set(names) <= set(fit.names)):
+    if not set(names) <= set(fit.names):
         return ""
     rate, time = map(fit.estimates.__getitem__, names)
-    slopes = np.array([time, rate])
     places = list(map(fit.names.index, names))
-    variance = slopes @ fit.covariance[np.ix_(places, places)] @ slopes
-    ratio = with_error(rate * time, float(np.sqrt(max(variance, 0.0))))
-    return f", with {ratio} times the capacity of the first"
+    covariance = fit.covariance[np.ix_(places, places)]
+    slopes = np.array([time, rate])
+    errors = np.sqrt(np.maximum([covariance[1, 1], slopes @ covariance @ slopes], 0.0))
+    told = said(str(Size(time, errors[0]).in_unit(fit.parameter_units[names[1]])))
+    ratio = with_error(rate * time, errors[1])  # of the capacities
+    told += f" and {ratio} times the capacity of the first"
+    return f", with the time constant {told}"
 
 
 def alternatives(finding: Finding, name: str) -> str:
@@ -179,10 +187,11 @@ def alternatives(finding: Finding, name: str) -> str:
 
 
 def evidence_words(candidate: Candidate) -> str:
-    """How clearly an effect is there, such as "decisive, log evidence 95"."""
+    """How clearly it is there, such as "decisive, log evidence 95"; for tables."""
     if not candidate.was_weighed:
         return "not computed"
-    return f"{candidate.grade}, log evidence {number(candidate.log_evidence, 2)}"
+    grade = "" if candidate.lost else f"{candidate.grade}, "
+    return f"{grade}log evidence {number(candidate.log_evidence, 2)}"
 
 
 def nearest_candidate(diagnosis: Diagnosis) -> Candidate | None:
@@ -351,7 +360,7 @@ def headline_of(study: StudyRecord) -> Headline:
     if present is not None:
         status = str(present.verdict)
         remark = disturbance_word(present)
-        certainty = answer("certainty", present, is_held_out=True)
+        certainty = answer("certainty", present, True, added=study.last.added)
     severity = SEVERITIES[status]
     if study.unestablished and not remark:
         remark = NOT_ESTABLISHED
@@ -377,11 +386,14 @@ def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, .
     present = study.present
     found = [one for _, one in sorted(study.diagnoses.items()) if one.findings]
     evidence = [one.ranking[0].log_evidence for one in found]
-    classes = chain(*(one.findings for one in found))
+    classes = list(chain(*(one.findings for one in found)))
+    names = [" or ".join(map(str, finding.effects)) for finding in classes]
     facts = {
         "odds": odds_words(min(evidence)) if evidence else "",
+        "names": list(dict.fromkeys(names)),
         "has_class": not all(finding.is_name for finding in classes),
         "certainty": certainty,
+        "ranges": _ranges(study),
         "present": present,
         "after": found[-1].ranking[0].comparison if found else None,
         "to_do": to_do,
@@ -391,6 +403,18 @@ def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, .
         told[name] = said_of(study, name, **facts)
     asked = ((told[name], question) for name, question in AT_A_GLANCE.items())
     return tuple(replace(one, question=question) for one, question in asked if one.lead)
+
+
+def _ranges(study: StudyRecord) -> list[str]:
+    """What the data cover, such as "q from -1 to 2 m", of at most four channels."""
+    told = []
+    for one in study.train.look.channels:
+        known = one.values[one.known]
+        if len(known):
+            told.append(
+                f"{one.name} from {range_words(known.min(), known.max(), one.unit)}"
+            )
+    return told[:4]
 
 
 def _remains(study: StudyRecord) -> Answer:
@@ -406,8 +430,8 @@ def _remains(study: StudyRecord) -> Answer:
 def odds_words(log_evidence: float) -> str:
     """How sure an effect is, as odds in words: from a hundred to a million to one."""
     power = int(np.clip(log_evidence / np.log(10), 1, 6))
-    how = "Practically certain" if power >= 4 else "Very likely"
-    return f"{how}: odds of more than {POWERS_OF_TEN[power - 1]} to one"
+    how = "practically certain" if power >= 4 else "very likely"
+    return f"{how} (odds of more than {POWERS_OF_TEN[power - 1]} to one)"
 
 
 def telling_step(study: StudyRecord) -> int | None:
@@ -428,7 +452,7 @@ def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
         __package__,
         name,
         study=study,
-        which="training" if study.last.held_out is None else "held-out",
+        **_judging(study.last.held_out is not None),
         size=size,
         unit=spaced(unit),
         short=short,
@@ -446,14 +470,15 @@ def _discovery(study: StudyRecord) -> Answer:
         lacking = answer("missing", present, study.held_out is not None)
     added = study.last.added if len(study.steps) > 1 else ()
     names = [one.name for one in added]
-    open_ = {one.name: evidence_words(one) for one in study.unestablished}
+    open_ = {one.name: one.lost for one in study.unestablished}
     sure = []
     unsure = []
     for effect in added:
         is_alone = names.count(effect.name) == 1  # in one equation
         called = _with_size(study, effect, effect.name if is_alone else str(effect))
         if str(effect) in open_:
-            unsure.append(f"{called} ({open_[str(effect)]})")
+            lost = open_[str(effect)]
+            unsure.append(f"{called} ({lost})" if lost else called)
         else:
             sure.append(called)
     facts = {"sure": sure, "unsure": unsure, "lacking": lacking, "ask": ASK}
@@ -501,11 +526,12 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
 
 def _was_added(study: StudyRecord) -> Answer:
     """What was added, with its present size, and how clear it was."""
-    open_ = {one.name: evidence_words(one) for one in study.unestablished}
-    clear = dict(open_)
+    open_ = {one.name: one.lost for one in study.unestablished}
+    clear = {name: f"was rejected: {lost}" for name, lost in open_.items() if lost}
     for diagnosis in study.diagnoses.values():
         for finding in diagnosis.findings:
-            clear[str(finding.effects[0])] = evidence_words(diagnosis.ranking[0])
+            odds = odds_words(diagnosis.ranking[0].log_evidence)
+            clear[str(finding.effects[0])] = f"is {odds}"
     sizes = []
     for effect in study.last.added:
         name = str(effect)
@@ -522,14 +548,12 @@ def step_story(study: StudyRecord, place: int) -> str:
     is_held_out = study.held_out is not None
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
         return answer("noise_alone", diagnosis, is_held_out).lead
-    told = [
-        answer("missing", diagnosis, is_held_out),
-        answer("wrong", diagnosis, is_held_out),
-        where_answer(diagnosis),
-        since_when(diagnosis, study.steps[place].train),
-        answer("to_do", diagnosis, is_held_out),
-    ]
-    if place + 1 < len(study.steps):
-        label = capitalised(study.steps[place + 1].label)
-        told.append(Answer(f"{label}: added in step {place + 1}."))
-    return " ".join(map(str, told))
+    facts = {
+        "missing": answer("missing", diagnosis, is_held_out),
+        "where": where_answer(diagnosis),
+        "since": since_when(diagnosis, study.steps[place].train),
+        "to_do": answer("to_do", diagnosis, is_held_out),
+        "place": place,
+        "step": next(iter(study.steps[place + 1 : place + 2]), None),
+    }
+    return answer("story", diagnosis, is_held_out, **facts).lead

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.comparison.compare import Comparison
+from phsi_opt.comparison.compare import HORIZON_RESIDUAL, Comparison
 from phsi_opt.criteria import (
     FAILING_ERROR,
     SURE_DEVIATIONS,
@@ -39,6 +39,7 @@ from phsi_opt.presentation.content import (
     Follows,
     ForceRun,
     Glance,
+    Headline,
     ParameterRow,
     Ranked,
     Run,
@@ -69,6 +70,7 @@ from phsi_opt.study.answers import (
     evidence_words,
     headline_of,
     nearest_candidate,
+    odds_words,
     only_follows,
     said_of,
     samples_to_average,
@@ -116,6 +118,7 @@ def study_content(
     shown, shown_channel = _most_changed(runs)
     described = said_of(study, "subtitle", origin=runs[0].origin, written=written)
     place = telling_step(study)
+    headline = headline_of(study)
     glance = None  # where what the verdict tells of is seen best
     if place is not None:
         model = -1 if place == last else 0
@@ -123,7 +126,7 @@ def study_content(
     return StudyContent(
         title=study.title or _usual_title(study.train),
         subtitle=described.lead,
-        headline=headline_of(study),
+        headline=headline,
         steps=study.errors(size),
         unit=unit,
         errors=_errors(study),
@@ -140,7 +143,7 @@ def study_content(
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
         is_diagnosed=study.present is not None,
         checks=_checks(study),
-        settings=_settings(study),
+        settings=_settings(study, headline),
         code=_code(study),
         added=tuple(map(str, study.last.added)),
         stopped=study.stopped,
@@ -292,7 +295,7 @@ def _diagnosed(study: StudyRecord, place: int, time: Scale) -> Diagnosed:
         diagnosis.reason,
         tuple(diagnosis.sentences),
         tuple(force_of(force, time) for force in sure[:4]),
-        _ranking(diagnosis),
+        _ranking(study, place),
         tuple(map(str, diagnosis.proposed)),
         "" if nearest is None else nearest.name,
         samples_to_average(diagnosis),
@@ -310,8 +313,12 @@ def _all_forces(study: StudyRecord, time: Scale) -> tuple[ForceRun, ...]:
     return found
 
 
-def _ranking(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
+def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
     """The candidates, best first; errors in the unit in which they are told."""
+    diagnosis = study.diagnoses[place]
+    steps: dict[str, int] = {}
+    for step in range(len(study.steps) - 1, place, -1):
+        steps |= dict.fromkeys(map(str, study.steps[step].added), step)
     size, _ = scale_of_errors(diagnosis.base.error_unit)
     classes: dict[str, list[str]] = {}
     for finding in diagnosis.findings:
@@ -334,6 +341,8 @@ def _ranking(diagnosis: Diagnosis) -> tuple[Ranked, ...]:
             _known(size * one.held_out_rmse),
             tuple(alike),
             one.lost,
+            "" if one.lost else odds_words(one.log_evidence),
+            steps.get(one.name, 0),
         )
         ranked.append(found)
     return tuple(ranked)
@@ -409,10 +418,10 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
     if judged.warning:
         checks.append(Check("free run", BAD, judged.warning))
     fit = study.last.fit
-    optimum = LOOK if study.last.cautioned.caution else GOOD
-    severity = optimum if fit.outcome.success else BAD
-    said = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
-    checks.append(Check("solver", severity, said))
+    if study.last.cautioned.caution or not fit.outcome.success:
+        severity = LOOK if fit.outcome.success else BAD
+        told = f"{fit.outcome.sentence} {fit.outcome.advice}".strip()
+        checks.append(Check("solver", severity, told))
     if fit.outcome.at_bounds:
         words = partial(parameter_words, fit.model)
         bounds = ", ".join(map(words, fit.outcome.at_bounds))
@@ -451,7 +460,7 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
     for name, subject, value, is_good, is_bad in asked:
         known = bool(np.isfinite(value))
         severity = GOOD if is_good else BAD if known and is_bad else LOOK
-        said = say(
+        told = say(
             __package__,
             f"{name}_check",
             row=row,
@@ -460,17 +469,19 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
             horizon=horizon,
             scale=scale_of_time(shortest, unit_of_time),
             is_from_start=horizon < 0.01 * shortest,  # it never was good
+            most=HORIZON_RESIDUAL,
+            sure_level=SURE_LEVEL,
             severity=severity,
             known=known,
         )
-        checks.append(Check(f"{row['state']}: {subject}", severity, said.lead))
+        checks.append(Check(f"{row['state']}: {subject}", severity, said(told.lead)))
     return checks
 
 
 # ---- how it is repeated --------------------------------------------------------------
 
 
-def _settings(study: StudyRecord) -> tuple[Answer, ...]:
+def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
     units = []
     for name, unit in study.train.units.items():
         scale = scale_of(unit)
@@ -486,18 +497,22 @@ def _settings(study: StudyRecord) -> tuple[Answer, ...]:
     seeds = "fixed in the package: the same data and settings "
     told = {
         "Training data": f"{_data(study.train)}; all parameters are fitted to them",
-        "Data held out": _data_of_part(study.held_out, "they help to choose effects"),
-        "Final data": _data_of_part(study.final, "looked at once, at the end"),
+        "Held-out data": _data_of_part(
+            study.held_out, "not fitted; they help to choose effects"
+        ),
+        "Final test": _data_of_part(study.final, "looked at once, at the end"),
         "Starting states": starts,
         "Units": ", ".join(units) or "not given",
         "Inputs between samples": hold if study.train.inputs else "",
         "Loss": short_repr(study.loss),
+        "Solver": study.last.fit.outcome.sentence,
+        "How to do what is proposed": headline.answers[-1].how,
         "Standard errors": str(study.last.fit.std_error_source),
         "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
         "Seeds": f"{seeds}give the same numbers",
         "Versions": ", ".join([*versions, f"Python {platform.python_version()}"]),
     }
-    return tuple(Answer(said, question=name) for name, said in told.items() if said)
+    return tuple(Answer(one, question=name) for name, one in told.items() if one)
 
 
 def _data_of_part(data: Measurements | None, use: str) -> str:

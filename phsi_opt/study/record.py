@@ -159,7 +159,7 @@ class StudyRecord:
         which = number_of(len(self.final), "run")
         if len(self.final) == 1:
             which = self.final.trajectories[0].title
-        return f"On data kept for the end ({which}), the error {told}{spaced(unit)}."
+        return f"In the final test ({which}), the error {told}{spaced(unit)}."
 
     @property
     def notes(self) -> tuple[str, ...]:
