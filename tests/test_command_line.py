@@ -707,7 +707,7 @@ def test_a_study_that_breaks_off_says_so_in_its_report(short, monkeypatch) -> No
     assert kept.files == (short.with_name("report.html"),)
     report = kept.files[0].read_text(encoding="utf-8")
     assert "the study failed: a mistake on the way.</h1>" in report
-    assert "So far: held-out error" in report
+    assert "So far: the error on data not used for fitting is" in report
     assert "base model" in kept.text
 
 

@@ -99,10 +99,11 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     said = facts(page)
     assert NAMED.search(said)
     assert "In dp/dt" in said
-    assert re.search("(Strongest|Most clearly visible) at t = ", said)
+    assert re.search("(strongest|most clearly visible) at t = ", said)
     assert "dp/dt lacks a force of" in said
     assert f"{CALLED}, " in said
-    assert "missing: named" in said
+    assert "effect found" in said and "missing: named" not in said
+    assert "log evidence" not in said and "Study of q (m): q measured in" in said
     assert "the error is 1.4 times the noise." in said
     assert "± is one standard error." in said
     expect(page.get_by_text("worst moment").first).to_be_visible()
@@ -132,6 +133,10 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     automatic = page.get_by_role("button", name="Add effects automatically until")
     expect(automatic).to_have_count(0)
     expect(page.get_by_text("Tried, none needed")).to_be_visible()
+    expect(page.get_by_text("A bar is the error")).to_have_count(0)  # there is none
+    expect(page.get_by_role("heading", name="What was missing")).to_be_visible()
+    verdict = page.get_by_role("region", name="Verdict")
+    expect(verdict).to_contain_text("What to do next")
     assert unlabelled_fields(page) == []
     # What nobody sees yet is not drawn, and points are one element: a page is sooner
     # there. Both were most of 1800 elements.

@@ -55,6 +55,7 @@ from phsi_opt.presentation.numbers import (
     said,
     short_constants,
     typeset,
+    unbroken,
     with_error,
     with_interval,
 )
@@ -378,6 +379,13 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert said("a floor of 2.79e-06 m, run_1e5") == "a floor of 2.79×10⁻⁶ m, run_1e5"
     assert range_words(-0.0312, -1.47e-5) == "-0.0312 to 0.0000"
     assert range_words(15.04, 24.1, "m") == "15.04 to 24.10 m"
+    for text, kept in {
+        "Friction, 0.147 ± 0.005 N m, was": "Friction, 0.147~±~0.005~N~m, was",
+        "0.25 ± 0.01 1/(°C h) and 3.2×10⁻⁹ ± 1×10⁻⁹ K/s²": "0.25~±~0.01~1/(°C~h) and "
+        "3.2×10⁻⁹~±~1×10⁻⁹~K/s²",
+        "from 1 to 2 °C in 3 runs, 2 models": "from 1 to 2~°C in 3 runs, 2 models",
+    }.items():
+        assert unbroken(text) == kept.replace("~", "\N{NO-BREAK SPACE}")
     assert range_words(0, 0) == "0 to 0"
     assert short_constants("(0.00474972 m/s)**4") == "(0.00475 m/s)**4"
     kept = "(0.123456 +- 0.000012 N) + 9.81*x"

@@ -127,7 +127,7 @@ def ended_by(final: ph.Measurements) -> ph.Study:
     data = measurements(2.0, seed=3).thinned(2, by="picking")
     effects = ["coulomb friction"]
     study = ph.Study(spring(), data[:1], data[1:2], final=final, effects=effects)
-    assert "for the end" not in study.content().headline.sentence
+    assert "final test" not in study.content().headline.sentence
     study.auto(max_steps=1)
     return study
 

@@ -175,10 +175,7 @@ class DiagnosedModel:
         return EvidenceRecord.of(self.record, held_out)
 
     def share_explained(self, larger: "DiagnosedModel") -> float:
-        """Share of the judging squared error above the noise floor that is gone.
-
-        NaN where there is none above it.
-        """
+        """Share of the judging squared error above the noise floor that is gone."""
         if not self.judged.rmse > self.judged.noise_floor:
             return np.nan
         return explained_share(self.judged, larger.judged)
@@ -473,10 +470,7 @@ def _n_intervals(steps: Sequence[np.ndarray]) -> int:
 
 
 def distance_from_states(trained: Comparison) -> float:
-    """Root mean square distance of a free run from its fit, in noise deviations.
-
-    Over the measured values, of what the sensors show.
-    """
+    """Root mean square distance of a free run from its fit, in noise deviations."""
     record = trained.record
     fitted = outputs_at_samples(
         record.model, record.grid, record.fit.states, record.theta

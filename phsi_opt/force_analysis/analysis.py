@@ -238,10 +238,7 @@ def range_words(force: EquationForce, name: str, ranges: Sequence[StrongRange]) 
 
 
 def plain_name(force: EquationForce, name: str) -> str:
-    """A variable as it is called in speech: a velocity by its position.
-
-    An effort that has the values of a state has the name of that state.
-    """
+    """A variable as it is called in speech: a velocity by its position."""
     model = force.record.model
     if name not in model.efforts:
         return name
@@ -259,10 +256,7 @@ def plain_name(force: EquationForce, name: str) -> str:
 
 
 def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
-    """What to do about the surest missing force, for which there is no name.
-
-    The units tell of which field an equation is, as in `Measurements`.
-    """
+    """What to do about the surest missing force, for which there is no name."""
     force = analysis.force_in()
     if force.is_uncertain:
         return say(__package__, "unsure")

@@ -116,10 +116,7 @@ def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.nda
 
 
 def variables(force: Force) -> list[str]:
-    """Names of what a force may follow, pairs of states as 'q, p'.
-
-    Pairs with the equation's own state come before others; six are looked at.
-    """
+    """Names of what a force may follow, pairs of states as 'q, p'."""
     record = force.record
     states = [name for name in record.model.states if _varies(record, name)]
     known = [_ranks(record.variable(name)) for name in states]
@@ -239,10 +236,7 @@ class Causes:
 
 
 def causes_of(force: Force, wave: PositionWave | None = None) -> Causes:
-    """Whether a force w dissipates power w dH/dx, conserves it, or is driven.
-
-    A wave along a position counts to what is 'conserved'.
-    """
+    """Whether a force w dissipates power w dH/dx, conserves it, or is driven."""
     bases = _bases(force, wave)
     least = _share(force, bases, [PARAMETERS])
     contributions = {PARAMETERS: least}

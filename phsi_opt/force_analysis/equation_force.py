@@ -83,10 +83,7 @@ class EquationForce(Force):
     pace = cached_property(Pace.of)
 
     def window_words(self, longest: float = 0.0) -> str:
-        """Its times with their dates; "" where none stand out.
-
-        A ``longest`` time is told in the same unit, such as the end of the record.
-        """
+        """Its times with their dates; "" where none stand out."""
         window = self.window
         if window.is_whole:
             return ""
@@ -103,10 +100,7 @@ class EquationForce(Force):
 
     @cached_property
     def wave(self) -> PositionWave | None:
-        """Along a position, where the force repeats along one.
-
-        It is sought in a force that is sure, and of which the rest leaves much.
-        """
+        """Along a position, where the force repeats along one."""
         unexplained = self._causes_by_knots.shares["unexplained"]
         may_repeat = not self.is_uncertain and unexplained > CLEAR_PATTERN
         return position_wave(self) if may_repeat else None
@@ -221,10 +215,7 @@ class EquationForce(Force):
         return f"{NAMES_OF_PAIRS[kind_of(self.record.model, position)][1]} {position}"
 
     def position_of(self, variable: str) -> str:
-        """The position whose velocity an effort is; "" for other variables.
-
-        A state that has a name of its own, such as a current, is told by that.
-        """
+        """The position whose velocity an effort is; "" for other variables."""
         model = self.record.model
         state = self._states_of_efforts.get(variable, "")
         position = position_of_momentum(model).get(state, "")

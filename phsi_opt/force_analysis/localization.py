@@ -71,10 +71,7 @@ def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class StrongRange:
-    """Values of a variable between which a force is strong.
-
-    The lowest or highest where no values beyond were visited, but a few.
-    """
+    """Values between which a force is strong; the ends where few lie beyond."""
 
     begin: float
     end: float
@@ -86,10 +83,7 @@ class StrongRange:
 
 
 def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
-    """Ranges of a variable in which a force is strong; none where none stands out.
-
-    Both are (n_intervals,).
-    """
+    """Ranges of a variable in which a force is strong; none where none stands out."""
     low, high = np.quantile(z, OUTER_QUANTILES)
     edges = np.unique(np.linspace(low, high, num=9))
     n_bins = len(edges) - 1
@@ -195,10 +189,7 @@ class Pace:
         return f"{frequency_words(self.frequency, units)}, {' and '.join(beside)}"
 
     def size_words(self, rate: str) -> str:
-        """The force beside the rate that the model has: a share or a multiple of it.
-
-        Empty where the model has nothing there. The rate is called such as "dp/dt".
-        """
+        """The force beside the rate that the model has: a share or a multiple of it."""
         if not self.own > 0:
             return ""
         ratio = self.strength / self.own

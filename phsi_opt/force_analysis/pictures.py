@@ -42,10 +42,7 @@ MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
 
 
 def samples_of_each(n_curves: int) -> int:
-    """How many samples are drawn of each of so many curves.
-
-    All together have at most 60 000, two megabytes of text, unless there are very many.
-    """
+    """How many samples are drawn of each of so many curves."""
     return int(np.clip(60_000 / max(n_curves, 1), 120, MOST_PER_CURVE))
 
 
@@ -191,10 +188,7 @@ def _sure_title(force: EquationForce) -> str:
 
 
 def draw_spectrum(ax: "Axes", force: EquationForce) -> None:
-    """Amplitude of the force by frequency, and what its uncertainty explains.
-
-    The mean of the force is taken off.
-    """
+    """Amplitude of the force by frequency, and what its uncertainty explains."""
     from scipy.ndimage import uniform_filter1d
 
     from phsi_opt.presentation.charts import (

@@ -39,10 +39,7 @@ class Spectrum:
 
     @property
     def peak(self) -> float:
-        """Frequency of the largest amplitude; 0 where all are 0.
-
-        Of several signals, that of the fastest.
-        """
+        """Frequency of the largest amplitude; 0 where all are 0."""
         strongest = self.frequencies[np.argmax(self.amplitudes, axis=0)]
         return float(np.max(strongest * self.amplitudes.any(axis=0)))
 
@@ -141,10 +138,7 @@ def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
 
 
 def period_of(force: Force) -> float | None:
-    """Period of the wave in a force that depends on time.
-
-    None where slow changes are larger than the wave.
-    """
+    """Period of the wave in a force that depends on time."""
     everywhere = np.full(len(force.w), True)
     functions = functions_of_time(force, everywhere)
     coefficients = np.linalg.lstsq(functions, force.w, rcond=None)[0]

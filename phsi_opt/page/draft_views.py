@@ -59,10 +59,11 @@ from phsi_opt.study_file.keys import KEYS_OF, listed
 # ---- part 1: the measurements --------------------------------------------------------
 
 ABOUT = (
-    "A table as CSV, text or Excel workbook, one line per sample below a header, or a "
-    f"logger's MDF or TDMS file. At most {in_megabytes(MOST_UPLOADED)} a file. Several "
-    "files with the same columns are several runs. A study file (.toml) opens with the "
-    "tables that it names."
+    "phsi_opt compares your model of a machine with measurements, and finds which "
+    "physical effect is missing in it and how large it is. Begin with a table: CSV, "
+    "text or Excel, one line per sample below a header, or a logger's MDF or TDMS "
+    f"file, of at most {in_megabytes(MOST_UPLOADED)}. Several files with the same "
+    "columns are several runs. A study file (.toml) opens with its tables."
 )
 EXAMPLES = {
     "spring": "Damped spring",

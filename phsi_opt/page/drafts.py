@@ -35,7 +35,7 @@ CHANNELS = {STATE: "states", INPUT: "inputs"}  # sections of [data]
 KEYS_OF_COLUMNS = ("files", "trajectory", "time", *CHANNELS.values())
 
 NOTHING = "nothing"
-SHARE = "the last share"
+SHARE = "the last part"
 AFTER = "from a time on"
 RUNS = "runs by name"
 KEYS_OF_WAYS = {SHARE: "share", AFTER: "after", RUNS: "runs"}
@@ -467,10 +467,7 @@ class ModelDraft:
 
 
 class Drafted(NamedTuple):
-    """A draft as it was at one time: the study file, and where its data files lie.
-
-    No two uploads have one place.
-    """
+    """A draft as it was at one time: the study file, and where its data files lie."""
 
     text: str
     places: dict[str, Path]

@@ -124,10 +124,7 @@ def is_own_origin(origin: str, host: str) -> bool:
 
 @dataclass(frozen=True)
 class UploadLimit:
-    """An application (ASGI) that passes on what is small enough.
-
-    The browser's own check is a courtesy; this one holds for every client.
-    """
+    """An application (ASGI) that passes on what is small enough."""
 
     app: ASGIApp  # the one behind it
     # Bytes of a request's body: a file, with names and boundaries.

@@ -11,7 +11,7 @@ from nicegui.elements.mixins.text_element import TextElement
 from phsi_opt.errors import Complaint
 from phsi_opt.page.drafts import NAMES, PAIRS, REAL, TERMS, TEXT, WHOLE, Content
 from phsi_opt.presentation.charts import Chart, figure
-from phsi_opt.presentation.numbers import capitalised
+from phsi_opt.presentation.numbers import capitalised, unbroken
 from phsi_opt.presentation.sentences import environment
 from phsi_opt.study_file.keys import KEYS, KEYS_OF, Key
 
@@ -51,10 +51,10 @@ LABELS = {
     "held_out.runs": "runs held out",
     "held_out.share": "share held out",
     "held_out.after": "held out from the time",
-    "final": "data for the end",
-    "final.runs": "runs for the end",
-    "final.share": "share for the end",
-    "final.after": "for the end from the time",
+    "final": "data for a final test",
+    "final.runs": "runs for the final test",
+    "final.share": "share for the final test",
+    "final.after": "final test from the time",
     "study.title": "title of the report, such as the machine",
     "model.pairs": "pairs: dq/dt = dH/dp",
     "model.H": "energy H",
@@ -167,7 +167,7 @@ def button(label: str, then: Callable[[], Any], quiet: bool = False) -> ui.butto
 
 def words(name: str, *facts: Any) -> str:
     """What a macro of ``study.html.jinja`` says; names in it mean nothing in HTML."""
-    found = environment("phsi_opt.page", autoescape=True)
+    found = environment("phsi_opt.page", autoescape=True, finalize=unbroken)
     return str(getattr(found.get_template("study.html.jinja").module, name)(*facts))
 
 

@@ -174,7 +174,8 @@ class StudyView:
             self.overlay()
             ui.label(HOW_TO_LOOK).classes("faint")
         with card():
-            heading("What is missing")
+            is_good = content.headline.status == "nothing missing"
+            heading("What was missing" if is_good else "What is missing")
             self.follows()
             self.force()
 
@@ -322,7 +323,8 @@ class StudyView:
         title = "Tried, none needed" if is_good else "Tried, none accepted"
         with card():
             heading("Effects, best first" if diagnosed.proposed else title)
-            ui.label(BAR).classes("faint")
+            if diagnosed.ranking and diagnosed.ranking[0].train is not None:
+                ui.label(BAR).classes("faint")
             others = diagnosed.ranking[N_SHOWN:]
             self._candidates(content, diagnosed, diagnosed.ranking[:N_SHOWN])
             if others:
@@ -402,10 +404,7 @@ def titled(place: int, one: Model) -> str:
 def beside(
     models: Mapping[str, StudyContent], run: Run, channel: int
 ) -> tuple[StudyContent, Run]:
-    """Content and run to draw: the free runs of several models, each by its name.
-
-    The run is that of the last one.
-    """
+    """Content and run (of the last model) to draw: the free runs of several models."""
     one = run.channels[channel]
     simulated = {}
     for name, content in models.items():

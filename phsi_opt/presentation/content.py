@@ -41,11 +41,7 @@ VERDICT_WORDS = {
 
 @dataclass(frozen=True)
 class Answer:
-    """What is to be understood at once, and its details; "" for nothing.
-
-    ``question`` is what it answers, such as "Since when", where it is asked; ``how``
-    which call or setting does it, for those who type.
-    """
+    """What is to be understood at once, its details, and which call does it."""
 
     lead: str
     detail: str = ""
@@ -173,10 +169,7 @@ class Channel:
 
     @property
     def change(self) -> float:
-        """How far the first and the last model are apart (rms), over the movement.
-
-        Of one model: how far it is off.
-        """
+        """How far the first and the last model, or model and data, are apart (rms)."""
         last = self.models[-1] if len(self.models) > 1 else self.measured
         apart = self.models[0] - last
         known = apart[np.isfinite(apart)]
@@ -190,10 +183,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One trajectory: its name, its part of the data, its channels.
-
-    ``origin`` is the moment at which its time is 0; None where times are no dates.
-    """
+    """One trajectory; ``origin`` is the moment of its time 0, where times are dates."""
 
     name: str
     part: str
@@ -402,11 +392,6 @@ class StudyContent:
         """The missing force of each equation along a run."""
         place = (run.name, run.part)
         return [one for one in self.forces if (one.run, one.part) == place]
-
-
-def verdict_words(status: str) -> str:
-    """What people read for a status."""
-    return VERDICT_WORDS.get(status, status)
 
 
 def unestablished_words(names: Sequence[str]) -> str:

@@ -23,6 +23,7 @@ from phsi_opt.presentation.charts import (
     svg,
 )
 from phsi_opt.presentation.content import StudyContent
+from phsi_opt.presentation.numbers import unbroken
 from phsi_opt.presentation.sentences import environment
 
 PRESENTATION = "phsi_opt.presentation"
@@ -75,7 +76,7 @@ def html_report(content: StudyContent, data: Chart | None = None) -> str:
         text = svg(place.charts[run][channel]).encode()
         return f"data:image/svg+xml;base64,{base64.b64encode(text).decode()}"
 
-    templates = environment(PRESENTATION, TEMPLATES, autoescape=True)
+    templates = environment(PRESENTATION, TEMPLATES, autoescape=True, finalize=unbroken)
     return templates.get_template("report.html.jinja").render(
         report=content,
         data_chart=data,

@@ -19,14 +19,19 @@ PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
 # Of units, by powers of a thousand; kg has one, and those of a power take none.
 PREFIXES = {-3: "n", -2: "\N{MICRO SIGN}", -1: "m", 1: "k", 2: "M", 3: "G"}
 PREFIXED = re.compile(r"(?:[msANVWJFH]|Pa|Hz|Wb|Ohm)(?![\w^])")
+# A number with what belongs to it, up to a unit of a few usual symbols.
+UNIT_SYMBOLS = (
+    r"(?:1/\(?)?(?:(?:[kMmnµ]?(?:Wh?|[NVAKJFHClgms]|Pa|Hz|bar|Ohm)|rad|min|h|days|"
+    r"rpm|°[CF]|%)[²³⁴]?[/*()]*)+(?![\w\N{PRIME}])"
+)
+QUANTITY = re.compile(rf"\d[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]*\)?(?: ±|(?: {UNIT_SYMBOLS})+)")
+NO_BREAK = "\N{NO-BREAK SPACE}"
+BESIDE = re.compile(r"(?<=±) (?=\d)")
 LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
 
 
 def number(value: float | None, digits: int = 0) -> str:
-    """The value with so many digits, "not known" where there is none.
-
-    Of a value that somebody chose (0 digits) at most four, without zeros at the end.
-    """
+    """The value with so many digits; of one that somebody chose (0) at most four."""
     if value is None or not math.isfinite(value):
         return "not known"
     return said(decimal(value, digits or 4, "#" if digits and value else ""))
@@ -39,10 +44,7 @@ def percent(share: float) -> str:
 
 
 def decimal(value: float, digits: int, zeros: str = "") -> str:
-    """A number with so many digits, up to a million as 260 and not as 2.6e+02.
-
-    Zeros at its end stay with "#".
-    """
+    """So many digits, up to a million as 260 and not as 2.6e+02; ``#`` keeps zeros."""
     text = f"{value:{zeros}.{digits}g}".removesuffix(".")
     if "e+" in text and abs(value) < 1e6:
         return f"{float(text):.0f}"
@@ -123,10 +125,7 @@ def with_interval(value: float, ends: Sequence[float], unit: str = "") -> str:
 
 
 def short_constants(line: str) -> str:
-    """An equation whose constants of six digits have three; estimates stay.
-
-    One of up to five digits may be what somebody chose.
-    """
+    """An equation whose constants of six digits have three; estimates stay."""
     return LONG_CONSTANT.sub(_three_digits, line)
 
 
@@ -152,13 +151,17 @@ def label(name: str, unit: str) -> str:
 
 
 def said(text: str) -> str:
-    """A sentence as a report has it: minus signs, powers of ten, Coulomb's name.
-
-    A percent sign stays with its number where a line breaks.
-    """
+    """A sentence as a report has it: minus signs, powers of ten, Coulomb's name."""
     signed = MINUS.sub("\N{MINUS SIGN}", proper_names(typeset(text)))
-    kept = signed.replace(" %", "\N{NO-BREAK SPACE}%")
-    return POWER_OF_TEN.sub(_power_of_ten, kept)
+    return POWER_OF_TEN.sub(_power_of_ten, signed.replace(" %", f"{NO_BREAK}%"))
+
+
+def unbroken(value: Any) -> Any:
+    """A text in which no line breaks between a number, its error and its unit."""
+    if type(value) is not str:
+        return value
+    kept = QUANTITY.sub(lambda found: found[0].replace(" ", NO_BREAK), value)
+    return BESIDE.sub(NO_BREAK, kept)
 
 
 def _power_of_ten(found: re.Match[str]) -> str:

@@ -11,7 +11,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from phsi_opt.errors import some_of
-from phsi_opt.presentation.content import Answer, unestablished_words, verdict_words
+from phsi_opt.presentation.content import VERDICT_WORDS, Answer, unestablished_words
 from phsi_opt.presentation.numbers import (
     capitalised,
     lowered,
@@ -47,7 +47,7 @@ FILTERS = {
     "capital": capitalised,
     "lowered": lowered,
     "unestablished": unestablished_words,
-    "verdict": verdict_words,
+    "verdict": lambda status: VERDICT_WORDS.get(status, status),
     "typeset": typeset,
     "said": said,
     "proper": proper_names,
@@ -58,10 +58,7 @@ FILTERS = {
 
 @cache
 def environment(package: str, folder: str = "", **settings: Any) -> "Environment":
-    """The templates of a package, with what all of them use.
-
-    Lines that hold nothing but a statement leave no trace unless ``settings`` say so.
-    """
+    """The templates of a package; lines with a statement alone leave no trace."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to load
 
     lines = {"trim_blocks": True, "lstrip_blocks": True}

@@ -29,10 +29,7 @@ MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
 
 
 class PrintedTable(pd.DataFrame):
-    """A data frame that prints and shows itself with all of its columns.
-
-    In all else it is a `pandas.DataFrame`; numbers keep all digits, four are shown.
-    """
+    """A `pandas.DataFrame` that prints all of its columns, numbers with four digits."""
 
     @property
     def _constructor(self) -> "type[PrintedTable]":

@@ -59,10 +59,7 @@ TOLD_AT_ZERO = {"degF": 32.0, "°F": 32.0}
 
 
 def scale_of_errors(unit: str) -> tuple[float, str]:
-    """A factor on errors and the unit that they then have.
-
-    Those of several channels are shown in percent of what was measured.
-    """
+    """A factor on errors and their unit: percent where there are several channels."""
     if unit == STANDARD_DEVIATIONS:
         return 100.0, "% of the standard deviation"
     return 1.0, unit
@@ -379,10 +376,7 @@ LEAST_SECONDS = (
 
 
 def scale_of_time(longest: float, unit: str) -> Scale:
-    """The unit in which times up to the longest are told: days for 200 h.
-
-    None smaller than the user's; other units than s, min and h stay.
-    """
+    """The unit in which times up to the longest are told: days for 200 h."""
     size = SECONDS.get(unit, 0.0)
     own = scale_of(unit)
     for least, scale in LEAST_SECONDS:

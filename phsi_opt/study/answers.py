@@ -57,15 +57,10 @@ NOT_ESTABLISHED = "with an effect that is not established"
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
 UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
-# Where no diagnosis was asked for, or none found anything; "" for how far off it is.
-NOT_YET = (
-    ("What is wrong", "Not asked yet."),
-    ("How far off", ""),
-    ("What to do", ASK),
-)
+# Where no diagnosis was asked for, or none found anything.
+NOT_YET = (("What is wrong", "Not asked yet."), ("What to do", ASK))
 NOTHING_FOUND = (
     ("What is wrong", "These data show no missing effect."),
-    ("How far off", ""),
     ("What to add", "Nothing."),
 )
 PAST = ("What was wrong", "Where it was", "Since when", "What was added")
@@ -195,10 +190,7 @@ def evidence_words(candidate: Candidate) -> str:
 
 
 def nearest_candidate(diagnosis: Diagnosis) -> Candidate | None:
-    """What comes nearest where something is missing and nothing is named.
-
-    That is the likeliest effect, if there is any evidence of it; None where not.
-    """
+    """The likeliest effect where something is missing and nothing is named, if any."""
     if diagnosis.verdict != Verdict.UNEXPLAINED or not diagnosis.ranking:
         return None
     first = diagnosis.ranking[0]
@@ -242,11 +234,7 @@ def undetermined_words(model: BaseModel, parameters: pd.DataFrame) -> str:
 
 
 def off_channels(judged: Comparison) -> pd.DataFrame:
-    """The three channels that are farthest off, the worst first.
-
-    As in `Comparison.table`, with the shares of their movement that the model is off,
-    and that the noise alone is, in percent.
-    """
+    """The three channels that are farthest off, the worst first, in percent."""
     table = judged.table.assign(off=100 - judged.table["fit_percent"])
     ratio: pd.Series = table["noise_floor"] / table["rmse"].clip(lower=TINY)
     table["noise"] = table["off"] * ratio
@@ -266,12 +254,7 @@ STRONG_STRETCH = 1 / 3  # share of the strongest stretch's force, of one that co
 
 
 def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
-    """Since when the surest missing force is there, in which runs, where most clearly.
-
-    A beginning is told where one run alone has the force, which is several times weaker
-    before it; the start only where the force is clear in the first tenth of every run
-    that has it.
-    """
+    """Since when the surest force is there, in which runs, where most clearly."""
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return Answer("At no time significantly.")
@@ -500,9 +483,8 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
     place = telling_step(study)
     present = study.present
     if place is None:
-        far = said_of(study, "how_far").lead
         told = NOT_YET if present is None else NOTHING_FOUND
-        return tuple(Answer(lead or far, question=asked) for asked, lead in told)
+        return tuple(Answer(lead, question=asked) for asked, lead in told)
     diagnosis = study.diagnoses[place]
     step = study.steps[place]
     is_held_out = study.held_out is not None

@@ -371,11 +371,7 @@ def _known(value: float) -> float | None:
 def glance_of(
     diagnosis: Diagnosis, runs: tuple[Run, ...], time: Scale, model: int
 ) -> Glance | None:
-    """What is missing, where it is seen best; None where no force is sure.
-
-    That is the run in which the missing force is strongest; or one of the data held
-    out, where these are far worse.
-    """
+    """Where what is missing is seen best; None where no force is sure."""
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return None

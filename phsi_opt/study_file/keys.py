@@ -24,7 +24,7 @@ from phsi_opt.study_file.toml_text import key_text, toml_value
 TABLE = """
 data | table | the measurements: files, columns, units, noise
 held_out | table | the data not used for fitting, for a fair test; default: none
-final | table | data for the end, which choose nothing; default: one of 3 or more runs
+final | table | data for a final test alone; default: one of 3 or more runs
 model | table | the base model: states, energy, losses, forces
 parameters | table | the parameters in the formulas
 effects | list of tables | effects of your own, as [[effects]]
@@ -62,7 +62,7 @@ data.inputs.*.hold | "linear", "zero" or "cubic" | for this input; default: data
 held_out.runs | list of texts | names of the runs to hold out
 held_out.share | number from 0 to 1 | or: last share of the runs, or of a single run
 held_out.after | number | or: all samples of every run after this time
-final.runs | list of texts | names of the runs for the end; [] for none
+final.runs | list of texts | names of the runs for the final test; [] for none
 final.share | number from 0 to 1 | or: last share of the runs, or of a single run
 final.after | number | or: all samples of every run after this time
 model.type | "PseudoHamiltonian" or "FirstOrder" | default: PseudoHamiltonian

@@ -44,7 +44,7 @@ COMMENTS = {
     "data.states": "Measured states: column, unit, and the noise if it is known.",
     "data.inputs": "Inputs, known at every sample.",
     "held_out": "Held-out data: used for tests, not for fitting.",
-    "final": "Data for the end: they choose nothing, and tell the error at the end.",
+    "final": "Data for a final test: not fitted, and not used to choose effects.",
     "model": "dx/dt = (S - R) grad H + F; names in formulas are states, inputs, t,\n"
     "# efforts such as dH_dp, and the parameters below.",
     "model.R": "",
