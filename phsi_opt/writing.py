@@ -101,5 +101,9 @@ def _part(name: str, random: str) -> str:
 
 def _lock(file: BinaryIO) -> None:
     """Lock an open file until it is closed; a killed process loses its locks."""
-    if fcntl is not None:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    try:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:  # there is no lock where the file system has none
+        if isinstance(error, BlockingIOError | PermissionError):
+            raise

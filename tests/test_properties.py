@@ -1,14 +1,10 @@
-"""Drawn inputs of readers, formulas and files: what is well formed is read exactly, and
-anything else is read or refused, and never ends in an error of another kind.
+"""Drawn inputs: what is well formed is read exactly, and anything else is refused.
 
 Each property is tried with its part of `N_INPUTS`; PHSI_OPT_INPUTS=10000 asks for more.
 """
 
-import copy
-import json
 import math
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,9 +17,10 @@ from hypothesis import strategies as st
 
 import phsi_opt as ph
 from phsi_opt.model.expressions import CASADI, NUMPY, evaluate, parse
+from problems.benchmarks import fuzz
 
 N_INPUTS = int(os.environ.get("PHSI_OPT_INPUTS", "1000"))
-N_PROPERTIES = 6
+N_PROPERTIES = 3
 Test = TypeVar("Test", bound=Callable[..., Any])
 
 NUMBERS = st.floats(-1e100, 1e100)  # larger ones are refused
@@ -91,18 +88,6 @@ def test_a_table_is_read_exactly_however_it_is_separated(
     assert found.tobytes() == (table + 0.0).tobytes() or np.array_equal(found, table)
 
 
-@tried
-@given(st.one_of(TEXTS.map(str.encode), st.binary(max_size=80)))
-def test_any_bytes_are_a_table_or_refused(folder: Path, content: bytes) -> None:
-    path = folder / "bytes.csv"
-    path.write_bytes(b"t,q,u\n0,1,2\n" + content)
-    try:
-        data = read(path)
-    except ph.DataError:
-        return
-    assert all(np.all(np.diff(run.t) > 0) for run in data.trajectories)
-
-
 # ---- formulas ------------------------------------------------------------------------
 
 
@@ -144,107 +129,35 @@ def test_a_formula_has_one_value_in_every_library(text, values) -> None:
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-@tried
-@given(st.one_of(TEXTS, st.text("qpk+-*/()., 0123456789e_^[]'\"=:lambdimport")))
-def test_any_text_is_a_formula_or_refused(text: str) -> None:
-    try:
-        dictionary = ph.formula(text, k=1.0)
-    except ph.ModelError:
-        return
-    try:
-        model = ph.PseudoHamiltonian(
-            states=["q", "p"], S=ph.canonical(1), H=dictionary, R=ph.damping("p")
-        )
-    except ph.ModelError:
-        return
-    assert str(model)
+# ---- wrong arguments and damaged files -----------------------------------------------
+
+SELDOM = 0.1  # share of the inputs of an entry that takes long
+TARGETS = fuzz.targets()
+QUICK = [name for name in TARGETS if fuzz.SHARES.get(name, 1.0) > SELDOM]
 
 
-# ---- files ---------------------------------------------------------------------------
-
-ANYTHING = st.recursive(
-    st.one_of(st.none(), st.booleans(), st.integers(), NUMBERS, TEXTS),
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=3), st.dictionaries(TEXTS, inner, max_size=3)
-    ),
-    max_leaves=6,
-)
+@pytest.mark.parametrize("name", QUICK)
+def test_no_error_is_foreign_and_no_input_misread(name: str) -> None:
+    n_inputs = N_INPUTS // N_PROPERTIES // len(QUICK) + 1
+    tally = fuzz.fuzzed(TARGETS[name], n_inputs)
+    assert tally.faults == {}
+    assert sum(tally.counts.values()) > 1
 
 
-@pytest.fixture(scope="module")
-def saved(folder: Path) -> dict[str, Any]:
-    """The content of a fit's file."""
-    model = ph.PseudoHamiltonian(
-        states=["q", "p"],
-        S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, unit="N/m")),
-        R=ph.damping("p"),
-    )
-    t = np.linspace(0, 5, 41)
-    x = ph.simulate(model.with_values({"k": 1.3, "R_p": 0.2}), t, [1.0, 0.0])
-    noise = 0.01 * np.random.default_rng(0).normal(size=x.shape)
-    data = ph.Measurements.from_arrays(t, x + noise, states=["q", "p"])
-    path = folder / "fit.json"
-    ph.identify(model, data).save(path)
-    content: dict[str, Any] = json.loads(path.read_text())
-    return content
+def test_the_usual_arguments_are_accepted(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, call in fuzz.public():
+        values, _ = fuzz.arguments_of(name, call)
+        if values and fuzz.SHARES.get(name, 1.0) > SELDOM:
+            fuzz.used(call, values)
 
 
-def places(content: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """The path of every entry below."""
-    if isinstance(content, dict):
-        entries = list(content.items())
-    elif isinstance(content, list):
-        entries = list(enumerate(content))
-    else:
-        return []
-    found = []
-    for key, value in entries:
-        path = (*above, key)
-        found += [path, *places(value, path)]
-    return found
-
-
-@tried
-@given(st.data())
-def test_a_damaged_fit_is_loaded_or_refused(folder, saved, data) -> None:
-    content = copy.deepcopy(saved)
-    *above, key = data.draw(st.sampled_from(places(saved)))
-    parent: Any = content
-    for step in above:
-        parent = parent[step]
-    if data.draw(st.booleans()):
-        parent[key] = data.draw(ANYTHING)
-    else:
-        del parent[key]
-    path = folder / "damaged.json"
-    path.write_text(json.dumps(content))
-    try:
-        fit = ph.Fit.load(path)
-    except ph.PhsiOptError:
-        return
-    assert str(fit)
-    assert set(fit.std_errors) == set(fit.values)
-
-
-EXAMPLE = Path(ph.__file__).parent / "study_file" / "examples" / "spring"
-STUDY = (EXAMPLE / "study.toml").read_text()
-
-
-@tried
-@given(st.data())
-def test_a_damaged_study_file_is_read_or_refused(folder, data) -> None:
-    shutil.copy(EXAMPLE / "friction_spring.csv", folder)
-    first = data.draw(st.integers(0, len(STUDY)))
-    last = data.draw(st.integers(first, min(first + 12, len(STUDY))))
-    text = STUDY[:first] + data.draw(TEXTS) + STUDY[last:]
-    path = folder / "study.toml"
-    path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    try:
-        study = ph.StudyFile.read(path)
-        model = study.model()
-        train, _ = study.split()
-    except ph.PhsiOptError:
-        return
-    assert str(model)
-    assert train.n_samples >= 2
+@pytest.mark.parametrize("call", [
+    lambda: 1 / 0,
+    lambda: ph.Measurements.from_arrays([0.0, 1.0], [1.0, 2.0], states=["q"]),
+])  # fmt: skip
+def test_the_search_notices_a_foreign_error_and_a_wrong_reading(call) -> None:
+    tally = fuzz.Tally()
+    target = fuzz.Target(st.none(), lambda _: call(), lambda *_: False)
+    fuzz.tried(target, None, tally)
+    assert len(tally.faults) == 1

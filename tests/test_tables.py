@@ -127,7 +127,7 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
     ("t,q\n0,1\n0,2\n", {}, "column 't', line 3: 0.0 is not after 0.0 of line 2; times must increase strictly"),
     ("t,q\n0,\n1,NA\n", {}, "trajectory 'run 1' has no measured value"),
     ("t,q\n0,1\n1,2\n", {"states": {"q": "q", "p": "q"}}, "the column 'q' is used twice"),
-    ("t,q\n0,1\n1,2\n", {"inputs": {"u": None}}, "input without a column; inputs must be measured"),
+    ("t,q\n0,1\n1,2\n", {"inputs": {"u": None}}, "without a column; inputs must be measured"),
     ("t,q,u\n0,1,1\n1,2,1\n", {"inputs": {"q": "u"}}, "the name 'q' is used 2 times"),
     ("t,q\n0," + "9" * 200_000 + "\n", {}, "line 2: field larger than field limit"),
 ])  # fmt: skip

@@ -1,6 +1,8 @@
 """Wrong arguments end in an error of this package that names them, and nothing is lost."""
 
+import errno
 import fcntl
+import io
 import os
 import subprocess
 import sys
@@ -9,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import phsi_opt as ph
@@ -33,6 +36,11 @@ def spring(q: str = "q", **extra: Any) -> ph.PseudoHamiltonian:
 
 def forced(force: str, **parameters: ph.Parameter) -> ph.PseudoHamiltonian:
     return spring(F={"p": ph.formula(force, **parameters)})
+
+
+def read_of(time: Any, states: Any = ("q",), **form: Any) -> ph.Measurements:
+    text = io.StringIO("t,q\n0,1\n1,2\n")
+    return ph.Measurements.from_csv(text, time=time, states=states, **form)
 
 
 @pytest.mark.parametrize("name", ["dH_dq", "dF_du", "dH_dp", "t"])
@@ -102,12 +110,23 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: measured().between(0, 10**5000), "is not a time"),
     (lambda: spring().with_values({10**5000: 1.0}), "values=dict"),  # type: ignore[dict-item]
     (lambda: ph.SolverSettings(max_iterations=0), "max_iterations=0"),
+    (lambda: ph.simulate(spring(), T, [1e200, 0.0]), "x0=.* finite numbers"),
+    (lambda: measured().stacked("states"), "stacked: 'states'.*one of t, x, u"),
+    (lambda: ph.FirstOrder(["q"], {"q": "-q"}, S=[[1.0], [1.0, 2.0]]), "S=.* not a matrix"),
+    (lambda: ph.mechanical(["x", "y"], 1.0, {"-x", "-y"}), "forces=.* expected str"),  # type: ignore[arg-type]
+    (lambda: ph.StudyFile.read(3), "path=3"),  # type: ignore[arg-type]
+    (lambda: ph.Fit.load(10**5000), "path=a number beyond"),  # type: ignore[arg-type]
+    (lambda: ph.Measurements.from_csv("\ud800", time="t", states=["q"]), "file"),
+    (lambda: read_of([]), "without a column"),
+    (lambda: ph.Measurements(pd.DataFrame(), ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
+    (lambda: read_of("t", {"q": ()}), "without a column"),
+    (lambda: read_of("t", separator=1), "separator=1"),
     (lambda: ph.SolverSettings(max_iterations=1.5), "max_iterations=1.5"),  # type: ignore[arg-type]
     (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
     (lambda: ph.MaximumLikelihood("a"), "noise='a'"),  # type: ignore[arg-type]
     (lambda: ph.MaximumLikelihood({"q": -1.0}), r"noise\['q'\]=-1"),
     (lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]), "cannot contain NUL"),
-    (lambda: ph.Fit.load(None), "None cannot be read"),  # type: ignore[arg-type]
+    (lambda: ph.Fit.load(None), "path=None is not possible"),  # type: ignore[arg-type]
 ])  # fmt: skip
 def test_a_wrong_argument_is_named(call: Callable[[], Any], said: str) -> None:
     with pytest.raises(ph.PhsiOptError, match=said):
@@ -180,6 +199,17 @@ def test_what_a_living_process_writes_is_left_to_it(
     write_whole(place, "after")
     assert place.read_text() == "after"
     assert list(tmp_path.iterdir()) == [place]
+
+
+@pytest.mark.parametrize("reason", [errno.ENOLCK, errno.ENOTSUP, errno.EINTR])
+def test_a_file_system_without_locks_takes_files(tmp_path, monkeypatch, reason) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(reason, os.strerror(reason))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    write_whole(tmp_path / "fit.json", "kept")
+    assert (tmp_path / "fit.json").read_text() == "kept"
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None:

@@ -386,8 +386,8 @@ def bootstrap(
             "the fit has no estimated states, for example because it was loaded from "
             "a file; call identify again with its measurements."
         )
-    if n_draws < 2:  # of one no scatter can be taken
-        raise DataError(f"n_draws={n_draws!r} must be 2 or more.")
+    if not 2 <= n_draws <= 10**6 or seed < 0:  # of one no scatter can be taken
+        raise DataError(f"n_draws={n_draws} must be 2 to 10**6, seed={seed} 0 or more.")
     aligned = AlignedData.of(fit.model, data)
     data = aligned.data
     lengths = [run.n_samples for run in data.trajectories]

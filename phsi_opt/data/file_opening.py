@@ -107,9 +107,10 @@ def run_names(sources: Iterable[Any]) -> list[str]:
         DataError: a file is listed twice.
     """
     sources = list(sources)
-    # A NUL, which no path has, is refused when the file is opened.
-    paths = [file for file in sources if isinstance(file, PATHS)]
-    places = [os.path.realpath(path) for path in paths if "\0" not in str(path)]
+    places = []
+    for file in filter(lambda one: isinstance(one, PATHS), sources):
+        with suppress(ValueError):  # what no path has is refused when it is opened
+            places.append(os.path.realpath(file))
     for place, n_times in Counter(places).items():
         if n_times > 1:
             raise DataError(

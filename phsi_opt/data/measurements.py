@@ -240,6 +240,7 @@ class Measurements(TableReaders, Summarised):
         Args:
             what: "t" for the times, "x" for the states, "u" for the inputs.
         """
+        require_known(what, ("t", "x", "u"), f"stacked: {shown(what)}", DataError)
         return np.concatenate([getattr(run, what) for run in self.trajectories])
 
     @cached_property

@@ -7,8 +7,7 @@ file is its header, or an integer, its position counted from 0.
 
 import datetime as dt
 import itertools
-from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 
@@ -32,7 +31,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 # name -> column, or a list of names which are columns
-Column = Hashable | Sequence[Hashable]  # one, or those of date and time of day
+Header = str | int | float | dt.date | None  # None: it has no column
+Column = Header | Sequence[Header]  # several of date and time of day
 ColumnMap = Mapping[str, Column] | Sequence[str]
 Part = tuple[str, ...]  # that a column plays, as a study file names it below [data]
 RUN_PART: Part = ("trajectory",)
@@ -342,10 +342,11 @@ class Layout:
                 check_unique(names, "name")
                 columns = dict(zip(names, names, strict=True))
             object.__setattr__(self, what, dict(columns))
-        if None in self.inputs.values():
+        has_empty = any(map([[], ()].__contains__, self.parts.values()))
+        if None in self.inputs.values() or has_empty:
             raise DataError(
-                f"inputs={self.inputs!r} has an input without a column; "
-                "inputs must be measured."
+                f"inputs={self.inputs!r}, states={self.states!r} or time={self.time!r} "
+                "has an entry without a column; inputs must be measured."
             )
 
     @property
@@ -460,13 +461,13 @@ def _check_column(table: Table, column: Any, layout: Layout) -> None:
     found = table.frame.columns.tolist()
     said = f"{table.title} has no column {shown(column)}"
     require_known(column, found, said, DataError)
-    n_found = Counter(found)[column]
+    n_found = found.count(column)
     if n_found > 1:
         raise DataError(
             f"{table.title} has {n_found} columns called {column!r}; expected one. "
             "Rename them so that it is clear which one is meant."
         )
-    if Counter(layout.columns)[column] > 1:
+    if layout.columns.count(column) > 1:
         raise DataError(
             f"{table.title}: the column {column!r} is used twice; expected one column "
             "per name. Choose another one."

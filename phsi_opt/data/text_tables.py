@@ -55,10 +55,7 @@ class TextFormat:
         check_types(vars(self), types_of(TextFormat), DataError)
         columns = self.columns
         if columns is not None and not (len(columns) and all(columns)):
-            raise DataError(
-                f"columns={shown(columns)} is not a list of names; expected the name "
-                'of each column, such as columns = ["t", "q"].'
-            )
+            raise DataError(f"columns={shown(columns)} lacks names; expected one each.")
         separator = self.separator
         if separator is not None and not SEPARATOR.fullmatch(separator):
             raise DataError(

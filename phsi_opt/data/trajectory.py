@@ -121,10 +121,11 @@ def checked_trajectories(trajectories: Sequence[Trajectory]) -> tuple[Trajectory
     Raises:
         DataError: there is none, or a name is used twice.
     """
-    if not trajectories:
+    listed = tuple(trajectories)
+    if not listed:
         raise DataError("trajectories=[]; expected at least one Trajectory.")
-    check_unique([run.name for run in trajectories], "trajectory name")
-    return tuple(trajectories)
+    check_unique([run.name for run in listed], "trajectory name")
+    return listed
 
 
 def check_channels(

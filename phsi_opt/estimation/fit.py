@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, get_type_hints
 
 import numpy as np
 
-from phsi_opt.arguments import require_known
+from phsi_opt.arguments import require_known, typed
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, did_you_mean
@@ -90,6 +90,7 @@ class Fit(FitRecord, Summarised):
         write_whole(path, text + "\n")
 
     @classmethod
+    @partial(typed, error=DataError)
     def load(cls, path: str | Path) -> "Fit":
         """Read a fit that `save` wrote.
 

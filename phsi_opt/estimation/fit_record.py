@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from phsi_opt.arguments import require_known, require_share
+from phsi_opt.arguments import require_known, require_share, typed
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, shown
@@ -446,6 +446,7 @@ class FitRecord(Identified):
             table[str(source)] = np.sqrt(np.diag(covariance))
         return table
 
+    @typed
     def independent_share(self, names: Sequence[str]) -> float:
         """Share of the residuals that is independent, for what these parameters tell.
 

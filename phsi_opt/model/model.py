@@ -16,7 +16,7 @@ import numpy as np
 
 from phsi_opt.arguments import typed
 from phsi_opt.errors import ModelError
-from phsi_opt.model.base import BaseModel
+from phsi_opt.model.base import BaseModel, checked_structure
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.symbolic import (
@@ -286,6 +286,7 @@ class FirstOrder(Model):
         ('a',)
     """
 
+    @typed
     def __init__(
         self,
         states: Sequence[str],
@@ -299,7 +300,7 @@ class FirstOrder(Model):
         S: Any = None,
         H: Terms | None = None,
     ) -> None:
-        if H or np.any(S):
+        if H or np.any(checked_structure(S, len(states))):
             raise ModelError(
                 "a FirstOrder model has no S and no H; "
                 "use PseudoHamiltonian, or put the terms into F."

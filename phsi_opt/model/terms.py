@@ -14,7 +14,7 @@ from math import comb
 from types import MappingProxyType
 from typing import Any
 
-from phsi_opt.arguments import require_count, typed
+from phsi_opt.arguments import is_of, require_count, typed
 from phsi_opt.errors import ModelError, shown
 from phsi_opt.model.expressions import FUNCTIONS, MAX_EXPONENT, names_of, needs_brackets
 from phsi_opt.model.parameters import Parameter, Scan
@@ -294,8 +294,7 @@ def _variables(*variables: str | Iterable[str]) -> list[str]:
     """The names given, each by itself or in lists."""
     names: list[str] = []
     for given in variables:
-        is_list = isinstance(given, Iterable) and not isinstance(given, str)
-        names.extend(given if is_list else [given])  # type: ignore[list-item]
+        names.extend(given if is_of(given, Iterable[Any]) else [given])  # type: ignore[list-item]
     for name in names:
         if not isinstance(name, str) or not name.isidentifier() or name in FUNCTIONS:
             raise ModelError(

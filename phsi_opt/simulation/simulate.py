@@ -298,7 +298,7 @@ def checked_arguments(
             "increasing times."
         )
     start = _real_numbers(x0, "x0")
-    if start.shape != (model.n_states,) or not np.all(np.isfinite(start)):
+    if start.shape != (model.n_states,) or not np.all(np.abs(start) < LARGEST_VALUE):
         raise DataError(
             f"x0={shown(x0)} must be {model.n_states} finite numbers, one per state "
             f"({', '.join(model.states)})."
@@ -320,7 +320,7 @@ def checked_arguments(
     values = np.zeros((len(times), 0)) if u is None else _real_numbers(u, "u")
     if values.ndim == 1 and model.n_inputs == 1:
         values = values[:, None]
-    if values.shape != expected or not np.all(np.isfinite(values)):
+    if values.shape != expected or not np.all(np.abs(values) < LARGEST_VALUE):
         raise DataError(
             f"u has shape {values.shape}; expected finite numbers of shape {expected}."
         )

@@ -153,7 +153,6 @@ class Study(Summarised):
         """The effects added to the base model, oldest first."""
         return self.record.last.added
 
-    @typed
     @interruptible
     def compare(self, on: str | None = None) -> Comparison:
         """The free run of the present model.

@@ -6,7 +6,7 @@ formulas go through the parser of the package.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -64,6 +64,7 @@ class StudyFile(Sections):
     unwritten: Measurements | None = None
 
     @classmethod
+    @partial(typed, error=DataError)
     def read(cls, path: str | Path, places: Mapping[str, Path] | None = None) -> Self:
         """Read a study file and its data, and check everything in them.
 

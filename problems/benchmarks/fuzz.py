@@ -1,0 +1,551 @@
+"""Drawn wrong arguments and damaged files: errors of the package, and nothing misread.
+
+    python -m problems.benchmarks.fuzz [--inputs=100000] [--folder=...] [ENTRY ...]
+
+Every public function, record and method gets inputs that are drawn by Hypothesis from a
+fixed seed: usual arguments, of which one or two are replaced by others of the annotated
+type, or a part of which by anything. So do tables, study files and fits of which bytes,
+cells or keys are replaced. Foreign is an exception or warning that is not the package's
+own (but those of numbers that overflow, and Python's of a call that lacks an argument);
+silent is an input that was taken with another meaning. The folder keeps what is done.
+"""
+
+import contextlib
+import inspect
+import io
+import json
+import math
+import re
+import time
+import tomllib
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from numbers import Number
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+import openpyxl
+import pandas as pd
+import tomlkit
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+import phsi_opt as ph
+from phsi_opt.data.table_readers import TableWords
+from problems.benchmarks.fuzz_inputs import (
+    CELLS,
+    FOLDER,
+    FORMULAS,
+    LAWS,
+    ODD,
+    TABLE,
+    Arguments,
+    Draw,
+    changed,
+    damaged,
+    fitted,
+    measured,
+    spring,
+    usual,
+)
+from problems.tools import provenance
+from problems.tools.command_line import chosen, option
+from problems.tools.pages import render
+
+MATHEMATICAL = (
+    "overflow",
+    "invalid value",
+    "divide by zero",
+    ".*masked element to nan",
+)
+OUTCOMES = ("accepted", "refused", "foreign", "silent")
+
+# ---- public entries, by their annotations --------------------------------------------
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is tried: inputs, what is done with each, and whether it was understood."""
+
+    inputs: Draw
+    call: Callable[[Any], Any]
+    is_meant: Callable[[Any, Any], bool] = lambda given, result: True
+
+
+# made by the package, not by its user
+RESULTS = {
+    "Bootstrap",
+    "Candidate",
+    "Comparison",
+    "Diagnosis",
+    "Finding",
+    "Fit",
+    "Profile",
+}
+RESULTS |= {"Complaint", "Verdict", "Model", "StudyFile"}
+# for other rooms of the package; pictures; and readers that are tried with files below
+INNER = {"built", "with_parameters", "rhs_slopes", "from_content", "index", "terms_at"}
+INNER |= {"trajectory_number", "from_tables", "function", "chart", "sympy"}
+INNER |= {"from_excel", "from_mat", "from_mdf", "from_tdms", "load"}
+# The share of inputs that others get: these take long, or have many ways to go wrong.
+SHARES = {
+    **dict.fromkeys(["profile", "bootstrap", "diagnose", "Study", "sweep"], 0.005),
+    **dict.fromkeys(["simulate", "Model.add", "identify, own law"], 0.02),
+    **dict.fromkeys(["Model.with_values", "Model.with_free", "Model.with_fixed"], 0.2),
+    **dict.fromkeys(["Model.with_upper", "Model.without", "Fit.model_of"], 0.2),
+    **dict.fromkeys(["catalogue", "compare", "identify", "Fit.export"], 0.05),
+    **dict.fromkeys(["StudyFile.of", "StudyFile.read, keys"], 0.3),
+    **dict.fromkeys(["StudyFile.read, bytes", "Measurements.from_excel, cells"], 0.4),
+    **dict.fromkeys(["PseudoHamiltonian", "FirstOrder", "mechanical"], 0.4),
+    **dict.fromkeys(["formula, text", "Fit.load, keys", "Fit.load, bytes"], 3.0),
+    **dict.fromkeys(["Measurements.from_arrays", "Measurements.from_csv, cells"], 3.0),
+    "Measurements.from_mat, bytes": 0.005,
+}
+
+
+def public() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Every public function, record and method that takes arguments, by its name."""
+    for name in ph.__all__:
+        one = getattr(ph, name)
+        is_error = isinstance(one, type) and issubclass(one, Exception)
+        if callable(one) and not is_error and name not in RESULTS:
+            yield name, one
+    yield "StudyFile.of", ph.StudyFile.of
+    owners = {"Measurements": measured(), "Model": spring(), "Fit": fitted()}
+    for owner, thing in owners.items():
+        for name, method in inspect.getmembers(thing, inspect.ismethod):
+            if not name.startswith(("_", "plot")) and name not in INNER:
+                yield f"{owner}.{name}", method
+
+
+def arguments_of(name: str, call: Callable[..., Any]) -> tuple[Arguments, Arguments]:
+    """The usual arguments of an entry, and their types."""
+    values: Arguments = {}
+    written = call.__init__ if isinstance(call, type) else call  # type: ignore[misc]
+    hints = get_type_hints(written, localns={"pd": pd})
+    hints.pop("return", None)
+    for one in inspect.signature(call).parameters.values():
+        known = one.name
+        if one.kind == one.VAR_POSITIONAL:
+            known = f"*{one.name}"
+            hints[known] = list[hints.pop(one.name)]  # type: ignore[misc]
+        elif one.kind == one.VAR_KEYWORD:
+            of_words = hints.pop(one.name)
+            is_reader = get_args(of_words) == (TableWords,)
+            further = get_type_hints(TableWords) if is_reader else {"k": of_words}
+            hints |= further
+            for word in further:
+                default = 2.0 if word == "k" else usual().get(word)
+                values[word] = usual().get(f"{name}.{word}", default)
+            continue
+        default = None if one.default is one.empty else one.default
+        default = usual().get(known, default)
+        value = usual().get(f"{name}.{known}", default)
+        if repr(value) != "<factory>":
+            values[known] = value
+    values.pop("executor", None)
+    values.pop("progress", None)
+    return values, {known: hints.get(known, Any) for known in values}
+
+
+def used(call: Callable[..., Any], arguments: Arguments) -> Any:
+    """The result of a call, which can be shown, and a model can be worked with."""
+    words = {name: one for name, one in arguments.items() if name[0] != "*"}
+    first = [one for name, one in arguments.items() if name[0] == "*"]
+    listed = first and (first[0] if isinstance(first[0], list) else first)
+    if call == ph.Measurements.from_dataframe:
+        words["frame"] = framed(words["frame"])
+    result = call(*listed, **words)
+    if call == ph.sweep:
+        return list(result)
+    if isinstance(result, ph.Model):
+        result.rhs()
+        ph.catalogue(result)
+    if isinstance(result, ph.StudyFile):
+        result.text()
+    if isinstance(result, ph.HeldOut):
+        result.split(measured())
+    if not isinstance(result, np.ndarray):
+        _ = str(result), repr(result)
+    return result
+
+
+def framed(columns: Any) -> Any:
+    """A data frame of the columns, with cells as they are."""
+    if not isinstance(columns, dict):
+        return columns
+    try:
+        return pd.DataFrame(
+            {
+                name: pd.Series(
+                    cells, dtype=object if isinstance(cells, list) else None
+                )
+                for name, cells in columns.items()
+            }
+        )
+    except Exception:  # of pandas: no data frame can be made of this
+        raise ph.DataError("no data frame") from None
+
+
+def exact(value: Any) -> float | None:
+    """A number as the float it is; None where it is no real number."""
+    is_number = isinstance(value, Number | np.bool_)
+    is_complex = isinstance(value, complex | np.complexfloating)
+    try:
+        return float(value) if is_number and not is_complex else None
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
+def is_same(given_value: Any, kept: Any) -> bool:
+    """Whether a setting is kept as it was given: one number or text for another."""
+    are_bools = [isinstance(one, bool | np.bool_) for one in (given_value, kept)]
+    if any(are_bools):
+        return all(are_bools) and bool(given_value) == bool(kept)
+    if isinstance(given_value, Number) and isinstance(kept, Number):
+        number = exact(given_value)  # as near as a float is
+        return kept in (given_value, number) or number != number
+    return isinstance(given_value, str) and given_value == kept
+
+
+def is_kept(given_arguments: Arguments, result: Any) -> bool:
+    """Whether what was given is in the result: settings, and the numbers of arrays."""
+    if isinstance(result, ph.Measurements) and "t" in given_arguments:
+        return are_exact(given_arguments, result)
+    for name, value in given_arguments.items():
+        kept = getattr(result, name, None)
+        is_derived = name == "measured"  # False without a column
+        are_plain = isinstance(value, PLAIN_TYPES) and isinstance(kept, PLAIN_TYPES)
+        are_plain = are_plain and not is_derived
+        if are_plain and not is_same(value, kept):
+            return False
+    return True
+
+
+PLAIN_TYPES = (Number, str, np.bool_)
+
+
+def are_exact(given_arguments: Arguments, result: ph.Measurements) -> bool:
+    """Whether lists of numbers were taken as they are."""
+    (run, *others) = result.trajectories
+    for name in ("t", "x", "u"):
+        rows = given_arguments.get(name)
+        if others or not isinstance(rows, list):
+            continue
+        cells = [
+            one for row in rows for one in (row if isinstance(row, list) else [row])
+        ]
+        kept = getattr(run, name).ravel().tolist()
+        for cell, number in zip(cells, kept, strict=len(cells) == len(kept)):
+            expected = exact(cell)
+            is_missing = cell is None or cell is pd.NA or cell is np.ma.masked
+            if expected is None and not is_missing:
+                return False
+            if expected not in (None, number) and expected == expected:
+                return False
+    return True
+
+
+# ---- texts and files -----------------------------------------------------------------
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+EXAMPLE = Path(ph.__file__).parent / "study_file" / "examples" / "spring"
+STUDY = (EXAMPLE / "study.toml").read_bytes()
+COLUMNS: Arguments = {"time": "t", "states": ["q"]}
+BOTH: Arguments = {"time": "t", "states": ["q", "p"], "decimal": "."}
+
+
+def model_of(text: str) -> ph.PseudoHamiltonian:
+    """A model with the text as its force."""
+    force = {"p": ph.formula(text, k=1.0) if "k" in text else text}
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H="q**2/2 + p**2/2", F=force
+    )
+    model.rhs()
+    _ = str(model)
+    return model
+
+
+def fit_of(law: Arguments) -> ph.Fit:
+    """A fit of a force of the user's own, whose inner parameter is as given."""
+    lower, start = sorted((law["lower"], law["start"]))
+    inner = ph.Parameter(start, lower=lower)
+    force = ph.formula(law["text"], c=ph.Parameter(law["size"]), w=inner)
+    model = spring().add(ph.Effect("own", "F", "p", force))
+    return ph.identify(model, measured(), law["loss"])
+
+
+def in_file(name: str, read: Callable[[Path], Any]) -> Callable[[bytes], Any]:
+    """Reads bytes from a file of the name."""
+
+    def call(content: bytes) -> Any:
+        path = Path(FOLDER.name, name)
+        path.write_bytes(content)
+        return read(path)
+
+    return call
+
+
+def made(write: Callable[[Any], bytes], read: Callable[[bytes], Any]) -> Any:
+    """Reads what a library writes of a value; what it cannot write does not count."""
+
+    def call(value: Any) -> Any:
+        try:
+            content = write(value)
+        except Exception:
+            raise ph.DataError("this cannot be written") from None
+        return read(content)
+
+    return call
+
+
+def workbook(value: Any) -> bytes:
+    """A workbook with a cell of the value."""
+    book = openpyxl.Workbook()
+    sheet: Any = book.active
+    for row in (["t", "q", "p"], [0, 1.5, 2], [1, value, 3], [2, 4.5, 5]):
+        sheet.append(row)
+    file = io.BytesIO()
+    book.save(file)
+    return file.getvalue()
+
+
+def cell_is_meant(cell: Any, result: ph.Measurements) -> bool:
+    """Whether the cell in the second row was taken as what it is, or as missing."""
+    x = result.stacked("x")
+    if len(x) != 3 or x[0].tolist() != [1.5, 2] or x[2].tolist() != [4.5, 5]:
+        return False
+    number = float(x[1, 0])
+    if not isinstance(cell, str):
+        expected = exact(cell)  # a workbook has 16 digits, and no infinite number
+        is_missing = expected is None or not math.isfinite(expected)
+        is_near = math.isclose(expected or 0.0, number, rel_tol=1e-14)
+        return math.isnan(number) if is_missing else is_near
+    bare = cell.strip().strip('"').strip()
+    if math.isnan(number):
+        return bare.lower() in ("", "nan", "na", "n/a")
+    grouped = re.sub(r"(?<=\d)[,' \u00a0](?=\d{3})", "", bare)  # 1,000 with a point
+    return any(float(one) == number for one in (bare, grouped) if NUMBER.fullmatch(one))
+
+
+def load_fit(path: Path) -> ph.Fit:
+    """A fit that can be shown."""
+    fit = ph.Fit.load(path)
+    _ = str(fit), fit.parameters, fit.std_errors, fit.equations()
+    return fit
+
+
+def read_study(path: Path) -> ph.StudyFile:
+    """A study file with its model and parts."""
+    study = ph.StudyFile.read(path)
+    study.model()
+    study.split()
+    return study
+
+
+def study_is_meant(content: Any, study: ph.StudyFile) -> bool:
+    """Whether its settings are those that the file says."""
+    steps = content.get("study", {})
+    held_out = content.get("held_out", {})
+    kept = study.held_out
+    return (
+        steps.get("max_steps", 4) == study.steps.max_steps
+        and steps.get("title", "") == study.steps.title
+        and (not held_out or held_out.get("share") == (kept and kept.share))
+        and content["data"].get("hold", "linear") == study.data.hold
+    )
+
+
+def read_path(path: Any) -> None:
+    """Every reader is given the path; none is a file of its kind."""
+    readers: list[Any] = [ph.Fit.load, ph.StudyFile.read]
+    for read in [partial(ph.Measurements.from_csv, **COLUMNS), *readers]:
+        try:
+            read(path)
+        except ph.PhsiOptError:
+            continue
+        return
+    raise ph.DataError("by all of them")
+
+
+def targets() -> dict[str, Target]:
+    """Every entry by its name."""
+    found = {}
+    for name, call in public():
+        values, hints = arguments_of(name, call)
+        if values:
+            inputs = changed(values, hints=hints)
+            found[name] = Target(inputs, partial(used, call), is_kept)
+    saved = json.loads(json.dumps(fitted().content()))
+    mat = io.BytesIO()
+    t = np.linspace(0.0, 2.0, 21)
+    savemat(mat, {"t": t, "q": t**2, "name": "text", "log": {"a": t}, "z": 1j * t})
+    m = ph.Measurements
+    in_fit = in_file("fit.json", load_fit)
+    in_study = in_file("study.toml", read_study)
+    in_csv = in_file("cell.csv", partial(m.from_csv, separator=";", **BOTH))
+    in_book = in_file("cell.xlsx", partial(m.from_excel, **BOTH))
+    in_table = in_file("t.csv", partial(m.from_csv, **COLUMNS))
+    in_mat = in_file("t.mat", partial(m.from_mat, **COLUMNS))
+    paths = st.text(max_size=9).map(lambda name: f"{FOLDER.name}/{name}")
+    toml = partial(
+        made, lambda one: tomlkit.dumps(one).encode("utf-8", "surrogatepass")
+    )
+    fit_json = made(lambda one: json.dumps(one, default=str).encode(), in_fit)
+    rows = made(lambda one: f"t;q;p\n0;1.5;2\n1;{one};3\n2;4.5;5\n".encode(), in_csv)
+    return found | {
+        "formula, text": Target(FORMULAS, model_of),
+        "identify, own law": Target(LAWS, fit_of),
+        "Measurements.from_csv, cells": Target(CELLS, rows, cell_is_meant),
+        "Measurements.from_csv, bytes": Target(damaged(TABLE), in_table),
+        "Measurements.from_excel, cells": Target(
+            st.one_of(ODD, CELLS), made(workbook, in_book), cell_is_meant
+        ),
+        "Measurements.from_mat, bytes": Target(damaged(mat.getvalue()), in_mat),
+        "Fit.load, bytes": Target(damaged(json.dumps(saved).encode()), in_fit),
+        "Fit.load, keys": Target(changed(saved), fit_json),
+        "StudyFile.read, bytes": Target(damaged(STUDY), in_study),
+        "StudyFile.read, keys": Target(
+            changed(tomllib.loads(STUDY.decode())), toml(in_study), study_is_meant
+        ),
+        "paths": Target(st.one_of(ODD, paths), read_path),
+    }
+
+
+# ---- what became of them -------------------------------------------------------------
+
+
+@dataclass
+class Tally:
+    """What became of the inputs of an entry."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    faults: dict[str, str] = field(default_factory=dict)  # kind -> the first input
+    seconds: float = 0.0
+    slowest: float = 0.0
+
+    def __add__(self, other: "Tally") -> "Tally":
+        seconds = self.seconds + other.seconds
+        slowest = max(self.slowest, other.slowest)
+        faults = {**other.faults, **self.faults}
+        return Tally(self.counts + other.counts, faults, seconds, slowest)
+
+
+def tried(target: Target, given_input: Any, tally: Tally) -> None:
+    """Try one input, and count what became of it."""
+    begin = time.process_time()
+    outcome = "accepted"
+    fault = ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            for told in MATHEMATICAL:
+                warnings.filterwarnings("ignore", told)
+            result = target.call(given_input)
+            if not target.is_meant(given_input, result):
+                outcome = fault = "silent"
+    except ph.PhsiOptError as error:
+        outcome = "refused" if str(error) else "foreign"
+    except Exception as error:
+        outcome = "foreign"
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [one for one in frames if "phsi_opt/" in one.filename] or frames
+        place = f"{Path(own[-1].filename).name}:{own[-1].lineno}"
+        fault = f"{type(error).__name__} in {place}: {str(error)[:60]}"
+    seconds = time.process_time() - begin
+    tally.counts[outcome] += 1
+    tally.seconds += seconds
+    tally.slowest = max(tally.slowest, seconds)
+    if fault:
+        tally.faults.setdefault(fault, shown(given_input))
+
+
+def shown(value: Any) -> str:
+    """An input in one line, cut."""
+    try:
+        text = "".join(repr(value)[:2000].split("\n"))
+    except Exception:  # such as of a number of 5000 digits
+        return "what cannot be shown"
+    text = re.sub(r"(.)\1{30,}", r"\1...", text)
+    return text[:400].encode("ascii", "backslashreplace").decode()
+
+
+def fuzzed(target: Target, n_inputs: int) -> Tally:
+    """So many inputs of a target, the same in every run."""
+    tally = Tally()
+
+    @settings(
+        max_examples=max(n_inputs, 1),
+        deadline=None,
+        derandomize=True,
+        database=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(target.inputs)
+    def run(given_input: Any) -> None:
+        tried(target, given_input, tally)
+
+    header, *rows = (EXAMPLE / "friction_spring.csv").read_text().splitlines()
+    short = "\n".join([header, *rows[::20]])
+    Path(FOLDER.name, "friction_spring.csv").write_text(short)
+    with contextlib.chdir(FOLDER.name):  # what is written goes there
+        run()
+    return tally
+
+
+def fuzzed_entry(case: tuple[str, int]) -> Arguments:
+    """The tally of an entry, as it is kept in a folder."""
+    name, n_inputs = case
+    return vars(fuzzed(targets()[name], n_inputs))
+
+
+def page(tallies: Mapping[str, Tally]) -> str:
+    """A row per entry, and all of them together."""
+    rows = []
+    faults = []
+    for name, one in [*tallies.items(), ("all", sum(tallies.values(), Tally()))]:
+        counts = {outcome: one.counts[outcome] for outcome in OUTCOMES}
+        seconds = {"seconds": f"{one.seconds:.1f}", "slowest": f"{one.slowest:.2f}"}
+        rows.append({"entry": name, "inputs": one.counts.total(), **counts, **seconds})
+        faults += [{"entry": name, "fault": fault} for fault in one.faults]
+    n_all = len(tallies) and len(faults) // 2
+    return render(
+        "benchmarks/pages/fuzz.md", rows=rows, all=rows[-1], faults=faults[:n_all]
+    )
+
+
+def main() -> None:
+    """Try every entry, and write the page where all were tried."""
+    n_inputs = int(option("inputs", "100000"))
+    names = [name for name in targets() if not chosen() or name in chosen()]
+    total = sum(SHARES.get(name, 1.0) for name in names)
+    cases = {}
+    for name in names:
+        share = SHARES.get(name, 1.0) / total
+        cases[name] = (name, max(1, round(n_inputs * share)))
+    tallies = {}
+    with ProcessPoolExecutor(1) as alone:
+        folder = option("folder", "") or None
+        of = f"{provenance.commit()} {n_inputs}"
+        done = ph.sweep(fuzzed_entry, cases, executor=alone, folder=folder, of=of)
+        for one in done:
+            tally = Tally(**one.result)
+            tally.counts = Counter(tally.counts)
+            tallies[one.key] = tally
+            print(f"{one.key}: {dict(tally.counts)}, {tally.seconds:.1f} s", flush=True)
+            for fault, example in tally.faults.items():
+                print(f"    {fault}\n        {example}", flush=True)
+    if not chosen():
+        provenance.write("fuzz.md", page({name: tallies[name] for name in names}))
+
+
+if __name__ == "__main__":
+    main()
