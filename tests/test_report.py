@@ -377,12 +377,13 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert number(2.6e2, 2) == "260" and number(748.6, 2) == "750"
     assert number(2.79e-6, 3) == "2.79×10⁻⁶" and number(3.1e9, 2) == "3.1×10⁹"
     assert said("a floor of 2.79e-06 m, run_1e5") == "a floor of 2.79×10⁻⁶ m, run_1e5"
-    assert range_words(-0.0312, -1.47e-5) == "-0.0312 to 0.0000"
+    assert range_words(-0.0312, -1.47e-5) == "-0.0312 to 0"
     assert range_words(15.04, 24.1, "m") == "15.04 to 24.10 m"
     for text, kept in {
         "Friction, 0.147 ± 0.005 N m, was": "Friction, 0.147~±~0.005~N~m, was",
         "0.25 ± 0.01 1/(°C h) and 3.2×10⁻⁹ ± 1×10⁻⁹ K/s²": "0.25~±~0.01~1/(°C~h) and "
         "3.2×10⁻⁹~±~1×10⁻⁹~K/s²",
+        "0.1 ± 0.2 N m s/rad": "0.1~±~0.2 N~m~s/rad",
         "from 1 to 2 °C in 3 runs, 2 models": "from 1 to 2~°C in 3 runs, 2 models",
     }.items():
         assert unbroken(text) == kept.replace("~", "\N{NO-BREAK SPACE}")

@@ -119,10 +119,7 @@ class ErrorStep:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A parameter with its 95 % interval, whose ends are None where not known.
-
-    ``remark`` says what is odd about it.
-    """
+    """A parameter, its 95 % interval (None: not known), and what is odd about it."""
 
     name: str
     value: float

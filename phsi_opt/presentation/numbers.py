@@ -26,6 +26,7 @@ UNIT_SYMBOLS = (
 )
 QUANTITY = re.compile(rf"\d[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]*\)?(?: ±|(?: {UNIT_SYMBOLS})+)")
 NO_BREAK = "\N{NO-BREAK SPACE}"
+ZERO = re.compile(r"(?<![\d.])0\.0+(?!\d)")
 BESIDE = re.compile(r"(?<=±) (?=\d)")
 LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
 
@@ -89,7 +90,8 @@ def range_words(begin: float, end: float, unit: str = "") -> str:
     """Both ends to the third digit of their distance."""
     if not 0 < end - begin < math.inf:
         return f"{begin:.3g} to {end:.3g} {unit}".rstrip()
-    return as_exact_as((end - begin) / 10, (begin, end), " to ", unit)
+    told = as_exact_as((end - begin) / 10, (begin, end), " to ", unit)
+    return ZERO.sub("0", told)
 
 
 def with_error(value: float, std_error: float, unit: str = "") -> str:
@@ -160,8 +162,14 @@ def unbroken(value: Any) -> Any:
     """A text in which no line breaks between a number, its error and its unit."""
     if type(value) is not str:
         return value
-    kept = QUANTITY.sub(lambda found: found[0].replace(" ", NO_BREAK), value)
-    return BESIDE.sub(NO_BREAK, kept)
+    return BESIDE.sub(NO_BREAK, QUANTITY.sub(_joined, value))
+
+
+def _joined(found: re.Match[str]) -> str:
+    """A digit and its unit; a long unit may stand on the next line."""
+    digit, _, unit = found[0].partition(" ")
+    between = NO_BREAK if len(unit) < 9 else " "
+    return f"{digit}{between}{unit.replace(' ', NO_BREAK)}"
 
 
 def _power_of_ten(found: re.Match[str]) -> str:

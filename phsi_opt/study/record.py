@@ -128,10 +128,7 @@ class StudyRecord:
 
     @cached_property
     def final_comparisons(self) -> tuple[Comparison, ...]:
-        """Base and present model on the data for the end, once nothing is to be added.
-
-        Empty before, and without such data. Nothing else looks at them.
-        """
+        """Base and present model on the final data, once nothing is to be added."""
         present = self.present
         is_open = present is None or present.proposed
         if self.ending is None or (is_open and not self.stopped):
