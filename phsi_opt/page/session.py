@@ -102,7 +102,7 @@ class Model:
     """A fitted model, to which one can go back."""
 
     content: StudyContent  # of the study whose present model it is
-    study: bytes  # as the worker sent it, to go on from
+    study: Path  # what the worker sent of it, to go on from; memory has no room for all
     drafted: Drafted  # what was fitted
     laws: tuple[Follows, ...] = ()  # of the effects added, once they are known
 
@@ -581,6 +581,7 @@ class Session:
                 is_known = message.content.present is not None
                 self.job.show("drawing the law" if is_known else "diagnosing")
             self._show(message)
+            worker.study = self.model.study if self.model else None
         elif isinstance(message, tuple) and self.model and self.now is not None:
             self.models[self.now] = replace(self.model, laws=message)
         elif isinstance(message, Path):
@@ -613,16 +614,17 @@ class Session:
         self._fitting = None
         n_known = len(known.content.steps) if known else 0
         if known is None or is_fitted or len(content.steps) > n_known:
-            self.models.append(Model(content, shown.study, drafted))
-            self.now = len(self.models) - 1
+            self.now = len(self.models)
+            path = self._state / f"model_{self.now}"
+            self.models.append(Model(content, path, drafted))
             self._keep_moment()
             self._compare_with_base()
             if self.job is None or self.job.verb == Verb.FIT:
                 self.look = Look(content.shown, content.shown_channel)
         else:
             assert self.now is not None
-            further = replace(known, content=content, study=shown.study)
-            self.models[self.now] = further
+            self.models[self.now] = replace(known, content=content)
+        self.models[self.now].study.write_bytes(shown.study)
 
     # ---- files to take away ----------------------------------------------------------
 

@@ -103,7 +103,7 @@ class WorkerHandle:
         self._on_message = on_message
         self._orders: SimpleQueue[Order | bytes | None] = SimpleQueue()
         self._ends: SimpleQueue[None] = SimpleQueue()  # of orders, or of the process
-        self.study: bytes | None = None  # the one that it has, as it was sent
+        self.study: Path | None = None  # where the one is kept that it has
         self._process = context.Process(target=work, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()  # else the pipe would not break when the worker ends
@@ -120,11 +120,11 @@ class WorkerHandle:
         """Whether the process is there."""
         return self._process.is_alive()
 
-    def tell(self, order: Order, study: bytes | None = None) -> None:
+    def tell(self, order: Order, study: Path | None = None) -> None:
         """Send an order; the worker takes it when the one before is done."""
-        if study is not None and study is not self.study:
+        if study is not None and study != self.study:
             self.study = study
-            self._orders.put(study)
+            self._orders.put(study.read_bytes())
         self._orders.put(order)
 
     def end(self) -> None:
@@ -141,8 +141,6 @@ class WorkerHandle:
             except (EOFError, OSError):
                 message = None
                 self._orders.put(None)
-            if isinstance(message, Shown):
-                self.study = message.study
             if message is None or isinstance(message, Done):
                 self._ends.put(None)
             self._on_message(self, message)
