@@ -102,7 +102,7 @@ def is_of(value: Any, hint: Any) -> bool:
         return isinstance(value, kind)
     others: Any = str | bytes | Mapping
     if issubclass(kind, Sequence):  # in an order
-        others |= set | frozenset | (np.ndarray if kind is tuple else str)
+        others |= set | frozenset | (str if kind is Sequence else np.ndarray)
     if isinstance(value, others) or not np.iterable(value):
         return False
     is_once = isinstance(value, Iterator)

@@ -459,7 +459,7 @@ class Measurements(TableReaders, Summarised):
             DataError: n is not a positive number, or a trajectory would have fewer than
                 2 samples.
         """
-        require_known(by, ("mean", "picking"), f"by={by!r} is unknown", DataError)
+        require_known(by, ("mean", "picking"), f"by={shown(by)} is unknown", DataError)
         if not is_count(n):
             raise DataError(
                 f"thinned({shown(n)}): expected the number of samples that become one, "

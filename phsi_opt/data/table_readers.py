@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # name -> column, or a list of names which are columns
 Header = str | int | float | dt.date | None  # None: it has no column
-Column = Header | Sequence[Header]  # several of date and time of day
+Column = Header | list[Header] | tuple[Header, ...]  # several of date and time of day
 ColumnMap = Mapping[str, Column] | Sequence[str]
 Part = tuple[str, ...]  # that a column plays, as a study file names it below [data]
 RUN_PART: Part = ("trajectory",)
@@ -342,8 +342,8 @@ class Layout:
                 check_unique(names, "name")
                 columns = dict(zip(names, names, strict=True))
             object.__setattr__(self, what, dict(columns))
-        has_empty = any(map([[], ()].__contains__, self.parts.values()))
-        if None in self.inputs.values() or has_empty:
+        none_of = [part for part in self.parts.values() if not columns_in(part)]
+        if None in self.inputs.values() or any(one is not None for one in none_of):
             raise DataError(
                 f"inputs={self.inputs!r}, states={self.states!r} or time={self.time!r} "
                 "has an entry without a column; inputs must be measured."

@@ -34,7 +34,7 @@ from phsi_opt.data.tables import (
     numbers_in,
     plain_number,
 )
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 
 SECOND = dt.timedelta(seconds=1)
 UNIX = dt.datetime(1970, 1, 1)
@@ -95,8 +95,8 @@ def times_in(
         return t, origins
     if start is not None:
         raise DataError(
-            f"start={start!r} needs dates, but the column {column!r} of {table.title} "
-            "contains numbers; omit start."
+            f"start={shown(start)} needs dates, but the column {column!r} of "
+            f"{table.title} contains numbers; omit start."
         )
     t = numbers_in(table, column, may_be_missing=False)
     form = format_of_dates(t)
@@ -281,7 +281,7 @@ def _check_increasing(
     table: Table,
     column: Any,
     t: np.ndarray,
-    shown: Sequence[Any],
+    told: Sequence[Any],
     runs: Sequence[np.ndarray],
 ) -> None:
     """Refuse a time of a trajectory that is not after the one before it."""
@@ -290,9 +290,9 @@ def _check_increasing(
             before, after = rows[number : number + 2].tolist()
             clock = " (a clock set back in autumn repeats an hour)"
             raise DataError(
-                f"{table.place(column, after)} {shown[after]} is not after "
-                f"{shown[before]} of {table.row(before)}; times must increase "
-                f"strictly{'' if isinstance(shown[0], float) else clock}. Sort the "
+                f"{table.place(column, after)} {told[after]} is not after "
+                f"{told[before]} of {table.row(before)}; times must increase "
+                f"strictly{'' if isinstance(told[0], float) else clock}. Sort the "
                 "samples or drop the duplicate. If the table contains several runs, "
                 "name the column of the run (trajectory)."
             )

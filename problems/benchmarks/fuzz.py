@@ -244,7 +244,7 @@ def are_exact(given_arguments: Arguments, result: ph.Measurements) -> bool:
         ]
         kept = getattr(run, name).ravel().tolist()
         for cell, number in zip(cells, kept, strict=len(cells) == len(kept)):
-            expected = exact(cell)
+            expected = exact(cell.item() if isinstance(cell, np.ndarray) else cell)
             is_missing = cell is None or cell is pd.NA or cell is np.ma.masked
             if expected is None and not is_missing:
                 return False
