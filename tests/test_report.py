@@ -669,3 +669,32 @@ def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it(study) -> None:
     )
     training.rmse = 0.0404  # below the interval
     assert "0.0423 equals the noise, " in _errors(replace(study.record, steps=(step,)))
+
+
+def test_a_second_storage_has_the_same_name_and_value_everywhere() -> None:
+    air = ph.formula("(Ta - T)/tau + g*P", tau=30.0, g=1.0)
+    room = ph.FirstOrder(["T"], {"T": air}, inputs=["Ta", "P"], kind="thermal")
+    t = np.linspace(0.0, 48.0, 97)
+    u = np.column_stack([np.zeros_like(t), (t // 8) % 2])
+    walls = room.add("second heat storage", "T")
+    values = {name: 0.25 for name in walls.free if name.startswith("second")}
+    values |= {name: 12.0 for name in walls.free if name.startswith("following")}
+    x = ph.simulate(walls.with_values(values), t, [5.0, 5.0], u, hold="zero")[:, :1]
+    x = x + 0.02 * np.random.default_rng(3).standard_normal(x.shape)
+    units = {"t": "h", "T": "degC", "Ta": "degC", "P": "kW"}
+    data = ph.Measurements.from_arrays(
+        t, x, states=["T"], u=u, inputs=["Ta", "P"], units=units, hold="zero"
+    )
+    study = ph.Study(room, data)
+    study.add("second heat storage", "T")
+    content = study.content()
+    rows = {row.name: row for row in content.models[-1].parameters}
+    row = rows["time constant of the second storage on T"]
+    told = with_error(row.value, row.std_error, row.unit)
+    found = re.match(
+        r"Second heat storage, with the time constant (.* h) and (\S+) ± \S+ times the "
+        r"capacity of the first, was missing\.",
+        content.headline.discovery.lead,
+    )
+    assert found and found[1] == told
+    assert abs(float(found[2]) - 3.0) < 0.5
