@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
@@ -277,3 +278,45 @@ def test_an_effect_that_became_superfluous_is_taken_out_again() -> None:
     assert "without cubic drag on p" in list(study.history["effect"])
     with pytest.raises(ph.ModelError, match="0 effects named 'cubic drag'"):
         study.remove("cubic drag", "p")
+
+
+def test_a_corner_that_is_too_sharp_is_made_rounder_again() -> None:
+    def rate(t: float, x: np.ndarray) -> list[float]:
+        q, v = x
+        return [v, (-52 * q - 0.8 * v - 1.4 * np.tanh(v / 1e-3)) / 2.5]
+
+    t = np.arange(0.0, 8.0, 0.04)
+    rng = np.random.default_rng(3)
+    runs = []
+    for start in ([0.12, 0.0], [-0.15, 0.2]):
+        solved = solve_ivp(rate, (0, 8), start, t_eval=t, method="LSODA", rtol=1e-8)
+        runs.append(solved.y[0] + rng.normal(0, 0.0003, len(t)))
+    data = ph.Measurements.from_arrays([t, t], runs, states=["q"])
+    model = ph.mechanical(["q"], mass=2.5, forces="-k*q - c*v", k=ph.Parameter(50.0))
+    found = ph.diagnose(ph.identify(model, data), data, effects=["coulomb friction"])
+    assert found.verdict == "missing: named", "a wrong corner leaves a force"
+    assert found.proposed_fit is not None
+    values = found.proposed_fit.values
+    assert values["coulomb_friction_p.v0"] == pytest.approx(1e-3, rel=0.2)
+    assert values["coulomb_friction_p"] == pytest.approx(1.4, rel=0.03)
+
+
+def test_a_run_that_is_far_off_is_no_wrong_unit_where_a_name_explains_it() -> None:
+    t = np.arange(0.0, 300.0, 5.0)
+    inflow = 0.4 + 0.2 * np.sign(np.sin(t / 20))
+    level = solve_ivp(
+        lambda s, h: np.interp(s, t, inflow) - 0.02 * h,
+        (0, 300),
+        [20.0],
+        t_eval=t,
+        max_step=1.0,
+    ).y[0]
+    level += np.random.default_rng(0).normal(0, 0.05, len(t))
+    data = ph.Measurements.from_arrays(t, level, inflow, states=["h"], inputs=["u"])
+    model = ph.FirstOrder(["h"], {"h": "u"}, ["u"], kind="hydraulic")
+    found = ph.diagnose(ph.identify(model, data), data, effects=["linear leak"])
+    assert found.verdict == "missing: named"
+    assert "a constant is better" in found.base.warning
+    assert "a constant is better" not in f"{found} {' '.join(found.sentences)}"
+    open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
+    assert open_.sentences[0] == found.base.warning

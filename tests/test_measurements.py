@@ -364,3 +364,8 @@ def test_samples_that_fill_no_group_are_left_out_of_means_alone() -> None:
 def test_thinning_that_cannot_be_done_is_refused(n: Any, by: Any, message: str) -> None:
     with pytest.raises(ph.DataError, match=message):
         measurements().thinned(n, by)
+
+
+def test_arrays_without_names_of_states_are_refused_by_the_package() -> None:
+    with pytest.raises(ph.DataError, match="names no state"):
+        ph.Measurements.from_arrays([0.0, 1.0], [1.0, 2.0])

@@ -15,6 +15,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import (
     ForceAnalysis,
     _said,
+    law_answer,
     place_answer,
     step_without_name,
 )
@@ -28,6 +29,7 @@ from phsi_opt.force_analysis.cross_validation import (
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pictures import plot_where
 from phsi_opt.force_analysis.waves import spectrum
+from phsi_opt.model.catalogue import effect_named
 
 M, K, D = 2.5, 40.0, 0.8
 MAP = 1  # place of the map among the panels of a figure
@@ -458,6 +460,36 @@ def test_a_torque_is_told_in_newton_metres_where_the_inertia_is_known() -> None:
         )
         missing = "torque" if unit == "N m" else "torque per inertia"
         assert f"lacks a {missing} of rms" in found.sentences[0]
+
+
+def test_time_is_not_drawn_where_a_state_predicts_the_force_as_well() -> None:
+    t = np.arange(0.0, 60.0, 1.0)  # a car that rolls out: v falls with time
+    v = solve_ivp(lambda t, v: -0.12 - 3e-4 * v**2, (0, 60), [33.0], t_eval=t).y[0]
+    v += np.random.default_rng(0).normal(0, 0.05, len(t))
+    data = ph.Measurements.from_arrays(t, v, states=["v"], units={"t": "s", "v": "m/s"})
+    model = ph.FirstOrder(["v"], {"v": ph.formula("-a", a=ph.Parameter(0.1))})
+    found = ForceAnalysis.of(Record.of(ph.identify(model, data), data))
+    force = found.force_in()
+    assert force.share_of("t") > force.share_of("v") - 0.1
+    assert force.single_variable == "v"
+
+
+def test_a_named_effect_acts_where_its_law_says_and_not_as_its_remainder_looks() -> (
+    None
+):
+    found = ForceAnalysis.of(spring_with(lambda t, q, v, u: 0.0))
+    told = {
+        "coulomb friction": "; it depends on the velocity of q.",
+        "cubic stiffness": "; it depends on q.",
+        "input delay": "; it depends on u.",
+        "drifting force": "; it depends on t.",
+        "constant force": ".",
+    }
+    for name, depends in told.items():
+        effect = effect_named(spring(), name, "p")
+        assert law_answer(found, effect).lead == f"In dp/dt, the force on q{depends}"
+    effect = effect_named(spring(), "sensor gain", "q")
+    assert law_answer(found, effect).lead == "At the sensor of q."
 
 
 def circuit_with(hidden: float) -> ForceAnalysis:

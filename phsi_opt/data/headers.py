@@ -28,36 +28,19 @@ SPELLED = {"sec": "s", "seconds": "s"}
 INDICES = frozenset({"l", "C", "d"})
 WORD = re.compile(r"[^\W\d_]+\d*")
 
-TIME_WORDS = frozenset(
-    {
-        *("t", "time", "times", "timestamp", "datetime", "date", "tempo", "zeit"),
-        *("temps", "datum", "uhrzeit", "zeitstempel"),
-    }
+
+def words_in(text: str) -> frozenset[str]:
+    """The words of a list."""
+    return frozenset(text.split())
+
+
+TIME_WORDS = words_in(
+    "t time times timestamp datetime date tempo zeit temps datum uhrzeit zeitstempel"
 )
-STEP_WORDS = frozenset({"ts", "dt", "step"})
-RUN_WORDS = frozenset(
-    {"run", "trajectory", "trial", "experiment", "versuch", "record", PART}
-)
-COUNTER_WORDS = frozenset(
-    {"no", "nr", "number", "sample", "index", "count", "scan", "row", "line", "point"}
-)
-INPUT_WORDS = frozenset(
-    {
-        *("u", "in", "input", "command", "cmd", "controle", "control", "pwm", "duty"),
-        *("force", "torque", "current", "heater", "pump", "valve", "throttle", "motor"),
-        *("uest", "uval", "drive", "actuator", "thrust"),
-    }
-)
-# These may be what drives a system, or what is to be found: only a remark is made.
-PERHAPS_INPUT_WORDS = frozenset(
-    {
-        *("solar", "sun", "irradiance", "radiation", "ghi", "wind", "load", "power"),
-        *("ambient", "outdoor", "outside", "supply", "inflow", "heating", "pulses"),
-        *("disturbance", "ps", "ph", "ta", "thm", "qh"),
-    }
-)
-SET_POINT_WORDS = frozenset(
-    {"setpoint", "reference", "referencia", "referenz", "sollwert", "target", "desired"}
+STEP_WORDS = words_in("ts dt step")
+RUN_WORDS = words_in(f"run trajectory trial experiment versuch record {PART}")
+SET_POINT_WORDS = words_in(
+    "setpoint reference referencia referenz sollwert target desired"
 )
 
 

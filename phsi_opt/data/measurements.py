@@ -132,7 +132,7 @@ class Measurements(TableReaders, Summarised):
         x: Any,
         u: Any = None,
         *,
-        states: Sequence[str],
+        states: Sequence[str] = (),
         inputs: Sequence[str] | None = None,
         names: Sequence[str] | None = None,
         hold: Hold = "linear",

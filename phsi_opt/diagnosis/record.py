@@ -178,13 +178,13 @@ class Diagnosis(Summarised):
 
     @property
     def sentences(self) -> list[str]:
-        """Where the model fails, one sentence per equation, strongest first.
+        """Where the model fails, by equation, strongest first, after a warning."""
+        return [*filter(None, [self.warning]), *self.analysis.sentences]
 
-        If the free run is almost constant, the first sentence says what to do.
-        """
-        if not self.base.warning:
-            return self.analysis.sentences
-        return [self.base.warning, *self.analysis.sentences]
+    @property
+    def warning(self) -> str:
+        """What to do where the free run is flat or far off, and no name explains it."""
+        return "" if self.verdict == Verdict.NAMED else self.base.warning
 
     @property
     def next_step(self) -> Answer:
@@ -275,8 +275,8 @@ class Diagnosis(Summarised):
 
     def _summary(self) -> Summary:
         said = [self.reason]
-        if self.base.warning:
-            said.append(self.base.warning)
+        if self.warning:
+            said.append(self.warning)
         if self.verdict == Verdict.UNEXPLAINED:
             said.append(f"next: {self.next_step}")
         rows = []

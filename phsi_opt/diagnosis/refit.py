@@ -10,12 +10,12 @@ sharper corners together let it fall by its slope dD / dlog w, which the multipl
 the dynamics tell.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import starmap
-from math import prod
 
 import numpy as np
 
@@ -104,15 +104,17 @@ class DiagnosedModel:
         aligned = base.record.aligned
         return base.with_fit(identify(fit.model, aligned, loss, start=fit))
 
-    def with_fit(self, fit: Fit) -> "DiagnosedModel":
-        """Another fit of the same records, with missing forces of its own.
+    def with_fit(
+        self, fit: Fit, change: Callable[[AlignedData], AlignedData] = lambda one: one
+    ) -> "DiagnosedModel":
+        """Another fit of the same records, or of changed ones, with its missing forces.
 
         Raises:
             SolveError: the missing force could not be estimated.
         """
 
         def compared(record: Record) -> Comparison:
-            return compare_record(Record.of_aligned(fit, record.aligned))
+            return compare_record(Record.of_aligned(fit, change(record.aligned)))
 
         trained = judged = compared(self.record)
         if self.is_held_out:
@@ -132,13 +134,13 @@ class DiagnosedModel:
         Raises:
             PhsiOptError: it could not be fitted.
         """
-        aligned = self.record.aligned.held_as(hold, (note,))
+
+        def held(aligned: AlignedData) -> AlignedData:
+            return aligned.held_as(hold, (note,))
+
+        aligned = held(self.record.aligned)
         fit = identify(self.fit.model, aligned, self.loss, start=self.fit)
-        trained = judged = compare_record(Record.of_aligned(fit, aligned))
-        if self.is_held_out:
-            aligned = self.judged.record.aligned.held_as(hold, (note,))
-            judged = compare_record(Record.of_aligned(fit, aligned))
-        return replace(self, trained=trained, judged=judged)
+        return self.with_fit(fit, held)
 
     @property
     def fit(self) -> Fit:
@@ -186,9 +188,8 @@ def held_base(
 ) -> DiagnosedModel | None:
     """The model with inputs that do otherwise between samples; None: no likelier one.
 
-    Asked where a short delay is to be named. An input that is held, not interpolated,
-    or the other way round, needs no parameter: it is preferred if the evidence does not
-    clearly speak for the delay, or if the delay is clearly likelier beside it.
+    It needs no parameter: it is preferred if the evidence does not clearly speak for
+    the delay that is to be named, or if the delay is clearly likelier beside it.
     """
     limit = HOLD_DELAY * float(np.median(base.record.grid.h))
     delays = [one for one in named if is_delay(one.effect)]
@@ -241,12 +242,7 @@ def _gain_beside(
 
 
 def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel | None:
-    """The model from a clearly better optimum; None where there is none.
-
-    A fit that began far off may have ended in the wrong optimum, with a parameter at
-    its bound. Beside a force (``record``) the model is not held to one course of its
-    states, and a re-fit from the values found there may be far likelier.
-    """
+    """The model from a clearly better optimum, found beside a force; None: none."""
     fit = base.fit
     if not fit.model.free or not base.record.is_of_training:
         return None
@@ -349,11 +345,7 @@ class Refitting:
         )
 
     def with_steps_as_fine_as_its_run(self, fit: Fit) -> Comparison:
-        """The fit's free run; with finer steps where the run leaves the fit's states.
-
-        Steps as long as the samples are too long for a sharp corner, and for the fast
-        part of a short memory.
-        """
+        """The fit's free run; with finer steps where it leaves the fit's states."""
         record = self.base.record
         trained = compare_record(record.refitted(fit))
         has_corner = is_scanned(self.candidate.effect) or corner_widths(fit.model)
@@ -382,25 +374,37 @@ class Refitting:
 
     def sharpened(self, fit: Fit) -> Fit:
         """A fit with rounded corners, with these as sharp as the record asks for."""
+        corners = self.corners(fit.model)
         blunt = fit.model.values
-        guesses = self.corners(fit.model)
-        n_stages = max((len(guess.sharper) for guess in guesses.values()), default=0)
-        estimate = None
-        for stage in range(1, n_stages + 1):
-            # The slope tells little on a grid on which no corner is resolved.
-            if estimate and self._fall(estimate) < SHARPER_CORNER_DEVIANCE:
-                break
+        n_stages = max((len(guess.sharper) for guess in corners.values()), default=0)
+
+        def estimate_at(stage: float) -> LikelihoodEstimate | DisturbedEstimate | None:
             widths = {}
-            for name, guess in guesses.items():
-                widths[name] = blunt[name] * prod(guess.sharper[:stage])
-            n_steps = STEPS_AT_CORNER * max(stage, 2) // 2
-            estimate = self.at_widths(fit, widths, n_steps)
+            for name, guess in corners.items():
+                factors = np.cumprod([1.0, *guess.sharper])
+                factor = np.interp(stage, np.arange(len(factors)), factors)
+                widths[name] = blunt[name] * float(factor)
+            n_steps = STEPS_AT_CORNER * max(math.ceil(stage), 2) // 2
+            return self.at_widths(fit, widths, n_steps)
+
+        falls = [0.0]
+        for stage in range(1, n_stages + 1):
+            estimate = estimate_at(stage)
             if estimate is None:
                 break
+            falls.append(self._fall(estimate))
             sharper = estimate.fit()
             if deviance(sharper) > deviance(fit) + SHARPER_CORNER_DEVIANCE:
                 break
             fit = sharper
+            if falls[-1] < SHARPER_CORNER_DEVIANCE:
+                break
+        # The slope tells little on a grid on which no corner is resolved.
+        if falls[-1] < -SHARPER_CORNER_DEVIANCE and falls[-2] > 0:  # a secant step back
+            share = falls[-1] / (falls[-1] - falls[-2])
+            estimate = estimate_at(len(falls) - 1 - share)
+            if estimate is not None and deviance(estimate.fit()) < deviance(fit):
+                return estimate.fit()
         return fit
 
     def _fall(self, estimate: LikelihoodEstimate | DisturbedEstimate) -> float:
@@ -414,11 +418,7 @@ class Refitting:
     def at_widths(
         self, fit: Fit, widths: dict[str, float], n_steps: int
     ) -> LikelihoodEstimate | DisturbedEstimate | None:
-        """The estimate with other widths of its corners, begun at a fit.
-
-        None where it fails, or where a model with a memory would have too many states.
-        Gaps between samples beside a corner have ``n_steps`` at least.
-        """
+        """The estimate with other widths of its corners; None: failed, or too large."""
         steps = fit.steps
         for name, guess in self.corners(fit.model).items():
             width = fit.model.values[name]
@@ -445,12 +445,7 @@ def finer_at_corner(
     steps: Sequence[np.ndarray],
     n_steps: int = STEPS_AT_CORNER,
 ) -> tuple[np.ndarray, ...]:
-    """More steps in gaps between samples in which a formula passes its corner.
-
-    The formula ``of`` is zero at the corner, such as a velocity, and ``width`` in its
-    unit. Steps are (n_samples - 1,) per trajectory; beside a corner they are at least
-    ``n_steps``.
-    """
+    """At least ``n_steps`` where a formula ``of``, such as a velocity, is near zero."""
     formula = fit.model.function(of)
     theta = fit.model.theta
     refined = []

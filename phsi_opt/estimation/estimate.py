@@ -249,7 +249,8 @@ class Estimate(ABC):
             unit = units.get(state, "")
             typical = np.nanstd(grid.y[:, place]) if is_sensor else rate[place]
             if not is_sensor:
-                unit = _rate_unit(unit, units.get("t", ""))
+                per = unit and f"{unit} per unit of time"
+                unit = rate_unit(unit or "1", units["t"]) if units.get("t") else per
             share = size / max(float(typical), TINY)
             rows.append(ModelErrorRow(where, kind, size, time, unit, share))
 
@@ -265,12 +266,6 @@ class Estimate(ABC):
             for run, size in zip(self.task.runs, sizes, strict=True):
                 add(f"noise of {run}", k, size, 0.0, is_sensor=True)
         return tuple(rows)
-
-
-def _rate_unit(unit: str, of_time: str) -> str:
-    if not of_time:
-        return unit and f"{unit} per unit of time"
-    return rate_unit(unit or "1", of_time)
 
 
 @cache

@@ -26,8 +26,11 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.localization import StrongRange, strong_region
 from phsi_opt.force_analysis.waves import period_of
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.kinds import turn_of
 from phsi_opt.model.structure import (
+    effort_of,
     exchange_partners,
     kind_of,
     position_rows,
@@ -146,6 +149,7 @@ def _said(force: EquationForce, name: str, **more: Any) -> Answer:
         "rate": f"d{force.equation}/dt",
         "partners": exchange_partners(model, force.equation),
         "turn_of": turn_of,
+        "rate_of": RATES.get(force.scale.unit, "") if force.position else "",
         "vibration": VIBRATION_WORDS,
         "clear_pattern": CLEAR_PATTERN,
         "mostly": MOST_OF_IT,
@@ -173,9 +177,24 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
         is_named=is_named,
         is_known=is_known,
         is_part=any(shares[cause] > NAMED_CAUSE for cause in CAUSES),
-        called=RATES.get(force.scale.unit, "") if force.position else "",
         positions=[model.states[row] for row in position_rows(model)],
     )
+
+
+def law_answer(analysis: ForceAnalysis, effect: Effect) -> Answer:
+    """Where an effect acts, and on what it depends by its law."""
+    model = analysis.record.model
+    x = effect.equation
+    if effect.slot == "sensor":
+        return Answer(f"At the sensor of {x}.")
+    force = analysis.force_in(x if x in analysis.record.equations else None)
+    names = {effort_of(model, x)} if effect.slot == "R" else set()
+    for term in effect.terms:
+        names |= names_of(term.body)
+    channels = (*model.efforts, *model.states, *model.inputs, "t")
+    known = filter(names.__contains__, channels)
+    depends = dict.fromkeys(map(partial(plain_name, force), known))
+    return _said(force, "law", depends=depends)
 
 
 def map_title(force: EquationForce, names: Sequence[str]) -> str:

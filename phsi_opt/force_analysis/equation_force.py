@@ -1,5 +1,6 @@
 """The missing force of one equation with all that is found of it, and its labels."""
 
+import re
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOST_OF_IT
+from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE
 from phsi_opt.force_analysis.dependence import (
     CONSTANT,
     NO_VARIABLES,
+    TIME_NAME,
     Causes,
     causes_of,
     dependence,
@@ -52,6 +54,7 @@ from phsi_opt.statistics import rms
 if TYPE_CHECKING:
     import pandas as pd
 
+MEMORY = re.compile(r"_second\b")  # of the memory state T_second
 DIFFERENCE = " - "  # between the two variables of a difference
 # A position and its rate, by the kind of the position.
 BODIES = ("position", "velocity of")
@@ -152,12 +155,12 @@ class EquationForce(Force):
 
     @property
     def single_variable(self) -> str:
-        """The variable (no pair) that predicts the force best; time for a constant."""
-        if self.is_constant:
-            return "t"
-        listed = self.follows["variable"]
-        single = ~listed.str.contains(",") & ~listed.isin(NO_VARIABLES)
-        return str(listed[single].iloc[0])
+        """The variable (no pair) that predicts the force best, time only if clearly."""
+        rows = self.follows[~self.follows["variable"].str.contains(",")]
+        rows = rows[~rows["variable"].isin(NO_VARIABLES)]
+        good = rows["variable"][rows["share"] > rows["share"].iloc[0] - NAMED_CAUSE]
+        others = [] if self.is_constant else good[good != TIME_NAME].tolist()
+        return str((others or [TIME_NAME])[0])
 
     @property
     def map_variables(self) -> list[str]:
@@ -251,8 +254,8 @@ class EquationForce(Force):
         """Label of an axis for a variable, or for a difference, with its unit."""
         if DIFFERENCE in name:
             first, second = name.split(DIFFERENCE)
-            both = map(_without_memory, map(self._named, (first, second)))
-            told = DIFFERENCE.join(both)
+            told = DIFFERENCE.join(map(self._named, (first, second)))
+            told = MEMORY.sub(" of the second storage", told)
             return label(told, self.scale_of(first).unit)
         position = self.position_of(name)
         if position:
@@ -262,9 +265,3 @@ class EquationForce(Force):
         if name in self.record.model.efforts:
             return f"effort {name}"
         return label(name, self.scale_of(name).unit)
-
-
-def _without_memory(name: str) -> str:
-    """Such as "T of the second storage" for the memory state T_second."""
-    state = name.removesuffix("_second")
-    return name if state == name else f"{state} of the second storage"

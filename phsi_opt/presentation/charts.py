@@ -20,7 +20,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from phsi_opt.presentation.content import (
-    Channel,
     ErrorStep,
     Follows,
     ForceMap,
@@ -183,7 +182,10 @@ def run_chart(
     height = 1.4 if is_close else 0.5
     below = Panel(label("residual", one.unit), curves, noise=noise, height=height)
     x_label = time_label(content.time.unit, run.origin)
-    return Chart(x_label, (_measured_panel(content, one), below), run.title, mark=mark)
+    measured = Curve("measured", one.t, one.measured, MEASURED, POINTS)
+    shown = [measured, *_of_models(content.names, one.t, one.models)]
+    above = Panel(label(one.name, one.unit), shown)
+    return Chart(x_label, (above, below), run.title, mark=mark)
 
 
 def _of_models(
@@ -196,12 +198,6 @@ def _of_models(
         is_shown = k in (0, last)
         curves.append(Curve(names[k], t, values[k], color, look, is_shown=is_shown))
     return curves
-
-
-def _measured_panel(content: StudyContent, one: Channel) -> Panel:
-    measured = Curve("measured", one.t, one.measured, MEASURED, POINTS)
-    curves = [measured, *_of_models(content.names, one.t, one.models)]
-    return Panel(label(one.name, one.unit), curves)
 
 
 def force_chart(

@@ -18,7 +18,12 @@ from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
 from phsi_opt.errors import some_of
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.force_analysis.analysis import VIBRATION_WORDS, likely_cause, place_answer
+from phsi_opt.force_analysis.analysis import (
+    VIBRATION_WORDS,
+    law_answer,
+    likely_cause,
+    place_answer,
+)
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import N_WINDOWS
 from phsi_opt.model.base import BaseModel
@@ -118,12 +123,15 @@ def _judging(is_held_out: bool) -> dict[str, str]:
 
 
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
-    """The equation, what the force follows, or else the place where it is largest."""
+    """Where a named effect acts; else what the force follows, or where it is."""
     force = diagnosis.analysis.force_in()
-    facts: dict[str, Any] = {}
-    if not force.is_uncertain:
-        is_known = is_past or diagnosis.verdict == Verdict.NAMED
-        is_named = is_past or bool(diagnosis.findings)
+    facts: dict[str, Any] = {"place": "", "places": []}
+    is_known = is_past or diagnosis.verdict == Verdict.NAMED
+    is_named = is_past or bool(diagnosis.findings)
+    if is_known and len(diagnosis.findings) == 1 and diagnosis.findings[0].is_name:
+        effect = diagnosis.findings[0].effects[0]
+        facts["place"] = law_answer(diagnosis.analysis, effect)
+    elif not force.is_uncertain:
         facts["place"] = place_answer(force, is_named, is_known)
         # Where the members of the classes that were found act, each place once.
         classes = [one.effects for one in diagnosis.findings if not one.is_name]

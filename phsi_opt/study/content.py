@@ -115,6 +115,8 @@ def study_content(
         added = " and ".join(map(str, study.last.added))
         heading = f"Present model: with {added}" if added else "Present model"
         models.append(_model(heading, study.last.fit))
+    measured = study.train.measured
+    units = (scale_of(study.train.units.get(name, "")).unit for name in measured)
     shown, shown_channel = _most_changed(runs)
     described = said_of(study, "subtitle", origin=runs[0].origin, written=written)
     place = telling_step(study)
@@ -124,7 +126,7 @@ def study_content(
         model = -1 if place == last else 0
         glance = glance_of(study.diagnoses[place], runs, time, model)
     return StudyContent(
-        title=study.title or _usual_title(study.train),
+        title=study.title or f"Study of {', '.join(map(label, measured, units))}",
         subtitle=described.lead,
         headline=headline,
         steps=study.errors(size),
@@ -150,12 +152,6 @@ def study_content(
         unestablished=tuple(one.name for one in study.unestablished),
         warning=study.last.judged.warning,
     )
-
-
-def _usual_title(data: Measurements) -> str:
-    """What was measured, with units, such as "Study of q (mm)"."""
-    units = (scale_of(data.units.get(name, "")).unit for name in data.measured)
-    return f"Study of {', '.join(map(label, data.measured, units))}"
 
 
 # ---- errors --------------------------------------------------------------------------

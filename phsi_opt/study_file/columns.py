@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.data.headers import COUNTER_WORDS, TIMES, Header
+from phsi_opt.data.headers import TIMES, Header, words_in
 from phsi_opt.data.tables import MISSING_CELLS, Table, plain_number, rows_of_runs
 from phsi_opt.data.times import clock_of, format_of_dates
 from phsi_opt.data.trajectory import is_stepped
@@ -30,7 +30,8 @@ DAYS = (  # which ISO 8601 does not have
 )
 CLOCK_FORMATS = ("", " %H:%M", " %H:%M:%S", " %H:%M:%S.%f", " %I:%M:%S %p", " %I:%M %p")
 DATE_FORMATS = tuple(f"{day}{clock}" for day in DAYS for clock in CLOCK_FORMATS)
-DATE_WORDS = frozenset({"date", "datum", "datetime", "timestamp", "zeitstempel"})
+DATE_WORDS = words_in("date datum datetime timestamp zeitstempel")
+COUNTER_WORDS = words_in("no nr number sample index count scan row line point")
 
 
 @dataclass(eq=False, kw_only=True)

@@ -13,7 +13,7 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self, get_type_hints
@@ -23,7 +23,6 @@ import numpy as np
 from phsi_opt.comparison.compare import compare_record
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import DataError, PhsiOptError
@@ -57,7 +56,10 @@ class KeptFits:
     @classmethod
     def of(cls, study_file: Path, sections: Sections, train: Measurements) -> Self:
         """Those of a study file, with what it says and the measurements to fit."""
-        content: list[Any] = [_edition(), model_content(sections.base)]
+        # The files of the package, which a developer changes, belong to its version.
+        edition = map(os.path.getmtime, sorted(PACKAGE.rglob("*.py")))
+        content: list[Any] = [version("phsi_opt"), *edition]
+        content.append(model_content(sections.base))
         content += map(encoded, (sections.loss, sections.own_effects))
         content += [train.digest, *map(encoded, (train.units, train.hold, train.noise))]
         text = json.dumps(content, default=repr)
@@ -156,10 +158,6 @@ def _fit_from(content: Content) -> Fit:
     return replace(Fit.from_content(content["fit"]), states=states)
 
 
-def _without_runs(one: Candidate) -> Candidate:
-    return replace(one, states=None, fit=None, trained=None, comparison=None)
-
-
 def _diagnosis_content(found: Diagnosis) -> Content:
     """Without free runs; only the first candidate keeps its re-fit."""
     first = found.ranking[0].fit if found.ranking else None
@@ -169,7 +167,8 @@ def _diagnosis_content(found: Diagnosis) -> Content:
     content: Content = {"hold": encoded(aligned.data.hold), "notes": aligned.notes}
     fits = (found.fit, found.proposed_fit, first)
     content["fits"] = list(map(_fit_content, fits))
-    content["ranking"] = encoded(list(map(_without_runs, found.ranking)))
+    plain = partial(replace, states=None, fit=None, trained=None, comparison=None)
+    content["ranking"] = encoded(list(map(plain, found.ranking)))
     for name in PLAIN:
         content[name] = encoded(getattr(found, name))
     return content
@@ -200,9 +199,3 @@ def _diagnosis_from(content: Content, study: StudyRecord) -> Diagnosis:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _edition() -> list[Any]:
-    """The version of the package, and its files, which a developer changes."""
-    files = sorted(PACKAGE.rglob("*.py"))
-    return [version("phsi_opt"), *map(os.path.getmtime, files)]

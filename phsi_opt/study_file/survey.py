@@ -19,7 +19,7 @@ import pandas as pd
 
 from phsi_opt.data.checks import RESERVED_NAMES, checked_names
 from phsi_opt.data.file_opening import DataFile
-from phsi_opt.data.headers import INPUT_WORDS, PERHAPS_INPUT_WORDS, TIMES, Header
+from phsi_opt.data.headers import TIMES, Header, words_in
 from phsi_opt.data.table_extent import NUMBER
 from phsi_opt.data.tables import Table
 from phsi_opt.data.times import clock_of, is_milliseconds
@@ -40,6 +40,16 @@ from phsi_opt.study_file.keys import Complaints, TooManyComplaintsError, usable
 from phsi_opt.study_file.sections import DataSection, table_at
 from phsi_opt.study_file.study_text import COMMENTS, text_of
 from phsi_opt.study_file.toml_text import tables_of, text_template, toml_value
+
+INPUT_WORDS = words_in(
+    "u in input command cmd controle control pwm duty force torque current heater pump "
+    "valve throttle motor uest uval drive actuator thrust"
+)
+# These may be what drives a system, or what is to be found: only a remark is made.
+PERHAPS_INPUT_WORDS = words_in(
+    "solar sun irradiance radiation ghi wind load power ambient outdoor outside supply "
+    "inflow heating pulses disturbance ps ph ta thm qh"
+)
 
 OTHER_CLOCK = "another clock"
 PART_OF_TIME = "belongs to the times in"
