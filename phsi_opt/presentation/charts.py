@@ -32,6 +32,7 @@ from phsi_opt.presentation.numbers import (
     number,
     proper_names,
     shortened,
+    typeset,
     with_interval,
 )
 from phsi_opt.presentation.units import date_words, spaced
@@ -146,7 +147,7 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
         ]
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
-    band = f"noise floor {with_interval(floor[-1], ends[-1], spaced(unit))}"
+    band = f"noise floor {with_interval(floor[-1], ends[-1], typeset(spaced(unit)))}"
     low, high = np.pad(ends, ((1, 1), (0, 0)), mode="edge").T
     wide = np.r_[-0.5, x, n - 0.5]  # a band where there is one step too
     middle, half = (low + high) / 2, (high - low) / 2
