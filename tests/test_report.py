@@ -454,7 +454,7 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
     assert len(items) == len(content.checks) > 0
     assert all(SEVERITY_WORDS[severity] == word for severity, word in items)
     (day,) = re.findall(
-        r"2 runs for fitting and 2 for testing; report of ([\d-]+)<", page
+        r"2 runs for fitting and 2 for testing \(held out\); report of ([\d-]+)<", page
     )
     again = study_content(study.record, study.record.laws(), written=day)
     assert html_report(again, study.record.data_chart()) == page

@@ -152,7 +152,7 @@ def test_data_for_the_end_choose_nothing_and_tell_the_error() -> None:
     content = study.content()
     assert told in content.headline.sentence and told in content.errors
     assert content.subtitle.startswith(
-        "q measured in 1 run for fitting, 1 for testing and 1 for a final"
+        "q measured in 1 run for fitting, 1 for testing (held out) and 1 for a final"
     )
     assert told in " ".join(str(study).split())
     assert told not in changed.content().headline.sentence
