@@ -77,7 +77,7 @@ def check_types(
             kind = re.sub(r"(\w+\.)+", "", inspect.formatannotation(hint))
             advice = map(WRITTEN_AS.__getitem__, filter(kind.__contains__, WRITTEN_AS))
             wrong = DataError if OF_DATA.search(kind) else error
-            said = f"{name}={shown(value)} is not possible; expected {kind}."
+            said = f"{name}={shown(value)} is not possible; expected {kind[:120]}."
             raise wrong(" ".join([said, *advice]))
 
 
@@ -156,11 +156,9 @@ def require_known(
         raise error(f"{said}; expected one of {expected}.{hint}")
 
 
-def require_count(name: str, value: Any, or_none: bool = False) -> None:
-    """Check that the value is a whole number of at least 1 (or None)."""
-    fine = (or_none and value is None) or is_count(value)
-    expected = "a whole number of at least 1" + (", or None" if or_none else "")
-    require(fine, name, value, expected)
+def require_count(name: str, value: Any) -> None:
+    """Check that the value is a whole number of at least 1."""
+    require(is_count(value), name, value, "a whole number of at least 1")
 
 
 def require_size(name: str, value: Any) -> None:

@@ -38,6 +38,12 @@ def forced(force: str, **parameters: ph.Parameter) -> ph.PseudoHamiltonian:
     return spring(F={"p": ph.formula(force, **parameters)})
 
 
+def run_names_of(names: list[Any]) -> ph.Measurements:
+    frame = pd.DataFrame({"t": [0, 1], "q": [1.0, 2.0], "run": names})
+    columns: Any = {"time": "t", "states": ["q"], "trajectory": "run"}
+    return ph.Measurements.from_dataframe(frame, **columns)
+
+
 def read_of(time: Any, states: Any = ("q",), **form: Any) -> ph.Measurements:
     text = io.StringIO("t,q\n0,1\n1,2\n")
     return ph.Measurements.from_csv(text, time=time, states=states, **form)
@@ -118,6 +124,7 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: ph.Fit.load(10**5000), "path=a number beyond"),  # type: ignore[arg-type]
     (lambda: ph.Measurements.from_csv("\ud800", time="t", states=["q"]), "file"),
     (lambda: read_of([]), "without a column"),
+    (lambda: run_names_of([10**5000, 1]), "a name of a trajectory cannot be shown"),
     (lambda: ph.Measurements(pd.DataFrame(), ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
     (lambda: read_of("t", {"q": ()}), "without a column"),
     (lambda: read_of("t", separator=1), "separator=1"),

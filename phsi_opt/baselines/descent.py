@@ -90,8 +90,9 @@ class Descent:
     def __post_init__(self) -> None:
         check_descent(self)
         integrator(self.integrator)
-        require_count("prune_every", self.prune_every, or_none=True)
-        require_count("prune_from", self.prune_from, or_none=True)
+        for name in ("prune_every", "prune_from"):
+            if getattr(self, name) is not None:
+                require_count(name, getattr(self, name))
         require_choice("decay", self.decay, DECAYS)
         require_choice("start", self.start, STARTS)
         require_size("threshold", self.threshold)

@@ -479,7 +479,10 @@ def _rows_by_name(table: Table, column: Any) -> dict[str, np.ndarray]:
     if column is None:
         return {table.run: np.arange(len(table.frame))}
     cells = table.frame[column]
-    names = cells.astype(str).str.strip()
+    try:
+        names = cells.astype(str).str.strip()
+    except ValueError as error:  # of a number of thousands of digits
+        raise DataError(f"a name of a trajectory cannot be shown: {error}.") from None
     is_missing = (cells.isna() | (names == "")).to_numpy()
     if is_missing.any():
         place = table.place(column, int(np.argmax(is_missing)))

@@ -107,8 +107,7 @@ class Parameter:
             given = getattr(self, name)
             if name != "value" or given is not None:
                 number = float(given)
-                is_bound = name != "value" and np.isinf(number)
-                if not np.isfinite(number) and not is_bound:
+                if np.isnan(number) or (name == "value" and np.isinf(number)):
                     raise ModelError(f"parameter {name}={number} is not finite.")
                 object.__setattr__(self, name, number)
         if not self.lower <= self.upper:

@@ -74,7 +74,6 @@ class StudyFile(Sections):
                 names in it; messages and runs keep these names.
 
         Raises:
-            DataError: this is no path.
             StudyFileError: the file has mistakes; the error lists all of them.
         """
         sections, measured = read_sections(Path(path), places)

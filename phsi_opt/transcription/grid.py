@@ -226,7 +226,6 @@ class AlignedData:
         Raises:
             DataError: a state or input of the model is not in the measurements, or one
                 of theirs is not in the model; or these are no measurements.
-            ModelError: the model is none.
         """
         ordered = aligned(model, data)
         copies = copies_in(ordered)
