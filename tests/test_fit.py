@@ -280,6 +280,7 @@ def k_of(content: Any) -> Any:
     lambda c: k_of(c).update(guess=["Popen", "ls"]),
     lambda c: k_of(c).update(extra=1),
     lambda c: c["model"].update(R={"x": []}),
+    lambda c: c.update(steps=[1], n_gaps=[2**53]),
 ])  # fmt: skip
 def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
     said = r"fit\.json (is damaged|contains a model that is not valid)"

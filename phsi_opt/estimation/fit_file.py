@@ -40,6 +40,7 @@ DAMAGE = (
     ValueError,
     AttributeError,
     OverflowError,
+    MemoryError,
     RecursionError,
 )
 

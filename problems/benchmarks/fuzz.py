@@ -239,9 +239,7 @@ def are_exact(given_arguments: Arguments, result: ph.Measurements) -> bool:
         rows = given_arguments.get(name)
         if others or not isinstance(rows, list):
             continue
-        cells = [
-            one for row in rows for one in (row if isinstance(row, list) else [row])
-        ]
+        cells = [one for row in rows for one in (row if np.ndim(row) else [row])]
         kept = getattr(run, name).ravel().tolist()
         for cell, number in zip(cells, kept, strict=len(cells) == len(kept)):
             expected = exact(cell.item() if isinstance(cell, np.ndarray) else cell)
