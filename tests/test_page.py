@@ -83,7 +83,7 @@ def facts(page: Page) -> str:
     """What the first screen says once it is known."""
     region = page.get_by_role("region", name="Verdict")
     region.get_by_text("What is wrong").wait_for(timeout=SOLVED_WITHIN)
-    return region.inner_text()
+    return region.inner_text().replace("\N{NO-BREAK SPACE}", " ")
 
 
 def nothing_is_solved(page: Page) -> None:
@@ -103,7 +103,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert "dp/dt lacks a force of" in said
     assert f"{CALLED}, " in said
     assert "effect found" in said and "missing: named" not in said
-    assert "log evidence" not in said and "Study of q (m): q measured in" in said
+    assert "log evidence" not in said and "Study of spring.csv: q measured in" in said
     assert "the error is 1.4 times the noise." in said
     assert "± is one standard error." in said
     expect(page.get_by_text("worst moment").first).to_be_visible()
