@@ -150,7 +150,9 @@ def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
     return replace(diagnosis, verdict=ph.Verdict.UNEXPLAINED, **left)
 
 
-def test_the_first_screen_says_what_where_since_when_and_what_to_add(content) -> None:
+def test_the_first_screen_says_what_where_since_when_and_what_to_add(
+    content, study
+) -> None:
     expected = {
         "What was wrong": r"Coulomb friction on p was missing: .* dp/dt lacked a force of [\d.]+ N.*",
         "Where it was": "In dp/dt.*",
@@ -182,7 +184,12 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(content) ->
         brief["How good is the model"].lead,
     )
     covered = r"These data test it for q from -[\d.]+ to [\d.]+ m; measure again .*"
-    assert re.fullmatch(covered, brief["What to do next"].detail)
+    said = brief["What to do next"].detail
+    assert re.fullmatch(covered, said)
+    ends = [float(one) for one in re.findall(r"-?[\d.]+(?= to| m;)", said)]
+    parts = (study.record.train, study.record.held_out)
+    values = np.concatenate([run.x[:, 0] for part in parts for run in part])
+    assert ends == pytest.approx([np.nanmin(values), np.nanmax(values)], rel=0.1)
 
 
 def test_a_table_tells_which_effect_was_accepted_and_the_grade_of_no_other(

@@ -398,14 +398,15 @@ def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, .
 
 def _ranges(study: StudyRecord) -> list[str]:
     """What the data cover, such as "q from -1 to 2 m", of at most four channels."""
-    told = []
-    for one in study.train.look.channels:
-        known = one.values[one.known]
-        if len(known):
-            told.append(
-                f"{one.name} from {range_words(known.min(), known.max(), one.unit)}"
-            )
-    return told[:4]
+    found: dict[tuple[str, str], list[float]] = {}
+    for part in (study.train, study.held_out, study.final):
+        for one in part.look.channels if part is not None else ():
+            found.setdefault((one.name, one.unit), []).extend(one.values[one.known])
+    covered = [(*key, values) for key, values in found.items() if values]
+    return [
+        f"{name} from {range_words(min(values), max(values), unit)}"
+        for name, unit, values in covered[:4]
+    ]
 
 
 def _remains(study: StudyRecord) -> Answer:
