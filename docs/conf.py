@@ -83,7 +83,7 @@ nitpick_ignore_regex = [
     ),  # imported for types alone; cut up
     (
         "py:class",
-        r"phsi_opt\..*\.(_\w+|AnyModel|AnyMeasurements|E|T|Result)",
+        r"phsi_opt\..*\.(_\w+|AnyModel|AnyMeasurements|Call|E|T|Result)",
     ),  # private; type variables
     ("py:class", r"P"),  # the arguments of what `interruptible` wraps, a ParamSpec
 ]
