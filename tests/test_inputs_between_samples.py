@@ -129,7 +129,7 @@ def test_an_unknown_input_or_way_is_refused(hold: Any, message: str) -> None:
     with pytest.raises(ph.DataError, match=message):
         record(hold)
     for run in (ph.simulate, free_run):
-        with pytest.raises(ph.DataError, match=message):
+        with pytest.raises(ph.PhsiOptError, match=message):
             run(tank(), T, [0.5], U, hold=hold)
 
 
