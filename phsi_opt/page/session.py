@@ -614,17 +614,18 @@ class Session:
         self._fitting = None
         n_known = len(known.content.steps) if known else 0
         if known is None or is_fitted or len(content.steps) > n_known:
-            self.now = len(self.models)
-            path = self._state / f"model_{self.now}"
+            path = self._state / f"model_{len(self.models)}"
+            path.write_bytes(shown.study)
             self.models.append(Model(content, path, drafted))
+            self.now = len(self.models) - 1
             self._keep_moment()
             self._compare_with_base()
             if self.job is None or self.job.verb == Verb.FIT:
                 self.look = Look(content.shown, content.shown_channel)
         else:
             assert self.now is not None
+            known.study.write_bytes(shown.study)
             self.models[self.now] = replace(known, content=content)
-        self.models[self.now].study.write_bytes(shown.study)
 
     # ---- files to take away ----------------------------------------------------------
 
