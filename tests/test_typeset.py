@@ -71,3 +71,15 @@ def test_names_of_several_words_are_upright_text() -> None:
     larger = model.add("second heat storage", "T")
     rate, _ = typeset_equations(larger, dict.fromkeys(larger.entries, 1.0), "h")
     assert "<msub><mtext>second heat storage</mtext><mi>T</mi></msub>" in rate
+
+
+def test_a_difference_begins_with_what_is_positive_and_high_roots_are_powers() -> None:
+    tau, a = ph.Parameter(), ph.Parameter()
+    room = ph.FirstOrder(
+        states=["T"],
+        inputs=["Ta"],
+        F={"T": ph.formula("(Ta - T)/tau + a*T**0.25", tau=tau, a=a)},
+    )
+    (rate,) = typeset_equations(room, {"tau": 9.0, "a": 1.0}, "h")
+    assert "mroot" not in rate
+    assert told(room) == ["dTdt=aT14+Ta−Tτ"]

@@ -27,7 +27,6 @@ from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.localization import StrongRange, strong_region
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import names_of
 from phsi_opt.model.kinds import turn_of
 from phsi_opt.model.structure import (
     effort_of,
@@ -188,18 +187,11 @@ def law_answer(analysis: ForceAnalysis, effect: Effect) -> Answer:
     if effect.slot == "sensor":
         return Answer(f"At the sensor of {x}.")
     force = analysis.force_in(x if x in analysis.record.equations else None)
-    names = {effort_of(model, x)} if effect.slot == "R" else set()
-    for term in effect.terms:
-        names |= names_of(term.body)
+    names = effect.names | ({effort_of(model, x)} if effect.slot == "R" else set())
     channels = (*model.efforts, *model.states, *model.inputs, "t")
     known = filter(names.__contains__, channels)
     depends = dict.fromkeys(map(partial(plain_name, force), known))
     return _said(force, "law", depends=depends)
-
-
-def map_title(force: EquationForce, names: Sequence[str]) -> str:
-    """Where over the variables the force is strong, in a sentence."""
-    return _said(force, "map_title", names=names).lead
 
 
 def dependence_title(force: EquationForce, variable: str) -> str:

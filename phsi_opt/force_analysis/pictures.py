@@ -13,7 +13,6 @@ from phsi_opt.criteria import CHANCE_LEVEL, CLEAR_PATTERN, SURE_DEVIATIONS
 from phsi_opt.force_analysis.analysis import (
     ForceAnalysis,
     dependence_title,
-    map_title,
     sentence,
 )
 from phsi_opt.force_analysis.dependence import TIME_NAME, without_parameters
@@ -93,7 +92,6 @@ def map_of(force: EquationForce) -> ForceMap | None:
         (found.x_edge[:-1] + found.x_edge[1:]) / 2,
         (found.y_edge[:-1] + found.y_edge[1:]) / 2,
         found.statistic.T,
-        map_title(force, names),
     )
 
 
@@ -161,7 +159,7 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
     variable = force.single_variable
     panels = (
         (force_chart([run], time.unit), _sure_title(force)),
-        (over_states, map_title(force, force.map_variables)),
+        (over_states, ""),
         (follows_chart(follows_of(force)), dependence_title(force, variable)),
     )
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")

@@ -144,7 +144,7 @@ class LearnedForce:
             force = self.network.at(points)[:, :, 0]
             first, second = self.on[:2]
             label = f"learned {name}"
-            found = ForceMap(first, second, label, v[:, 0], v[:, 1], force, "")
+            found = ForceMap(first, second, label, v[:, 0], v[:, 1], force)
             draw(ax, Chart(first, map=found))
             ax.plot(*samples.v[:, :2].T, ".", ms=2, color=BASELINE)
         share = "found nothing"

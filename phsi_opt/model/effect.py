@@ -69,9 +69,14 @@ class Effect:
         return f"{type(self).__name__}({str(self)!r})"
 
     @property
+    def names(self) -> set[str]:
+        """All names in its terms and in the rates of its memory."""
+        return set().union(*(names_of(term.body) for term in self.terms))
+
+    @property
     def needs_clock(self) -> bool:
         """Whether its terms, or the rates of its memory, contain the time t."""
-        return any("t" in names_of(term.body) for term in self.terms)
+        return "t" in self.names
 
     @property
     def terms(self) -> list[Term]:

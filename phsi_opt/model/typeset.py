@@ -50,7 +50,6 @@ def typeset_equations(
     if len(model.placed()) > MOST_READ:
         return ()
     import sympy as sp
-    from sympy.printing.mathml import mathml
 
     from phsi_opt.model.sympy_backend import SYMPY, without_steps
 
@@ -96,11 +95,29 @@ def typeset_equations(
         if instead:
             found = sp.expand(found.subs(instead))
         found = found.replace(lambda one: one.is_Float, _exact)
-        text = mathml(found, printer="presentation").replace(TIMES, THIN_SPACE)
+        text = _mathml(found).replace(TIMES, THIN_SPACE)
         text = text.replace("<mo>-</mo>", "<mo>\N{MINUS SIGN}</mo>")
         text = BY_NUMBER.sub(lambda one: written[int(one[1]) - 1], text)
         lines.append(f'<math display="block">{left}<mo>=</mo>{text}</math>')
     return tuple(lines)
+
+
+def _mathml(expression: Any) -> str:
+    """With a - b in place of -b + a, and roots other than square ones as powers."""
+    from sympy.printing.mathml import MathMLPresentationPrinter
+
+    class AsPeopleWrite(MathMLPresentationPrinter):
+        def _as_ordered_terms(self, expr: Any, order: Any = None) -> list[Any]:
+            terms = list(super()._as_ordered_terms(expr, order))
+            is_first = len(terms) == 2 and terms[0].could_extract_minus_sign()
+            return terms[::-1] if is_first else terms
+
+        def _print_Pow(self, expr: Any) -> Any:  # noqa: N802 (by its class)
+            self._settings["root_notation"] = getattr(expr.exp, "q", 0) == 2
+            return super()._print_Pow(expr)
+
+    text: str = AsPeopleWrite({"fold_frac_powers": True}).doprint(expression)
+    return text
 
 
 def _exact(value: Any) -> Any:
@@ -131,9 +148,8 @@ def _late(signal: str, delay: float, unit: str) -> str:
 def _name(name: str) -> str:
     """A name with its last part as an index, and Greek letters: omega_t, v0."""
     import sympy as sp
-    from sympy.printing.mathml import mathml
 
     base, _, index = name.rpartition(".")[2].rpartition("_")
     written = f"{base.replace('_', ' ')}_{index}" if base else index
-    text: str = mathml(sp.Symbol(written), printer="presentation")
+    text = _mathml(sp.Symbol(written))
     return SEVERAL_WORDS.sub(r"<mtext>\1</mtext>", text)

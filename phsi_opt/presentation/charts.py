@@ -145,6 +145,9 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
             trained,
             replace(_steps("held out", x, held_out, MODEL), is_below=below),
         ]
+    final = np.array([one.final for one in steps], float)
+    if np.isfinite(final).any():
+        curves.append(Curve("final test", x, final, ATTENTION, RINGS))
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
     band = f"noise floor {with_interval(floor[-1], ends[-1], typeset(spaced(unit)))}"

@@ -102,6 +102,7 @@ class ErrorStep:
     floor: Number
     bic: Number = None
     floor_ends: tuple[float, float] = (np.nan, np.nan)  # of its 95 % interval
+    final: Number = None  # on the data of the final test
 
     @property
     def judged(self) -> Number:
@@ -235,7 +236,6 @@ class ForceMap:
     x: np.ndarray
     y: np.ndarray
     force: np.ndarray
-    sentence: str
 
     @property
     def largest(self) -> float:
@@ -289,6 +289,7 @@ class Ranked:
     lost: str  # why it is rejected; "" where it is accepted
     odds: str = ""  # how sure it is, in words; "" where it is rejected
     step: int = 0  # in which it was added; 0: in none
+    is_likely: bool = False  # by its evidence, more than a random disturbance
 
     @property
     def result(self) -> str:
@@ -323,7 +324,8 @@ class Diagnosed:
     @property
     def listed(self) -> tuple[Ranked, ...]:
         """The candidates that a report lists."""
-        return self.ranking[:12]
+        likely = tuple(one for one in self.ranking if one.is_likely)
+        return (likely or self.ranking)[:12]
 
 
 @dataclass(frozen=True)

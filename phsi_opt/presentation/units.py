@@ -7,13 +7,14 @@ it is: it is coulomb to one and degree Celsius to another.
 """
 
 import datetime as dt
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
-from phsi_opt.presentation.numbers import decimal
+from phsi_opt.presentation.numbers import PREFIXED, PREFIXES, decimal
 
 # Powers of units, by their names.
 Powers = Mapping[str, float]
@@ -58,11 +59,18 @@ CELSIUS = ("degC", "°C", "degF", "°F")
 TOLD_AT_ZERO = {"degF": 32.0, "°F": 32.0}
 
 
-def scale_of_errors(unit: str) -> tuple[float, str]:
-    """A factor on errors and their unit: percent where there are several channels."""
+def scale_of_errors(unit: str, largest: float) -> tuple[float, str]:
+    """A factor on errors and their unit: percent where there are several channels.
+
+    Small ones are told with a prefix, such as 0.59 mm.
+    """
     if unit == STANDARD_DEVIATIONS:
         return 100.0, "% of the standard deviation"
-    return 1.0, unit
+    power = 0
+    if 0 < largest < 0.01 and PREFIXED.match(unit):
+        power = math.floor((math.log10(largest) + 1) / 3)
+    prefix = PREFIXES.get(power, "")
+    return (1000.0**-power if prefix else 1.0), f"{prefix}{unit}"
 
 
 def rate_unit(unit: str, unit_of_time: str) -> str:

@@ -41,7 +41,6 @@ from phsi_opt.presentation.sentences import say
 from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
     date_words,
-    scale_of_errors,
     spaced,
     time_words,
 )
@@ -153,18 +152,24 @@ def finding_words(diagnosis: Diagnosis, finding: Finding) -> str:
     first = finding.effects[0]
     fits = [one.fit for one in diagnosis.ranking if one.fit and one.effect == first]
     words = size_words((fits or [diagnosis.base.fit])[0], first, finding.size)
-    return f"{first}{words}{alternatives(finding, str(first))}"
+    return called(str(first), words, alternatives(finding, str(first)))
+
+
+def called(name: str, *beside: str) -> str:
+    """An effect, with its size and what else is told of it in brackets."""
+    told = "; ".join(filter(None, beside))
+    return f"{name} ({told})" if told else name
 
 
 def size_words(fit: Fit, effect: Effect, size: Size) -> str:
-    """The size of an effect behind its name, per unit of what no equation tells."""
+    """The size of an effect, per unit of what no equation tells."""
     if not np.isfinite(size.value):
         return ""
     if is_second_storage(effect):
         return _storage_words(fit, effect)
     told = size.words(effect)
     per = inertia_words(fit.model, effect, fit.units) if told == str(size) else ""
-    return f", {said(told)}{per}"
+    return f"{said(told)}{per}"
 
 
 def _storage_words(fit: Fit, effect: Effect) -> str:
@@ -179,14 +184,13 @@ def _storage_words(fit: Fit, effect: Effect) -> str:
     errors = np.sqrt(np.maximum([covariance[1, 1], slopes @ covariance @ slopes], 0.0))
     told = said(str(Size(time, errors[0]).in_unit(fit.parameter_units[names[1]])))
     ratio = with_error(rate * time, errors[1])  # of the capacities
-    told += f" and {ratio} times the capacity of the first"
-    return f", with the time constant {told}"
+    return f"time constant {told} and {ratio} times the capacity of the first"
 
 
 def alternatives(finding: Finding, name: str) -> str:
-    """The other members of a class, in brackets; "" where there are none."""
+    """The other members of a class; "" where there are none."""
     others = ", ".join(one for one in map(str, finding.effects) if one != name)
-    return f" (or {others}; the data cannot distinguish them)" if others else ""
+    return f"or {others}; the data cannot distinguish them" if others else ""
 
 
 def evidence_words(candidate: Candidate) -> str:
@@ -436,7 +440,7 @@ def telling_step(study: StudyRecord) -> int | None:
 
 def said_of(study: StudyRecord, name: str, **facts: Any) -> Answer:
     """What ``words.jinja`` says under a name of the study as a whole."""
-    size, unit = scale_of_errors(study.unit)
+    size, unit = study.error_scale
     short = ""
     if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
         unit, short = "% of the standard deviation", " %"
@@ -465,26 +469,30 @@ def _discovery(study: StudyRecord) -> Answer:
     open_ = {one.name: one.lost for one in study.unestablished}
     sure = []
     unsure = []
+    storages = {}  # whose two numbers are too many for a heading
     for effect in added:
         is_alone = names.count(effect.name) == 1  # in one equation
-        called = _with_size(study, effect, effect.name if is_alone else str(effect))
+        name = effect.name if is_alone else str(effect)
+        beside = _beside(study, effect)
         if str(effect) in open_:
-            lost = open_[str(effect)]
-            unsure.append(f"{called} ({lost})" if lost else called)
+            unsure.append(called(name, *beside, open_[str(effect)]))
+        elif is_second_storage(effect):
+            storages[name] = beside[0]
+            sure.append(called(name, *beside[1:]))
         else:
-            sure.append(called)
-    facts = {"sure": sure, "unsure": unsure, "lacking": lacking, "ask": ASK}
+            sure.append(called(name, *beside))
+    facts = {"sure": sure, "unsure": unsure, "storages": storages}
+    facts |= {"lacking": lacking, "ask": ASK}
     return said_of(study, "discovery", present=present, added=added, **facts)
 
 
-def _with_size(study: StudyRecord, effect: Effect, called: str) -> str:
-    """An effect that was added with its present size, and the others of its class."""
+def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
+    """The present size of an effect that was added, and the others of its class."""
     classes = ""
     for finding in chain(*(one.findings for one in study.diagnoses.values())):
         if effect in finding.effects:
             classes = classes or alternatives(finding, str(effect))
-    size = size_words(study.last.fit, effect, study.size(effect))
-    return f"{called}{size}{classes}"
+    return size_words(study.last.fit, effect, study.size(effect)), classes
 
 
 def _answers(study: StudyRecord) -> tuple[Answer, ...]:
@@ -527,7 +535,8 @@ def _was_added(study: StudyRecord) -> Answer:
     for effect in study.last.added:
         name = str(effect)
         doubt = f"{name}, not established"
-        sizes.append(doubt if name in open_ else _with_size(study, effect, name))
+        told = called(name, *_beside(study, effect))
+        sizes.append(doubt if name in open_ else told)
     names = list(map(str, study.last.added))
     clear = {name: clear[name] for name in names if name in clear}
     return said_of(study, "was_added", added=names, sizes=sizes, clear=clear)

@@ -61,7 +61,6 @@ from phsi_opt.presentation.units import (
     STANDARD_DEVIATIONS,
     Scale,
     scale_of,
-    scale_of_errors,
     scale_of_time,
 )
 from phsi_opt.screening.effect_size import names_beside_size
@@ -109,7 +108,7 @@ def study_content(
     for k, step in list(steps.items())[1:]:
         verb = "" if step.label.startswith("without ") else "with "
         names.append(f"step {k}: {verb}{proper_names(step.label)}")
-    size, unit = scale_of_errors(study.unit)
+    size, unit = study.error_scale
     models = [_model("Base model", study.steps[0].fit)]
     if last:
         added = " and ".join(map(str, study.last.added))
@@ -163,7 +162,7 @@ def _errors(study: StudyRecord) -> str:
     errors = {"": last.judged.rmse}
     if last.held_out is not None:
         errors[" (training)"] = last.train.rmse
-    size, _ = scale_of_errors(study.unit)
+    size, _ = study.error_scale
     judged = last.judged
     low, _ = judged.noise_floor_interval
     at_floor = []
@@ -315,7 +314,7 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
     steps: dict[str, int] = {}
     for step in range(len(study.steps) - 1, place, -1):
         steps |= dict.fromkeys(map(str, study.steps[step].added), step)
-    size, _ = scale_of_errors(diagnosis.base.error_unit)
+    size, _ = study.error_scale
     classes: dict[str, list[str]] = {}
     for finding in diagnosis.findings:
         names = list(map(str, finding.effects))
@@ -339,6 +338,7 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
             one.lost,
             "" if one.lost else odds_words(one.log_evidence),
             steps.get(one.name, 0),
+            one.was_weighed and one.log_evidence > 0,
         )
         ranked.append(found)
     return tuple(ranked)

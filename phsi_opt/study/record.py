@@ -27,7 +27,6 @@ from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.later import Later
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
 from phsi_opt.presentation.numbers import capitalised, number, number_of, proper_names
@@ -146,7 +145,7 @@ class StudyRecord:
         if not self.final_comparisons or self.final is None:
             return ""
         base, last = self.final_comparisons
-        size, unit = scale_of_errors(self.unit)
+        size, unit = self.error_scale
         told = number(size * last.rmse, 3)
         if len(self.steps) == 1:
             told = f"is {told}"
@@ -215,21 +214,29 @@ class StudyRecord:
         """Unit of the errors, that of the channel where one is measured."""
         return self.last.train.error_unit
 
+    @property
+    def error_scale(self) -> tuple[float, str]:
+        """A factor on errors, and the unit in which they are told."""
+        return scale_of_errors(self.unit, self.steps[0].judged.rmse)
+
     def errors(self, size: float = 1.0) -> tuple[ErrorStep, ...]:
         """The free-run errors step by step, times a size."""
         found = []
-        for step in self.steps:
+        last = len(self.steps) - 1
+        finals = dict(zip((0, last), self.final_comparisons, strict=False))
+        for k, step in enumerate(self.steps):
+            final = size * finals[k].rmse if k in finals else None
             held_out = None if step.held_out is None else size * step.held_out.rmse
             errors = (size * step.train.rmse, held_out, size * step.judged.noise_floor)
             low, high = step.judged.noise_floor_interval
             ends = (size * low, size * high)
-            found.append(ErrorStep(step.label, *errors, step.fit.bic, ends))
+            found.append(ErrorStep(step.label, *errors, step.fit.bic, ends, final))
         return tuple(found)
 
     @property
     def history(self) -> "pd.DataFrame":
         """A row per step; NaN where nothing is held out."""
-        rows = [tuple(vars(one).values())[:-1] for one in self.errors()]
+        rows = [tuple(vars(one).values())[:-2] for one in self.errors()]
         table = printed_table(rows, columns=list(COLUMNS_OF_ERRORS))
         table.insert(0, "step", range(len(rows)))
         table.insert(5, "unit", self.unit)
@@ -346,7 +353,10 @@ class StudyRecord:
     def laws(self) -> tuple[Follows, ...]:
         """The laws of the three effects added first, as far as they can be shown."""
         found = []
+        variables = {*_variables(self.last.fit.model)}
         for effect in self.last.added[:3]:
+            if effect.slot != "R" and not effect.names & variables:
+                continue  # a constant
             try:
                 found.append(self.law(effect))
             except PhsiOptError:
@@ -354,15 +364,15 @@ class StudyRecord:
         return tuple(found)
 
 
+def _variables(model: Model) -> tuple[str, ...]:
+    return (*model.states, *model.inputs, *model.efforts, "t")
+
+
 def _natural_variable(effect: Effect, model: Model) -> str:
     """The variable, or the difference of two, of which its law is a function."""
     if effect.slot == "R":
         return model.efforts[model.index(effect.equation)]
-    used: set[str] = set()
-    for term in effect.term:
-        used |= names_of(term.body)
-    known = (*model.states, *model.inputs, *model.efforts, "t")
-    names = [name for name in known if name in used]
+    names = [name for name in _variables(model) if name in effect.names]
     body = effect.term.terms[0].body
     for pair in permutations(names, 2):
         if len(names) == 2 and DIFFERENCE.join(pair) in body:
