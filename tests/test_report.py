@@ -158,7 +158,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
         "Where it was": "In dp/dt.*",
         "Since when": r"(From the start|(From the start, r|R)epeatedly), in both "
         r"training runs\. It is (strongest|most clearly visible) at t = .* of run \d\..*",
-        "What was added": r"Coulomb friction on p, .* N\. It is practically certain "
+        "What was added": r"Coulomb friction on p \(.* N\)\. It is practically certain "
         r"\(odds of more than a million to one\)\.",
     }
     answers = {fact.question: str(fact) for fact in content.headline.answers}
@@ -167,7 +167,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
         assert re.fullmatch(pattern, answers[question]), answers[question]
     found = content.headline.discovery
     assert re.fullmatch(
-        r"Coulomb friction, [\d.]+ ± [\d.]+ N, was missing\.", found.lead
+        r"Coulomb friction \([\d.]+ ± [\d.]+ N\) was missing\.", found.lead
     )
     assert re.fullmatch(
         r"With it, the error on data not used for fitting fell from ([\d.]+) to [\d.]+ m, "
@@ -176,11 +176,10 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     )
     brief = {one.question: one for one in content.headline.brief}
     assert brief["How sure is it"].lead == (
-        "That coulomb friction on p is there is practically certain (odds of more than "
-        "a million to one)."
+        "Practically certain (odds of more than a million to one)."
     )
     assert re.fullmatch(
-        r"It predicts q to [\d.]+ m, the noise of the measurements; [\d.]+ m before\.",
+        r"It predicts q to [\d.]+ m, the noise of the measurements\.",
         brief["How good is the model"].lead,
     )
     covered = r"These data test it for q from -[\d.]+ to [\d.]+ m; measure again .*"
@@ -262,7 +261,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
     open_ = unexplained(named)
     headline = study_content(with_diagnoses(study, open_, open_)).headline
     assert re.match(
-        r"Added, but not established: coulomb friction, [\d.]+ ± [\d.]+ N\. With it, the "
+        r"Added, but not established: coulomb friction \([\d.]+ ± [\d.]+ N\)\. With it, the "
         r"error on data not used for fitting fell from",
         headline.sentence,
     )
@@ -302,7 +301,8 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     )
     assert rest.detail.startswith("In dp/dt, the force on q") and "run" in rest.detail
     assert re.match(
-        r"It predicts q to 0\.\d+ m, [\d.]+ times the noise\. On data not used for fitting",
+        r"It predicts q to 0\.\d+ m, \d+ % of its standard deviation\. On data not used for "
+        r"fitting, [\d.]+ times the noise\.",
         brief["How good is the model"].told,
     )
     answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
@@ -454,7 +454,7 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
         not in text.split("Reproduce this result")[1].split("Seeds")[0]
     )
     last = study.history.iloc[-1]
-    assert f"{last['held_out_rmse']:.3g}" in text and number(last["bic"], 6) in text
+    assert f"{last['held_out_rmse']:.3g}" in text and said(f"{last['bic']:.0f}") in text
     held_out = [step.held_out for step in content.steps]
     assert held_out == list(study.history["held_out_rmse"])
     items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)
@@ -699,10 +699,11 @@ def test_a_second_storage_has_the_same_name_and_value_everywhere() -> None:
     rows = {row.name: row for row in content.models[-1].parameters}
     row = rows["time constant of the second storage on T"]
     told = with_error(row.value, row.std_error, row.unit)
+    assert content.headline.discovery.lead == "Second heat storage was missing."
     found = re.match(
-        r"Second heat storage, with the time constant (.* h) and (\S+) ± \S+ times the "
-        r"capacity of the first, was missing\.",
-        content.headline.discovery.lead,
+        r"The second heat storage has the time constant (.* h) and (\S+) ± \S+ times "
+        r"the capacity of the first\.",
+        content.headline.discovery.detail,
     )
     assert found and found[1] == told
     assert abs(float(found[2]) - 3.0) < 0.5

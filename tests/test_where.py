@@ -248,7 +248,7 @@ def closing() -> Iterator[None]:
 def test_the_four_panels_name_what_they_show(cases) -> None:
     axes = plot_where(cases["cubic"]).axes
     titles = [" ".join(ax.get_title().split()) for ax in axes if ax.get_title()]
-    expected = ["a force is significantly missing", "strong where q"]
+    expected = ["a force is significantly missing", "over the states"]
     expected += ["follows q, without what other values of the parameters explain"]
     for title, part in zip(titles, (*expected, "strongest at"), strict=True):
         assert part in title

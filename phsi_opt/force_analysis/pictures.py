@@ -159,7 +159,7 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
     variable = force.single_variable
     panels = (
         (force_chart([run], time.unit), _sure_title(force)),
-        (over_states, ""),
+        (over_states, f"Mean missing {force.quantity} over the states"),
         (follows_chart(follows_of(force)), dependence_title(force, variable)),
     )
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")

@@ -71,7 +71,10 @@ class Effect:
     @property
     def names(self) -> set[str]:
         """All names in its terms and in the rates of its memory."""
-        return set().union(*(names_of(term.body) for term in self.terms))
+        names: set[str] = set()
+        for term in self.terms:
+            names |= names_of(term.body)
+        return names
 
     @property
     def needs_clock(self) -> bool:

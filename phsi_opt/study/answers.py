@@ -481,9 +481,9 @@ def _discovery(study: StudyRecord) -> Answer:
             sure.append(called(name, *beside[1:]))
         else:
             sure.append(called(name, *beside))
-    facts = {"sure": sure, "unsure": unsure, "storages": storages}
-    facts |= {"lacking": lacking, "ask": ASK}
-    return said_of(study, "discovery", present=present, added=added, **facts)
+    found = {"sure": sure, "unsure": unsure, "storages": storages}
+    facts = {"present": present, "added": added, "lacking": lacking, "ask": ASK}
+    return said_of(study, "discovery", **found, **facts)
 
 
 def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
