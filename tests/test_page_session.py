@@ -11,6 +11,7 @@ import threading
 import time
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -390,11 +391,11 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert larger.judged < 0.8 * base.judged
     told = content.headline
     assert told.status == content.present.verdict == "nothing missing"
-    assert told.discovery.lead.startswith("Coulomb friction, ")
+    assert told.discovery.lead.startswith("Coulomb friction (")
     assert f"fell from {base.judged:.3g} to {larger.judged:.3g} m" in told.sentence
     assert content.forces and not content.present.forces
     ranked = {row.effect: row for row in content.present.ranking}
-    assert ranked["quadratic drag on p"].size.endswith(" N s²/m²")
+    assert ranked["quadratic drag on p"].size == "not determined"  # at a limit
 
 
 def test_it_is_told_whether_a_model_is_diagnosed_or_will_be(studied: Session) -> None:
@@ -453,7 +454,7 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
     assert studied.step(-1) == "study"
     assert studied.job is None
     assert studied.content is not None
-    assert studied.content.steps == larger.steps[:1]
+    assert studied.content.steps == (replace(larger.steps[0], final=None),)
     assert studied.content.present is not None
     assert studied.content.present.proposed == ("coulomb friction on p",)
     assert "coulomb friction on p" not in studied.study_file().text()

@@ -182,7 +182,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
         r"It predicts q to [\d.]+ m, the noise of the measurements\.",
         brief["How good is the model"].lead,
     )
-    covered = r"These data test it for q from -[\d.]+ to [\d.]+ m; measure again .*"
+    covered = r"The data cover q from -[\d.]+ to [\d.]+ m; measure again .*"
     said = brief["What to do next"].detail
     assert re.fullmatch(covered, said)
     ends = [float(one) for one in re.findall(r"-?[\d.]+(?= to| m;)", said)]
@@ -301,7 +301,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     )
     assert rest.detail.startswith("In dp/dt, the force on q") and "run" in rest.detail
     assert re.match(
-        r"It predicts q to 0\.\d+ m, \d+ % of its standard deviation\. On data not used for "
+        r"It predicts q to 0\.\d+ m, [\d.]+ % of its range\. On data not used for "
         r"fitting, [\d.]+ times the noise\.",
         brief["How good is the model"].told,
     )
@@ -701,7 +701,7 @@ def test_a_second_storage_has_the_same_name_and_value_everywhere() -> None:
     told = with_error(row.value, row.std_error, row.unit)
     assert content.headline.discovery.lead == "Second heat storage was missing."
     found = re.match(
-        r"The second heat storage has the time constant (.* h) and (\S+) ± \S+ times "
+        r"The second heat storage \(wall, thermal mass\) has the time constant (.* h) and (\S+) ± \S+ times "
         r"the capacity of the first\.",
         content.headline.discovery.detail,
     )

@@ -482,7 +482,7 @@ def test_a_named_effect_acts_where_its_law_says_and_not_as_its_remainder_looks()
     told = {
         "coulomb friction": "; it depends on the velocity of q.",
         "cubic stiffness": "; it depends on q.",
-        "input delay": "; it depends on u.",
+        "input delay": "; it depends on u, now and before.",
         "drifting force": "; it depends on t.",
         "constant force": ".",
     }

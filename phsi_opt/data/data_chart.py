@@ -64,7 +64,7 @@ def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
     if len(runs) == 1:
         scale = scale_of_time(longest, unit)
         return look.t / scale.size, time_label(scale.unit, runs[0].origin), ()
-    cells = np.arange(len(runs)) - CELL / 2
+    cells = np.arange(len(runs)) - CELL * lengths / longest / 2
     x = cells[look.run] + CELL * (look.t - begins[look.run]) / longest
     each = "each" if np.ptp(lengths) < 0.01 * longest else "up to"
     x_label = f"runs one after another, {each} {time_words(longest, unit)} long"

@@ -32,7 +32,6 @@ from phsi_opt.model.structure import (
     effort_of,
     exchange_partners,
     kind_of,
-    position_rows,
     with_kinds_of_units,
 )
 from phsi_opt.presentation.content import Answer
@@ -168,7 +167,6 @@ def sentence(force: EquationForce) -> str:
 
 def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
     """The equation of a force, and what it follows or else where it is largest."""
-    model = force.record.model
     shares = force.causes.shares
     return _said(
         force,
@@ -176,7 +174,6 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
         is_named=is_named,
         is_known=is_known,
         is_part=any(shares[cause] > NAMED_CAUSE for cause in CAUSES),
-        positions=[model.states[row] for row in position_rows(model)],
     )
 
 
@@ -191,7 +188,7 @@ def law_answer(analysis: ForceAnalysis, effect: Effect) -> Answer:
     channels = (*model.efforts, *model.states, *model.inputs, "t")
     known = filter(names.__contains__, channels)
     depends = dict.fromkeys(map(partial(plain_name, force), known))
-    return _said(force, "law", depends=depends)
+    return _said(force, "law", depends=depends, has_memory=bool(effect.memory))
 
 
 def dependence_title(force: EquationForce, variable: str) -> str:

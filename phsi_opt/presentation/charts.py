@@ -147,7 +147,7 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
         ]
     final = np.array([one.final for one in steps], float)
     if np.isfinite(final).any():
-        curves.append(Curve("final test", x, final, ATTENTION, RINGS))
+        curves.append(Curve("final test", x, final, ATTENTION, "dot"))
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
     band = f"noise floor {with_interval(floor[-1], ends[-1], typeset(spaced(unit)))}"

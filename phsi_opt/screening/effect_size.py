@@ -13,6 +13,8 @@ from phsi_opt.presentation.numbers import estimate_text, number, time_constant_w
 from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
 
+NOT_DETERMINED = "not determined"
+
 
 @dataclass(frozen=True)
 class Size:
@@ -39,7 +41,7 @@ class Size:
 
     def __str__(self) -> str:
         if abs(self.value) < self.std_error < np.inf:
-            return "not determined"
+            return NOT_DETERMINED
         if not np.isfinite(self.std_error):
             return f"{number(self.value)} {self.unit}".rstrip()
         return estimate_text(self.value, self.std_error, self.unit)

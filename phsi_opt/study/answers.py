@@ -30,6 +30,7 @@ from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
+from phsi_opt.model.laws import said_of as told_of_law
 from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
 from phsi_opt.presentation.numbers import (
     number,
@@ -248,6 +249,11 @@ def undetermined_words(model: BaseModel, parameters: pd.DataFrame) -> str:
 def off_channels(judged: Comparison) -> pd.DataFrame:
     """The three channels that are farthest off, the worst first, in percent."""
     table = judged.table.assign(off=100 - judged.table["fit_percent"])
+    x = np.concatenate([run.x for run in judged.data])
+    x = x[:, list(map(judged.data.states.index, table["state"]))]
+    table["spread"] = np.nanstd(x, axis=0) / (
+        np.nanmax(x, axis=0) - np.nanmin(x, axis=0)
+    )
     ratio: pd.Series = table["noise_floor"] / table["rmse"].clip(lower=TINY)
     table["noise"] = table["off"] * ratio
     worst = np.argsort(-np.nan_to_num(table["off"].to_numpy(float)), kind="stable")
@@ -477,7 +483,8 @@ def _discovery(study: StudyRecord) -> Answer:
         if str(effect) in open_:
             unsure.append(called(name, *beside, open_[str(effect)]))
         elif is_second_storage(effect):
-            storages[name] = beside[0]
+            also = ", ".join(told_of_law(effect.name)[1])  # such as "wall"
+            storages[called(effect.name, also)] = beside[0]
             sure.append(called(name, *beside[1:]))
         else:
             sure.append(called(name, *beside))

@@ -63,7 +63,7 @@ from phsi_opt.presentation.units import (
     scale_of,
     scale_of_time,
 )
-from phsi_opt.screening.effect_size import names_beside_size
+from phsi_opt.screening.effect_size import NOT_DETERMINED, names_beside_size
 from phsi_opt.statistics import rms
 from phsi_opt.study.answers import (
     evidence_words,
@@ -325,7 +325,8 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
         alike.pop(one.name, None)
         told = named.get(one.name, one)
-        words = said(told.size.words(one.effect))
+        is_sized = not one.lost or np.isfinite(told.std_error)
+        words = said(told.size.words(one.effect)) if is_sized else NOT_DETERMINED
         found = Ranked(
             one.name,
             "; ".join(filter(None, (words, _beside_size(diagnosis, one)))),
