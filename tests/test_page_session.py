@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 import weakref
 from collections.abc import Iterator
@@ -38,7 +37,7 @@ from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Session
 from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
-from phsi_opt.page.worker import WAITS, Shown
+from phsi_opt.page.worker import Shown, Turns, waits
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
@@ -593,7 +592,7 @@ def test_a_worker_that_is_lost_is_told_and_nothing_else_is(session: Session) -> 
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None, ENDS_WITHIN)
-    assert "ended unexpectedly" in session.message
+    assert "ended unexpectedly (Fitted; diagnosing)" in session.message
     assert session.content is fitted and not session.is_stale
     session.diagnose()
     wait_for(lambda: session.job is None)
@@ -617,26 +616,42 @@ def test_a_session_that_ends_leaves_no_memory_process_or_file(tmp_path: Path) ->
 def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    turns = threading.BoundedSemaphore(1)
-    monkeypatch.setattr("phsi_opt.page.worker.TURNS", turns)
-    other = filled(tmp_path / "other")
+    def waits_for(one: Session, n: int) -> bool:
+        return one.job is not None and one.job.line == waits(n)
+
+    monkeypatch.setattr("phsi_opt.page.worker.TURNS", Turns(1))
+    other, last = filled(tmp_path / "other"), filled(tmp_path / "last")
     consider_few(other)
     session.fit()
     wait_for(lambda: bool(session.job and session.job.line))
     other.fit()
-    wait_for(lambda: bool(other.job and other.job.line == WAITS))
-    other.cancel()
+    wait_for(lambda: waits_for(other, 1))
+    last.fit()
+    wait_for(lambda: waits_for(last, 2))
+    other.cancel()  # who waits no more is not waited for
+    wait_for(lambda: waits_for(last, 1), ENDS_WITHIN)
     other.fit()
+    wait_for(lambda: waits_for(other, 2))
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
     wait_for(lambda: session.job is None, ENDS_WITHIN)
+    assert "(Fitting the base model)" in session.message
+    wait_for(lambda: waits_for(other, 1))
+    last.cancel()
     wait_for(lambda: other.content is not None)
+    assert other.job and "waiting" not in other.job.words, "its turn has come"
     session.fit()
+    wait_for(lambda: waits_for(session, 1))
     other.cancel()
-    wait_for(lambda: bool(session.job and session.job.line not in ("", WAITS)))
+    wait_for(lambda: session.content is not None)
+    last.fit()
     session.cancel()
-    wait_for(lambda: turns.acquire(blocking=False))
-    other.close()
+    wait_for(lambda: bool(last.job and last.job.line not in ("", waits(1))))
+    os.kill(session._worker.pid, signal.SIGSTOP)  # it takes no study yet
+    session.diagnose()
+    wait_for(lambda: waits_for(session, 1), ENDS_WITHIN)
+    for one in (other, last):
+        one.close()
 
 
 # ---- sessions and limits -------------------------------------------------------------

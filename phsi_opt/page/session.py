@@ -11,7 +11,8 @@ import re
 import shutil
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
@@ -22,6 +23,7 @@ from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.drafts import (
     MOST_FILES,
     STUDY_KIND,
+    DataDraft,
     Drafted,
     StudyDraft,
     look_at,
@@ -133,18 +135,17 @@ class Job:
     then: str = ""  # what is done since this model is there; "" where it is not yet
     began: float = field(default_factory=time.monotonic)
 
-    def show(self, then: str) -> None:
-        """Note that the model is there; what was said before is of its making."""
-        self.then = then
-        self.line = ""
+    @property
+    def step(self) -> str:
+        """What is done now, such as "Fitted; diagnosing"."""
+        is_done = self.done and self.then
+        return f"{self.done}; {self.then}" if is_done else self.label
 
     @property
     def words(self) -> str:
-        """What is done now."""
-        is_done = self.done and self.then
-        label = f"{self.done}; {self.then}" if is_done else self.label
-        is_new = self.line.lower() not in ("", label.lower())
-        return f"{label}: {self.line}" if is_new else label
+        """What is done now, with what the worker said last."""
+        is_new = self.line.lower() not in ("", self.step.lower())
+        return f"{self.step}: {self.line}" if is_new else self.step
 
 
 class Session:
@@ -246,7 +247,7 @@ class Session:
         self.message = ""
         try:
             named = tables_of(path).get("data", {}).get("files", ())
-            places = {}
+            places: dict[str, Any] = {}
             for file in filter(lambda one: isinstance(one, str), listed(named)):
                 places[file] = known.get(PurePath(file).name)
             lacking = [file for file, place in places.items() if place is None]
@@ -254,7 +255,7 @@ class Session:
                 said = f"{self._waiting} reads {', '.join(lacking)}"
                 self.message = f"{said}: upload this as well."
                 return
-            self._open(path, {file: at for file, at in places.items() if at})
+            self._open(path, places)
         except PhsiOptError as error:
             wrong = getattr(error, "complaints", (error,))[:3]
             self.upload_error = f"{self._waiting}: {'; '.join(map(str, wrong))}"
@@ -312,35 +313,27 @@ class Session:
 
     def remove_file(self, name: str) -> None:
         """Take a table away; with the last one its columns go."""
-        with self._taking:
-            data = self.draft.data
-            left = self.draft.places
-            if data is None or left.pop(name, None) is None:
-                return
-            self.upload_error = ""
-            self.message = ""
-            try:
-                if left:
-                    data.look_again(left)
-                else:
-                    self.draft.data = None
-            except DataError as error:  # a file has changed, or is gone
-                self.upload_error = str(error)
-            self.check()
-            self.shape += 1
+        with self._looking_again() as data:
+            (left := self.draft.places).pop(name, None)
+            if left:
+                data.look_again(left)
+            else:
+                self.draft.data = None
 
     def choose_sheet(self, name: str) -> None:
         """Take the table of another sheet of a workbook, or group of channels."""
+        with self._looking_again() as data:
+            if data.places:
+                self.draft.data = replace(look_at(data.places, name), parts=data.parts)
+
+    @contextmanager
+    def _looking_again(self) -> Iterator[DataDraft]:
+        """The data, to be read in another way; why that cannot be is told."""
         with self._taking:
-            known = self.draft.data
-            if known is None:
-                return
-            self.upload_error = ""
+            self.upload_error = self.message = ""
             try:
-                self.draft.data = replace(
-                    look_at(known.places, name), parts=known.parts
-                )
-            except DataError as error:
+                yield self.draft.data or DataDraft({})
+            except DataError as error:  # a file has changed, or is gone
                 self.upload_error = str(error)
             self.check()
             self.shape += 1
@@ -579,7 +572,8 @@ class Session:
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
                 is_known = message.content.present is not None
-                self.job.show("drawing the law" if is_known else "diagnosing")
+                self.job.then = "drawing the law" if is_known else "diagnosing"
+                self.job.line = ""  # what was said before is of its making
             self._show(message)
             worker.study = self.model.study if self.model else None
         elif isinstance(message, tuple) and self.model and self.now is not None:
@@ -597,7 +591,7 @@ class Session:
         elif message is None:  # it ended by itself, for want of memory perhaps
             if self.job is not None:
                 self.message = (
-                    f"The worker process ended unexpectedly ({self.job.label}). "
+                    f"The worker process ended unexpectedly ({self.job.step}). "
                     "Earlier results are kept; try again, with fewer samples if "
                     "memory is short."
                 )

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 from importlib.resources import files
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
@@ -23,13 +24,11 @@ from typing import Any
 
 from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
 from phsi_opt.presentation.content import StudyContent
+from phsi_opt.presentation.numbers import number_of
 from phsi_opt.study import Study
 from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.study_file.study_file import StudyFile
 
-# Orders that are carried out at once; others wait, and the page goes on answering.
-TURNS = threading.BoundedSemaphore(2 * (os.cpu_count() or 1))
-WAITS = "waiting until other studies are solved"
 WARMS_UP = "house"  # an example whose units take most to read
 Receiver = Callable[["WorkerHandle", Any], None]
 
@@ -87,6 +86,40 @@ def example(name: str) -> Path:
 # ---- the server's end ----------------------------------------------------------------
 
 
+class Turns:
+    """Who is served, so many at once, and who waits: first come, first served."""
+
+    def __init__(self, n_at_once: int) -> None:
+        self._n_at_once = n_at_once
+        self._line: list[object] = []  # the first ones are served
+        self._moved = threading.Condition()
+
+    def take(self, who: object, tell: Callable[[str], None]) -> None:
+        """Wait for a turn, or until `give_back` ends the wait; tell for how many."""
+        with self._moved:
+            self._line.append(who)
+            while who in self._line[self._n_at_once :]:
+                tell(waits(self._line.index(who) + 1 - self._n_at_once))
+                self._moved.wait()
+        tell("")
+
+    def give_back(self, who: object) -> None:
+        """End the turn, or the wait, of somebody who may have none."""
+        with self._moved, suppress(ValueError):
+            self._line.remove(who)
+            self._moved.notify_all()
+
+
+# Orders that are carried out at once; others wait, and the page goes on answering.
+TURNS = Turns(2 * (os.cpu_count() or 1))
+
+
+def waits(n: int) -> str:
+    """What is said while so many must end before."""
+    others = number_of(n, "other study is", "other studies are")
+    return f"waiting until {others} solved"
+
+
 class WorkerHandle:
     """One spawned process, the thread that listens to it and the one that tells it.
 
@@ -101,8 +134,7 @@ class WorkerHandle:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._on_message = on_message
-        self._orders: SimpleQueue[Order | bytes | None] = SimpleQueue()
-        self._ends: SimpleQueue[None] = SimpleQueue()  # of orders, or of the process
+        self._orders: SimpleQueue[tuple[Order, bytes] | None] = SimpleQueue()
         self.study: Path | None = None  # where the one is kept that it has
         self._process = context.Process(target=work, args=(theirs,), daemon=True)
         self._process.start()
@@ -122,10 +154,9 @@ class WorkerHandle:
 
     def tell(self, order: Order, study: Path | None = None) -> None:
         """Send an order; the worker takes it when the one before is done."""
-        if study is not None and study != self.study:
-            self.study = study
-            self._orders.put(study.read_bytes())
-        self._orders.put(order)
+        known, self.study = self.study, study
+        sent = study.read_bytes() if study and study != known else b""
+        self._orders.put((order, sent))
 
     def end(self) -> None:
         """End the process: politely, and after a second in any case."""
@@ -142,24 +173,19 @@ class WorkerHandle:
                 message = None
                 self._orders.put(None)
             if message is None or isinstance(message, Done):
-                self._ends.put(None)
+                TURNS.give_back(self)
             self._on_message(self, message)
 
     def _write(self) -> None:
         """Send studies and orders, each order when it is its turn."""
         with suppress(OSError):  # the process has ended; the other thread tells
-            while (order := self._orders.get()) is not None:
-                if isinstance(order, bytes):
-                    self._connection.send_bytes(order)
-                    continue
-                if not TURNS.acquire(blocking=False):
-                    self._on_message(self, WAITS)
-                    TURNS.acquire()
-                try:
-                    self._connection.send(order)
-                    self._ends.get()
-                finally:
-                    TURNS.release()
+            while (told := self._orders.get()) is not None:
+                order, study = told
+                TURNS.take(self, partial(self._on_message, self))
+                if study:
+                    self._connection.send_bytes(study)
+                self._connection.send(order)
+        TURNS.give_back(self)  # what was taken after the process had ended
 
 
 # ---- the process ---------------------------------------------------------------------
