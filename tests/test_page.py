@@ -237,8 +237,17 @@ def test_what_is_typed_is_undone_and_an_assumption_is_confirmed(
     context.close()
 
 
-def test_an_example_is_worked_through_by_the_keyboard_alone(page: Page) -> None:
+def test_an_example_is_worked_through_by_the_keyboard_alone(
+    page: Page, address: str
+) -> None:
+    window = page.context.new_page()  # of the same study
+    window.goto(address)
     press(page, "Motor with steps of voltage")
+    page.reload()
+    for one in (page, window):  # each shows the part in which work goes on
+        study = one.get_by_role("tab", name="3 Study")
+        expect(study).to_have_attribute("aria-selected", "true")
+    window.close()
     expect(page.get_by_role("img", name="Chart").first).to_be_visible()
     region = page.get_by_role("region", name="Verdict")
     region.get_by_text("What is wrong").wait_for(timeout=SOLVED_WITHIN)
@@ -256,6 +265,12 @@ def test_an_example_is_worked_through_by_the_keyboard_alone(page: Page) -> None:
     expect(region.get_by_text("What was added")).to_be_visible()
     press(page, "Show model 1: base model")
     expect(region.get_by_text("What to add")).to_be_visible()
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.get_by_label("compare with").click()
+    page.get_by_role("option", name="2: + Coulomb friction on w").click()
+    chosen = page.locator(".q-select span", has_text="2: + Coulomb")
+    expect(chosen).to_be_visible()
+    assert chosen.evaluate("one => one.scrollWidth <= one.clientWidth"), "cut"
 
 
 def press(page: Page, name: str) -> None:

@@ -139,11 +139,8 @@ class DataView:
             ui.label("Simulated measurements; the model lacks one effect.")
             with ui.row():
                 for name, title in EXAMPLES.items():
-                    button(title, partial(self._open_example, name), quiet=True)
-
-    async def _open_example(self, name: str) -> None:
-        await run.io_bound(self.session.open_example, name)
-        self.go(STUDY_PART)
+                    begin = partial(run.io_bound, self.session.open_example, name)
+                    button(title, begin, quiet=True)
 
     @ui.refreshable_method
     def seen(self) -> None:
@@ -218,7 +215,7 @@ class DataView:
                 ui.label(column.title).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
             roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
-            choice(f"{column.title} is", roles, column.role, set_role, width="10em")
+            choice(f"{column.title} is", roles, column.role, set_role)
             if column.role in FIELDS_OF_ROLE:
                 of_role = FIELDS_OF_ROLE[column.role]
                 fields(column.table, *of_role, self.checked, column.title)
@@ -248,7 +245,7 @@ class DataView:
         ways = {one: one for one in (USUAL_WAYS[section], *KEYS_OF_WAYS, NOTHING)}
         if USUAL in ways and len(runs) < 3:
             ways[USUAL] = "nothing, as there are few runs"
-        choice(label_of(section), ways, part.way, set_way, width="16em")
+        choice(label_of(section), ways, part.way, set_way)
         if part.way == RUNS:
             chosen = set(listed(part.table.get("runs", ())))
             field = ui.select(
@@ -348,8 +345,7 @@ class ModelView:
                 "dH_dp, and the parameters below."
             ).classes("faint")
             with ui.element("div").classes("fields"):
-                kinds = (MODEL_TYPES, draft.type, self._set_type)
-                choice("kind of model", *kinds, width="20em")
+                choice("kind of model", MODEL_TYPES, draft.type, self._set_type)
                 fields(draft.table, "model", "states inputs", self._named)
                 if draft.type == ENERGY:
                     fields(draft.table, "model", "pairs H", self.checked)
@@ -399,7 +395,7 @@ class ModelView:
 
         value = NOT_MEASURED if known is None else known.title
         options = list(dict.fromkeys([*options, value]))
-        choice(f"column of {name}", options, value, changed, width="12em")
+        choice(f"column of {name}", options, value, changed)
 
     @ui.refreshable_method
     def parameters(self) -> None:

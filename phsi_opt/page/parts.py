@@ -111,7 +111,7 @@ def _field(table: Content, key: str, entry: Key, label: str, then: Then) -> ui.e
     if entry.options:
         options = {one: OPTION_LABELS.get(one, one) for one in entry.options}
         now = table.get(key, entry.options[0])
-        return choice(label, options, now, changed, width="16em")
+        return choice(label, options, now, changed)
     value = kind.text(table[key]) if key in table else ""
     made = ui.input(label, value=value, on_change=lambda e: changed(e.value))
     made.props("dense outlined").props(DEBOUNCE)
@@ -127,16 +127,16 @@ def choice(
     options: Sequence[str] | Mapping[Any, str],
     value: Any,
     changed: Callable[[Any], Any],
-    *,
-    width: str = "12em",
 ) -> ui.select:
-    """One of several."""
+    """One of several; as wide as the longest, which wraps where there is no room."""
     listed: Any = dict(options) if isinstance(options, Mapping) else list(options)
+    named = listed.values() if isinstance(listed, dict) else listed
+    width = max(10, 4 + 0.45 * len(label), 4 + 0.6 * max(map(len, named)))
     field = ui.select(
         listed, label=label, value=value, on_change=lambda e: changed(e.value)
     )
     field.props("dense outlined options-dense")
-    return field.style(f"width: {width}; max-width: 100%")
+    return field.style(f"width: {width:.0f}em; max-width: min(100%, 24em)")
 
 
 def alert(text: str) -> None:

@@ -64,12 +64,13 @@ class Shell:
         self._begin_again = begin_again
         self._data = DataView(session, self._checked, self._go)
         self._model = ModelView(session, self._checked)
-        self._study = StudyView(session, self._keep_up)
+        self._study = StudyView(session)
         self._shape = session.shape
         self._version = session.version
         self._drawn = self._to_draw()
         self._seen = session.seen_data
         self._laws = session.model.laws if session.model else ()
+        self._job = session.job
 
     def build(self) -> None:
         """Draw everything and keep up with the session."""
@@ -152,32 +153,22 @@ class Shell:
     def _build_status(self) -> None:
         """What is done now, with the button that ends it; or how it ended."""
         # Its parts stay and are changed, so that the button keeps the focus.
-
-        def end_job() -> None:
-            self._session.cancel()
-            self._keep_up()
-
-        def fit() -> None:
-            self._session.fit()
-            if self._session.job is not None:
-                self._go(STUDY_PART)
-
         with ui.row().classes("w-full items-center gap-3 page no-wrap"):
-            self._spinner = ui.spinner(size="22px").props('aria-hidden="true"')
             self._line = ui.label().style("flex: 1; min-width: 0")
             self._line.props('role="status" aria-live="polite"')
             self._times = ui.label().style("white-space: nowrap")
-            self._cancel = button("Cancel", end_job)
-            self._begin = button("Fit", fit)
+            self._cancel = button("Cancel", self._session.cancel)
+            self._begin = button("Fit", self._session.fit)
         self._show_status()
 
     def _show_status(self) -> None:
         job = self._session.job
+        self._study.is_free = job is None
         for by, step in self._steps.items():
             step.set_enabled(self._session.can_step(by))
         self._begin.set_visibility(_can_begin(self._session))
         self._begin.set_enabled(not self._session.complaints)
-        for part in (self._spinner, self._times, self._cancel):
+        for part in (self._times, self._cancel):
             part.set_visibility(job is not None)
         said = self._session.message or _what_next(self._session)
         if job is not None:
@@ -194,6 +185,10 @@ class Shell:
             self._asking.deactivate()
             ui.navigate.reload()
             return
+        if session.job is not self._job:  # in whatever window it was begun
+            self._job = session.job
+            if self._job is not None and self._tabs.value != STUDY_PART:
+                self._go(STUDY_PART)
         if session.shape != self._shape:
             self._shape = session.shape
             self._data.error.refresh()
@@ -216,13 +211,11 @@ class Shell:
             self._seen = session.seen_data
             self._data.seen.refresh()
         self._model.wrong.refresh()
-        self._study.show_job()
         laws = session.model.laws if session.model else ()
         if laws is not self._laws:
             self._laws = laws
             self._study.follows.refresh()
-        now = self._to_draw()
-        if now != self._drawn:
+        if (now := self._to_draw()) != self._drawn:
             self._drawn = now
             self._study.build.refresh()
             self._client.run_javascript(FOCUS_VERDICT)

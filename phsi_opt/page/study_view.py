@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nicegui import events, ui
+from nicegui import binding, events, ui
 
 from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS
 from phsi_opt.errors import PhsiOptError
@@ -57,33 +57,20 @@ STALE = (
 class StudyView:
     """Draws the study as it stands."""
 
-    def __init__(self, session: Session, keep_up: Callable[[], object]) -> None:
-        self._session = session
-        self._keep_up = keep_up  # draws what has changed
-        self._wants_report = False
-        self._resting: list[ui.button] = []  # pressed only while nothing is solved
+    is_free = binding.BindableProperty()  # whether nothing is solved
 
-    def show_job(self) -> None:
-        """Let the buttons that begin work be pressed, or not."""
-        for one in self._resting:
-            one.set_enabled(self._session.job is None)
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.is_free = session.job is None
+        self._wants_report = False
 
     def _begins(self, label: str, then: Callable[[], Any], quiet: bool) -> ui.button:
         """A button that begins work; it rests meanwhile."""
-
-        def begin() -> None:
-            then()
-            self._keep_up()
-
-        made = button(label, begin, quiet)
-        made.set_enabled(self._session.job is None)
-        self._resting.append(made)
-        return made
+        return button(label, then, quiet).bind_enabled_from(self, "is_free")
 
     @ui.refreshable_method
     def build(self) -> None:
         """Draw it all."""
-        self._resting.clear()
         session = self._session
         content = session.content
         if content is None:
@@ -113,8 +100,7 @@ class StudyView:
     def _nothing_yet(self) -> None:
         with card():
             heading("Nothing is fitted yet")
-        seen = self._session.seen_data.chart
-        if seen is not None:
+        if (seen := self._session.seen_data.chart) is not None:
             with card():
                 plotted_data(seen)
 
@@ -152,7 +138,7 @@ class StudyView:
             with ui.element("div").classes("fields"):
                 titles = {k: run.title for k, run in enumerate(content.runs)}
                 shown = (titles, self._session.look.run, self._set_run)
-                runs = choice("run", *shown, width="15em")
+                runs = choice("run", *shown)
                 names = [one.name for one in content.runs[0].channels]
                 if len(names) > 1:
                     channels = dict(enumerate(names))
@@ -198,7 +184,7 @@ class StudyView:
 
         if len(others) > 1:
             now = session.compared
-            choice("compare with", others, now, compare, width="15em")
+            choice("compare with", others, now, compare)
 
     @ui.refreshable_method
     def follows(self) -> None:
