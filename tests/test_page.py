@@ -16,7 +16,7 @@ SHOWN_WITHIN = 20_000  # ms, for what needs no solve; a busy machine takes its t
 SOLVED_WITHIN = 90_000  # ms
 CLICKED = re.compile("^At t = ")
 CALLED = "Coulomb friction on p"
-NAMED = re.compile(f"{CALLED}, .* N, is missing\\.")
+NAMED = re.compile(rf"{CALLED} \(.* N\) is missing\.")
 # What Chromium writes where the page breaks its own policy.
 POLICY = "Content Security Policy"
 expect.set_options(timeout=SHOWN_WITHIN)
@@ -101,7 +101,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert "In dp/dt" in said
     assert re.search("(strongest|most clearly visible) at t = ", said)
     assert "dp/dt lacks a force of" in said
-    assert f"{CALLED}, " in said
+    assert f"{CALLED} (" in said
     assert "effect found" in said and "missing: named" not in said
     assert "log evidence" not in said and "Study of spring.csv: q measured in" in said
     assert "the error is 1.4 times the noise." in said
