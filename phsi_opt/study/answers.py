@@ -71,10 +71,10 @@ NOTHING_FOUND = (
 PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 # What ``words.jinja`` says to somebody who does not read on, and what it answers.
 AT_A_GLANCE = {
+    "next": "What to do next",
     "how_sure": "How sure is it",
     "how_much": "How good is the model",
     "remains": "What remains unexplained",
-    "next": "What to do next",
 }
 POWERS_OF_TEN = (
     *("ten", "a hundred", "a thousand", "ten thousand"),
