@@ -3,6 +3,7 @@
 import datetime as dt
 import io
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import openpyxl
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.study_file.survey import TableSurvey, survey
+from phsi_opt.study_file.sections import DataSection
+from phsi_opt.study_file.survey import TableSurvey, first_text, survey
 
 T = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
 Q = [20.5, 1.25, -3.5, 4.0, 1234.5, -7.75]
@@ -222,20 +224,70 @@ def test_clocks_of_loggers_become_seconds(
     assert data.trajectories[0].origin is not None
 
 
-def test_channels_of_another_clock_are_left_out_and_told(tmp_path: Path) -> None:
+def two_clocks(first: str = "Time A [s]", second: str = "Time B [s]") -> str:
+    """A position every half second, and a force every second, from 1 s on."""
     t = np.arange(40) / 2
-    q, u = np.sin(t), np.cos(2 * t)
     rows = [
-        f"{t[n]},{q[n]},{2 * t[n] if n < 20 else ''},{u[n] if n < 20 else ''}\n"
+        f"{t[n]},{np.sin(t[n])},{n + 1 if n < 17 else ''},{3 * n if n < 17 else ''}\n"
         for n in range(40)
     ]
-    seen = looked_at("Time A,Position,Time B,Force\n" + "".join(rows), tmp_path)
+    return f"{first},Position [m],{second},Force [N]\n{''.join(rows)}"
+
+
+def test_channels_of_another_clock_are_put_on_the_times(tmp_path: Path) -> None:
+    (tmp_path / "two.csv").write_text(two_clocks())
+    words: Any = {"time": "Time A [s]", "states": {"q": "Position [m]"}}
+    words |= {"inputs": {"u": "Force [N]"}, "clocks": {"u": "Time B [s]"}}
+    data = ph.Measurements.from_csv(tmp_path / "two.csv", **words)
+    (run,) = data.trajectories
+    np.testing.assert_array_equal(run.t, np.arange(2, 35) / 2)  # that both cover
+    np.testing.assert_allclose(run.x[:, 0], np.sin(run.t), atol=1e-12)
+    np.testing.assert_allclose(run.u[:, 0], 3 * (run.t - 1), atol=1e-12)
+    held = ph.Measurements.from_csv(tmp_path / "two.csv", hold="zero", **words)
+    (run,) = held.trajectories
+    np.testing.assert_array_equal(run.u[:, 0], 3 * np.minimum(np.floor(run.t - 1), 16))
+    assert run.t[-1] == 19.5  # the last value is held
+    words |= {"inputs": None, "states": {"q": "Position [m]", "f": "Force [N]"}}
+    words["clocks"] = {"f": "Time B [s]"}
+    (run,) = ph.Measurements.from_csv(tmp_path / "two.csv", **words).trajectories
+    assert len(run.t) == 40 and np.isfinite(run.x[:, 1]).sum() == 33
+    (tmp_path / "two.csv").write_text(two_clocks().replace(",5,12", ",2,12"))
+    for clocks, said in (
+        ({"v": "Time B [s]"}, "clocks: there is no state and no input 'v'"),
+        ({"f": "Time C"}, "has no column 'Time C'"),
+        ({"f": "Time B [s]"}, "line 6: .*increase from line to line"),
+    ):
+        with pytest.raises(ph.DataError, match=said):
+            ph.Measurements.from_csv(
+                tmp_path / "two.csv", **{**words, "clocks": clocks}
+            )
+
+
+def test_a_study_file_says_which_clock_a_channel_has(tmp_path: Path) -> None:
+    seen = looked_at(two_clocks(), tmp_path)
     said = {one.column: (one.part, one.said) for one in seen.columns}
-    assert said["Time B"] == ("left out", "another clock: has its own times")
-    assert said["Force"] == (
-        "left out",
-        "another clock, Time B: resample it to Time A to use it",
+    assert said["Time B [s]"] == ("left out", "another clock: has its own times")
+    assert said["Force [N]"] == (
+        "input",
+        "0 to 48, 23 cells missing; times in Time B [s]",
     )
+    text = first_text(seen, [tmp_path / "log.csv"], tmp_path)
+    assert 'Force = { column = "Force [N]", unit = "N", clock = "Time B [s]" }' in text
+    assert DataSection.of(tomllib.loads(text)["data"]).measurements(
+        tmp_path
+    ).trajectories[0].u[:2, 0].tolist() == [0.0, 1.5]
+    seen = looked_at(two_clocks(second="Time B [ms]"), tmp_path)
+    said = {one.column: (one.part, one.said) for one in seen.columns}
+    assert said["Force [N]"] == (
+        "left out",
+        "another clock, Time B [ms], in another unit than Time A [s]: put it on common "
+        "times to use it",
+    )
+
+
+def test_a_second_clock_with_the_same_moments_is_left_out(tmp_path: Path) -> None:
+    t = np.arange(40) / 2
+    q, u = np.sin(t), np.cos(2 * t)
     same = [f"{t[n]},{q[n]},{1000 * t[n] + 5},{u[n]}\n" for n in range(40)]
     seen = looked_at("Time,Position,Time_ms,Force\n" + "".join(same), tmp_path)
     assert [one.part for one in seen.columns] == ["time", "state", "left out", "input"]

@@ -20,7 +20,13 @@ from phsi_opt.data.file_opening import BinarySource, Source, opened_files
 from phsi_opt.data.headers import unit_of_header
 from phsi_opt.data.logger_tables import table_of_groups
 from phsi_opt.data.matlab_tables import table_of_mat
-from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
+from phsi_opt.data.tables import (
+    Samples,
+    Table,
+    numbers_in,
+    rows_of_runs,
+    table_of_frame,
+)
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.data.times import Moment, times_in
 from phsi_opt.data.trajectory import Trajectory
@@ -52,6 +58,7 @@ class TableWords(TypedDict, total=False):
     step: float | None
     start: Any
     date_format: str | None
+    clocks: Mapping[str, Header] | None
 
 
 class TableError(DataError):
@@ -115,6 +122,11 @@ class TableReaders:
                 spreadsheets count them, "unix", "unix ms" or "unix us" for seconds
                 since 1970 or parts of them. "": the times are numbers, even where
                 these look like dates.
+            clocks: The column of the own times of a state or input, by its name, where
+                these are not the times above, but in their unit. It is interpolated at
+                the times above, or held for ``hold="zero"``; a state beyond its own
+                times is missing, and lines before or behind those of an input are left
+                out.
             columns: The names of the columns of a table without a header; None: "0",
                 "1", ...
             separator: The sign between cells, " " for any number of blanks.
@@ -318,6 +330,8 @@ class Layout:
     step: float | None = None
     start: Any = None
     date_format: str | None = None
+    clocks: Any = None
+    hold: Any = "linear"
 
     def __post_init__(self) -> None:
         step = self.step
@@ -342,6 +356,10 @@ class Layout:
                 check_unique(names, "name")
                 columns = dict(zip(names, names, strict=True))
             object.__setattr__(self, what, dict(columns))
+        object.__setattr__(self, "clocks", dict(self.clocks or {}))
+        for name in self.clocks:
+            said = f"clocks: there is no state and no input {name!r}"
+            require_known(name, [*self.states, *self.inputs], said, DataError)
         none_of = [part for part in self.parts.values() if not columns_in(part)]
         if None in self.inputs.values() or any(one is not None for one in none_of):
             raise DataError(
@@ -361,7 +379,13 @@ class Layout:
     @property
     def columns(self) -> list[Any]:
         """The columns that are asked for."""
-        return list(itertools.chain(*map(columns_in, self.parts.values())))
+        clocks = dict.fromkeys(self.clocks.values())
+        return [*itertools.chain(*map(columns_in, self.parts.values())), *clocks]
+
+    def is_held(self, name: str) -> bool:
+        """Whether it is an input that keeps its value until the next sample."""
+        hold = self.hold if isinstance(self.hold, str) else self.hold.get(name)
+        return name in self.inputs and hold == "zero"
 
 
 def columns_in(column: Any) -> list[Any]:
@@ -373,7 +397,7 @@ def columns_in(column: Any) -> list[Any]:
 
 def _layout(words: TableWords) -> Layout:
     check_types(words, types_of(TableWords), DataError)
-    others = ("hold", "units", "noise")
+    others = ("units", "noise")
     return Layout(**{name: one for name, one in words.items() if name not in others})  # type: ignore[arg-type]
 
 
@@ -399,8 +423,20 @@ def _runs_in(
                 t, origins = _times(table, layout, list(rows.values()))
             else:
                 values = np.full(len(t), np.nan)
+                name = part[1]
+                has_clock = name in layout.clocks
                 if column is not None:
-                    values = numbers_in(table, column, part[0] == "states")
+                    may_be_missing = has_clock or part[0] == "states"
+                    values = numbers_in(table, column, may_be_missing)
+                if has_clock:
+                    if origins:
+                        raise DataError(
+                            f"clocks: {name!r} has times of its own, and the times are "
+                            "dates; expected numbers. Put both on common times."
+                        )
+                    _check_column(table, layout.clocks[name], layout)
+                    other = Samples(table, layout.clocks[name], values)
+                    values = other.at(t, list(rows.values()), layout.is_held(name))
                 columns[part[0]].append(values)
         except DataError as error:
             faults.setdefault(part, error)
@@ -414,9 +450,12 @@ def _runs_in(
     x, u = map(np.column_stack, columns.values())
     trajectories = []
     for i, (name, own) in enumerate(rows.items()):
+        known = own[np.isfinite(u[own]).all(axis=1)]
         is_date = bool(origins) and isinstance(origins[i], dt.datetime)
         origin: Any = origins[i] if is_date else None
-        trajectories.append(Trajectory(prefix + name, t[own], x[own], u[own], origin))
+        trajectories.append(
+            Trajectory(prefix + name, t[known], x[known], u[known], origin)
+        )
     return trajectories, origins
 
 

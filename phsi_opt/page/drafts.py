@@ -338,8 +338,11 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
             table={"unit": column.unit},
             examples=tuple(column.cells[:3]),
             is_numeric=column.is_numeric,
-            seen={TIME: {"date_format": column.date_format}}
-            | ({INPUT: {"hold": column.hold}} if column.hold else {}),
+            seen={
+                TIME: {"date_format": column.date_format},
+                STATE: {"clock": column.clock},
+                INPUT: {"clock": column.clock, "hold": column.hold},
+            },
         )
         found.becomes(role, column.name)
         draft.columns.append(found)

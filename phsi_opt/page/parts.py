@@ -46,6 +46,8 @@ LABELS = {
     "data.thinned": "number of samples to average",
     "data.states.*": "column of {name}",
     "data.inputs.*": "column of {name}",
+    "data.states.*.clock": "times of {name}",
+    "data.inputs.*.clock": "times of {name}",
     "data.inputs.*.hold": "{name} between samples",
     "held_out": "held-out data",
     "held_out.runs": "runs held out",

@@ -59,6 +59,7 @@ class Column(Header):
     further: tuple[str, ...] = ()
     # "zero" where it is constant between jumps, as an input that is held; else ""
     hold: str = ""
+    clock: str = ""  # the column of its own times; "": those of the others
 
     @property
     def remark(self) -> str:
@@ -96,7 +97,7 @@ class Column(Header):
     @property
     def content(self) -> dict[str, Any]:
         """What JSON has of it."""
-        names = ("column", "part", "name", "unit", "hold", "said", "wrong")
+        names = ("column", "part", "name", "unit", "hold", "clock", "said", "wrong")
         return {name: getattr(self, name) for name in names}
 
     @property
@@ -158,9 +159,15 @@ class Column(Header):
 
     def is_held(self, run: "Column | None") -> bool:
         """Whether it is constant between jumps, in its runs; gaps tell nothing."""
-        if self.values is None or self.n_missing or self.wrong:
+        if self.values is None or self.misses_samples or self.wrong:
             return False
-        return is_stepped([self.values[rows] for rows in self.rows_of(run)])
+        runs = [self.values[rows] for rows in self.rows_of(run)]
+        return is_stepped([one[np.isfinite(one)] for one in runs])
+
+    @property
+    def misses_samples(self) -> bool:
+        """Whether cells are empty that should not be; other clocks have fewer."""
+        return self.n_missing > 0 and not self.clock
 
     def wrong_time(self, run: "Column | None") -> str:
         """The first time that is missing, wrong or not after the one before it."""

@@ -53,12 +53,14 @@ data.time.date_format | text | "%d.%m.%Y %H:%M", "excel", "unix"; "": not dates
 data.states.* | table | a state; its name is the one in the formulas
 data.states.*.column | text or position | its header, or its position, counted from 0
 data.states.*.unit | text | its unit, such as "m"; default: unknown
+data.states.*.clock | text or position | column of its own times; default: the times
 data.states.*.measured | true or false | false, instead of a column: it was not measured
 data.states.*.noise | positive number | standard deviation; default: estimated
 data.inputs.* | table | an input; its name is the one in the formulas
 data.inputs.*.column | text or position | its header, or its position, counted from 0
 data.inputs.*.unit | text | its unit, such as "m"; default: unknown
 data.inputs.*.hold | "linear", "zero" or "cubic" | for this input; default: data.hold
+data.inputs.*.clock | text or position | column of its own times; default: the times
 held_out.runs | list of texts | names of the runs to hold out
 held_out.share | number from 0 to 1 | or: last share of the runs, or of a single run
 held_out.after | number | or: all samples of every run after this time

@@ -57,6 +57,7 @@ class Channel:
         unit: such as "m"; "" where it is unknown.
         noise: standard deviation of a state's noise, in its unit; None: estimated.
         hold: what an input does between samples; None: as the others.
+        clock: the column of its own times, where these are not those of the others.
         measured: whether there is a column.
     """
 
@@ -64,6 +65,7 @@ class Channel:
     unit: str = ""
     noise: float | None = None
     hold: str | None = None
+    clock: str | int | None = None
     measured: bool = True
 
     def __post_init__(self) -> None:
@@ -152,8 +154,12 @@ class DataSection:
     @property
     def units(self) -> dict[str, str]:
         """The units that are known, of the time, the states and the inputs."""
-        channels: dict[str, Any] = {"t": self.time, **self.states, **self.inputs}
+        channels: dict[str, Any] = {"t": self.time, **self._channels}
         return {name: one.unit for name, one in channels.items() if one.unit}
+
+    @property
+    def _channels(self) -> dict[str, Channel]:
+        return {**self.states, **self.inputs}
 
     def paths(self, folder: Path) -> list[DataFile]:
         """The files, from the folder of the study file."""
@@ -181,6 +187,7 @@ class DataSection:
         hold = {name: one.hold or self.hold for name, one in self.inputs.items()}
         holds = set(hold.values())
         states = self.states.items()
+        clocks = {name: one.clock for name, one in self._channels.items()}
         arguments = {
             "states": {name: one.column for name, one in states},
             "time": self.time.column,
@@ -191,6 +198,7 @@ class DataSection:
             "step": self.time.step,
             "start": self.time.start or None,
             "date_format": self.time.date_format,
+            "clocks": without(clocks, None),
             "units": self.units,  # as they are written
             "noise": {name: one.noise for name, one in states if one.noise},
         }
@@ -200,8 +208,8 @@ class DataSection:
     def wanted(self) -> list[Any]:
         """The columns that are asked for."""
         columns: list[Any] = [self.trajectory, *columns_in(self.time.column)]
-        for channel in (*self.states.values(), *self.inputs.values()):
-            columns.append(channel.column)
+        for channel in self._channels.values():
+            columns += [channel.column, channel.clock]
         return [column for column in columns if column is not None]
 
     def measured(self, tables: Sequence[Table]) -> Measurements:

@@ -213,7 +213,7 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
     time = _time(others, run, step)
     if time is not None:
         _put_together(time, others)
-        _leave_out_other_clocks(time, others, run)
+        _find_other_clocks(time, others)
     for one in columns:
         if not one.said.startswith((OTHER_CLOCK, PART_OF_TIME)):
             _take_part(one, time, run, of_step)
@@ -308,21 +308,23 @@ def _put_together(time: Column, others: list[Column]) -> None:
                 time.take_dates_of(time.cells)
 
 
-def _leave_out_other_clocks(
-    time: Column, others: list[Column], run: Column | None
-) -> None:
-    """Leave out the channels that follow another clock than the times."""
-    clock = ""
+def _find_other_clocks(time: Column, others: list[Column]) -> None:
+    """Note the channels that follow another clock than the times."""
+    clock = None
     for one in others:
         if one is time:
-            clock = ""
+            clock = None
         elif one.is_time and one.values is not None and not one.is_counter:
             is_same = not one.n_missing and _runs_alike(time.values, one.values)
-            clock = "" if is_same else one.column
+            clock = None if is_same else one
             said = f"as regular as {time.column}" if is_same else "has its own times"
             one.said = f"{OTHER_CLOCK}: {said}"
+        elif clock and clock.unit == time.unit and one.values is not None:
+            one.clock = clock.column
+            one.said = f"{one.said}; times in {clock.column}"
         elif clock and one.values is not None:
-            one.said = f"{OTHER_CLOCK}, {clock}: resample it to {time.column} to use it"
+            of = f"{clock.column}, in another unit than {time.column}"
+            one.said = f"{OTHER_CLOCK}, {of}: put it on common times to use it"
 
 
 def _runs_alike(times: np.ndarray | None, other: np.ndarray) -> bool:
@@ -357,7 +359,7 @@ def _take_part(
         one.becomes(INPUT, "constant between jumps: held")
     elif one.has_one_of(INPUT_WORDS):
         must = "an input must be known at every sample"
-        one.becomes(INPUT, must if one.n_missing else "")
+        one.becomes(INPUT, must if one.misses_samples else "")
     else:
         is_unsure = one.has_one_of(PERHAPS_INPUT_WORDS)
         one.becomes(STATE, PERHAPS_INPUT if is_unsure else "")
