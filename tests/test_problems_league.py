@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.simulation.simulate import free_run
+from problems.league import f16
 from problems.league.entries import LEAGUE
 from problems.league.run import WAYS, error, page
 
@@ -45,8 +47,37 @@ def test_the_page_says_where_others_are_ahead_and_by_how_much():
     results = []
     for name in LEAGUE:
         error = {"the test": found.get(name, 1.0)}
-        told = {"seconds": [1.0, 1.0], "added": [], "fit": "its equations"}
+        told = {
+            "commit": "0",
+            "seconds": [1.0, 1.0],
+            "added": [],
+            "fit": "its equations",
+        }
         results += [{"name": name, "way": way, "errors": error, **told} for way in WAYS]
     behind = [line for line in page(results).splitlines() if line.startswith("- ")]
     assert len(behind) == 1
     assert behind[0].startswith("- EMPS, the test: what was found has 2 times")
+
+
+def shaken(model: ph.Model, n: int) -> f16.Record:
+    """A swept sine at the shaker, the accelerations from differences of velocities."""
+    t = np.arange(n) / f16.RATE
+    u = 50 * np.sin(2 * np.pi * (4 + 3 * t) * t)[:, None]
+    fine = np.linspace(0, t[-1], 4 * (n - 1) + 1)
+    force = np.interp(fine, t, u[:, 0])[:, None]
+    x = free_run(model, fine, np.full(model.n_states, 1e-4), force, "linear")
+    value = model.values
+    p, pr = x[:, 4:7], x[:, 7]
+    modal = np.c_[(p.T + np.outer([value[f"j{i}"] for i in (1, 2, 3)], pr)).T, 0 * pr]
+    modal[:, 3] = value["j4"] * pr
+    b, s, j = (np.array([value[f"{k}{i}"] for i in (1, 2, 3, 4)]) for k in "bsj")
+    velocities = np.c_[modal @ b, modal @ s, modal @ (s + j)]
+    return f16.Record(t, u, np.gradient(velocities, fine, axis=0, edge_order=2)[::4])
+
+
+def test_accelerations_of_the_f16_are_slopes_of_its_velocities():
+    model = f16.base().frozen()
+    record = shaken(model, 300)
+    assert f16.error(model, record, 50) < 0.05 * record.a.std()
+    stiffer = model.with_values({"k2": 1.3 * model.values["k2"]})
+    assert f16.error(stiffer, record, 50) > 0.15 * record.a.std()

@@ -7,17 +7,17 @@ nobody measured are NaN.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
 from scipy.signal import resample_poly
 
 import phsi_opt as ph
+from problems.league import f16
 from problems.measured import machines, storages
 from problems.measured.machines import Array, positive
 from problems.tools.data_paths import folder
-
-Records = Mapping[str, ph.Measurements]
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,12 @@ class Entry:
         tests: the test records, by name.
         base: a model that lacks what the set is known for.
         physics: the model with the physics that is published for the set.
-        pieces: two pieces of the training record, in which a study looks for what the
-            base model lacks.
+        study: of the base model and two pieces of the training record, in which it
+            looks for what the model lacks.
         published: errors that others have published.
         most: what the sensor shows at most.
+        fit: how a model is fitted; None: by maximum likelihood.
+        error: of a fit, a test record and the entry; None: of a state that is measured.
     """
 
     folder: str
@@ -45,12 +47,14 @@ class Entry:
     unit: str
     per_unit: float
     train: Callable[[], ph.Measurements]
-    tests: Callable[[], Records]
+    tests: Callable[[], Mapping[str, Any]]
     base: Callable[[], ph.Model]
     physics: Callable[[], ph.Model]
-    pieces: Callable[[ph.Measurements], tuple[ph.Measurements, ph.Measurements]]
+    study: Callable[[ph.Model, ph.Measurements], ph.Study]
     published: str
     most: float = np.inf
+    fit: Callable[[ph.Model, ph.Measurements], ph.Fit] | None = None
+    error: Callable[..., float] | None = None
 
 
 def _record(t: Array, y: Array, u: Array, states: str, hold: str) -> ph.Measurements:
@@ -224,6 +228,13 @@ def bouc_wen_base() -> ph.PseudoHamiltonian:
     )
 
 
+def of_pieces(
+    cut: Callable[[ph.Measurements], tuple[ph.Measurements, ph.Measurements]],
+) -> Callable[[ph.Model, ph.Measurements], ph.Study]:
+    """A study of a model with two pieces of the training record."""
+    return lambda model, train: ph.Study(model, *cut(train))
+
+
 def first_two(n: int, data: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
     """The first ``n`` samples of a record, and as many after them."""
     t = data.trajectories[0].t
@@ -240,7 +251,7 @@ LEAGUE: Mapping[str, Entry] = {
         tests=lambda: {"force pulses": emps("test")},
         base=machines.emps_base,
         physics=machines.emps_model,
-        pieces=emps_pieces,
+        study=of_pieces(emps_pieces),
         published="LSTM 74.1 (baseline)",
     ),
     "Silverbox": Entry(
@@ -256,7 +267,7 @@ LEAGUE: Mapping[str, Entry] = {
         },
         base=machines.box_model,
         physics=box_physics,
-        pieces=partial(first_two, 2 * 2048),
+        study=of_pieces(partial(first_two, 2 * 2048)),
         published="1.49 and 2.39 (baselines), 0.26 to 0.36 (best)",
     ),
     "cascaded tanks": Entry(
@@ -268,7 +279,7 @@ LEAGUE: Mapping[str, Entry] = {
         tests=lambda: {"second record": tanks_test()},
         base=storages.textbook_tanks,
         physics=tanks_physics,
-        pieces=lambda data: data.split(storages.TANKS_SHARE),
+        study=of_pieces(lambda data: data.split(storages.TANKS_SHARE)),
         published="0.396 (baseline), 0.18 (grey box)",
         most=storages.FULL,
     ),
@@ -284,7 +295,21 @@ LEAGUE: Mapping[str, Entry] = {
         },
         base=bouc_wen_base,
         physics=bouc_wen_physics,
-        pieces=partial(first_two, 1000),
+        study=of_pieces(partial(first_two, 1000)),
         published="about 10",
+    ),
+    "F-16": Entry(
+        folder="f16",
+        n_first=50,
+        unit="m/s^2",
+        per_unit=1.0,
+        train=f16.train,
+        tests=lambda: {f"level {level}": f16.test(level) for level in (2, 4, 6)},
+        base=f16.base,
+        physics=f16.physics,
+        study=f16.study,
+        published="-",
+        fit=f16.fitted,
+        error=lambda fit, record, entry: f16.error(fit.model, record, entry.n_first),
     ),
 }

@@ -33,6 +33,8 @@ WAYS = ("base model", "found", "physics written down")
 
 def error(fit: ph.Fit | ph.Model, test: ph.Measurements, entry: Entry) -> float:
     """Root mean square error of one free run, from the first samples on."""
+    model = fit if isinstance(fit, ph.Model) else fit.model
+    test = with_states(test, model.states)
     (run,) = test.trajectories
     (state,) = test.measured
     column = test.states.index(state)
@@ -54,24 +56,31 @@ def error(fit: ph.Fit | ph.Model, test: ph.Measurements, entry: Entry) -> float:
     return entry.per_unit * float(np.sqrt(np.nanmean(misfit[begin:] ** 2)))
 
 
-def with_states(data: ph.Measurements, states: tuple[str, ...]) -> ph.Measurements:
-    """The same with further states, which nobody measured."""
+def with_states(data: ph.Measurements, states: Sequence[str]) -> ph.Measurements:
+    """The same with the states that nobody measured."""
+    hidden = [state for state in states if state not in data.states]
     runs = data.trajectories
     return ph.Measurements.from_arrays(
         [run.t for run in runs],
-        [np.c_[run.x, np.full((run.n_samples, len(states)), np.nan)] for run in runs],
+        [np.c_[run.x, np.full((run.n_samples, len(hidden)), np.nan)] for run in runs],
         [run.u for run in runs],
-        states=[*data.states, *states],
+        states=[*data.states, *hidden],
         inputs=data.inputs,
         hold=data.hold,
     )
+
+
+def identified(model: ph.Model, train: ph.Measurements) -> ph.Fit:
+    """By maximum likelihood."""
+    return ph.identify(model, with_states(train, model.states))
 
 
 def fitted(case: tuple[str, str]) -> Result:
     """The model of a set that came about in a way, fitted and tested.
 
     A mapping: the errors of the tests by their names, in the entry's unit; the seconds
-    of fit and study, and of the tests; effects that a study added; the fit as text.
+    of fit and study, and of the tests; effects that a study added; the fit as text; the
+    commit.
     """
     name, way = case
     entry = LEAGUE[name]
@@ -80,20 +89,18 @@ def fitted(case: tuple[str, str]) -> Result:
     added: list[str] = []
     model = entry.physics() if way == WAYS[2] else entry.base()
     if way == WAYS[1]:
-        first, second = entry.pieces(train)
-        study = ph.Study(model, first, held_out=second)
+        study = entry.study(model, train)
         study.auto()
         added = list(study.history["effect"][1:])
         model = study.model
-    hidden = tuple(x for x in model.states if x not in train.states)
-    fit = ph.identify(model, with_states(train, hidden))
+    fit = (entry.fit or identified)(model, train)
     middle = time.process_time()
     errors = {}
     for test, data in entry.tests().items():
-        errors[test] = error(fit, with_states(data, hidden), entry)
+        errors[test] = (entry.error or error)(fit, data, entry)
     seconds = [middle - begin, time.process_time() - middle]
     told = {"errors": errors, "seconds": seconds, "added": added, "fit": str(fit)}
-    return {"name": name, "way": way, **told}
+    return {"name": name, "way": way, "commit": provenance.commit(), **told}
 
 
 def page(results: Sequence[Result]) -> str:
