@@ -139,8 +139,11 @@ class DataView:
             ui.label("Simulated measurements; the model lacks one effect.")
             with ui.row():
                 for name, title in EXAMPLES.items():
-                    begin = partial(run.io_bound, self.session.open_example, name)
-                    button(title, begin, quiet=True)
+                    button(title, partial(self._open_example, name), quiet=True)
+
+    async def _open_example(self, name: str) -> None:
+        await run.io_bound(self.session.open_example, name)
+        self.go(STUDY_PART)
 
     @ui.refreshable_method
     def seen(self) -> None:

@@ -266,11 +266,9 @@ class Session:
         """Why a file is not even looked at; "" where it is."""
         if self.is_closed:
             return "this study has ended; load the page again."
-        n_known = len(self.draft.places)
-        refusal = refusal_of(name, len(content))
-        if not refusal and n_known >= MOST_FILES:
+        if (n_known := len(self.draft.places)) >= MOST_FILES:
             return f"there are {n_known} files already, at most {MOST_FILES}."
-        return refusal
+        return refusal_of(name, len(content))
 
     def _take(self, name: str, content: bytes) -> None:
         """Store a table under a name of the page's own, and look at all files."""

@@ -377,8 +377,7 @@ class StudyView:
         except PhsiOptError as error:
             self._session.message = str(error)
         else:
-            told = f"{name} was downloaded by the browser."
-            self._session.message = told
+            self._session.message = f"{name} was downloaded by the browser."
         self._session.version += 1
 
 
