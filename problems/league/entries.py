@@ -53,7 +53,7 @@ class Entry:
     study: Callable[[ph.Model, ph.Measurements], ph.Study]
     published: str
     most: float = np.inf
-    fit: Callable[[ph.Model, ph.Measurements], ph.Fit] | None = None
+    fit: Callable[[ph.Model, ph.Measurements], ph.Model] | None = None
     error: Callable[..., float] | None = None
 
 
@@ -310,6 +310,6 @@ LEAGUE: Mapping[str, Entry] = {
         study=f16.study,
         published="-",
         fit=f16.fitted,
-        error=lambda fit, record, entry: f16.error(fit.model, record, entry.n_first),
+        error=lambda fit, record, entry: f16.error(fit, record, entry.n_first),
     ),
 }
