@@ -1,6 +1,7 @@
 """Screening, verdicts and studies: the true effect is named, and nothing false is."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,12 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis.candidate import Grade
+from phsi_opt.diagnosis import conclusion
+from phsi_opt.diagnosis.candidate import Grade, Verdict
 from phsi_opt.diagnosis.diagnose import candidate_of
 from phsi_opt.diagnosis.record import next_step
 from phsi_opt.model.catalogue import effect_named
+from phsi_opt.screening.effect_size import Size
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -320,3 +323,15 @@ def test_a_run_that_is_far_off_is_no_wrong_unit_where_a_name_explains_it() -> No
     assert "a constant is better" not in f"{found} {' '.join(found.sentences)}"
     open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
     assert open_.sentences[0] == found.base.warning
+
+
+def test_an_effect_whose_fitted_size_may_be_zero_is_not_named(
+    drag, monkeypatch
+) -> None:
+    fit, data, _ = drag
+    asked = partial(ph.diagnose, fit, data, effects=["quadratic drag"])
+    assert asked().findings
+    monkeypatch.setattr(conclusion, "fitted_size", lambda *_: Size(0.1, 0.2))
+    found = asked()
+    assert found.verdict == Verdict.UNEXPLAINED and not found.findings
+    assert "differ significantly from zero" in found.ranking[0].lost
