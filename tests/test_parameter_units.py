@@ -3,7 +3,12 @@
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.model.catalogue import effect_named, inertia_words, lacking_quantity
+from phsi_opt.model.catalogue import (
+    effect_named,
+    inertia_of,
+    inertia_words,
+    lacking_quantity,
+)
 from phsi_opt.model.parameter_units import parameter_units, state_units
 from phsi_opt.presentation.units import (
     coefficient_unit,
@@ -202,7 +207,9 @@ def test_a_size_without_an_inertia_is_told_per_unit_of_it() -> None:
 def test_what_an_equation_lacks_has_the_name_of_its_field(
     model: ph.Model, units: dict[str, str], quantity: str
 ) -> None:
-    assert lacking_quantity(model, model.states[-1], units) == quantity
+    x = model.states[-1]
+    inertia = inertia_of(model, x, units)
+    assert lacking_quantity(model, x, units, inertia) == quantity
 
 
 def test_millimetres_are_no_metres_and_keep_their_name() -> None:

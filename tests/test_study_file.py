@@ -230,6 +230,36 @@ a = {{ start = 1.0 }}
     assert complaints(path)
 
 
+def test_a_script_of_dates_in_fahrenheit_computes_in_si_with_the_hold_that_was_chosen(
+    tmp_path: Path,
+) -> None:
+    times = [f"2026-01-{day:02},{60 + day},{day % 3}" for day in range(1, 9)]
+    (tmp_path / "room.csv").write_text("when,T,P\n" + "\n".join(times) + "\n")
+    path = tmp_path / "study.toml"
+    path.write_text("""
+[data]
+files = "room.csv"
+time = { column = "when" }
+states = { T = { column = "T", unit = "degF" } }
+inputs = { P = { column = "P", unit = "W" } }
+[model]
+type = "FirstOrder"
+states = ["T"]
+inputs = ["P"]
+F = { T = "P/C" }
+[parameters]
+C = { start = 1e5, unit = "J/K" }
+""")
+    file = ph.StudyFile.read(path).with_hold({"P": "zero"})
+    again = ph.StudyFile.read(file.write(tmp_path / "again.toml"))
+    data = again.measurements()
+    seen: dict[str, Any] = {"__file__": str(tmp_path / "study.py")}
+    exec(again.script().partition("study = ph.Study(")[0], seen)
+    assert seen["data"].digest == data.digest and data.units["T"] == "degC"
+    assert seen["data"].hold == data.hold == "zero"
+    assert again.with_hold("linear").measurements().hold == "linear"
+
+
 def test_terms_may_be_polynomials_and_waves(spring: Path) -> None:
     changed(
         spring,

@@ -527,3 +527,23 @@ def test_a_circuit_lacks_a_voltage_and_knows_no_positions() -> None:
     assert "missing voltage (V)" in told
     assert not re.search(r"force|position|velocity|speed", told)
     assert found.energy["unit"].tolist()[0] == "A^2/s"
+
+
+def test_a_force_is_no_multiple_of_an_inertia_that_the_data_do_not_determine() -> None:
+    t = np.arange(0.0, 20.0, 0.2)
+    told = {}
+    for power in (0.01, 10.0):
+        u = power * np.sign(np.sin(t))[:, None]
+        truth = ph.FirstOrder(["T"], {"T": ph.formula("u/2 - T/8")}, ["u"])
+        x = ph.simulate(truth, t, [5.0], u, hold="zero")
+        x = x + 0.01 * np.random.default_rng(1).standard_normal(x.shape)
+        units = {"t": "s", "T": "K", "u": "W"}
+        data = ph.Measurements.from_arrays(
+            t, x, states=["T"], u=u, inputs=["u"], units=units, hold="zero"
+        )
+        capacity = ph.Parameter(2.0, lower=0, unit="J/K")
+        term = ph.formula("u/C", C=capacity)
+        model = ph.FirstOrder(["T"], {"T": term}, ["u"], kind="thermal")
+        record = Record.of(ph.identify(model, data), data)
+        told[power] = ForceAnalysis.of(record).force_in().quantity
+    assert told == {0.01: "heat flow per heat capacity", 10.0: "heat flow"}

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOST_OF_IT, NAMED_CAUSE
+from phsi_opt.criteria import (
+    CERTAIN_FORCE,
+    CLEAR_PATTERN,
+    MOST_OF_IT,
+    NAMED_CAUSE,
+    SURE_DEVIATIONS,
+)
 from phsi_opt.force_analysis.dependence import (
     CONSTANT,
     NO_VARIABLES,
@@ -28,7 +34,7 @@ from phsi_opt.force_analysis.localization import (
 )
 from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.catalogue import inertia_of, lacking_quantity
-from phsi_opt.model.expressions import NUMPY, evaluate
+from phsi_opt.model.expressions import NUMPY, evaluate, names_of
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC
 from phsi_opt.model.parameter_units import drive_of
 from phsi_opt.model.structure import (
@@ -176,6 +182,18 @@ class EquationForce(Force):
         return usual if {self.equation, usual[0]} <= set(pair) else pair
 
     @cached_property
+    def inertia(self) -> str:
+        """What divides the forces of its equation; "" where no fit determines it."""
+        record = self.record
+        model = with_kinds_of_units(record.model, record.units)
+        found = inertia_of(model, self.equation, record.units)
+        fit = record.along.fit
+        free = names_of(found).intersection(fit.names) if found else ()
+        values = abs(np.array([fit.estimates[name] for name in free]))
+        errors = np.array([fit.std_errors[name] for name in free])
+        return found if np.all(values >= SURE_DEVIATIONS * errors) else ""
+
+    @cached_property
     def scale(self) -> Scale:
         """The unit in which a text or a report tells the force.
 
@@ -183,10 +201,8 @@ class EquationForce(Force):
         the force is told as the rate that it is missing in.
         """
         record = self.record
-        model = with_kinds_of_units(record.model, record.units)
-        inertia = inertia_of(model, self.equation, record.units)
-        if inertia:
-            size = 1 / float(evaluate(inertia, record.model.values, NUMPY))
+        if self.inertia:
+            size = 1 / float(evaluate(self.inertia, record.model.values, NUMPY))
             return Scale(drive_of(record.units[self.equation]), size)
         return scale_of_rate(self.equation, record.units, float(record.t.max()))
 
@@ -194,7 +210,7 @@ class EquationForce(Force):
     def quantity(self) -> str:
         """What is missing, such as a force, a voltage or a heat flow."""
         record = self.record
-        return lacking_quantity(record.model, self.equation, record.units)
+        return lacking_quantity(record.model, self.equation, record.units, self.inertia)
 
     @property
     def strongest_run(self) -> int:

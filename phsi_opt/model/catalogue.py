@@ -223,22 +223,23 @@ LACKING = {
 PER = {"voltage": "inductance", "current": "capacitance"}  # where a circuit has both
 
 
-def lacking_quantity(model: BaseModel, x: str, units: Mapping[str, str]) -> str:
+def lacking_quantity(
+    model: BaseModel, x: str, units: Mapping[str, str], inertia: str
+) -> str:
     """What is missing in the equation of x: a force, a voltage, a flow per capacity."""
     known = with_kinds_of_units(model, units)
     unit = state_units(known, units)[x]
     drive = drive_of(unit) or rate_unit(unit, units.get("t", ""))
     role = role_of(known, x)
     found = LACKING.get((role, drive)) or LACKING.get((role, ""))
-    return f"{found}{_per(known, x, units, found)}" if found else "term"
+    is_rate = not inertia and _has_rates(known, x, units)
+    per = PER.get(found or "") or WORDS[role][-1]
+    return f"{found}{f' per {per}' if is_rate else ''}" if found else "term"
 
 
-def _per(model: BaseModel, x: str, units: Mapping[str, str], what: str = "") -> str:
-    """Such as " per inertia", where the equation of x tells rates and no forces."""
-    is_rate = not model.has_energy and drive_of(state_units(model, units)[x])
-    if not is_rate or inertia_of(model, x, units):
-        return ""
-    return f" per {PER.get(what) or WORDS[role_of(model, x)][-1]}"
+def _has_rates(model: BaseModel, x: str, units: Mapping[str, str]) -> bool:
+    """Whether the equation of x is one of a rate, whatever forces are divided by."""
+    return not model.has_energy and bool(drive_of(state_units(model, units)[x]))
 
 
 def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) -> str:
@@ -247,8 +248,11 @@ def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) ->
     is_rate = effect.slot in "RF" and term.coefficient is not None
     if not is_rate or names_of(term.body) & set(model.slopes):
         return ""
-    found = _per(with_kinds_of_units(model, units), effect.equation, units)
-    return found and f" ({found.strip()})"
+    known = with_kinds_of_units(model, units)
+    x = effect.equation
+    if not _has_rates(known, x, units) or inertia_of(known, x, units):
+        return ""
+    return f" (per {WORDS[role_of(known, x)][-1]})"
 
 
 def _places(

@@ -633,8 +633,9 @@ class Session:
         drafted = self.model.drafted
         path = write_whole(self._state / FITTED_FILE, drafted.text)
         file = StudyFile.read(path, drafted.places)
-        added = self.model.content.added
-        return file.with_added(*(one for one in added if one not in file.steps.added))
+        content = self.model.content
+        added = [one for one in content.added if one not in file.steps.added]
+        return file.with_added(*added).with_hold(content.hold)
 
     def close(self) -> None:
         """End the worker and remove the files."""

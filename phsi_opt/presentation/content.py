@@ -6,7 +6,7 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 """
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -374,6 +374,7 @@ class StudyContent:
     # Which of the effects added no diagnosis established.
     unestablished: tuple[str, ...]
     warning: str  # what to do where the free run is flat; "" where it is not
+    hold: str | Mapping[str, str] = "linear"  # what inputs do between samples
 
     @property
     def present(self) -> Diagnosed | None:

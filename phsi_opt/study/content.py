@@ -150,6 +150,7 @@ def study_content(
         stopped=study.stopped,
         unestablished=tuple(one.name for one in study.unestablished),
         warning=study.last.judged.warning,
+        hold=study.train.hold,
     )
 
 
@@ -526,7 +527,9 @@ def _code(study: StudyRecord) -> str:
     """The calls that repeat the steps, beside the user's data and base model."""
     held_out = ", held_out" if study.held_out is not None else ""
     final = ", final=final" if study.final is not None else ""
-    lines = [f"study = ph.Study(model, train{held_out}{final})"]
+    hold = study.train.hold
+    lines = [] if hold == "linear" else [f"# all data are read with hold={hold!r}"]
+    lines.append(f"study = ph.Study(model, train{held_out}{final})")
     for effect in study.last.added:
         lines.append(f"study.add({effect.name!r}, {effect.equation!r})")
     lines.append('study.report("report.html")')

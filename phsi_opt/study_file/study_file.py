@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from phsi_opt.arguments import typed
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
 from phsi_opt.initialization.relative_guesses import check_rates
@@ -160,6 +161,14 @@ class StudyFile(Sections):
         file = replace(self, steps=replace(self.steps, added=added))
         file.model()  # refuses what is unknown, or there already
         return file
+
+    def with_hold(self, hold: Hold) -> Self:
+        """The same where inputs do this between their samples."""
+        inputs = {}
+        for name, one in self.data.inputs.items():
+            held = hold if isinstance(hold, str) else hold[name]
+            inputs[name] = replace(one, hold=None if held == self.data.hold else held)
+        return replace(self, data=replace(self.data, inputs=inputs))
 
     def write(self, path: str | Path) -> Path:
         """Write the file, with comments; return its path.

@@ -309,7 +309,7 @@ def study_script(study: Sections) -> str:
     if study.held_out or study.final:
         source.imports.add(f"from {parts_of.__module__} import parts_of")
     shared = shared_parameters(model, study.own_effects)
-    units = study.data.units
+    units = {"t": "s", **study.data.units}  # dates have no unit, and are in seconds
     files: Any = [Code(f"FOLDER / {source.of(one)}") for one in study.data.files]
     body = text_template("study_script.py.jinja").render(
         data=study.data,
