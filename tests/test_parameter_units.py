@@ -244,4 +244,6 @@ def test_written_powers_are_read_and_written_alike() -> None:
         assert coefficient_unit(powers) == unit
     powers = powers_in_base_units("A/(V^3 s)")
     assert powers is not None and coefficient_unit(powers) == "A/(V^3 s)"
+    of_charge = {"kg": 1, "m": 2, "A": -4, "s": -6}  # of q^3 in an elastance
+    assert coefficient_unit(of_charge) == "V/C^3"
     assert powers_as_written("3 apples") is None

@@ -174,6 +174,9 @@ def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
             return unit
     mass = powers.get("kg", 0.0)
     in_volts = product(product(powers, KNOWN["V"], -mass), {"V": mass})
+    charge = in_volts.get("A", 0.0)
+    if charge and charge == in_volts.get("s"):
+        in_volts = product(product(in_volts, {"A": 1, "s": 1}, -charge), {"C": charge})
     is_electrical = ("A" in powers or is_of_circuit) and "m" not in in_volts
     return _written(in_volts if is_electrical else powers)
 
