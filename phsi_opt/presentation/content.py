@@ -324,8 +324,7 @@ class Diagnosed:
     @property
     def listed(self) -> tuple[Ranked, ...]:
         """The candidates that a report lists."""
-        likely = tuple(one for one in self.ranking if one.is_likely)
-        return (likely or self.ranking)[:12]
+        return tuple(one for one in self.ranking if one.is_likely)[:12]
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ function phsiChart(host, chart) {
   function draw() {
     const width = host.clientWidth, panels = chart.map ? [{ label: chart.map.y_label, curves: [], height: 1, scale: "" }] : chart.panels;
     drawnAt = size();
-    if (!width) return;
+    if (width <= LEFT + RIGHT) return;
     const names = chart.ticks.map((lines) => folded(lines.join(" "), (width - LEFT - RIGHT) / 6.5 / chart.ticks.filter((one) => one.length).length));
     const box = host.querySelector("svg"), tickRows = Math.max(1, ...names.map((lines) => lines.length));
     const height = Math.max(host.clientHeight - host.querySelector(".keys").offsetHeight - 4, 120);
