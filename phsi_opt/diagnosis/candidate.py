@@ -16,6 +16,7 @@ MOST_FAMILIES = 2  # of effects, that the name of a class joins
 
 LOSS = "a loss of energy whose law the data do not determine"
 LOSS_SOMEWHERE = "a loss of energy whose equation and law the data do not determine"
+AT_LIMIT = "the data do not determine it: {} ends at a limit of its range"
 
 
 class Verdict(StrEnum):

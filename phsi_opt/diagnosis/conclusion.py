@@ -21,7 +21,14 @@ from phsi_opt.criteria import (
     SURE_DEVIATIONS,
 )
 from phsi_opt.data.noise import unresolved_channels
-from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict, class_of
+from phsi_opt.diagnosis.candidate import (
+    AT_LIMIT,
+    Candidate,
+    Finding,
+    Grade,
+    Verdict,
+    class_of,
+)
 from phsi_opt.diagnosis.ranking import ranked
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel, refit, thorough_refit
@@ -127,7 +134,7 @@ class _Judge:
         at_bound = [name for name in new if name in larger.fit.outcome.at_bounds]
         if at_bound:
             words = parameter_words(larger.fit.model, at_bound[0])
-            self.note(place, lost=f"it fits best with {words} at a limit of its range")
+            self.note(place, lost=AT_LIMIT.format(words))
             return None
         self.note_refit(place, larger)
         return larger

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_EVIDENCE
-from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.candidate import AT_LIMIT, Candidate
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.effect import Effect
@@ -128,7 +128,7 @@ def _candidate(
     lost = ""
     if at_bound:
         words = parameter_words(weighed.model, at_bound[0])
-        lost = f"it fits best with {words} at a limit of its range"
+        lost = AT_LIMIT.format(words)
     return replace(
         _expected(base, one, lost),
         coefficient=size.value,

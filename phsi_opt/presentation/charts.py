@@ -150,7 +150,10 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
         curves.append(Curve("final test", x, final, ATTENTION, "dot"))
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
-    band = f"noise floor {with_interval(floor[-1], ends[-1], typeset(spaced(unit)))}"
+    of = " of held-out data" if np.isfinite(held_out).any() else ""
+    band = (
+        f"noise floor{of} {with_interval(floor[-1], ends[-1], typeset(spaced(unit)))}"
+    )
     low, high = np.pad(ends, ((1, 1), (0, 0)), mode="edge").T
     wide = np.r_[-0.5, x, n - 0.5]  # a band where there is one step too
     middle, half = (low + high) / 2, (high - low) / 2

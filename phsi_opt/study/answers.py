@@ -484,8 +484,10 @@ def _discovery(study: StudyRecord) -> Answer:
             unsure.append(called(name, *beside, open_[str(effect)]))
         elif is_second_storage(effect):
             also = ", ".join(told_of_law(effect.name)[1])  # such as "wall"
-            storages[called(effect.name, also)] = beside[0]
-            sure.append(called(name, *beside[1:]))
+            time_constant, _, storages[called(effect.name, also)] = beside[0].partition(
+                " and "
+            )
+            sure.append(called(name, time_constant, *beside[1:]))
         else:
             sure.append(called(name, *beside))
     found = {"sure": sure, "unsure": unsure, "storages": storages}

@@ -155,7 +155,9 @@ class StudyRecord:
         which = number_of(len(self.final), "run")
         if len(self.final) == 1:
             which = self.final.trajectories[0].title
-        return f"In the final test ({which}), the error {told}{spaced(unit)}."
+        noise = number(size * last.noise_floor, 3)
+        told = f"{told}{spaced(unit)} (noise {noise})"
+        return f"In the final test ({which}), the error {told}."
 
     @property
     def notes(self) -> tuple[str, ...]:
