@@ -325,7 +325,7 @@ def test_a_run_that_is_far_off_is_no_wrong_unit_where_a_name_explains_it() -> No
     assert open_.sentences[0] == found.base.warning
 
 
-def test_an_effect_whose_fitted_size_may_be_zero_is_not_named(
+def test_an_effect_whose_fitted_size_is_not_determined_is_not_named(
     drag, monkeypatch
 ) -> None:
     fit, data, _ = drag
@@ -334,4 +334,4 @@ def test_an_effect_whose_fitted_size_may_be_zero_is_not_named(
     monkeypatch.setattr(conclusion, "fitted_size", lambda *_: Size(0.1, 0.2))
     found = asked()
     assert found.verdict == Verdict.UNEXPLAINED and not found.findings
-    assert "differ significantly from zero" in found.ranking[0].lost
+    assert "standard error exceeds its size" in found.ranking[0].lost

@@ -38,7 +38,7 @@ from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.laws import parameter_words
 from phsi_opt.presentation.numbers import decimal
 from phsi_opt.presentation.units import spaced
-from phsi_opt.screening.effect_size import Size, fitted_size, new_names
+from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
 WEAK = "its evidence is only"  # begins why an effect is rejected that is not decisive
@@ -124,7 +124,11 @@ class _Judge:
     def refit(self, place: int) -> DiagnosedModel | None:
         """The base with a candidate; None where that rejects it."""
         one = self.ranking[place]
-        if self.is_nothing(place, one.size):
+        if not one.size.z >= SURE_DEVIATIONS:
+            self.note(
+                place,
+                lost=f"its size, {one.size}, does not differ significantly from zero",
+            )
             return None
         larger = refit(self.base, one)
         if larger is None:
@@ -138,14 +142,6 @@ class _Judge:
             return None
         self.note_refit(place, larger)
         return larger
-
-    def is_nothing(self, place: int, size: Size) -> bool:
-        """Whether a size may be zero; that rejects the candidate."""
-        if size.z >= SURE_DEVIATIONS:
-            return False
-        said = f"its size, {size}, does not differ significantly from zero"
-        self.note(place, lost=said)
-        return True
 
     def note_refit(self, place: int, larger: DiagnosedModel) -> None:
         held_out = larger.judged.rmse if self.base.is_held_out else np.nan
@@ -268,8 +264,9 @@ class _Judge:
         last = thorough_refit(judges[-1].larger or larger)
         for judge in judges:
             size = fitted_size(judge.base.fit.model, last.fit, judge.ranking[0].effect)
-            if judge.is_nothing(0, size):
-                return self.not_named(larger, judge.ranking[0].lost)
+            if not size.is_determined:
+                lost = "its standard error exceeds its size beside the other parameters"
+                return self.not_named(larger, lost)
         if second is None:
             self.note_refit(0, last)
             self.note(0, coefficient=size.value, std_error=size.std_error)

@@ -39,8 +39,13 @@ class Size:
         """Standard errors from zero; NaN where the standard error is not known."""
         return abs(self.value) / max(self.std_error, TINY)
 
+    @property
+    def is_determined(self) -> bool:
+        """Whether it is larger than its standard error, or this is not known."""
+        return not abs(self.value) < self.std_error < np.inf
+
     def __str__(self) -> str:
-        if abs(self.value) < self.std_error < np.inf:
+        if not self.is_determined:
             return NOT_DETERMINED
         if not np.isfinite(self.std_error):
             return f"{number(self.value)} {self.unit}".rstrip()

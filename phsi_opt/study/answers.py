@@ -31,7 +31,14 @@ from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.laws import is_second_storage, parameter_words
 from phsi_opt.model.laws import said_of as told_of_law
-from phsi_opt.presentation.content import BAD, GOOD, LOOK, Answer, Headline
+from phsi_opt.presentation.content import (
+    BAD,
+    GOOD,
+    LOOK,
+    VERDICT_WORDS,
+    Answer,
+    Headline,
+)
 from phsi_opt.presentation.numbers import (
     number,
     range_words,
@@ -363,6 +370,8 @@ def headline_of(study: StudyRecord) -> Headline:
         remark = disturbance_word(present)
         certainty = answer("certainty", present, True, added=study.last.added)
     severity = SEVERITIES[status]
+    is_established = bool(study.last.added) and not study.unestablished
+    is_partly = status == Verdict.UNEXPLAINED and is_established
     if study.unestablished and not remark:
         remark = NOT_ESTABLISHED
         severity = LOOK if severity == GOOD else severity
@@ -375,6 +384,7 @@ def headline_of(study: StudyRecord) -> Headline:
         severity,
         _discovery(study),
         _brief(study, certainty.lead, answers[-1]),
+        "partly explained" if is_partly else VERDICT_WORDS.get(status, status),
         answers,
         remark=remark,
         certainty=str(certainty),
