@@ -256,8 +256,8 @@ def _refused(cell: Any, date_format: str | None) -> str:
     return (
         f"{cell!r} is neither a number nor a date; expected such as '2021-11-22 "
         "09:15:00' or '2021-11-22 09:15:00+01:00' (names of time zones are not "
-        "supported). For dates in another order set date_format, such as "
-        '"%d.%m.%Y %H:%M:%S", or "%m/%d/%Y %H:%M:%S" where the month is first.'
+        'supported). For other dates set date_format: "%d.%m.%Y %H:%M:%S", or with the '
+        'month first "%m/%d/%Y %H:%M:%S".'
     )
 
 
