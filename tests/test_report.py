@@ -266,7 +266,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(study) -> No
         r"error on data not used for fitting fell from",
         headline.sentence,
     )
-    assert "Still, a force is missing" in headline.sentence
+    assert "Still unexplained: a missing force of" in headline.sentence
     answers = {fact.question: fact.detail for fact in headline.answers}
     assert "dp/dt lacks a force of" in answers["What is wrong"]
     assert "What to do next" in answers

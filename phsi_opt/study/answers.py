@@ -502,7 +502,7 @@ def _discovery(study: StudyRecord) -> Answer:
             sure.append(called(name, *beside))
     found = {"sure": sure, "unsure": unsure, "storages": storages}
     facts = {"present": present, "added": added, "lacking": lacking, "ask": ASK}
-    return said_of(study, "discovery", **found, **facts)
+    return said_of(study, "discovery", remains=_remains(study), **found, **facts)
 
 
 def _beside(study: StudyRecord, effect: Effect) -> tuple[str, str]:
