@@ -20,13 +20,7 @@ from phsi_opt.data.file_opening import BinarySource, Source, opened_files
 from phsi_opt.data.headers import unit_of_header
 from phsi_opt.data.logger_tables import table_of_groups
 from phsi_opt.data.matlab_tables import table_of_mat
-from phsi_opt.data.tables import (
-    Samples,
-    Table,
-    numbers_in,
-    rows_of_runs,
-    table_of_frame,
-)
+from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
 from phsi_opt.data.times import Moment, times_in
 from phsi_opt.data.trajectory import Trajectory
@@ -428,15 +422,13 @@ def _runs_in(
                 if column is not None:
                     may_be_missing = has_clock or part[0] == "states"
                     values = numbers_in(table, column, may_be_missing)
+                if has_clock and origins:
+                    raise DataError(
+                        f"clocks: {name!r} has times of its own, and the times are "
+                        "dates; expected numbers. Put both on common times."
+                    )
                 if has_clock:
-                    if origins:
-                        raise DataError(
-                            f"clocks: {name!r} has times of its own, and the times are "
-                            "dates; expected numbers. Put both on common times."
-                        )
-                    _check_column(table, layout.clocks[name], layout)
-                    other = Samples(table, layout.clocks[name], values)
-                    values = other.at(t, list(rows.values()), layout.is_held(name))
+                    values = _at_times(table, layout, name, values, t, rows.values())
                 columns[part[0]].append(values)
         except DataError as error:
             faults.setdefault(part, error)
@@ -457,6 +449,38 @@ def _runs_in(
             Trajectory(prefix + name, t[known], x[known], u[known], origin)
         )
     return trajectories, origins
+
+
+def _at_times(
+    table: Table,
+    layout: Layout,
+    name: str,
+    values: np.ndarray,
+    t: np.ndarray,
+    runs: Iterable[np.ndarray],
+) -> np.ndarray:
+    """The values of a channel with a clock at the times t, NaN beyond its own times."""
+    clock = layout.clocks[name]
+    _check_column(table, clock, layout)
+    times = numbers_in(table, clock, may_be_missing=True)
+    found = np.full(len(t), np.nan)
+    for rows in runs:
+        own = rows[np.isfinite(times[rows]) & np.isfinite(values[rows])]
+        late = np.flatnonzero(np.diff(times[own]) <= 0)
+        if len(own) < 2 or len(late):
+            row = own[late[0] + 1] if len(late) else rows[0]
+            raise DataError(
+                f"{table.place(clock, int(row))} expected at least two times of "
+                "its own for each run, which increase from line to line."
+            )
+        if layout.is_held(name):
+            places = np.searchsorted(times[own], t[rows], side="right") - 1
+            held = values[own][np.maximum(places, 0)]
+            found[rows] = np.where(places < 0, np.nan, held)
+        else:
+            ends = {"left": np.nan, "right": np.nan}
+            found[rows] = np.interp(t[rows], times[own], values[own], **ends)
+    return found
 
 
 def _times(

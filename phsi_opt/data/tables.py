@@ -164,43 +164,6 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
     return values
 
 
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """A channel with times of its own, in a column of its table."""
-
-    table: Table
-    clock: Any
-    values: np.ndarray  # (n_rows,)
-
-    def at(
-        self, t: np.ndarray, runs: Sequence[np.ndarray], is_held: bool
-    ) -> np.ndarray:
-        """Its values at times t, (n_rows,), in each run; NaN beyond its own times.
-
-        Raises:
-            DataError: the own times of a run are fewer than two, or not increasing.
-        """
-        times = numbers_in(self.table, self.clock, may_be_missing=True)
-        found = np.full(len(t), np.nan)
-        for rows in runs:
-            own = rows[np.isfinite(times[rows]) & np.isfinite(self.values[rows])]
-            late = np.flatnonzero(np.diff(times[own]) <= 0)
-            if len(own) < 2 or len(late):
-                row = own[late[0] + 1] if len(late) else rows[0]
-                raise DataError(
-                    f"{self.table.place(self.clock, int(row))} expected at least two "
-                    "times of their own for each run that increase from line to line."
-                )
-            found[rows] = np.interp(
-                t[rows], times[own], self.values[own], left=np.nan, right=np.nan
-            )
-            if is_held:
-                places = np.searchsorted(times[own], t[rows], side="right") - 1
-                held = self.values[own][np.maximum(places, 0)]
-                found[rows] = np.where(places < 0, np.nan, held)
-        return found
-
-
 def rows_of_runs(names: "pd.Series") -> dict[str, np.ndarray]:
     """The row numbers (n_samples,) of each run, of which every row has the name."""
     import pandas as pd

@@ -174,17 +174,17 @@ def size_words(fit: Fit, effect: Effect, size: Size) -> str:
     if not np.isfinite(size.value):
         return ""
     if is_second_storage(effect):
-        return _storage_words(fit, effect)
+        return " and ".join(_storage_words(fit, effect))
     told = size.words(effect)
     per = inertia_words(fit.model, effect, fit.units) if told == str(size) else ""
     return f"{said(told)}{per}"
 
 
-def _storage_words(fit: Fit, effect: Effect) -> str:
-    """Time constant and capacity of a second storage."""
+def _storage_words(fit: Fit, effect: Effect) -> list[str]:
+    """Time constant and capacity of a second storage; none where they are not known."""
     names = [effect.term.terms[-1].name, f"following_time_{effect.equation}"]
     if not set(names) <= set(fit.names):
-        return ""
+        return []
     rate, time = map(fit.estimates.__getitem__, names)
     places = list(map(fit.names.index, names))
     covariance = fit.covariance[np.ix_(places, places)]
@@ -192,7 +192,7 @@ def _storage_words(fit: Fit, effect: Effect) -> str:
     errors = np.sqrt(np.maximum([covariance[1, 1], slopes @ covariance @ slopes], 0.0))
     told = said(str(Size(time, errors[0]).in_unit(fit.parameter_units[names[1]])))
     ratio = with_error(rate * time, errors[1])  # of the capacities
-    return f"time constant {told} and {ratio} times the capacity of the first"
+    return [f"time constant {told}", f"{ratio} times the capacity of the first"]
 
 
 def alternatives(finding: Finding, name: str) -> str:
@@ -256,11 +256,10 @@ def undetermined_words(model: BaseModel, parameters: pd.DataFrame) -> str:
 def off_channels(judged: Comparison) -> pd.DataFrame:
     """The three channels that are farthest off, the worst first, in percent."""
     table = judged.table.assign(off=100 - judged.table["fit_percent"])
-    x = np.concatenate([run.x for run in judged.data])
-    x = x[:, list(map(judged.data.states.index, table["state"]))]
-    table["spread"] = np.nanstd(x, axis=0) / (
-        np.nanmax(x, axis=0) - np.nanmin(x, axis=0)
-    )
+    x = pd.DataFrame(judged.data.stacked("x"), columns=list(judged.data.states))
+    x = x[table["state"]]
+    extent = (x.max() - x.min()).clip(lower=TINY)
+    table["of_range"] = table["off"] * (x.std(ddof=0) / extent).to_numpy()
     ratio: pd.Series = table["noise_floor"] / table["rmse"].clip(lower=TINY)
     table["noise"] = table["off"] * ratio
     worst = np.argsort(-np.nan_to_num(table["off"].to_numpy(float)), kind="stable")
@@ -494,10 +493,10 @@ def _discovery(study: StudyRecord) -> Answer:
             unsure.append(called(name, *beside, open_[str(effect)]))
         elif is_second_storage(effect):
             also = ", ".join(told_of_law(effect.name)[1])  # such as "wall"
-            time_constant, _, storages[called(effect.name, also)] = beside[0].partition(
-                " and "
-            )
-            sure.append(called(name, time_constant, *beside[1:]))
+            told = _storage_words(study.last.fit, effect)
+            for capacity in told[1:]:
+                storages[called(effect.name, also)] = capacity
+            sure.append(called(name, *told[:1], *beside[1:]))
         else:
             sure.append(called(name, *beside))
     found = {"sure": sure, "unsure": unsure, "storages": storages}

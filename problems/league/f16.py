@@ -195,7 +195,6 @@ def _runner(rhs: ca.Function, n: int) -> ca.Function:
     """(x0, u (3, n), theta) -> accelerations of the positions (N, n), by Runge and
     Kutta's steps of a sample.
     """
-    x, u, theta = (ca.SX.sym("a", rhs.size1_in(i)) for i in (0, 1, 3))
     x, u = ca.SX.sym("x", rhs.size1_in(0)), ca.SX.sym("u", 3)
     theta = ca.SX.sym("theta", rhs.size1_in(3))
     h = 1 / RATE
