@@ -155,7 +155,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
 ) -> None:
     expected = {
         "What was wrong": r"Coulomb friction on p was missing: .* dp/dt lacked a force of [\d.]+ N.*",
-        "Where it was": "In dp/dt.*",
+        "Where it was": "In the force on q \\(dp/dt\\).*",
         "Since when": r"(From the start|(From the start, r|R)epeatedly), in both "
         r"training runs\. It is (strongest|most clearly visible) at t = .* of run \d\..*",
         "What was added": r"Coulomb friction on p \(.* N\)\. It is practically certain "
@@ -244,7 +244,7 @@ def test_a_paragraph_tells_each_fact_once_in_sentences(content) -> None:
     told = content.diagnoses[0].paragraph
     sizes = re.findall(r"[\d.]+ ± [\d.]+ N", told)
     assert len(sizes) == 1 and told.count("falls from") == 1
-    assert "What is missing acts in dp/dt, the force on q" in told
+    assert "What is missing acts in the force on q (dp/dt)" in told
     assert "It is there from the start" in told or "It is there repeatedly" in told
     assert told.endswith("Coulomb friction on p was added in step 1.")
 
@@ -298,9 +298,9 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     brief = {one.question: one for one in headline.brief}
     rest = brief["What remains unexplained"]
     assert re.match(
-        r"A missing force of [\d.]+ N \(rms\), .* of the model's", rest.lead
+        r"A missing force of [\d.]+ N \(rms\), .* of the net force", rest.lead
     )
-    assert rest.detail.startswith("In dp/dt, the force on q") and "run" in rest.detail
+    assert rest.detail.startswith("In the force on q (dp/dt)") and "run" in rest.detail
     assert re.match(
         r"It predicts q to 0\.\d+ m, [\d.]+ % of its range\. On data not used for "
         r"fitting, [\d.]+ times the noise\.",
@@ -313,7 +313,8 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
         r"0\.\d+ m in q \(\d+ % of its standard deviation; noise alone \d+ %\)", wrong
     )
     assert re.search(
-        r"dp/dt lacks a force of [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
+        r"dp/dt lacks a force of [\d.]+ N \(rms\), .* of the net force in the model",
+        wrong,
     )
     assert wrong.startswith("The model has an error of 0.")
     assert "Simulated on data not used for fitting." in wrong

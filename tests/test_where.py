@@ -488,7 +488,7 @@ def test_a_named_effect_acts_where_its_law_says_and_not_as_its_remainder_looks()
     }
     for name, depends in told.items():
         effect = effect_named(spring(), name, "p")
-        assert law_answer(found, effect).lead == f"In dp/dt, the force on q{depends}"
+        assert law_answer(found, effect).lead == f"In the force on q (dp/dt){depends}"
     effect = effect_named(spring(), "sensor gain", "q")
     assert law_answer(found, effect).lead == "At the sensor of q."
 

@@ -236,6 +236,14 @@ class Comparison(Summarised):
         """Root mean square of the free-run residual, in `error_unit`."""
         return float(np.sqrt(np.mean(self.squares)))
 
+    @cached_property
+    def run_errors(self) -> np.ndarray:
+        """`rmse` of each trajectory, (n_trajectories,)."""
+        squares = (np.concatenate(self.residuals) * self.weights) ** 2
+        ends = np.cumsum(list(map(len, self.residuals)))[:-1]
+        means = map(np.nanmean, np.split(squares[:, self._n_values > 0], ends))
+        return np.sqrt(np.nan_to_num(list(means)))
+
     @property
     def error_unit(self) -> str:
         """Unit of `rmse`: of the one measured channel, else standard deviations."""

@@ -188,14 +188,13 @@ class Pace:
             beside.append("near the sampling rate")
         return f"{frequency_words(self.frequency, units)}, {' and '.join(beside)}"
 
-    def size_words(self, rate: str) -> str:
-        """The force beside the rate that the model has: a share or a multiple of it."""
+    def size_words(self, quantity: str) -> str:
+        """The force beside the sum that the model has: a share or a multiple of it."""
         if not self.own > 0:
             return ""
         ratio = self.strength / self.own
-        if ratio >= 1:
-            return f"{number(ratio, 2)} times the size of the model's own {rate}"
-        return f"{100 * ratio:.2g} % of the model's own {rate}"
+        words = f"{number(ratio, 2)} times" if ratio >= 1 else f"{100 * ratio:.2g} % of"
+        return f"{words} the net {quantity} in the model"
 
 
 def is_mostly_constant(w: np.ndarray) -> bool:

@@ -8,6 +8,7 @@ Numbers that are not known are NaN in arrays, and None elsewhere.
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -387,6 +388,12 @@ class StudyContent:
         if self.headline.status != "nothing missing":
             return "Where it fails"
         return "Where the base model failed" if self.added else "Diagnosis"
+
+    def largest_error(self, channel: str) -> float:
+        """The largest error of a channel, of all runs and models."""
+        channels = chain(*(run.channels for run in self.runs))
+        alike = (one.errors for one in channels if one.name == channel)
+        return max(filter(None, chain(*alike)), default=0.0)
 
     def forces_along(self, run: Run) -> list[ForceRun]:
         """The missing force of each equation along a run."""
