@@ -212,6 +212,15 @@ def test_parameters_of_effects_are_told_in_words_and_others_by_their_names() -> 
     assert told["delay_u_p"] == "delay of u on p"
     assert told["constant_force_p"] == "constant force on p"
     assert told["k"] == "k" and told["R_p"] == "R_p"
+    driven = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["force"],
+        S=ph.canonical(1),
+        H=ph.formula("p**2/2"),
+        F={"p": ph.formula("force")},
+    )
+    driven = driven.add(effect_named(driven, "constant force", "p"))
+    assert parameter_words(driven, "constant_force_p") == "constant force on p"
     (wave,) = [one for name, one in told.items() if name.startswith("F_p[sin")]
     assert wave.startswith("coefficient of sin(") and wave.endswith(" in F_p")
     assert parameter_words(model, "k[run 3]") == "k[run 3]"

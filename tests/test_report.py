@@ -303,7 +303,8 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     assert rest.detail.startswith("In the force on q (dp/dt)") and "run" in rest.detail
     assert re.match(
         r"It predicts q to 0\.\d+ m, [\d.]+ % of its range\. On data not used for "
-        r"fitting, [\d.]+ times the noise\.",
+        r"fitting; the noise is [\d.]+ m, so the model limits it, not the sensor\. In "
+        r"the worst of its 2 runs \(run \d\), 0\.\d+ m\.",
         brief["How good is the model"].told,
     )
     answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}

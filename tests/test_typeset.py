@@ -37,6 +37,11 @@ def test_equations_have_the_names_of_their_parameters() -> None:
     assert momentum == "dpdt=−kq−Rpq˙+gainuu"
 
 
+def test_the_velocity_of_a_position_with_a_word_as_name_is_its_rate() -> None:
+    model = ph.mechanical(["place"], mass=2.0, forces="-c*v", c=ph.Parameter())
+    assert told(model)[-1] == "dpdt=−c(dplacedt)"
+
+
 def test_a_delay_is_written_as_one_and_not_as_its_states() -> None:
     *_, momentum = told(spring().add("input delay", "p"))
     assert momentum == "dpdt=−kq−Rpq˙+gainuu(t−5.3 ms)"

@@ -247,6 +247,8 @@ def said_of(name: str) -> tuple[str, tuple[str, ...]]:
     return "", ()
 
 
+# Laws that say what they are a source of: a constant force, also of an input "force".
+SOURCES = ("constant", "drifting", "harmonic")
 # What the numbers of a law are, by the parts of their names, where these do not say it.
 WORDS_OF_NUMBERS = {
     "v0": "speed of transition v0",
@@ -288,7 +290,8 @@ def parameter_words(model: BaseModel, name: str) -> str:
         kind = max(starts, key=len, default="").rstrip()
         if kind:
             rest = stem[len(kind) + 1 :]
-            of = " of" if rest in (*model.states, *model.inputs) else ""
+            is_variable = rest in (*model.states, *model.inputs)
+            of = " of" if is_variable and kind not in SOURCES else ""
             words = WORDS_OF_NUMBERS.get(kind, kind)
             return f"{words}{of} {rest}".rstrip() + f" on {state}"
     return name

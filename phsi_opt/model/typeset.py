@@ -1,6 +1,6 @@
 """The equations of a model as MathML, in the names of their states and parameters.
 
-SymPy writes them. The velocity of a position q is written with a dot, and a delay as
+SymPy writes them. The velocity of a position q has a dot, and a delay is written as
 u(t - 5.3 ms), not as the states that approximate it.
 """
 
@@ -64,7 +64,7 @@ def typeset_equations(
         is_named = "[" not in name
         known[name] = named(_name(name)) if is_named else sp.Float(f"{value:.3g}")
     for name in model.states:
-        known[_dotted(name)] = named(_dot(_name(name)))
+        known[_dotted(name)] = named(_velocity(name))
     symbols = {}
     for name in (*model.states, *model.inputs):
         symbols[name] = named(_name(name))
@@ -132,8 +132,12 @@ def _dotted(state: str) -> str:
     return f"d{state}/dt"
 
 
-def _dot(name: str) -> str:
-    return f'<mover accent="true">{name}<mo>\N{DOT ABOVE}</mo></mover>'
+def _velocity(state: str) -> str:
+    """With a dot above a letter; of a word as a rate."""
+    written = _name(state)
+    if len(state.partition("_")[0]) > 1:
+        return f"<mrow><mo>(</mo>{RATE.format(written)}<mo>)</mo></mrow>"
+    return f'<mover accent="true">{written}<mo>\N{DOT ABOVE}</mo></mover>'
 
 
 def _late(signal: str, delay: float, unit: str) -> str:
