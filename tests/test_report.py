@@ -171,7 +171,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     )
     assert re.fullmatch(
         r"With it, the error on data not used for fitting fell from ([\d.]+) to [\d.]+ m, "
-        r"the size of the noise\. Now nothing is missing\.",
+        r"the size of the noise\. The data show nothing more that is missing\.",
         found.detail,
     )
     brief = {one.question: one for one in content.headline.brief}
@@ -180,7 +180,8 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
         "one)."
     )
     assert re.fullmatch(
-        r"It predicts q to [\d.]+ m, the noise of the measurements\.",
+        r"In free runs of up to [\d.]+ s it follows q to [\d.]+ m, the noise of the "
+        r"measurements\.",
         brief["How good is the model"].lead,
     )
     covered = r"The data cover q from -[\d.]+ to [\d.]+ m; measure again .*"
@@ -302,9 +303,10 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     )
     assert rest.detail.startswith("In the force on q (dp/dt)") and "run" in rest.detail
     assert re.match(
-        r"It predicts q to 0\.\d+ m, [\d.]+ % of its range\. On data not used for "
-        r"fitting; the noise is [\d.]+ m, so the model limits it, not the sensor\. In "
-        r"the worst of its 2 runs \(run \d\), 0\.\d+ m\.",
+        r"In free runs of up to 5 s it follows q to 0\.\d+ m, [\d.]+ % of its range\. "
+        r"On data not used for fitting, each run from a state that was estimated from "
+        r"all of it; the noise is [\d.]+ m, so the model limits the error, not the "
+        r"sensor\. In the worst of its 2 runs \(run \d\), 0\.\d+ m\.",
         brief["How good is the model"].told,
     )
     answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}
@@ -689,7 +691,7 @@ def test_a_second_storage_has_the_same_name_and_value_everywhere() -> None:
     u = np.column_stack([np.zeros_like(t), (t // 8) % 2])
     walls = room.add("second heat storage", "T")
     values = {name: 0.25 for name in walls.free if name.startswith("second")}
-    values |= {name: 12.0 for name in walls.free if name.startswith("following")}
+    values |= {name: 12.0 for name in walls.free if name.startswith("storage")}
     x = ph.simulate(walls.with_values(values), t, [5.0, 5.0], u, hold="zero")[:, :1]
     x = x + 0.02 * np.random.default_rng(3).standard_normal(x.shape)
     units = {"t": "h", "T": "degC", "Ta": "degC", "P": "kW"}

@@ -374,7 +374,10 @@ def test_walls_that_nobody_measures_are_measured() -> None:
     study.auto(max_steps=2)
     values, table = study.fit.values, study.fit.parameters.set_index("name")
     # The capacity that stays is the air's.
-    truth = {"second_heat_storage_T": INSIDE / AIR, "following_time_T": WALLS / INSIDE}
+    truth = {
+        "second_heat_storage_T": INSIDE / AIR,
+        "storage_time_constant_T": WALLS / INSIDE,
+    }
     for name, size in (truth | {"C": AIR}).items():
         assert abs(values[name] - size) < 4 * table["std_error"][name]
     assert study.diagnose().verdict == NOTHING

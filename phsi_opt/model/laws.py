@@ -91,7 +91,7 @@ INNER_PARAMETERS = {
     # Shares of the longest record; what takes longer is told from a constant by
     # nothing. A re-fit begins at the one in the middle: a second storage that follows
     # soon is hardly different from the first, and a solver finds its way from there.
-    "following_time_{x}": _tried(
+    "storage_time_constant_{x}": _tried(
         *("t", 0.002, 0.003, 0.005, 0.01, 0.03, 0.1, 0.3), most=1.0, unit="s"
     ),
     # The displacement over which a hysteresis yields.
@@ -158,7 +158,7 @@ MEMORIES: Mapping[str, Mapping[str, str]] = {
     # dx/dt = ... + c (z - x), tau dz/dt = x - z. With the capacities C1 and C2 and a
     # resistance R between the two, c = 1/(R C1) and tau = R C2, so that C2/C1 = c tau.
     # What the model had for both before is now for the first alone.
-    "{x}_second": {"{x}_second": "({x} - {x}_second)/following_time_{x}"},
+    "{x}_second": {"{x}_second": "({x} - {x}_second)/storage_time_constant_{x}"},
     "hysteresis_{x}": {"hysteresis_{x}": _bouc_wen("hysteresis_{x}")},
     "bouc_wen_{x}": {"bouc_wen_{x}": _bouc_wen("bouc_wen_{x}", "bouc_wen_shape_{x}*")},
     "{x}_delayed": READING_MEMORY,
@@ -258,7 +258,7 @@ WORDS_OF_NUMBERS = {
     "omega": "frequency omega",
     "dead zone": "half the width of the dead zone",
     "saturation": "limit of the saturation",
-    "following time": "time constant of the second storage",
+    "storage time constant": "time constant of the second storage",
     "clipping": "limit of the clipping",
     "hysteresis width": "width of the hysteresis",
     "bouc wen shape": "shape s of the hysteresis",

@@ -76,6 +76,7 @@ STYLE: Any = {
     "axes.spines.right": False,
 }
 CLOSE = 0.1  # of the movement: curves that are nearer are hardly told apart
+THINNEST = 0.005  # noise over the largest residual, of a band that is seen
 FROM_ZERO = "from zero"
 LOG = "log"
 FREE = "free"
@@ -184,7 +185,9 @@ def run_chart(
     curves = []
     for curve in _of_models(content.names, one.t, residuals):
         curves.append(replace(curve, name="", group=curve.name))
-    noise = None if one.noise is None else 2 * one.noise
+    largest = np.nanmax(np.abs(np.concatenate([[0.0], *residuals])))
+    sigma = one.noise or 0.0
+    noise = 2 * sigma if sigma > THINNEST * largest else None
     is_close = one.change < CLOSE
     height = 1.4 if is_close else 0.5
     below = Panel(label("residual", one.unit), curves, noise=noise, height=height)

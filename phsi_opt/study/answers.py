@@ -7,6 +7,7 @@ them too. Here are the facts; the sentences stand in ``words.jinja``.
 from dataclasses import replace
 from functools import partial
 from itertools import chain
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison, is_failing
 from phsi_opt.criteria import CERTAIN_FORCE
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
 from phsi_opt.errors import some_of
@@ -182,7 +184,7 @@ def size_words(fit: Fit, effect: Effect, size: Size) -> str:
 
 def _storage_words(fit: Fit, effect: Effect) -> list[str]:
     """Time constant and capacity of a second storage; none where they are not known."""
-    names = [effect.term.terms[-1].name, f"following_time_{effect.equation}"]
+    names = [effect.term.terms[-1].name, f"storage_time_constant_{effect.equation}"]
     if not set(names) <= set(fit.names):
         return []
     rate, time = map(fit.estimates.__getitem__, names)
@@ -404,6 +406,7 @@ def _brief(study: StudyRecord, certainty: str, to_do: Answer) -> tuple[Answer, .
         "has_class": not all(finding.is_name for finding in classes),
         "certainty": certainty,
         "ranges": _ranges(study),
+        "longest": _longest(study.last.judged.data),
         "present": present,
         "after": found[-1].ranking[0].comparison if found else None,
         "to_do": to_do,
@@ -426,6 +429,12 @@ def _ranges(study: StudyRecord) -> list[str]:
         f"{name} from {range_words(min(values), max(values), unit)}"
         for name, unit, values in covered[:4]
     ]
+
+
+def _longest(data: Measurements) -> str:
+    """How long the longest run is."""
+    spans = map(np.ptp, map(attrgetter("t"), data))
+    return time_words(float(max(spans)), data.units.get("t", ""))
 
 
 def _remains(study: StudyRecord) -> Answer:

@@ -102,7 +102,7 @@ function phsiChart(host, chart) {
       if (value === null) return "";
       const colour = value > 0 ? "#b2182b" : "#2166ac";
       const place = `x="${x(map.x[k]) - width / 2}" y="${y(map.y[r]) - height / 2}" width="${width}" height="${height}"`;
-      return `<rect ${place} fill="${colour}" opacity="${Math.abs(value) / map.largest}"><title>${said(value, 3)}</title></rect>`;
+      return `<rect ${place} fill="${colour}" opacity="${Math.max(Math.abs(value) / map.largest, 0.08)}"><title>${said(value, 3)}</title></rect>`;
     })).join("");
   }
   function legend() {
