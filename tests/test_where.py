@@ -547,3 +547,19 @@ def test_a_force_is_no_multiple_of_an_inertia_that_the_data_do_not_determine() -
         record = Record.of(ph.identify(model, data), data)
         told[power] = ForceAnalysis.of(record).force_in().quantity
     assert told == {0.01: "heat flow per heat capacity", 10.0: "heat flow"}
+
+
+def test_a_factor_that_was_estimated_does_not_make_an_equation_kinematics() -> None:
+    # dx/dt = s y lacks -x/2. With a known s it would define the velocity y.
+    t = np.linspace(0, 6, 61)
+    truth = ph.FirstOrder(["x", "y"], {"x": "y - 0.5*x", "y": "-4*x - 0.2*y"})
+    x = ph.simulate(truth, t, [1.0, 0.0])
+    noise = 0.01 * np.random.default_rng(0).normal(size=x.shape)
+    data = ph.Measurements.from_arrays(t, x + noise, states=["x", "y"])
+    rates = {"x": ph.formula("s*y", s=ph.Parameter(1.0)), "y": "-4*x - 0.2*y"}
+    fit = ph.identify(ph.FirstOrder(["x", "y"], rates), data)
+    where = ph.diagnose(fit, data, effects=[]).where
+    assert list(where["equation"]) == ["x", "y"]
+    # 0.5 x has a root mean square of 0.19; what acts in dy/dt is noise.
+    assert where["strength"][0] == pytest.approx(0.19, abs=0.03)
+    assert where["strength"][1] < 0.02

@@ -131,10 +131,9 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     """
     given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
     is_given = np.isfinite(given)
-    model = fit.model.frozen()
+    model = fit.model
     theta = None
     if fit.by_trajectory:
-        model = fit.model
         theta = parameter_matrix(model, parameters_of(fit, data))
     guess = initial_noise(data, given)
     scatter = np.where(is_given, given, initial_noise(data))
