@@ -295,3 +295,48 @@ def test_an_effect_with_several_parameters_is_ranked_with_all_of_them() -> None:
     assert beside.startswith("F_p, frequency omega = ")
     assert float(beside.split()[4]) == pytest.approx(3, abs=0.05)
     assert all(";" not in one.size for one in others)
+
+
+def test_a_study_begins_though_no_motion_of_the_base_model_follows_the_record() -> None:
+    rates = {"a": "cos(a)/tan(b)", "b": ph.formula("c*sin(a)", c=ph.Parameter(4.2))}
+    t = np.linspace(0, 10 / 3, 40)
+    x = ph.simulate(ph.FirstOrder(["a", "b"], rates), t, [1.13, -0.3])
+    noise = 0.02 * np.random.default_rng(1).standard_normal(x.shape)
+    data = ph.Measurements.from_arrays(t, x * (1 + noise), states=["a", "b"])
+    lacking = ph.formula("c*sin(a)*cos(b)**2", c=ph.Parameter(1.0))
+    study = ph.Study(ph.FirstOrder(["a", "b"], rates | {"b": lacking}), data)
+    assert study.fit.caution.count("No motion of the model was found") == 1
+    assert "PHSILoss" in str(study.fit)
+
+
+def lorenz() -> ph.Measurements:
+    """Five seconds of Lorenz's chaos, all three states with 2 % noise."""
+    s, r, b = ph.Parameter(10.0), ph.Parameter(28.0), ph.Parameter(8 / 3)
+    rates = {
+        "x": ph.formula("s*(y - x)", s=s),
+        "y": ph.formula("r*x - y - x*z", r=r),
+        "z": ph.formula("x*y - b*z", b=b),
+    }
+    t = np.linspace(0, 5, 101)
+    x = ph.simulate(ph.FirstOrder(list(rates), rates), t, [2.3, 8.1, 12.4])
+    noise = 0.02 * x.std(axis=0) * np.random.default_rng(1).normal(size=x.shape)
+    return ph.Measurements.from_arrays(t, x + noise, states=list(rates))
+
+
+@pytest.mark.slow
+def test_a_base_model_that_cannot_follow_the_record_is_diagnosed_all_the_same() -> None:
+    rates = {
+        "x": ph.formula("s*y", s=ph.Parameter(12.0)),  # lacks -s x
+        "y": ph.formula("r*x - y - x*z", r=ph.Parameter(33.0)),
+        "z": ph.formula("x*y - b*z", b=ph.Parameter(3.0)),
+    }
+    model = ph.FirstOrder(list(rates), rates)
+    data = lorenz()
+    with pytest.raises(ph.SolveError):
+        ph.identify(model, data)
+    study = ph.Study(model, data, effects=["linear leak", "quadratic drag"])
+    assert "No motion of the model was found" in study.fit.caution
+    study.auto(1)
+    assert list(map(str, study.added)) == ["linear leak on x"]
+    # The damping of Lorenz's x is s itself, 10; 0.2 is two standard errors.
+    assert study.model.values["linear_leak_x"] == pytest.approx(10, abs=0.2)

@@ -287,7 +287,9 @@ class _Judge:
         self.reject_others(effects)
         verdict = Verdict.NAMED
         said = " and ".join(map(str, findings))
-        reason = f"{said}; {self.change(last)}; {_grade_words(self.ranking[0])}"
+        one = self.ranking[0]
+        graded = f"{one.grade} evidence (log evidence {one.log_evidence:.1f})"
+        reason = f"{said}; {self.change(last)}; {graded}"
         if not is_complete:
             verdict = Verdict.PARTLY_NAMED
             share = max(0.0, self.base.share_explained(last))
@@ -400,7 +402,3 @@ def _errors(base: DiagnosedModel) -> str:
         f"{where} error {decimal(base.judged.rmse, 3, '#')}{unit}, "
         f"noise floor {base.judged.floor_words()}"
     )
-
-
-def _grade_words(one: Candidate) -> str:
-    return f"{one.grade} evidence (log evidence {one.log_evidence:.1f})"

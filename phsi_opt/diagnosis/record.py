@@ -143,15 +143,11 @@ class Diagnosis(Summarised):
             "trajectory": [names[number] for number in grid.runs],
             "t": grid.t[grid.begin] + grid.h / 2,
         }
-        for column, name in enumerate(self._forced):
+        for column, row in enumerate(estimate.rows):
+            name = self.fit.model.states[row]
             columns[name] = estimate.w[:, column]
             columns[f"std_{name}"] = estimate.posterior.deviation[:, column]
         return printed_table(columns)
-
-    @property
-    def _forced(self) -> list[str]:
-        """States in whose equations a force was estimated."""
-        return [self.fit.model.states[row] for row in self.estimate.rows]
 
     @cached_property
     def analysis(self) -> ForceAnalysis:

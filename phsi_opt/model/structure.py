@@ -85,7 +85,8 @@ def position_of_momentum(model: BaseModel) -> dict[str, str]:
             momentum = _momentum(model, exchange, position)
         else:
             momentum = _velocity(model, position)
-        if momentum and _are_of_one_kind(model, position, momentum):
+        told = {model.kind[x] for x in (position, momentum) if x in model.kind}
+        if momentum and len(told) <= 1 and THERMAL not in told:  # heat has no pairs
             pairs.setdefault(momentum, position)
     return pairs
 
@@ -128,12 +129,6 @@ def _velocity(model: BaseModel, position: str) -> str:
         rate = known.pop("") * evaluate(term.body, {**known, velocity: at}, NUMPY)
         is_proportional = bool(np.all(rate / at == rate[0] / at[0]))
     return velocity if is_proportional and rate[0] > 0 else ""
-
-
-def _are_of_one_kind(model: BaseModel, position: str, momentum: str) -> bool:
-    """Whether two states may be a pair: of one kind, and not heat, which has none."""
-    told = {model.kind[name] for name in (position, momentum) if name in model.kind}
-    return len(told) <= 1 and THERMAL not in told
 
 
 def kind_of(model: BaseModel, state: str) -> str:

@@ -35,7 +35,7 @@ from phsi_opt.presentation.units import scale_of_errors, spaced
 from phsi_opt.screening.effect_size import Size, fitted_size
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import AlignedData, checked_data
-from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,6 +44,10 @@ if TYPE_CHECKING:
 
 # What the history calls the fields of an `ErrorStep`.
 COLUMNS_OF_ERRORS = ("effect", "train_rmse", "held_out_rmse", "noise_floor", "bic")
+NOT_FOLLOWED = (
+    "No motion of the model was found that follows the measurements; its parameters "
+    "are fitted to the changes between neighbouring samples (PHSILoss)."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,6 +282,17 @@ class StudyRecord:
     def fitted(self, model: Model, start: Fit | None = None) -> Fit:
         """A model fitted to the training data, from the estimates of another fit."""
         return identify(model, self.training, self.loss, start=start)
+
+    def fitted_base(self) -> Fit:
+        """By the changes between samples where no motion follows the record."""
+        try:
+            return self.fitted(self.base)
+        except SolveError as error:
+            try:
+                fit = identify(self.base, self.training, PHSILoss())
+            except PhsiOptError:
+                raise error from None
+            return replace(fit, doubts=Later.known(NOT_FOLLOWED))
 
     def larger(self, effect: Effect, found: Candidate | None) -> Fit:
         """The present model with one effect, from what a diagnosis found of it."""

@@ -72,7 +72,7 @@ class Study(Summarised):
         DataError: a state or input of the model is not in the measurements, a run is in
             two parts of the data, or ``fit`` is of other measurements.
         ModelError: one of the ``effects``, or of those to leave out, is unknown.
-        SolveError: the base model could not be fitted.
+        SolveError: the base model could not be fitted, not even by `PHSILoss`.
     """
 
     @typed
@@ -104,7 +104,7 @@ class Study(Summarised):
             self._say(note)
         if fit is None:
             self._say("fitting the base model")
-            fit = self.record.fitted(model)
+            fit = self.record.fitted_base()
         self._check_data(fit)
         self._take("base model", (), fit)
         if self.record.last.train.warning:
@@ -265,7 +265,6 @@ class Study(Summarised):
         return self._take(str(effect), (*self.added, effect), fit)
 
     def _take(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Fit:
-        """Go on from a fit; ``label`` says what was done."""
         return self._go_on(self.record.step(label, added, fit))
 
     def _check_data(self, fit: Fit) -> None:
@@ -469,7 +468,6 @@ class Study(Summarised):
         return study_content(self.record, forces=forces)
 
     def _added_effect(self, effect: str | Effect, equation: str | None) -> Effect:
-        """The one effect that was added and is meant."""
         name = effect if isinstance(effect, str) else effect.name
         place = equation if isinstance(effect, str) else effect.equation
         found = []
@@ -502,7 +500,6 @@ class Study(Summarised):
         return self._go_on(Step(label, added, fit, first.trained, judged))
 
     def _check_earlier(self) -> None:
-        """Take out effects of earlier steps without which the evidence is higher."""
         for effect in self.record.steps[-2].added:
             kept = self._without(effect)
             try:
