@@ -1,15 +1,25 @@
-"""The league table: how a test is scored."""
+"""The league table: how a test is scored; ODEBench less one term."""
 
+import ast
+import json
+import sys
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from typing import Any
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.model.expressions import evaluate, parse
 from phsi_opt.simulation.simulate import free_run
-from problems.league import f16
+from problems.league import f16, odebench
 from problems.league.entries import LEAGUE
 from problems.league.run import WAYS, error, page
+from problems.tools import provenance
 
 T = np.arange(0, 4, 0.05)
 
@@ -81,3 +91,71 @@ def test_accelerations_of_the_f16_are_slopes_of_its_velocities():
     assert f16.error(model, record, 50) < 0.05 * record.a.std()
     stiffer = model.with_values({"k2": 1.3 * model.values["k2"]})
     assert f16.error(stiffer, record, 50) > 0.15 * record.a.std()
+
+
+def published(path: Path) -> Path:
+    """A file as ODEBench publishes it, with one system of two equations."""
+    one: dict[str, Any] = {"id": 7, "eq_description": "spring", "consts": [[4.0, 0.5]]}
+    one["eq"] = "x_1 | - c_0 * (x_0 + x_0^2) - c_1 * x_1"
+    t = np.linspace(0, 4, 41)
+    solution = {"t": t.tolist(), "y": [np.cos(2 * t).tolist(), np.sin(t).tolist()]}
+    one["solutions"] = [[solution, solution]]
+    path.write_text(json.dumps([one]), "utf-8")
+    return path
+
+
+def test_a_term_is_taken_out_of_the_first_sum_and_who_can_write_it_is_told(
+    tmp_path: Path,
+) -> None:
+    system = odebench.read(published(tmp_path / "file.json"))[7]
+    terms = odebench.terms_of(parse(system.rates["x_1"]))
+    values = {"x_0": 3.0, "x_1": 5.0, "c_0": 7.0, "c_1": 11.0}
+    assert [evaluate(ast.unparse(one), values) for one in terms] == [-21, -63, -55]
+    rates, equation, term = system.less_one_term()
+    assert (equation, term) == ("x_1", "-(c_1 * x_1)")
+    assert evaluate(rates["x_1"], values) == -21 - 63
+    model = system.model(rates)
+    assert model.values == pytest.approx({"c_0": 4.8})  # starts 20 % off
+    laws = []
+    for effect in odebench.effects(model):
+        if odebench.is_law(effect, system, equation, term):
+            laws.append(str(effect))
+    assert laws == ["viscous damping on x_1", "product x_1 on x_1"]
+    growing = replace(system, constants={"c_0": 4.0, "c_1": -0.5})
+    (damping,) = ph.catalogue(model, called="viscous damping")
+    assert not odebench.is_law(damping, growing, equation, term)  # it only takes out
+
+
+def told_of(case: tuple[str, int, float, int]) -> dict[str, Any]:
+    _, number, noise, _ = case
+    told = {"number": number, "noise": noise, "system": "spring", "states": 2}
+    told |= {"term": "dx_1/dt: -c", "holder": "catalogue", "outcome": "named"}
+    told |= {"added": "drag", "ended": "", "seconds": 1.0}
+    return told | {way: [0.99, 0.5] for way in odebench.WAYS}
+
+
+def test_odebench_is_downloaded_and_its_page_counts_what_was_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published(tmp_path / "published.json")
+    handler = partial(SimpleHTTPRequestHandler, directory=tmp_path)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    Thread(target=server.serve_forever, daemon=True).start()
+    source = f"http://127.0.0.1:{server.server_port}/published.json"
+    options = [
+        "--download",
+        f"--source={source}",
+        f"--data={tmp_path}",
+        "--noise=0,0.05",
+    ]
+    monkeypatch.setattr(sys, "argv", ["odebench", *options])
+    monkeypatch.setattr(provenance, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(odebench, "studied", told_of)
+    odebench.main()
+    server.shutdown()
+    server.server_close()
+    text = (tmp_path / "results" / "odebench.md").read_text("utf-8")
+    assert "| 0.05 | reconstruction | 1 | 1 | 1 | 1 |" in text
+    assert "| 0.05 | generalization | 0 | 0 | 0 | 0 |" in text
+    assert "| 0.05 | catalogue | 1 |" in text
+    assert (tmp_path / "odebench" / odebench.FILE).exists()

@@ -298,7 +298,8 @@ def test_an_effect_with_several_parameters_is_ranked_with_all_of_them() -> None:
 
 
 def test_a_study_begins_though_no_motion_of_the_base_model_follows_the_record() -> None:
-    rates = {"a": "cos(a)/tan(b)", "b": ph.formula("c*sin(a)", c=ph.Parameter(4.2))}
+    whole = ph.formula("c*sin(a)", c=ph.Parameter(4.2))
+    rates = {"a": ph.formula("cos(a)/tan(b)"), "b": whole}
     t = np.linspace(0, 10 / 3, 40)
     x = ph.simulate(ph.FirstOrder(["a", "b"], rates), t, [1.13, -0.3])
     noise = 0.02 * np.random.default_rng(1).standard_normal(x.shape)

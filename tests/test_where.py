@@ -556,7 +556,8 @@ def test_a_factor_that_was_estimated_does_not_make_an_equation_kinematics() -> N
     x = ph.simulate(truth, t, [1.0, 0.0])
     noise = 0.01 * np.random.default_rng(0).normal(size=x.shape)
     data = ph.Measurements.from_arrays(t, x + noise, states=["x", "y"])
-    rates = {"x": ph.formula("s*y", s=ph.Parameter(1.0)), "y": "-4*x - 0.2*y"}
+    dx = ph.formula("s*y", s=ph.Parameter(1.0))
+    rates = {"x": dx, "y": ph.formula("-4*x - 0.2*y")}
     fit = ph.identify(ph.FirstOrder(["x", "y"], rates), data)
     where = ph.diagnose(fit, data, effects=[]).where
     assert list(where["equation"]) == ["x", "y"]

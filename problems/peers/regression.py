@@ -4,8 +4,7 @@ dx_i/dt = known_i + Theta_i xi_i. What is not linear, has bounds or stands in tw
 equations is refused here. How the regressions are solved is in `sindy`.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -14,10 +13,7 @@ from phsi_opt.data.checks import hold_of_each
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import SmoothInputs
 from phsi_opt.errors import ModelError
-from phsi_opt.model.model import FirstOrder, Model
-from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.slots import place_of
-from phsi_opt.model.terms import Dictionary
+from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import aligned_once
 
 
@@ -36,25 +32,6 @@ class Regression:
     names: tuple[str, ...]
     columns: np.ndarray
     rates: np.ndarray
-
-
-def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
-    """The model with parameters held at the given values."""
-
-    def held(name: str, parameter: Parameter) -> Parameter:
-        if name not in fixed:
-            return parameter
-        return replace(parameter, value=fixed[name], fixed=True)
-
-    def all_held(slot: str, old: Mapping[str, Dictionary]) -> dict[str, Dictionary]:
-        new = {}
-        for equation, terms in old.items():
-            place = place_of(slot, equation)
-            changed = [term.with_parameters(place, held) for term in terms]
-            new[equation] = Dictionary(tuple(changed))
-        return new
-
-    return replace(model, F=all_held("F", model.F), R=all_held("R", model.R))
 
 
 def regressions(model: Model, data: Measurements) -> tuple[Regression, ...]:

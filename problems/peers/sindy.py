@@ -28,7 +28,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import FirstOrder
-from problems.peers.regression import Regression, regressions, with_fixed
+from problems.peers.regression import Regression, regressions
 
 __all__ = ["Regression", "lasso", "regressions", "sindy"]
 OPTIMIZERS = ("stlsq", "sr3")
@@ -142,7 +142,7 @@ def _regressed(
 ) -> Baseline:
     """Every equation solved by the method; zeros removed from the model."""
     began = time.perf_counter()
-    held = with_fixed(model, fixed or {})
+    held = model.with_fixed(fixed or {})
     values: dict[str, float] = {}
     loss = 0.0
     for problem in regressions(held, data):
