@@ -9,9 +9,11 @@ catch it too. This file raises nothing itself.
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 MOST_LETTERS = 60  # of a value in a message
+MOST_OF_A_KEY = 3  # complaints of one key that a message shows
 
 
 class PhsiOptError(Exception):
@@ -76,8 +78,15 @@ class StudyFileError(DataError):
         self.path = str(path)
         self.measurements = measurements
         self.complaints = tuple(complaints)
-        lines = [f"  {complaint}" for complaint in complaints]
-        n = len(lines)
+        lines: list[str] = []
+        for key, of_key in groupby(self.complaints, lambda one: one.key):
+            told = list(map("  {}".format, of_key))
+            lines += told[:MOST_OF_A_KEY]
+            if len(told) > MOST_OF_A_KEY:
+                lines.append(
+                    f"  {key}: and {len(told) - MOST_OF_A_KEY} more like these"
+                )
+        n = len(self.complaints)
         what = "one thing" if n == 1 else f"{n} things"
         super().__init__("\n".join([f"{path}: {what} to correct", *lines]))
 

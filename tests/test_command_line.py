@@ -559,6 +559,10 @@ def test_what_fails_ends_with_its_own_code(demo: Path) -> None:
     complaint = ph.Complaint("data.time", "3", "no")
     told = answer_to(ph.StudyFileError("s.toml", [complaint]))
     assert told.content["complaints"] == [vars(complaint)]
+    several = [ph.Complaint("held_out.runs", str(k), "no such run") for k in range(25)]
+    shown = str(ph.StudyFileError("s.toml", [complaint, *several])).splitlines()
+    assert shown[0] == "s.toml: 26 things to correct" and len(shown) == 6
+    assert shown[-1] == "  held_out.runs: and 22 more like these"
 
 
 # ---- Ctrl-C --------------------------------------------------------------------------

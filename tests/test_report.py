@@ -324,7 +324,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     assert "times the noise" not in wrong
     assert "dH_d" not in " ".join(answers.values())
     do = answers["What to do next"]
-    assert "No effect of the catalogue fits." in do
+    assert "No effect of the catalogue explains what is missing." in do
     # The pair predicts a tenth better than p alone, give or take.
     assert re.search(r"your own term to dp/dt, as a function of (q and )?p\.", do)
     (diagnosed,) = content.diagnoses

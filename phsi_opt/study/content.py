@@ -138,7 +138,7 @@ def study_content(
         runs=runs,
         shown=shown,
         shown_channel=shown_channel,
-        runs_caption=said_of(study, "runs", models=steps, n_drawn=len(runs)).lead,
+        runs_caption=said_of(study, "runs", n_drawn=len(runs)).lead,
         forces=_all_forces(study, time) if forces else (),
         laws=laws,
         diagnoses=tuple(_diagnosed(study, k, time) for k in sorted(study.diagnoses)),
