@@ -299,9 +299,12 @@ def test_a_corner_that_is_too_sharp_is_made_rounder_again() -> None:
     found = ph.diagnose(ph.identify(model, data), data, effects=["coulomb friction"])
     assert found.verdict == "missing: named", "a wrong corner leaves a force"
     assert found.proposed_fit is not None
-    values = found.proposed_fit.values
-    assert values["coulomb_friction_p.v0"] == pytest.approx(1e-3, rel=0.2)
-    assert values["coulomb_friction_p"] == pytest.approx(1.4, rel=0.03)
+    written_down = ph.identify(model.add("coulomb friction", "p"), data)
+    for fit in (found.proposed_fit, written_down):  # whoever wrote the friction
+        assert fit.values["coulomb_friction_p.v0"] == pytest.approx(1e-3, rel=0.2)
+        assert fit.values["coulomb_friction_p"] == pytest.approx(1.4, rel=0.03)
+        assert fit.values["c"] == pytest.approx(0.8, rel=0.2)
+    assert written_down.bic < found.proposed_fit.bic + 10
 
 
 def test_a_run_that_is_far_off_is_no_wrong_unit_where_a_name_explains_it() -> None:

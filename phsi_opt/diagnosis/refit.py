@@ -1,16 +1,8 @@
 """The model that is diagnosed, and larger models fitted beside it.
 
 A re-fit begins where the effect was weighed and ends with free runs on both records.
-
-The corner of dry friction is made sharper step by step: a solver needs it rounded at
-first, but beside a body that sticks the rounding shows, and the size of the friction
-comes out wrong. So the width w is made smaller on a finer grid as long as the
-likelihood asks for it: the deviance D is nearly linear in a small w, so that all
-sharper corners together let it fall by its slope dD / dlog w, which the multipliers of
-the dynamics tell.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
@@ -28,35 +20,24 @@ from phsi_opt.comparison.compare import (
     is_like_noise,
 )
 from phsi_opt.criteria import (
-    CORNER_WIDTHS,
     HOLD_DELAY,
-    MOST_SHARP_STATES,
     ONE_ATTEMPT_INTERVALS,
     OTHER_OPTIMUM_DEVIANCE,
     REFIT_ITERATIONS,
     REFIT_TOLERANCE,
-    SHARPER_CORNER_DEVIANCE,
-    STEPS_AT_CORNER,
     STRAYED_STATES,
     STRONG_EVIDENCE,
     THOROUGH_ITERATIONS,
 )
 from phsi_opt.data.checks import Hold, hold_of_each
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.errors import PhsiOptError, SolveError, some_of
 from phsi_opt.estimation.estimate import Task
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import estimate_by, identify
-from phsi_opt.estimation.likelihood_estimate import (
-    DisturbedEstimate,
-    LikelihoodEstimate,
-)
+from phsi_opt.estimation.identify import fit_of_task, identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_delay, is_scanned
-from phsi_opt.model.model import Model
-from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.sweeps.sweep import Progress, silent
@@ -69,8 +50,6 @@ from phsi_opt.transcription.sensors import outputs_at_samples
 BRIEF = SolverSettings(
     tolerance=REFIT_TOLERANCE, max_iterations=REFIT_ITERATIONS, thorough=False
 )
-# Share of the present width over which the slope of the deviance is taken.
-NEARBY_WIDTH = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,8 +294,7 @@ class Refitting:
         Raises:
             PhsiOptError: the model cannot be fitted.
         """
-        fit = self.sharpened(self.begun())
-        return self.base.with_run(self.with_steps_as_fine_as_its_run(fit))
+        return self.base.with_run(self.with_steps_as_fine_as_its_run(self.begun()))
 
     def begun(self) -> Fit:
         """The brief re-fit from where the effect was weighed."""
@@ -340,9 +318,9 @@ class Refitting:
             noise={name: sigma[name] for name in model.states if name in measured},
             steps=tuple(refinement * steps for steps in base.fit.steps),
         )
-        return identify(
-            self.model, self.aligned, base.loss, start=start, settings=BRIEF
-        )
+        new = corner_widths(self.model).keys() - model.entries.keys()
+        task = Task(self.model, self.aligned, l1_weights(None), None, BRIEF)
+        return fit_of_task(base.loss, replace(task, corners=tuple(sorted(new))), start)
 
     def with_steps_as_fine_as_its_run(self, fit: Fit) -> Comparison:
         """The fit's free run; with finer steps where it leaves the fit's states."""
@@ -363,101 +341,6 @@ class Refitting:
             if again.rmse < trained.rmse:
                 return again
         return trained
-
-    # ---- sharper corners -------------------------------------------------------------
-
-    def corners(self, model: Model) -> dict[str, Share]:
-        """Widths of the corners that the base has not, with their guesses."""
-        widths = corner_widths(model)
-        known = self.base.fit.model.entries
-        return {name: guess for name, guess in widths.items() if name not in known}
-
-    def sharpened(self, fit: Fit) -> Fit:
-        """A fit with rounded corners, with these as sharp as the record asks for."""
-        corners = self.corners(fit.model)
-        blunt = fit.model.values
-        n_stages = max((len(guess.sharper) for guess in corners.values()), default=0)
-
-        def estimate_at(stage: float) -> LikelihoodEstimate | DisturbedEstimate | None:
-            widths = {}
-            for name, guess in corners.items():
-                factors = np.cumprod([1.0, *guess.sharper])
-                factor = np.interp(stage, np.arange(len(factors)), factors)
-                widths[name] = blunt[name] * float(factor)
-            n_steps = STEPS_AT_CORNER * max(math.ceil(stage), 2) // 2
-            return self.at_widths(fit, widths, n_steps)
-
-        falls = [0.0]
-        for stage in range(1, n_stages + 1):
-            estimate = estimate_at(stage)
-            if estimate is None:
-                break
-            falls.append(self._fall(estimate))
-            sharper = estimate.fit()
-            if deviance(sharper) > deviance(fit) + SHARPER_CORNER_DEVIANCE:
-                break
-            fit = sharper
-            if falls[-1] < SHARPER_CORNER_DEVIANCE:
-                break
-        # The slope tells little on a grid on which no corner is resolved.
-        if falls[-1] < -SHARPER_CORNER_DEVIANCE and falls[-2] > 0:  # a secant step back
-            share = falls[-1] / (falls[-1] - falls[-2])
-            estimate = estimate_at(len(falls) - 1 - share)
-            if estimate is not None and deviance(estimate.fit()) < deviance(fit):
-                return estimate.fit()
-        return fit
-
-    def _fall(self, estimate: LikelihoodEstimate | DisturbedEstimate) -> float:
-        """By how much the deviance would fall with corners sharp without end."""
-        model = estimate.model
-        values = model.values
-        widths = {name: NEARBY_WIDTH * values[name] for name in self.corners(model)}
-        change = estimate.deviance_change(model.with_values(widths))
-        return change / float(np.log(NEARBY_WIDTH))
-
-    def at_widths(
-        self, fit: Fit, widths: dict[str, float], n_steps: int
-    ) -> LikelihoodEstimate | DisturbedEstimate | None:
-        """The estimate with other widths of its corners; None: failed, or too large."""
-        steps = fit.steps
-        for name, guess in self.corners(fit.model).items():
-            width = fit.model.values[name]
-            steps = finer_at_corner(
-                fit, self.aligned.data, guess.of, width, steps, n_steps
-            )
-        n_states = _n_intervals(steps) * fit.model.n_states
-        if fit.model.memory and n_states > MOST_SHARP_STATES:
-            return None
-        model = fit.model.with_values(widths)
-        task = Task(model, self.aligned, l1_weights(None), None, BRIEF)
-        with suppress(PhsiOptError):
-            found = estimate_by(self.base.loss, task, replace(fit, steps=steps))
-            assert isinstance(found, LikelihoodEstimate | DisturbedEstimate)
-            return found if found.is_success else None
-        return None
-
-
-def finer_at_corner(
-    fit: Fit,
-    data: Measurements,
-    of: str,
-    width: float,
-    steps: Sequence[np.ndarray],
-    n_steps: int = STEPS_AT_CORNER,
-) -> tuple[np.ndarray, ...]:
-    """At least ``n_steps`` where a formula ``of``, such as a velocity, is near zero."""
-    formula = fit.model.function(of)
-    theta = fit.model.theta
-    refined = []
-    for run, x, n in zip(data.trajectories, fit.states, steps, strict=True):
-        at_samples = formula.map("v", "serial", len(x), [3], [])
-        v = np.array(at_samples(x.T, run.u.T, run.t[None, :], theta)).ravel()
-        passes_zero = v[1:] * v[:-1] < 0
-        is_within = np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < CORNER_WIDTHS * width
-        # The corner may move to the gap beside.
-        is_near = np.convolve(passes_zero | is_within, np.ones(3))[1:-1] > 0
-        refined.append(np.where(is_near, np.maximum(n, n_steps), n))
-    return tuple(refined)
 
 
 def _n_intervals(steps: Sequence[np.ndarray]) -> int:

@@ -55,6 +55,7 @@ class Task:
     settings: SolverSettings  # of every solve
     say: Progress = silent  # called with a line of text as the work goes on
     executor: Executor | None = None  # where further starts are solved; None: here
+    corners: tuple[str, ...] = ()  # widths of dry friction's that may become sharper
 
     @property
     def data(self) -> Measurements:

@@ -21,7 +21,7 @@ from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi_solve import by_defects
 from phsi_opt.estimation.pruning import Pruning
-from phsi_opt.initialization.relative_guesses import check_rates
+from phsi_opt.initialization.relative_guesses import check_rates, guessed_corners
 from phsi_opt.interrupts import interruptible
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
@@ -83,7 +83,6 @@ def identify(
         >>> print(f"k = {fit.values['k']:.1f} +- {fit.std_errors['k']:.1f} N/m")
         k = 40.1 +- 0.2 N/m
     """
-    began = time.perf_counter()
     loss = loss or MaximumLikelihood()
     if isinstance(loss, PHSILoss) and not model.free:
         raise ModelError(
@@ -104,13 +103,26 @@ def identify(
         settings=settings or SolverSettings(),
         say=progress or silent,
         executor=executor,
+        corners=guessed_corners(model),
     )
+    return fit_of_task(loss, task, start, raise_on_failure)
+
+
+def fit_of_task(
+    loss: Loss, task: Task, start: Fit | None, raise_on_failure: bool = True
+) -> Fit:
+    """The fit of a task, with what its free run lets doubt, once that is asked for.
+
+    Raises:
+        ModelError: L1 and a model error that cannot be combined.
+        SolveError: if the solver fails.
+    """
+    began = time.perf_counter()
     estimate = estimate_by(loss, task, start)
     if raise_on_failure:
         _raise_failure(estimate)
-    seconds = time.perf_counter() - began
-    fit = replace(estimate.fit(), seconds=seconds)
-    return replace(fit, doubts=Later(partial(doubts_of, fit, own)))
+    fit = replace(estimate.fit(), seconds=time.perf_counter() - began)
+    return replace(fit, doubts=Later(partial(doubts_of, fit, task.aligned)))
 
 
 def identify_forced(

@@ -9,9 +9,10 @@
    it stays; where these do not settle, IPOPT.
 4. The same from random points around the start, where the user asks for them as a check
    on local optima (``starts``).
-5. More intervals between samples, where the integration error is visible in the
+5. Sharper corners of dry friction whose widths were guessed (`corners`).
+6. More intervals between samples, where the integration error is visible in the
    estimates.
-6. Pruning, where it is asked for.
+7. Pruning, where it is asked for.
 """
 
 from contextlib import closing, suppress
@@ -22,6 +23,7 @@ import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.errors import SolveError
+from phsi_opt.estimation.corners import sharpened
 from phsi_opt.estimation.estimate import pruned
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
@@ -60,7 +62,7 @@ def by_likelihood(problem: LikelihoodProblem, start: Fit | None) -> LikelihoodEs
     Refined where needed, and pruned.
     """
     first = crude_start(problem) if start is None else from_fit(problem, start)
-    estimate = best_optimum(problem, first)
+    estimate = sharpened(problem, best_optimum(problem, first))
     if problem.loss.steps is None and problem.task.settings.thorough:
         estimate = _with_fine_steps(problem, estimate)
     steps = steps_per_gap(estimate.grid)

@@ -46,6 +46,12 @@ def corner_widths(model: Model) -> dict[str, Share]:
     return widths
 
 
+def guessed_corners(model: Model) -> tuple[str, ...]:
+    """The widths of rounded corners that have no value yet."""
+    widths = corner_widths(model)
+    return tuple(name for name in widths if model.entries[name].parameter.value is None)
+
+
 def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
     """The model with every `Share` and `Tried` guess replaced by its value.
 

@@ -33,7 +33,7 @@ class Share:
     Args:
         of: the expression, such as the velocity ``"dH_dp"``.
         share: the start in units of that root mean square.
-        sharper: factors by which the diagnosis makes a width smaller, one after the
+        sharper: factors by which a fit makes a guessed width smaller, one after the
             other, while that fits better.
     """
 

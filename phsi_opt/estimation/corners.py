@@ -1,0 +1,133 @@
+"""The corner of dry friction, rounded for a solver and made sharper step by step.
+
+A solver needs the corner rounded at first, but beside a body that sticks the rounding
+shows, and the size of the friction comes out wrong. So the width w is made smaller on a
+finer grid as long as the likelihood asks for it: the deviance D is nearly linear in a
+small w, so that all sharper corners together let it fall by its slope dD / dlog w,
+which the multipliers of the dynamics tell.
+"""
+
+import math
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phsi_opt.criteria import (
+    CORNER_WIDTHS,
+    MOST_SHARP_STATES,
+    SHARPER_CORNER_DEVIANCE,
+    STEPS_AT_CORNER,
+)
+from phsi_opt.errors import PhsiOptError
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
+from phsi_opt.initialization.relative_guesses import corner_widths
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Share
+from phsi_opt.transcription.grid import steps_per_gap
+
+# Share of the present width over which the slope of the deviance is taken.
+NEARBY_WIDTH = 0.99
+
+
+def sharpened(
+    problem: LikelihoodProblem, estimate: LikelihoodEstimate
+) -> LikelihoodEstimate:
+    """An estimate with the task's corners as sharp as the record asks for."""
+    guesses = corner_widths(estimate.model)
+    corners = {name: guesses[name] for name in problem.task.corners if name in guesses}
+    if not corners or not estimate.is_success:
+        return estimate
+    found = _Sharpening(problem, corners, estimate.model.values).of(estimate)
+    return replace(found, task=problem.task, notes=estimate.notes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sharpening:
+    """Stages of sharper corners, from the rounded ones; between two stages too."""
+
+    problem: LikelihoodProblem
+    corners: Mapping[str, Share]
+    blunt: Mapping[str, float]  # the widths of stage 0, and all other values
+
+    def of(self, estimate: LikelihoodEstimate) -> LikelihoodEstimate:
+        most = SHARPER_CORNER_DEVIANCE
+        falls = [0.0]
+        for stage in range(
+            1, max(len(one.sharper) for one in self.corners.values()) + 1
+        ):
+            sharper = self.at(stage, estimate)
+            if sharper is None:
+                break
+            falls.append(self.fall(sharper))
+            if sharper.deviance > estimate.deviance + most:
+                break
+            estimate = sharper
+            if falls[-1] < most:
+                break
+        # The slope tells little on a grid on which no corner is resolved.
+        if falls[-1] < -most and falls[-2] > 0:  # a secant step back
+            share = falls[-1] / (falls[-1] - falls[-2])
+            sharper = self.at(len(falls) - 1 - share, estimate)
+            if sharper is not None and sharper.deviance < estimate.deviance:
+                return sharper
+        return estimate
+
+    def fall(self, estimate: LikelihoodEstimate) -> float:
+        """By how much the deviance would fall with corners sharp without end."""
+        model = estimate.model
+        widths = {name: NEARBY_WIDTH * model.values[name] for name in self.corners}
+        change = estimate.deviance_change(model.with_values(widths))
+        return change / float(np.log(NEARBY_WIDTH))
+
+    def at(
+        self, stage: float, estimate: LikelihoodEstimate
+    ) -> LikelihoodEstimate | None:
+        """The estimate with the corners of a stage; None: failed, or too large."""
+        model = estimate.model.with_values(estimate.values)
+        steps = steps_per_gap(estimate.grid)
+        n_steps = STEPS_AT_CORNER * max(math.ceil(stage), 2) // 2
+        widths = {}
+        for name, guess in self.corners.items():
+            factors = np.cumprod([1.0, *guess.sharper])
+            factor = np.interp(stage, np.arange(len(factors)), factors)
+            widths[name] = self.blunt[name] * float(factor)
+            near = CORNER_WIDTHS * model.values[name]
+            speeds = self.values_of(guess.of, model, estimate)
+            steps = [
+                np.where(_is_near(v, near), np.maximum(n, n_steps), n)
+                for v, n in zip(speeds, steps, strict=True)
+            ]
+        n_states = sum(int(n.sum()) for n in steps) * model.n_states
+        if model.memory and n_states > MOST_SHARP_STATES:
+            return None
+        task = self.problem.task
+        settings = replace(task.settings, thorough=False)
+        problem = replace(self.problem, task=replace(task, settings=settings))
+        there = StartingPoint.at(estimate, steps)
+        there = replace(there, model=model.with_values(widths), is_optimum=True)
+        with suppress(PhsiOptError):
+            found = problem.solve_from(there)
+            return found if found.is_success else None
+        return None
+
+    def values_of(
+        self, formula: str, model: Model, estimate: LikelihoodEstimate
+    ) -> list[np.ndarray]:
+        """Of a formula, such as a velocity, at the samples of each trajectory."""
+        function = model.function(formula)
+        found = []
+        for run, x in zip(self.problem.task.data, estimate.states, strict=True):
+            at_samples = function.map("v", "serial", len(x), [3], [])
+            values = at_samples(x.T, run.u.T, run.t[None, :], model.theta)
+            found.append(np.array(values).ravel())
+        return found
+
+
+def _is_near(v: np.ndarray, near: float) -> np.ndarray:
+    """Whether a gap between samples, or the one beside it, may have the corner."""
+    passes_zero = v[1:] * v[:-1] < 0
+    is_within = np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < near
+    return np.asarray(np.convolve(passes_zero | is_within, np.ones(3))[1:-1] > 0)
