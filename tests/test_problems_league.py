@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt.model.expressions import evaluate, parse
 from phsi_opt.simulation.simulate import free_run
-from problems.league import f16, odebench
+from problems.league import f16, odebench, robot
 from problems.league.entries import LEAGUE
 from problems.league.run import WAYS, error, page
 from problems.tools import provenance
@@ -159,3 +160,32 @@ def test_odebench_is_downloaded_and_its_page_counts_what_was_found(
     assert "| 0.05 | generalization | 0 | 0 | 0 | 0 |" in text
     assert "| 0.05 | catalogue | 1 |" in text
     assert (tmp_path / "odebench" / odebench.FILE).exists()
+
+
+def test_an_angle_of_the_robot_stands_beside_the_torque_of_its_own_time(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PHSI_OPT_DATA", str(tmp_path))
+    (tmp_path / "industrial_robot").mkdir()
+    times = np.arange(2 * 606).reshape(2, 606)  # a movement after the other
+    rows = {"u_test": times[:, :-1], "y_test": np.rad2deg(times[:, 1:])}
+    six = {name: np.tile(row.ravel(), (6, 1)) for name, row in rows.items()}
+    savemat(tmp_path / "industrial_robot" / "forward_identification.mat", six)
+    first, second = robot.movements("test")
+    assert first.u[0, 0] == 1
+    assert second.u[-1, 5] == 2 * 606 - 2
+    for q, u in (first, second):
+        assert np.allclose(q, u)
+
+
+def test_a_free_run_of_the_robot_couples_its_joints():
+    model = robot.joined(robot.joints())
+    t = robot.STEP * np.arange(80)
+    start = np.zeros(12)
+    start[2] = 0.3
+    hold = np.array([0, 18, 10, 0, 0, 0]) * np.ones((len(t), 1))
+    u = hold + np.sin(np.outer(t, [1, 1.3, 0.7, 1.1, 0.9, 1.5])) * [3, 2, 2, 1, 1, 1]
+    q = free_run(model, t, start, u, "cubic")[:, ::2]
+    assert robot.error(model, [robot.Record(q, u)], 50) < 2
+    light = model.with_values({"forearm3": 0.0})
+    assert robot.error(light, [robot.Record(q, u)], 50) > 8

@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
-from scipy.signal import resample_poly
 
 import phsi_opt as ph
-from problems.league import f16
+from problems.league import f16, robot
 from problems.measured import machines, storages
 from problems.measured.machines import Array, positive
 from problems.tools.data_paths import folder
@@ -34,8 +33,8 @@ class Entry:
         tests: the test records, by name.
         base: a model that lacks what the set is known for.
         physics: the model with the physics that is published for the set.
-        study: of the base model and two pieces of the training record, in which it
-            looks for what the model lacks.
+        study: of the base model and the training record: the model after a study of
+            two pieces of the record, and the effects that it added.
         published: errors that others have published.
         most: what the sensor shows at most.
         fit: how a model is fitted; None: by maximum likelihood.
@@ -46,22 +45,21 @@ class Entry:
     n_first: int
     unit: str
     per_unit: float
-    train: Callable[[], ph.Measurements]
+    train: Callable[[], Any]
     tests: Callable[[], Mapping[str, Any]]
-    base: Callable[[], ph.Model]
-    physics: Callable[[], ph.Model]
-    study: Callable[[ph.Model, ph.Measurements], ph.Study]
+    base: Callable[[], Any]
+    physics: Callable[[], Any]
+    study: Callable[[Any, Any], tuple[Any, list[str]]]
     published: str
     most: float = np.inf
-    fit: Callable[[ph.Model, ph.Measurements], ph.Model] | None = None
+    fit: Callable[[Any, Any], ph.Model] | None = None
     error: Callable[..., float] | None = None
 
 
 def _record(t: Array, y: Array, u: Array, states: str, hold: str) -> ph.Measurements:
     """One run of which the first state is measured, in SI units."""
     names = states.split()
-    x = np.full((len(y), len(names)), np.nan)
-    x[:, 0] = y
+    x = machines.with_unmeasured(y, n=len(names) - 1)
     return ph.Measurements.from_arrays(
         t, x, u[:, None], states=names, inputs=["u"], hold=hold
     )
@@ -72,10 +70,7 @@ def _record(t: Array, y: Array, u: Array, states: str, hold: str) -> ph.Measurem
 
 def emps(name: str) -> ph.Measurements:
     """Position (m) and motor force (N) at 1 kHz."""
-    content = loadmat(folder("emps") / machines.EMPS_FILES[name])
-    force = content["vir"].ravel() * content["gtau"].item()
-    t, q = content["t"].ravel(), content["qm"].ravel()
-    return _record(t, q, force, "q p", "zero")
+    return _record(*machines.emps_record(name), "q p", "zero")
 
 
 def emps_pieces(_: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
@@ -94,16 +89,9 @@ ARROW_NO_EXTRAPOLATION = (100, 32_100)
 
 
 def box(first: int, end: int) -> ph.Measurements:
-    """Samples of output (V) and input (V); the input is band-limited, so it is a smooth
-    curve through twice as many points.
-    """
-    path = folder("silverbox") / "SNLS80mV.csv"
-    V1, V2 = np.genfromtxt(path, delimiter=",", skip_header=1, usecols=(0, 1)).T
-    finer = resample_poly(V1, 2, 1, window=("kaiser", 8.0))
-    y = np.full(2 * (end - first) - 1, np.nan)
-    y[::2] = V2[first:end]
-    t = np.arange(len(y)) / (2 * machines.BOX_RATE)
-    return _record(t, y, finer[2 * first : 2 * end - 1], "q p", "cubic")
+    """Samples of output (V) and input (V), which is a smooth curve, without units."""
+    (run,) = machines.box(first, end).trajectories
+    return _record(run.t, run.x[:, 0], run.u[:, 0], "q p", "cubic")
 
 
 def box_physics() -> ph.PseudoHamiltonian:
@@ -136,21 +124,6 @@ TANKS = {
     "s": (0.5, 1),
     "c2": (0.5, 2),
 }
-
-
-def tanks_test() -> ph.Measurements:
-    """Pump voltage and level (V) every 4 s, samples at the sensor's limit as well."""
-    path = folder("cascaded_tanks") / "dataBenchmark.csv"
-    table = np.genfromtxt(path, delimiter=",", names=True)
-    x = np.c_[np.full(len(table), np.nan), table["yVal"]]
-    return ph.Measurements.from_arrays(
-        4.0 * np.arange(len(table)),
-        x,
-        table["uVal"][:, None],
-        states=["h1", "h2"],
-        inputs=["u"],
-        hold="zero",
-    )
 
 
 def tanks_physics() -> ph.FirstOrder:
@@ -229,9 +202,15 @@ def bouc_wen_base() -> ph.PseudoHamiltonian:
 
 def of_pieces(
     cut: Callable[[ph.Measurements], tuple[ph.Measurements, ph.Measurements]],
-) -> Callable[[ph.Model, ph.Measurements], ph.Study]:
-    """A study of a model with two pieces of the training record."""
-    return lambda model, train: ph.Study(model, *cut(train))
+) -> Callable[[ph.Model, ph.Measurements], tuple[ph.Model, list[str]]]:
+    """By a study of two pieces of the training record."""
+    return lambda model, train: found(ph.Study(model, *cut(train)))
+
+
+def found(study: ph.Study) -> tuple[ph.Model, list[str]]:
+    """The model after a study has added what is decisive, and the effects."""
+    study.auto()
+    return study.model, list(study.history["effect"][1:])
 
 
 def first_two(n: int, data: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
@@ -275,7 +254,7 @@ LEAGUE: Mapping[str, Entry] = {
         unit="V",
         per_unit=1.0,
         train=storages.tanks,
-        tests=lambda: {"second record": tanks_test()},
+        tests=lambda: {"second record": storages.tanks("Val", most=np.inf)},
         base=storages.textbook_tanks,
         physics=tanks_physics,
         study=of_pieces(lambda data: data.split(storages.TANKS_SHARE)),
@@ -306,9 +285,26 @@ LEAGUE: Mapping[str, Entry] = {
         tests=lambda: {f"level {level}": f16.test(level) for level in (2, 4, 6)},
         base=f16.base,
         physics=f16.physics,
-        study=f16.study,
+        study=lambda model, _: found(f16.study(model)),
         published="-",
         fit=f16.fitted,
         error=lambda fit, record, entry: f16.error(fit, record, entry.n_first),
+    ),
+    "industrial robot": Entry(
+        folder="industrial_robot",
+        n_first=50,
+        unit="deg",
+        per_unit=1.0,
+        train=partial(robot.movements, "train"),
+        tests=lambda: {
+            "six movements of 60 s": robot.movements("test"),
+            "5 s at a time": robot.moving(robot.movements("test"), 99),
+        },
+        base=partial(robot.joints, is_base=True),
+        physics=robot.joints,
+        study=robot.study,
+        published="23.1 and 16.6 (neural, one run of 363 s)",
+        fit=robot.fitted,
+        error=lambda fit, record, entry: robot.error(fit, record, entry.n_first),
     ),
 }

@@ -281,7 +281,7 @@ def fitted(model: ph.Model, _: ph.Measurements) -> ph.Model:
     return estimated(model.with_free(modal - {"k1"}))
 
 
-def study(model: ph.Model, _: ph.Measurements) -> ph.Study:
+def study(model: ph.Model) -> ph.Study:
     """Of 2 s of the lowest and the highest level; the shapes of the modes are known.
 
     The two levels between them are held out.

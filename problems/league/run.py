@@ -89,10 +89,7 @@ def fitted(case: tuple[str, str]) -> Result:
     added: list[str] = []
     model = entry.physics() if way == WAYS[2] else entry.base()
     if way == WAYS[1]:
-        study = entry.study(model, train)
-        study.auto()
-        added = list(study.history["effect"][1:])
-        model = study.model
+        model, added = entry.study(model, train)
     fit = (entry.fit or identified)(model, train)
     middle = time.process_time()
     errors = {}

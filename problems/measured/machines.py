@@ -76,18 +76,25 @@ EMPS_START = {"M": 80.0, "Fv": 100.0, "Fc": 5.0, "offset": 0.0}
 EMPS_UNITS = {"M": "kg", "Fv": "N s/m", "Fc": "N", "offset": "N"}
 
 
+def emps_record(name: str) -> Record:
+    """Position (m) and motor force (N) at 1 kHz, 24.8 s; "test" has force pulses."""
+    content = loadmat(folder("emps") / EMPS_FILES[name])
+    force = content["vir"].ravel() * content["gtau"].item()
+    return Record(content["t"].ravel(), content["qm"].ravel(), force)
+
+
 def emps(record: str = "fit", window: int | None = EMPS_WINDOW) -> ph.Measurements:
-    """Position q (m) and motor force u (N) at 1 kHz, 24.8 s, thinned; "test" has force
-    pulses.
+    """A record, thinned, as the position q (m) and the motor force u (N).
 
     The drive ran in closed loop, but the force is taken as a free input, and a position
     without a spring drifts: over the whole record (``window`` None) every small error
     of the model is integrated twice, far above the encoder's noise.
     """
-    content = loadmat(folder("emps") / EMPS_FILES[record])
-    force = content["vir"].ravel() * content["gtau"].item()
-    whole = Record(content["t"].ravel(), content["qm"].ravel(), force)
-    return whole.thinned(10).in_windows(window, {"q": "m", "u": "N", "t": "s"})
+    return (
+        emps_record(record)
+        .thinned(10)
+        .in_windows(window, {"q": "m", "u": "N", "t": "s"})
+    )
 
 
 def emps_model(values: dict[str, float] = EMPS_START) -> ph.PseudoHamiltonian:

@@ -16,14 +16,14 @@ FULL = 10.0  # V, what the sensor shows at most
 TANKS_SHARE = 0.7  # of the fit record, which is fitted in the study
 
 
-def tanks(record: str = "Est") -> ph.Measurements:
+def tanks(record: str = "Est", most: float = FULL) -> ph.Measurements:
     """Pump voltage u and level h2 of the lower tank (V), every 4 s, 1024 samples;
-    record "Val" tests. Nobody measured h1; samples at the sensor's limit are missing.
+    record "Val" tests. Nobody measured h1; samples from ``most`` on are missing.
     """
     path = folder("cascaded_tanks") / "dataBenchmark.csv"
     table = np.genfromtxt(path, delimiter=",", names=True)
     y = table[f"y{record}"].copy()
-    y[y >= FULL - 1e-3] = np.nan
+    y[y >= most - 1e-3] = np.nan
     return ph.Measurements.from_arrays(
         4.0 * np.arange(len(y)),
         np.column_stack([np.full(len(y), np.nan), y]),
