@@ -4,6 +4,7 @@ import datetime as dt
 import io
 import sys
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -366,3 +367,22 @@ def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch) ->
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(ph.DataError, match=r'needs asammdf.*"phsi_opt\[loggers\]"'):
         ph.Measurements.from_mdf(io.BytesIO(b"MDF"), time="time", states=["q"])
+
+
+def test_channels_of_a_group_that_begin_apart_are_tables_of_their_own(
+    tmp_path: Path,
+) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    told = {"wf_increment": 0.5, "wf_samples": len(T)}
+    late = told | {"wf_start_offset": 2.0}
+    channels = [
+        nptdms.ChannelObject("log", "q", np.array(Q), told | {"wf_start_offset": 0.0}),
+        nptdms.ChannelObject("log", "u", np.array(U), late),
+    ]
+    with nptdms.TdmsWriter(tmp_path / "log.tdms") as writer:
+        writer.write_segment(channels)
+    read = partial(ph.Measurements.from_tdms, tmp_path / "log.tdms", time="time")
+    (run,) = read(group="log 2", states=["u"])
+    assert run.t.tolist() == [t + 2.0 for t in T]
+    with pytest.raises(ph.DataError, match="no column 'u'"):
+        read(group="log 1", states=["u"])

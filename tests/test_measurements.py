@@ -317,7 +317,7 @@ def test_a_part_in_time_keeps_the_clock_and_both_ends() -> None:
     (3.0, 9.0, "trajectory 'run 1' has 0 samples between 3 and 9.*from 0 to 2.75"),
     (0.0, 1.0, "trajectory 'run 2' has 1 samples between 0 and 1; expected at least"),
     (0.1, 0.2, "trajectory 'run 1' has 0 samples"),
-    (2.0, 1.0, "first time must be less than the last"),
+    (2.0, 1.0, r"between\(2.0, 1.0\): the first time must be less than the last"),
     ("0", 1.0, "'0' is not a time"),
     (np.nan, 1.0, "nan is not a time"),
     (True, 2.0, "True is not a time"),

@@ -316,6 +316,7 @@ def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
     ("[data]", "[date]", "date", "Did you mean 'data'?"),
     ("[data]", "[data", "", "this is not TOML"),
     ('files = ["spring.csv"]', "", "data.files", "expected the data file"),
+    ("time = {", "# {", "data.time.column", "expected the column of the times"),
     ('"spring.csv"', '"sprung.csv"', "data.files", "there is no such file"),
     ('["spring.csv"]', '["spring.csv", "spring.csv"]', "data.files", "is listed 2 times"),
     ("q = { column", "Q = { column", "data.states.q", "Did you mean 'Q'?"),
@@ -480,6 +481,9 @@ def test_a_model_and_measurements_become_a_study_file_and_come_back(tmp_path) ->
     assert train.noise == data.noise
     assert again.loss == loss
     assert again.own_effects == (own_effect(),)
+    considered = again.effects()
+    assert considered is not None and considered[-1] == own_effect()
+    assert considered[:-1] == list(map(str, ph.catalogue(again.base, data.units)))
     assert again.steps.without == ("harmonic force",)
     file.write(tmp_path / "study.toml")  # the same table is no other file
     parts = data[:1].split(0.5)
