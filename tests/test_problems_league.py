@@ -189,3 +189,15 @@ def test_a_free_run_of_the_robot_couples_its_joints():
     assert robot.error(model, [robot.Record(q, u)], 50) < 2
     light = model.with_values({"forearm3": 0.0})
     assert robot.error(light, [robot.Record(q, u)], 50) > 8
+
+
+def test_an_effect_with_a_memory_is_a_state_of_the_robot():
+    models = [*robot.joints()[:2], robot.joint(3).add("hysteresis", "p3")]
+    q = np.linspace(0, 1, 80)[:, None] * np.ones(6)
+    whole = robot.joined([*models, *robot.joints()[3:]])
+    assert whole.memory == ("hysteresis_p3",)
+    assert whole.states[4:7] == ("q3", "p3", "hysteresis_p3")
+    x = robot.data(models[2], [robot.Record(q, 0 * q)]).trajectories[0].x
+    assert np.array_equal(x[:, 0], q[:, 0])
+    assert np.isnan(x[:, 1:]).all()
+    assert x.shape == (80, 3)

@@ -122,7 +122,7 @@ def data(model: ph.Model, records: Sequence[Record]) -> ph.Measurements:
     angles = dict.fromkeys([model.states[0], *model.inputs[1:]], "rad")
     return ph.Measurements.from_arrays(
         [STEP * np.arange(len(q)) for q, _ in records],
-        [with_unmeasured(q[:, own]) for q, _ in records],
+        [with_unmeasured(q[:, own], n=model.n_states - 1) for q, _ in records],
         [np.c_[u[:, own], q[:, others]] for q, u in records],
         states=model.states,
         inputs=model.inputs,
