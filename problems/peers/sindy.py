@@ -13,7 +13,6 @@ P. Zheng et al. (2019) for SR3, R. Tibshirani (1996) for the LASSO. Rates are
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import cvxpy as cp
@@ -40,21 +39,6 @@ LASSO_ROUNDING = 1e-6
 GAP = 1e-14
 RELATIVE_GAP = 1e-13
 FEASIBILITY = 1e-13
-
-
-@dataclass(frozen=True)
-class _Method:
-    """How a regression is solved.
-
-    Attributes:
-        name: of the method.
-        settings: as text.
-        solve: columns (n_rows, n_terms) and rates (n_rows,) to coefficients (n_terms,).
-    """
-
-    name: str
-    settings: str
-    solve: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @interruptible
@@ -102,8 +86,8 @@ def sindy(
         f"threshold {threshold:g}, {weight}, derivative midpoint, "
         f"debias {debias}{_fixed_text(fixed)}"
     )
-    method = _Method(f"SINDy ({optimizer.upper()})", settings, solve)
-    return _regressed(model, data, fixed, method)
+    name = f"SINDy ({optimizer.upper()})"
+    return _regressed(model, data, fixed, name, settings, solve)
 
 
 def lasso(
@@ -130,26 +114,29 @@ def lasso(
     def solve(columns: np.ndarray, rates: np.ndarray) -> np.ndarray:
         return _by_cvxpy(columns, rates, weight)
 
-    method = _Method("LASSO", settings, solve)
-    return _regressed(model, data, fixed, method)
+    return _regressed(model, data, fixed, "LASSO", settings, solve)
 
 
 def _regressed(
     model: FirstOrder,
     data: Measurements,
     fixed: Mapping[str, float] | None,
-    method: _Method,
+    method: str,
+    settings: str,
+    solve: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> Baseline:
-    """Every equation solved by the method; zeros removed from the model."""
+    """Every equation solved from columns (n_rows, n_terms) and rates (n_rows,); zeros
+    removed from the model.
+    """
     began = time.perf_counter()
     held = model.with_fixed(fixed or {})
     values: dict[str, float] = {}
     loss = 0.0
     for problem in regressions(held, data):
         try:
-            found = method.solve(problem.columns, problem.rates)
+            found = solve(problem.columns, problem.rates)
         except SolveError as error:
-            where = f"{method.name}, equation d{problem.equation}/dt"
+            where = f"{method}, equation d{problem.equation}/dt"
             raise SolveError(f"{where}: {error}") from None
         values.update(zip(problem.names, found.tolist(), strict=True))
         residual = problem.rates - problem.columns @ found
@@ -158,7 +145,7 @@ def _regressed(
     removed = [n for n, entry in entries if entry.prunable and values.get(n) == 0]
     if len(removed) == len(values):
         raise ModelError(
-            f"{method.name} removes every term ({method.settings}); "
+            f"{method} removes every term ({settings}); "
             "lower the threshold or the weight."
         )
     return Baseline(
@@ -166,9 +153,9 @@ def _regressed(
         hold=checked_hold(data.hold, data.inputs),
         seconds=time.perf_counter() - began,
         removed=tuple(removed),
-        method=method.name,
+        method=method,
         loss_value=loss,
-        settings=method.settings,
+        settings=settings,
     )
 
 
