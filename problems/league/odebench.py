@@ -1,7 +1,7 @@
 """ODEBench less one term: does a study find what was taken out of an equation?
 
     python -m problems.league.odebench [NUMBER ...] [--download] [--data=FOLDER]
-                                       [--noise=0,0.05] [--seed=36000] [--jobs=N]
+        [--noise=0,0.05] [--seed=36000] [--without=NUMBER,NUMBER] [--jobs=N]
 
 The last additive term of the first equation that has two or more is taken out, products
 multiplied out; where no equation has two, the last equation is emptied. Systems that
@@ -240,7 +240,7 @@ def by_sindy(system: System, data: ph.Measurements) -> list[float]:
     return system.r2(partial(simulated, data, settings[0]))
 
 
-def page(results: Sequence[Result], seed: int) -> str:
+def page(results: Sequence[Result], seed: int, without: Sequence[str]) -> str:
     """Counts by noise, by who holds the term and by states; a row per system."""
     frame = pd.DataFrame(results).sort_values(["noise", "number"])
     runs = frame.melt(["noise", "states"], list(WAYS), "way", "r2").explode("r2")
@@ -257,6 +257,7 @@ def page(results: Sequence[Result], seed: int) -> str:
     return render(
         "league/pages/odebench.md",
         seed=seed,
+        without=list(filter(None, without)),
         ways=WAYS,
         n=frame["number"].nunique(),
         accurate=counted(runs, index=["noise", "run"])[[*WAYS]].reset_index(),
@@ -278,7 +279,9 @@ def main() -> None:
     if not is_present(path):
         return
     seed = int(option("seed", "36000"))
+    without = option("without", "").split(",")
     numbers = list(map(int, chosen())) or list(read(path))
+    numbers = [number for number in numbers if str(number) not in without]
     cases = {}
     for noise, number in product(option("noise", "0.05").split(","), numbers):
         key = f"odebench {number}, noise {noise}, seed {seed}"
@@ -290,7 +293,7 @@ def main() -> None:
             done[one.key] = one.result
             print(json.dumps(one.result), flush=True)
     if not chosen():
-        provenance.write("odebench.md", page(list(done.values()), seed))
+        provenance.write("odebench.md", page(list(done.values()), seed, without))
 
 
 if __name__ == "__main__":
