@@ -90,7 +90,7 @@ def test_accelerations_of_the_f16_are_slopes_of_its_velocities():
     model = f16.base().frozen()
     record = shaken(model, 300)
     assert f16.error(model, record, 50) < 0.05 * record.a.std()
-    stiffer = model.with_values({"k2": 1.3 * model.values["k2"]})
+    stiffer = model.with_values({"k4": 1.3 * model.values["k4"]})
     assert f16.error(stiffer, record, 50) > 0.15 * record.a.std()
 
 

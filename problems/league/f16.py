@@ -8,7 +8,6 @@ shows in them.
 """
 
 import re
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -25,28 +24,31 @@ from problems.tools.data_paths import folder
 
 RATE, PERIOD = 400, 8192  # Hz; samples
 LAG = PERIOD // 2
-LEVELS, THIN = (1, 3, 5, 7), 4  # that are fitted; every fourth sample for a study
+LEVELS, THIN = (1, 3, 5, 7), 2  # that are fitted; every other sample for a study
+SHARE_LEFT = 0.2  # of every motion, by the modes
 FREQUENCY = np.fft.rfftfreq(PERIOD, 1 / RATE)
 INSIDE = (FREQUENCY >= 2) & (FREQUENCY <= 45)  # Hz, the force and its harmonics
 POSITIONS, MOMENTA = ("e1", "e2", "e3", "r"), ("p1", "p2", "p3", "pr")
 N = len(POSITIONS)
-MODAL = r"[kcbsj]\d"  # names of parameters
-# Rough values by mode, of unit modal mass: stiffness (1/s^2), damping (1/s), and how
-# far shaker, wing and joint move with it (kg^-1/2).
+NAMES = r"\b([kcbsj]\d|[kc]j)\b"  # of parameters
+# Rough values by mode with the joint loose, of unit modal mass: stiffness (1/s^2),
+# damping (1/s), and how far shaker, wing and joint move with it (kg^-1/2); then the
+# stiffness (N/m) and damping (N s/m) of the joint.
 START = {
-    "k": (3.5, 2060.0, 3265.0, 16200.0),
-    "c": (6.0, 1.4, 1.3, 4.0),
-    "b": (0.12, -0.038, -0.017, 0.08),
-    "s": (0.034, -0.076, -0.066, -0.047),
-    "j": (-0.003, 0.0047, 0.011, 0.041),
+    "k": (3.5, 2020.0, 3230.0, 12500.0),
+    "c": (6.7, 0.1, 0.5, 0.1),
+    "b": (0.116, -0.038, -0.017, 0.058),
+    "s": (0.028, -0.082, -0.065, -0.023),
+    "j": (0.0026, 0.0083, 0.0068, 0.0076),
 }
-# With friction in the joint the springs beside it are softer.
-SOFTER = {
-    "k": (3.5, 1850.0, 3110.0, 9900.0),
-    "c": (5.5, 0.05, 0.6, 8.0),
-    "b": (0.12, -0.036, -0.01, 0.056),
-    "s": (0.032, -0.09, -0.057, -0.019),
-    "j": (0.0005, 0.0095, 0.0068, 0.0215),
+JOINT = {"kj": 4e5, "cj": 2e4}
+# The same of a linear fit to what a study sees of all levels, each with its own joint.
+SEEN = {
+    "k": (3.5, 1.0, 2700.0, 22000.0),
+    "c": (6.2, 0.01, 0.01, 7.0),
+    "b": (0.130, -0.0353, -0.0290, 0.313),
+    "s": (-0.0109, 0.176, 0.0140, -0.209),
+    "j": (0.0152, -0.0700, -0.0173, 0.185),
 }
 
 
@@ -86,7 +88,7 @@ def _read(name: str) -> tuple[Array, Array]:
 
 
 def base() -> ph.PseudoHamiltonian:
-    """Four modes with linear losses.
+    """Four modes with the joint loose, and a spring and a damper in the joint.
 
     With the modal displacements e_i, r = sum j_i e_i gives the last one. Sensors show
     the velocities of shaker (b) and wing (s), beside r itself.
@@ -94,7 +96,7 @@ def base() -> ph.PseudoHamiltonian:
     last = f"(r - {_sum('j{i}*e{i}')})/j{N}"
     rate = f"(dH_dpr - {_sum('j{i}*dH_dp{i}')})/j{N}"
     energy = _sum("(k{i}*e{i}**2 + (p{i} + j{i}*pr)**2)/2")
-    F = {"pr": f"b{N}/j{N}*u - c{N}/j{N}*{rate}"}
+    F = {"pr": f"b{N}/j{N}*u - c{N}/j{N}*{rate} - cj*dH_dpr"}
     for i in range(1, N):
         F[f"p{i}"] = (
             f"(b{i} - j{i}*b{N}/j{N})*u - c{i}*dH_dp{i} + c{N}*j{i}/j{N}*{rate}"
@@ -107,7 +109,7 @@ def base() -> ph.PseudoHamiltonian:
         states=[*POSITIONS, *MOMENTA],
         inputs=["u"],
         S=ph.canonical(N),
-        H=_formula(f"{energy} + (k{N}*({last})**2 + j{N}**2*pr**2)/2"),
+        H=_formula(f"{energy} + (k{N}*({last})**2 + j{N}**2*pr**2 + kj*r**2)/2"),
         F={state: _formula(text) for state, text in F.items()},
         sensor=sensor,
     )
@@ -120,39 +122,36 @@ def _sum(term: str) -> str:
 
 def _formula(text: str) -> Dictionary:
     """With the parameters that it names."""
-    names = sorted(set(re.findall(rf"\b{MODAL}\b", text)))
+    names = sorted(set(re.findall(NAMES, text)))
     return ph.formula(text, **{name: _parameter(name) for name in names})
 
 
 def _parameter(name: str) -> ph.Parameter:
-    kind, mode = name[0], int(name[1:])
-    is_positive = kind in "kc" or (kind, mode) == ("j", N)
-    return ph.Parameter(
-        START[kind][mode - 1],
-        lower=1e-6 if is_positive else -np.inf,
-        fixed=name == "k1",  # below the band
-    )
+    value = JOINT[name] if name in JOINT else START[name[0]][int(name[1:]) - 1]
+    lower = 1e-6 if name[0] in "kc" or name == f"j{N}" else -np.inf
+    return ph.Parameter(value, lower=lower, fixed=name == "k1")  # below the band
 
 
 def physics() -> ph.Model:
     """Dry friction in the joint, which sticks before it slides: Bouc and Wen's."""
     model = base().add("hysteresis", "pr")
-    values = {f"{kind}{i}": x for kind in SOFTER for i, x in enumerate(SOFTER[kind], 1)}
-    values |= {"hysteresis_force_pr": 300.0, "hysteresis_width_pr": 6e-5}  # N, m
+    values = {"hysteresis_force_pr": 300.0, "hysteresis_width_pr": 6e-5}  # N, m
     return model.with_values(values | {"hysteresis_slow_pr": 1e-5})
 
 
 # --- free runs
 
 
-def estimated(model: ph.Model, levels: Sequence[int] = LEVELS) -> ph.Model:
+def fitted(model: ph.Model, _: ph.Measurements) -> ph.Model:
     """The model whose free runs over a period of each level have the least error.
 
     A run begins at rest half a period earlier. Errors count within the band, over the
     size of each acceleration at the level.
     """
+    linear = {name for name in model.values if re.fullmatch(NAMES, name)}
+    model = model.with_free(linear - {"k1"})
     run = _runner(model.rhs(), PERIOD + LAG)
-    records = [period(level) for level in levels]
+    records = [period(level) for level in LEVELS]
     inputs = [_with_midpoints(record.u) for record in records]
 
     def misfit(values: Array) -> Array:
@@ -254,41 +253,38 @@ def error(model: ph.Model, record: Record, n_first: int) -> float:
 # --- what is fitted, and what a study is given
 
 
-def train(levels: Sequence[int] = LEVELS, n: int = PERIOD // THIN) -> ph.Measurements:
-    """The first ``n`` thinned samples of each level: r (m), two velocities (m/s)."""
-    t = np.arange(n) * THIN / RATE
+def train() -> ph.Measurements:
+    """2 s of each level at 200 Hz: r (m), two velocities (m/s).
+
+    Each level shows another quarter of the period, so that no wave fits all of them. Of
+    each channel the modes leave a fifth at the highest level, which is given as noise.
+    """
     states, inputs = [], []
-    for level in levels:
+    for number, level in enumerate(LEVELS):
         record = period(level)
         x = np.full((PERIOD, 2 * N), np.nan)
         x[:, N - 1] = integrated(record.a[:, 2:] - record.a[:, 1:2], 2)[:, 0]
         x[:, N : N + 2] = integrated(record.a[:, :2], 1)
-        states.append(x[::THIN][:n])
-        inputs.append(record.u[::THIN][:n])
+        begin = number * PERIOD // len(LEVELS)
+        states.append(x[begin : begin + 2 * RATE : THIN])
+        inputs.append(record.u[begin : begin + 2 * RATE : THIN])
+    names = [*POSITIONS, *MOMENTA]
+    sizes = dict(zip(names, states[-1].std(axis=0).tolist(), strict=True))
     return ph.Measurements.from_arrays(
-        [t] * len(levels),
+        [np.arange(0, 2, THIN / RATE)] * len(LEVELS),
         states,
         inputs,
-        states=[*POSITIONS, *MOMENTA],
+        states=names,
         inputs=["u"],
         hold="cubic",
+        noise={name: SHARE_LEFT * sizes[name] for name in names[N - 1 : N + 2]},
     )
 
 
-def fitted(model: ph.Model, _: ph.Measurements) -> ph.Model:
-    """By free runs, the shapes of the modes too."""
-    modal = {name for name in model.values if re.fullmatch(MODAL, name)}
-    return estimated(model.with_free(modal - {"k1"}))
-
-
 def study(model: ph.Model) -> ph.Study:
-    """Of 2 s of the lowest and the highest level; the shapes of the modes are known.
-
-    The two levels between them are held out.
-    """
-    first, second = train((1, 7), 200), train((3, 5), 200)
-    model = estimated(model)
-    known = {name: x for name, x in model.values.items() if name[0] not in "kc"}
-    model = model.with_fixed(known)
+    """Of the lowest and the highest level, the others held out; the modes are known."""
+    first, second = train()[0::3], train()[1:3]
+    known = {f"{kind}{i}": x for kind in SEEN for i, x in enumerate(SEEN[kind], 1)}
+    model = model.with_values({"kj": 3e6, "cj": 1.5e4}).with_fixed(known)
     fit = ph.identify(model, first, start=ph.identify(model.frozen(), first))
     return ph.Study(model, first, second, fit=fit)
