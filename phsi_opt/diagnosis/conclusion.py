@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.comparison.compare import is_explained, is_small_as_noise
+from phsi_opt.comparison.compare import is_explained, is_failing, is_small_as_noise
 from phsi_opt.criteria import (
     DECISIVE_EVIDENCE,
     LEAST_ERROR_EXPLAINED,
@@ -181,10 +181,10 @@ class _Judge:
         steps = self.steps_in_words()
         if steps and is_small_as_noise(larger.trained):
             return f"the cause may also be {steps}"
+        if self.is_worse(larger):
+            return "its free-run error is larger than without it"
         if self.explains_all(larger):
             return ""
-        if larger.trained.rmse > self.base.trained.rmse:
-            return "its free-run error is larger than without it"
         if any(is_wave(effect) and effect.needs_clock for effect in effects):
             return "more is missing, and every function of time contains such waves"
         of_force = self.of_force(second)
@@ -195,6 +195,11 @@ class _Judge:
                 f"square) and {100 * max(0.0, share):.0f} % of the error"
             )
         return self.rival(first)
+
+    def is_worse(self, larger: DiagnosedModel) -> bool:
+        """Whether a free run is farther off than the base's, and not by noise."""
+        pairs = zip(self.base.comparisons, larger.comparisons, strict=True)
+        return any(is_failing(new) and new.rmse > old.rmse for old, new in pairs)
 
     def explains_all(self, larger: DiagnosedModel) -> bool:
         """Whether no force is evident beside a re-fit; worked out once."""
