@@ -338,3 +338,24 @@ def test_an_effect_whose_fitted_size_is_not_determined_is_not_named(
     found = asked()
     assert found.verdict == Verdict.UNEXPLAINED and not found.findings
     assert "standard error exceeds its size" in found.ranking[0].lost
+
+
+def test_what_makes_the_free_run_held_out_worse_is_not_named() -> None:
+    # A logistic equation lacks c n^2/a, which no effect here is. A square root follows
+    # the first part of the record, and misses the rest by more than without it.
+    t = np.linspace(0, 10, 200)
+    truth = ph.FirstOrder(["n"], {"n": "0.14*n*(1 - n/130)*(n/4.4 - 1)"})
+    x = ph.simulate(truth, t, [6.123])
+    noise = 0.05 * x * np.random.default_rng(7).normal(size=x.shape)
+    data = ph.Measurements.from_arrays(t, x + noise, states=["n"])
+    numbers = {"c": 0.17, "a": 5.3, "k": 156.0}
+    body = "c*n*(n/a - 1) - c*n**2*(n/(a*k))"
+    known = {name: ph.Parameter(value) for name, value in numbers.items()}
+    model = ph.FirstOrder(["n"], {"n": ph.formula(body, **known)})
+    train, held_out = data.split(0.7)
+    fit = ph.identify(model, train)
+    found = ph.diagnose(fit, train, held_out=held_out, effects=["turbulent leak"])
+    assert found.verdict == ph.Verdict.UNEXPLAINED
+    (rejected,) = found.ranking
+    assert rejected.lost == "its free-run error is larger than without it"
+    assert rejected.held_out_rmse > 10 > 7.1 > found.base.rmse
