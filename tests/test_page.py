@@ -98,7 +98,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     press_fit(page)
     said = facts(page)
     assert NAMED.search(said)
-    assert "In dp/dt" in said
+    assert "In the force on q (dp/dt)" in said
     assert re.search("(strongest|most clearly visible) at t = ", said)
     assert "dp/dt lacks a force of" in said
     assert f"{CALLED} (" in said
@@ -124,7 +124,9 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     run_shown = page.get_by_label("run", exact=True).input_value()
 
     page.get_by_role("button", name=f"Add {CALLED}", exact=True).press("Enter")
-    expect(page.get_by_text("Nothing is missing.")).to_be_visible(timeout=SOLVED_WITHIN)
+    expect(page.get_by_text("nothing more that is missing").first).to_be_visible(
+        timeout=SOLVED_WITHIN
+    )
     nothing_is_solved(page)
     assert held_out_error(page, step=1) < 0.8 * error_before
     # The same place before and after, and nothing more is offered.
@@ -253,7 +255,7 @@ def test_an_example_is_worked_through_by_the_keyboard_alone(
     region.get_by_text("What is wrong").wait_for(timeout=SOLVED_WITHIN)
     nothing_is_solved(page)
     press(page, "Add Coulomb friction on w")
-    expect(page.get_by_text("Nothing is missing", exact=False).first).to_be_visible(
+    expect(page.get_by_text("nothing more that is missing").first).to_be_visible(
         timeout=SOLVED_WITHIN
     )
     nothing_is_solved(page)

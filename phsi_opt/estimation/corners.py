@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -96,10 +97,8 @@ class _Sharpening:
             widths[name] = self.blunt[name] * float(factor)
             near = CORNER_WIDTHS * model.values[name]
             speeds = self.values_of(guess.of, model, estimate)
-            steps = [
-                np.where(_is_near(v, near), np.maximum(n, n_steps), n)
-                for v, n in zip(speeds, steps, strict=True)
-            ]
+            finer = partial(_finer_at_corner, near=near, n_steps=n_steps)
+            steps = list(map(finer, steps, speeds))
         n_states = sum(int(n.sum()) for n in steps) * model.n_states
         if model.memory and n_states > MOST_SHARP_STATES:
             return None
@@ -126,8 +125,11 @@ class _Sharpening:
         return found
 
 
-def _is_near(v: np.ndarray, near: float) -> np.ndarray:
-    """Whether a gap between samples, or the one beside it, may have the corner."""
+def _finer_at_corner(
+    steps: np.ndarray, v: np.ndarray, near: float, n_steps: int
+) -> np.ndarray:
+    """At least ``n_steps`` in the gaps that may have the corner, and beside them."""
     passes_zero = v[1:] * v[:-1] < 0
     is_within = np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < near
-    return np.asarray(np.convolve(passes_zero | is_within, np.ones(3))[1:-1] > 0)
+    has_corner = np.convolve(passes_zero | is_within, np.ones(3))[1:-1] > 0
+    return np.where(has_corner, np.maximum(steps, n_steps), steps)
