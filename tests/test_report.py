@@ -305,8 +305,8 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(study) -> Non
     assert re.match(
         r"In free runs of up to 5 s it follows q to 0\.\d+ m, [\d.]+ % of its range\. "
         r"On data not used for fitting, each run from a state that was estimated from "
-        r"all of it; the noise is [\d.]+ m, so the model limits the error, not the "
-        r"sensor\. In the worst of its 2 runs \(run \d\), 0\.\d+ m\.",
+        r"all of it; the noise is [\d.]+ m\. In the worst of its 2 runs "
+        r"\(run \d\), 0\.\d+ m\.",
         brief["How good is the model"].told,
     )
     answers = {one.question: f"{one.lead} {one.detail}" for one in headline.answers}

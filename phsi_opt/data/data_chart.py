@@ -77,11 +77,8 @@ def _axis(look: DataLook) -> tuple[np.ndarray, str, tuple[list[str], ...]]:
         begin = commonprefix(names)  # noqa: RUF071 -- these are no paths
         names = [name.removeprefix(begin) for name in names]
     shown = [name if k % every == 0 else "" for k, name in enumerate(names)]
-    return (
-        x,
-        x_label,
-        tuple(wrap(name, room, break_long_words=False)[:4] for name in shown),
-    )
+    ticks = tuple(wrap(name, room, break_long_words=False)[:4] for name in shown)
+    return x, x_label, ticks
 
 
 def _line(look: DataLook, one: ChannelLook, x: np.ndarray) -> Curve:
