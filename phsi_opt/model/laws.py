@@ -247,8 +247,6 @@ def said_of(name: str) -> tuple[str, tuple[str, ...]]:
     return "", ()
 
 
-# Laws that say what they are a source of: a constant force, also of an input "force".
-SOURCES = ("constant", "drifting", "harmonic")
 # What the numbers of a law are, by the parts of their names, where these do not say it.
 WORDS_OF_NUMBERS = {
     "v0": "speed of transition v0",
@@ -291,7 +289,9 @@ def parameter_words(model: BaseModel, name: str) -> str:
         if kind:
             rest = stem[len(kind) + 1 :]
             is_variable = rest in (*model.states, *model.inputs)
-            of = " of" if is_variable and kind not in SOURCES else ""
+            # A constant force is none of an input "force".
+            is_source = any(law.name == f"{kind} {{source}}" for law in FORCES)
+            of = " of" if is_variable and not is_source else ""
             words = WORDS_OF_NUMBERS.get(kind, kind)
             return f"{words}{of} {rest}".rstrip() + f" on {state}"
     return name
