@@ -3,8 +3,10 @@ effects, pictures.
 """
 
 import io
+import re
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import matplotlib
 
@@ -297,7 +299,9 @@ def test_an_effect_with_several_parameters_is_ranked_with_all_of_them() -> None:
     assert all(";" not in one.size for one in others)
 
 
-def test_a_study_begins_though_no_motion_of_the_base_model_follows_the_record() -> None:
+def test_a_study_begins_though_no_motion_of_the_base_model_follows_the_record(
+    tmp_path: Path,
+) -> None:
     whole = ph.formula("c*sin(a)", c=ph.Parameter(4.2))
     rates = {"a": ph.formula("cos(a)/tan(b)"), "b": whole}
     t = np.linspace(0, 10 / 3, 40)
@@ -308,6 +312,8 @@ def test_a_study_begins_though_no_motion_of_the_base_model_follows_the_record() 
     study = ph.Study(ph.FirstOrder(["a", "b"], rates | {"b": lacking}), data)
     assert study.fit.caution.count("No motion of the model was found") == 1
     assert "PHSILoss" in str(study.fit)
+    report = study.report(tmp_path / "report.md").read_text(encoding="utf-8")
+    assert not re.search(r"\bnan\b", report)  # of a loss without a BIC
 
 
 def lorenz() -> ph.Measurements:
