@@ -29,7 +29,7 @@ from phsi_opt.diagnosis.candidate import (
     Verdict,
     class_of,
 )
-from phsi_opt.diagnosis.ranking import ranked
+from phsi_opt.diagnosis.ranking import NO_EVIDENCE, ranked
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel, refit, thorough_refit
 from phsi_opt.errors import SolveError
@@ -161,8 +161,8 @@ class _Judge:
         try:
             record, ranking = ranked(larger, larger.evidence_record(), others)
             second = _Judge(larger, record, others, ranking)
-        except SolveError as error:
-            self.base.say(str(error))
+        except SolveError:
+            self.base.say(f"no second effect is considered: {NO_EVIDENCE}")
             return None
         both = second.first()
         if both is None:

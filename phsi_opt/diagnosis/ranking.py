@@ -20,6 +20,8 @@ from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.sweep import Ahead, Progress
 
+NO_EVIDENCE = "no states follow the measurements with it"
+
 
 def ranked(
     base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
@@ -62,9 +64,9 @@ def _ranked_beside(
                 break
             try:
                 weighed = w.result(place)
-            except SolveError as error:
-                base.say(str(error))
-                failed = _expected(base, one, "its evidence could not be computed")
+            except SolveError:
+                base.say(f"{one.effect} is not considered: {NO_EVIDENCE}")
+                failed = _expected(base, one, NO_EVIDENCE)
                 candidates.append(replace(failed, log_bayes=np.nan))
                 continue
             candidate = _candidate(base, record, one, weighed, len(screened))

@@ -248,8 +248,8 @@ def refit(base: DiagnosedModel, candidate: Candidate) -> DiagnosedModel | None:
     base.say(f"re-fitting with {candidate.name}")
     try:
         return Refitting(base, candidate).result()
-    except PhsiOptError as error:
-        base.say(f"not re-fitted: {error}")
+    except PhsiOptError:
+        base.say(f"{candidate.name} is not considered: it could not be re-fitted")
         return None
 
 
