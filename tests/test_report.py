@@ -156,8 +156,8 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     expected = {
         "What was wrong": r"Coulomb friction on p was missing: .* dp/dt lacked a force of [\d.]+ N.*",
         "Where it was": "In the force on q \\(dp/dt\\).*",
-        "Since when": r"(From the start|(From the start, r|R)epeatedly), in both "
-        r"training runs\. It is (strongest|most clearly visible) at t = .* of run \d\..*",
+        "When": r"Significantly during \d+ % of the time(, repeatedly)?, in both "
+        r"training runs\. It is strongest at t = .* of run \d\..*",
         "What was added": r"Coulomb friction on p \(.* N\)\. It is practically certain "
         r"\(odds of more than a million to one\)\.",
     }
@@ -246,7 +246,7 @@ def test_a_paragraph_tells_each_fact_once_in_sentences(content) -> None:
     sizes = re.findall(r"[\d.]+ ± [\d.]+ N", told)
     assert len(sizes) == 1 and told.count("falls from") == 1
     assert "What is missing acts in the force on q (dp/dt)" in told
-    assert "It is there from the start" in told or "It is there repeatedly" in told
+    assert "It is there significantly during " in told
     assert told.endswith("Coulomb friction on p was added in step 1.")
 
 
@@ -459,7 +459,7 @@ def test_verdict_table_and_picture_use_the_same_words(page, content, study) -> N
         not in text.split("Reproduce this result")[1].split("Seeds")[0]
     )
     last = study.history.iloc[-1]
-    assert f"{last['held_out_rmse']:.3g}" in text and said(f"{last['bic']:.0f}") in text
+    assert f"{last['held_out_rmse']:.3g}" in text and number(last["bic"], 6) in text
     held_out = [step.held_out for step in content.steps]
     assert held_out == list(study.history["held_out_rmse"])
     items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)

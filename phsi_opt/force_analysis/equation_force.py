@@ -150,6 +150,11 @@ class EquationForce(Force):
         return bool(self.where["times_noise"] < CERTAIN_FORCE)
 
     @property
+    def is_sure(self) -> np.ndarray:
+        """Whether its band excludes zero in an interval, (n_intervals,)."""
+        return np.abs(self.w) > SURE_DEVIATIONS * self.deviation
+
+    @property
     def is_constant(self) -> bool:
         """Whether the mean predicts most of the force, and better than any variable."""
         best = self.follows.iloc[0]

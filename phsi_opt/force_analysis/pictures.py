@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phsi_opt.criteria import CHANCE_LEVEL, CLEAR_PATTERN, SURE_DEVIATIONS
+from phsi_opt.criteria import CHANCE_LEVEL, CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import (
     ForceAnalysis,
     dependence_title,
@@ -178,8 +178,7 @@ def _draw_title(ax: "Axes", text: str) -> None:
 def _sure_title(force: EquationForce) -> str:
     """During how much of its strongest run a force is sure, in a sentence."""
     is_inside = force.record.run == force.strongest_run
-    is_sure = np.abs(force.w) > SURE_DEVIATIONS * force.deviation
-    percent = f"{100 * np.mean(is_sure[is_inside]):.0f} %"
+    percent = f"{100 * np.mean(force.is_sure[is_inside]):.0f} %"
     begin = f"{force.window.trajectory}, d{force.equation}/dt"
     said = f"a {force.quantity} is significantly missing during {percent} of the time"
     return f"{begin}: {said}"

@@ -68,7 +68,7 @@ class Headline:
     # How sure that is, how much better the model is, what to do next.
     brief: tuple[Answer, ...]
     badge: str  # the status as people read it
-    answers: tuple[Answer, ...]  # what is wrong, where, since when, what to add
+    answers: tuple[Answer, ...]  # what is wrong, where, when, what to add
     remark: str = ""  # on the status, such as "fast disturbance"; "": none
     # How sure it is that something is missing, and whether why is known.
     certainty: str = ""

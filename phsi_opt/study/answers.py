@@ -1,4 +1,4 @@
-"""The verdict on a study and its answers: what is wrong, where, since when, what to do.
+"""The verdict on a study and its answers: what is wrong, where, when, what to do.
 
 Report and page show them on their first screens; a report's paragraph on each step has
 them too. Here are the facts; the sentences stand in ``words.jinja``.
@@ -27,7 +27,6 @@ from phsi_opt.force_analysis.analysis import (
     place_answer,
 )
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import N_WINDOWS
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import inertia_words
 from phsi_opt.model.effect import Effect
@@ -69,15 +68,15 @@ SEVERITIES = {
 }
 NOT_ESTABLISHED = "with an effect that is not established"
 # The questions of the first screen: of what is missing, and of what was.
-PRESENT = ("What is wrong", "Where", "Since when", "What to add")
-UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
+PRESENT = ("What is wrong", "Where", "When", "What to add")
+UNNAMED = ("What is wrong", "Where", "When", "What to do next")
 # Where no diagnosis was asked for, or none found anything.
 NOT_YET = (("What is wrong", "Not asked yet."), ("What to do", ASK))
 NOTHING_FOUND = (
     ("What is wrong", "These data show no missing effect."),
     ("What to add", "Nothing."),
 )
-PAST = ("What was wrong", "Where it was", "Since when", "What was added")
+PAST = ("What was wrong", "Where it was", "When", "What was added")
 # What ``words.jinja`` says to somebody who does not read on, and what it answers.
 AT_A_GLANCE = {
     "next": "What to do next",
@@ -274,13 +273,13 @@ def only_follows(trained: Comparison, judged: Comparison) -> bool:
     return trained.rmse < NEAR_FLOOR * floor and judged.rmse > 2 * floor
 
 
-# ---- since when ----------------------------------------------------------------------
+# ---- when ----------------------------------------------------------------------------
 
 STRONG_STRETCH = 1 / 3  # share of the strongest stretch's force, of one that counts
 
 
 def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
-    """Since when the surest force is there, in which runs, where most clearly."""
+    """When the surest force is there, in which runs, where it is strongest."""
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return Answer("At no time significantly.")
@@ -289,7 +288,6 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     sizes = np.array([rms(force.w[inside]) for inside in runs])
     strongest = runs[force.strongest_run]
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
-    starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
     window = force.window_words(longest=float(record.t.max()))
     is_in_one = np.sum(sizes > sizes.max() / 2) == 1
     return say(
@@ -300,7 +298,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
         again="repeatedly" if _comes_and_goes(force, strongest) else "",
         n_runs=len(runs),
         n_clear=len(clear),
-        is_from_start=all(_is_clear(force, one) for one in starts if len(one)),
+        share=np.mean(force.is_sure[np.concatenate(clear)]),
         window=f"t = {window}" if window else "",
         run=force.window.trajectory if len(runs) > 1 else "the training record",
         gaps=gaps_of(diagnosis, force),
@@ -438,7 +436,7 @@ def _longest(data: Measurements) -> str:
 
 
 def _remains(study: StudyRecord) -> Answer:
-    """The force that no effect explains: how large, where, since when."""
+    """The force that no effect explains: how large, where, when."""
     present = study.present
     if present is None or present.verdict in (Verdict.NOTHING_MISSING, Verdict.NAMED):
         return Answer("")
