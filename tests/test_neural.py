@@ -115,8 +115,8 @@ def test_equations_name_the_network_and_a_saved_hybrid_is_the_same_when_loaded(
 @pytest.mark.parametrize("damage", [
     lambda c: c.update(format="other"),
     lambda c: c["force"].update(equations=["z"]),
-    lambda c: c["force"]["layers"].pop(),
-    lambda c: c["force"].update(shift=[0.0, 0.0]),
+    lambda c: c["force"]["network"]["layers"].pop(),
+    lambda c: c["force"]["network"].update(shift=[0.0, 0.0]),
     lambda c: c.pop("fit"),
 ])  # fmt: skip
 def test_a_damaged_file_is_refused(found: Hybrid, tmp_path: Path, damage) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -139,17 +138,6 @@ def test_a_force_without_a_short_formula_is_not_distilled(pulse, nothing) -> Non
     hidden, (weights, bias) = network.layers
     silent = replace(network, layers=(hidden, (0 * weights, 0 * bias)))
     assert distil(replace(nothing.learned, network=silent), nothing.train) == []
-
-
-def test_a_saved_force_is_the_same_when_loaded(coupled: Case, tmp_path: Path) -> None:
-    learned = coupled.learned
-    learned.save(tmp_path / "force.json")
-    again = LearnedForce.load(tmp_path / "force.json")
-    run = (np.linspace(0.0, 2.0, 11), [1.0, 0.5])
-    assert np.array_equal(again.fit.simulate(*run), learned.fit.simulate(*run))
-    assert again.explains == learned.explains and str(again) == str(learned)
-    terms = [effect.term for effect in distil(learned, coupled.train)]
-    assert [effect.term for effect in distil(again, coupled.train)] == terms
 
 
 @pytest.mark.parametrize(("changed", "message"), [

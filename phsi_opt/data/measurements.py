@@ -269,17 +269,6 @@ class Measurements(TableReaders, Summarised):
         """The trajectories in order."""
         return iter(self.trajectories)
 
-    def with_noise(self, noise: Mapping[str, float] | None) -> Self:
-        """The same measurements with other standard deviations of the noise.
-
-        Args:
-            noise: Standard deviations by state, in the state's unit; None: unknown.
-
-        Raises:
-            DataError: A name is no state, or a value is not positive.
-        """
-        return replace(self, noise=noise)
-
     def in_si(self) -> Self:
         """The same measurements in SI units, for models whose numbers are in SI units.
 

@@ -7,26 +7,18 @@ they are as long as the record, and a fit is used without them.
 import json
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, get_type_hints
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import numpy as np
 
-from phsi_opt.arguments import require_known, typed
+from phsi_opt.arguments import typed
 from phsi_opt.data.checks import checked_hold
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, did_you_mean
-from phsi_opt.estimation.fit_file import (
-    Content,
-    decoded,
-    encoded,
-    model_content,
-    model_from,
-    read_json,
-)
-from phsi_opt.estimation.fit_record import DIGITS, FitRecord, FitUncertainty
+from phsi_opt.estimation.fit_file import Content, decoded, encoded, read_json
+from phsi_opt.estimation.fit_record import DIGITS, FitRecord
 from phsi_opt.later import Later
 from phsi_opt.model.laws import parameter_words
 from phsi_opt.model.symbolic import dictionary_rows, structure_rows
@@ -35,7 +27,6 @@ from phsi_opt.presentation.numbers import estimate_text
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.presentation.summary import Part, Summarised, Summary, filled
 from phsi_opt.presentation.units import scale_of, spaced
-from phsi_opt.transcription.grid import aligned_once
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.writing import write_whole
 
@@ -45,9 +36,6 @@ if TYPE_CHECKING:
 
 FORMAT = "phsi_opt fit 1"
 PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and pictures
-# Fields whose content a file has in another form, and names that it has for others.
-OTHERWISE_IN_FILES = ("model", "uncertainty", "doubts", "hold", "states", "steps")
-NAMES_IN_FILES = {"source": "std_error_source", "model_error_rows": "model_error"}
 # Ratio of two standard errors beyond which the report gives both.
 DIFFERENT_STD_ERRORS = 4 / 3
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
@@ -66,8 +54,7 @@ class Fit(FitRecord, Summarised):
       ``sympy()`` and ``casadi()`` with the fitted numbers.
     - Simulation: ``simulate(t, x0, u)``; ``model`` is the fitted model,
       ``model_of(trajectory)`` that of one trajectory.
-    - Forms: ``print(fit)``, ``plot()``, ``plot_states(data)``, ``save(path)`` and
-      ``Fit.load(path)``.
+    - Forms: ``print(fit)``, ``plot()``, ``save(path)`` and ``Fit.load(path)``.
     - Reliability: ``outcome`` says how the solver ended; read ``warnings`` before you
       use the numbers.
 
@@ -111,15 +98,8 @@ class Fit(FitRecord, Summarised):
 
     def content(self) -> Content:
         """The fit as numbers, text, lists and mappings: what `save` writes."""
-        content: Content = {"format": FORMAT, "model": model_content(self.model)}
-        for name in _plain_fields():
-            content[name] = encoded(getattr(self, name))
-        for name, value in encoded(self.uncertainty.value).items():
-            content[NAMES_IN_FILES.get(name, name)] = value
-        content |= {"hold": self.hold, "caution": self.caution}
-        content["steps"] = list(map(_steps_content, self.steps))
-        content["n_gaps"] = list(map(len, self.steps))
-        return content
+        content: Content = encoded(replace(self, states=()))
+        return {"format": FORMAT, **content}
 
     @classmethod
     def from_content(cls, content: Content) -> "Fit":
@@ -130,27 +110,16 @@ class Fit(FitRecord, Summarised):
             ModelError: The model in the content is not valid.
             LookupError, TypeError, ValueError, AttributeError: The content is damaged.
         """
-        model = model_from(content["model"])
-        hints = get_type_hints(cls)
-        plain = {}
-        for name in _plain_fields():
-            if name in content:
-                plain[name] = decoded(hints[name], content[name])
-        steps = []
-        gaps = zip(content.get("steps", []), content.get("n_gaps", []), strict=True)
-        for given, n_gaps in gaps:
-            steps.append(np.broadcast_to(np.array(given, int), n_gaps).copy())
-        fit = cls(
-            model=model,
-            uncertainty=Later.known(_uncertainty_from(content)),
-            doubts=Later.known(decoded(str, content.get("caution", ""))),
-            hold=checked_hold(content["hold"], model.inputs),
-            steps=tuple(steps),
-            **plain,
-        )
+        hints = get_type_hints(cls) | {"hold": Any}
+        parts = {}
+        for name in hints.keys() & content.keys():
+            parts[name] = decoded(hints[name], content[name])
+        fit = cls(**parts)
+        model = fit.model
         unknown = Theta.of(model, tuple(fit.by_trajectory) or ("",))
         _check_names(fit.names, unknown.names)
         _check_names(fit.noise, model.states)
+        hold = checked_hold(fit.hold, model.inputs)
         n = len(fit.names)
         freedom = fit.freedom
         for what, numbers in (
@@ -169,7 +138,7 @@ class Fit(FitRecord, Summarised):
             covariance=fit.covariance.reshape(n, n),
             covariances={source: one.reshape(n, n) for source, one in by_source},
         )
-        return replace(fit, uncertainty=Later.known(uncertainty))
+        return replace(fit, hold=hold, uncertainty=Later.known(uncertainty))
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw every estimate with its 95 % interval.
@@ -188,68 +157,6 @@ class Fit(FitRecord, Summarised):
         from phsi_opt.presentation.pictures import plot_estimates
 
         return plot_estimates(self._estimates_table(PLOTTED_LEVEL), PLOTTED_LEVEL, ax)
-
-    def plot_states(
-        self,
-        data: Measurements,
-        trajectory: str | int = 0,
-        ax: "Axes | None" = None,
-        state: str | None = None,
-    ) -> "Axes":
-        """Draw measured and estimated states of one trajectory, a panel each.
-
-        The estimated states depend on the model and on the measurements. ``compare(fit,
-        data).plot()`` shows the states of a free run.
-
-        Args:
-            data: The measurements of the fit.
-            trajectory: Name of the trajectory, or its number, counted from 0.
-            ax: Axes to draw one state on; None: a new figure with all of them.
-            state: The state to draw on ``ax``; default: the first one measured.
-
-        Returns:
-            The axes given, or the uppermost of the new figure.
-
-        Raises:
-            DataError: The data are not those of the fit, the fit was loaded from a
-                file, which has no states, or a name is unknown.
-        """
-        from phsi_opt.presentation.pictures import Channel, plot_states
-
-        data = aligned_once(self.model, data)
-        self._check_states(data)
-        number = data.trajectory_number(trajectory)
-        run = data.trajectories[number]
-        estimated = np.asarray(self.states[number])
-        channels = []
-        for k, name in enumerate(data.states):
-            scale = scale_of(data.units.get(name, ""))
-            both = scale.shown(run.x[:, k]), scale.shown(estimated[:, k])
-            channels.append(Channel(name, scale.unit, *both, None))
-        time = scale_of(data.units.get("t", ""))
-        t = time.shown(run.t)
-        title = f"Measured and estimated states of {run.name}"
-        if ax is not None:
-            state = data.measured[0] if state is None else state
-            require_known(state, data.states, f"state={state!r} is unknown", DataError)
-            channels = [channels[data.states.index(state)]]
-        return plot_states(t, channels, t_unit=time.unit, title=title, ax=ax)
-
-    def _check_states(self, data: Measurements) -> None:
-        """The states of the fit belong to these data."""
-        if not self.states:
-            raise DataError(
-                "the fit has no estimated states: files do not contain them, and "
-                "PHSILoss does not estimate them. Call identify, or compare(fit, "
-                "data).plot()."
-            )
-        lengths = list(map(len, self.states))
-        given = [run.n_samples for run in data.trajectories]
-        if lengths != given:
-            raise DataError(
-                f"the fit has states for trajectories of {lengths} samples, the data "
-                f"have {given}; give the measurements that were fitted."
-            )
 
     def _estimates_table(self, level: float) -> "pd.DataFrame":
         """What a picture shows: a row per estimate with limits, unit, ``at_bound``."""
@@ -280,30 +187,6 @@ class Fit(FitRecord, Summarised):
 
 
 # ---- files ---------------------------------------------------------------------------
-
-
-def _plain_fields() -> list[str]:
-    """Names of the fields that a file holds as they are."""
-    return [one.name for one in fields(Fit) if one.name not in OTHERWISE_IN_FILES]
-
-
-def _uncertainty_from(content: Content) -> FitUncertainty:
-    """Files of before hold standard errors from white noise alone."""
-    found = {"covariance": content["covariance"]}
-    for one in fields(FitUncertainty):
-        key = NAMES_IN_FILES.get(one.name, one.name)
-        if key in content:
-            found[one.name] = content[key]
-    uncertainty: FitUncertainty = decoded(FitUncertainty, found)
-    return uncertainty
-
-
-def _steps_content(steps: np.ndarray) -> int | list[int]:
-    """One number where all gaps of a trajectory have as many steps, else a list."""
-    if len(steps) and np.all(steps == steps[0]):
-        return int(steps[0])
-    per_gap: list[int] = steps.tolist()
-    return per_gap
 
 
 def _check_names(names: Iterable[str], known: Sequence[str]) -> None:

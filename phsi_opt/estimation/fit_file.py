@@ -14,6 +14,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 import numpy as np
 
 from phsi_opt.errors import DataError, PhsiOptError
+from phsi_opt.later import Later
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Scan, Share, Tried
 from phsi_opt.model.slots import BY_EQUATION
@@ -47,6 +48,10 @@ DAMAGE = (
 
 def encoded(value: Any) -> Any:
     """What JSON holds of a value: mappings of fields, lists, numbers and text."""
+    if isinstance(value, Later):
+        return encoded(value.value)
+    if isinstance(value, Model):
+        return model_content(value)
     if isinstance(value, Dictionary):
         return encoded(value.terms)
     if isinstance(value, Scan | Share | Tried):
@@ -67,8 +72,6 @@ def encoded(value: Any) -> Any:
 def decoded(kind: Any, value: Any) -> Any:
     """A value of a type, from its content; a whole number passes for a float.
 
-    Fields that an older file lacks keep their defaults.
-
     Raises:
         LookupError, TypeError, ValueError, AttributeError: The content is damaged.
     """
@@ -81,10 +84,17 @@ def decoded(kind: Any, value: Any) -> Any:
     if kind is Scan:  # or another guess
         name, *settings = value
         return GUESSES[name](*settings)
+    if origin is Later:
+        return Later.known(decoded(args[0], value))
+    if kind is Model:
+        return model_from(value)
     if kind is Dictionary:
         return Dictionary(decoded(tuple[Term, ...], value))
     if kind is np.ndarray:
-        return np.array(value, dtype=float)
+        array = np.array(value)
+        if array.dtype.kind not in "if":
+            raise TypeError(f"an array of {array.dtype}, not of numbers")
+        return array
     if origin in (Mapping, dict):
         return {decoded(args[0], k): decoded(args[1], v) for k, v in value.items()}
     if origin is tuple and isinstance(value, list):
@@ -123,11 +133,11 @@ def model_from(content: Content) -> Model:
     parts: Content = {
         "states": content["states"],
         "inputs": content["inputs"],
-        "memory": content.get("memory", []),
-        "kind": content.get("kinds", {}),
+        "memory": content["memory"],
+        "kind": content["kinds"],
     }
     for slot in BY_EQUATION:
-        parts[slot] = decoded(Mapping[str, Dictionary], content.get(slot, {}))
+        parts[slot] = decoded(Mapping[str, Dictionary], content[slot])
     kind = KINDS[content["kind"]]
     if kind is PseudoHamiltonian:
         parts["S"] = content["S"]

@@ -30,7 +30,7 @@ from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_file import read_json
+from phsi_opt.estimation.fit_file import decoded, encoded, read_json
 from phsi_opt.estimation.fit_record import Identified
 from phsi_opt.estimation.identify import identify_forced
 from phsi_opt.estimation.pruning import Pruning
@@ -38,13 +38,12 @@ from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.interrupts import interruptible
 from phsi_opt.learning.hybrid_network import (
-    UNTRAINED,
     NeuralForce,
     TrainedForce,
     TrainingSet,
     train,
 )
-from phsi_opt.learning.network import Network, cross_validated_ridge
+from phsi_opt.learning.network import cross_validated_ridge
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
@@ -63,7 +62,6 @@ __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 FIRST_PRUNED_TURN = 2
 SETTLED = 1e-3  # relative change of a coefficient below which it does not move
 FORMAT = "phsi_opt hybrid 1"
-SCALES = ("shift", "spread", "seen")  # of a network, in a file
 SIGNAL = "network_signal_"  # the inputs that stand for the force begin so
 STEP_SHARE = f"{SIGNAL}share"  # of the step
 
@@ -209,16 +207,10 @@ class Hybrid(Identified):
 
         The file holds numbers and formulas, no code.
         """
-        network = self.force.network
         content = {
             "format": FORMAT,
             "fit": self.fit.content(),
-            "force": {
-                "equations": list(self.force.equations),
-                "variables": list(self.force.variables),
-                **{name: getattr(network, name).tolist() for name in SCALES},
-                "layers": [[w.tolist(), b.tolist()] for w, b in network.layers],
-            },
+            "force": encoded(self.force),
             "convergence": self.convergence.to_dict("list"),
             "converged": self.converged,
             "seconds": self.seconds,
@@ -252,16 +244,11 @@ class Hybrid(Identified):
 
 def _from_content(content: dict[str, Any]) -> Hybrid:
     fit = Fit.from_content(content["fit"])
-    stored = content["force"]
-    equations = tuple(map(str, stored["equations"]))
     model = without_signals(fit.model)
-    shift, spread, seen = (np.array(stored[name], dtype=float) for name in SCALES)
-    layers = tuple(
-        (np.array(w, float), np.array(b, float)) for w, b in stored["layers"]
-    )
-    network = Network(shift, spread, seen, UNTRAINED.activation, layers)
-    force = TrainedForce.of(model, equations, stored["variables"], network)
-    network.check_sizes(len(force.variables), len(equations))
+    stored = decoded(TrainedForce, content["force"])
+    stored.network.check_sizes(len(stored.variables), len(stored.equations))
+    known = (stored.equations, stored.variables, stored.network)
+    force = TrainedForce.of(model, *known)
     return Hybrid(
         model=model,
         hold=fit.hold,

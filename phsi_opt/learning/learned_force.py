@@ -15,25 +15,22 @@ A learned force knows the range of the data alone; beyond it its variables are h
 the edge.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count, filterfalse
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from phsi_opt.arguments import require_count, require_known
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, ModelError
+from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.fit_file import read_json
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
-from phsi_opt.learning.network import Network, range_of
+from phsi_opt.learning.network import Network
 from phsi_opt.learning.orthogonal_network import (
     ForceSamples,
     Response,
@@ -42,14 +39,7 @@ from phsi_opt.learning.orthogonal_network import (
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.presentation.content import ForceMap
 from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.writing import write_whole
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-FORMAT = "phsi_opt learned force 1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +71,7 @@ class LearnedForce:
 
     @cached_property
     def fit(self) -> Fit:
-        """Physics and force as one fit, for `compare`, `diagnose`, equations, files.
+        """Physics and force as one fit, for `compare`, `diagnose`, equations, `save`.
 
         The force is a sum of formulas.
         """
@@ -108,80 +98,6 @@ class LearnedForce:
             bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {own!r})")
         return bodies
 
-    def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw the learned force over its first variable, or two, in their range.
-
-        Beside it the missing force; on a map the places of the data, other variables at
-        their means.
-        """
-        from phsi_opt.presentation.charts import (
-            BASELINE,
-            MEASURED,
-            MODEL,
-            POINTS,
-            Chart,
-            Curve,
-            Panel,
-            axes_of,
-            draw,
-        )
-
-        name = f"force in d{self.equation}/dt"
-        ax = axes_of(ax, (7.0, 3.8))
-        samples = self.samples
-        v = np.linspace(self.network.seen[0], self.network.seen[1], num=60)
-        if len(self.on) == 1:
-            missing = samples.without_physics(samples.w) * samples.std
-            curves = (
-                Curve("missing force", samples.v[:, 0], missing, MEASURED, POINTS),
-                Curve("learned force", v[:, 0], self.at(v), MODEL),
-            )
-            draw(ax, Chart(self.on[0], (Panel(name, curves),)))
-        else:
-            points = np.tile(self.network.shift, (len(v), len(v), 1))
-            points[:, :, 0] = v[:, 0]
-            points[:, :, 1] = v[:, 1, None]
-            force = self.network.at(points)[:, :, 0]
-            first, second = self.on[:2]
-            label = f"learned {name}"
-            found = ForceMap(first, second, label, v[:, 0], v[:, 1], force)
-            draw(ax, Chart(first, map=found))
-            ax.plot(*samples.v[:, :2].T, ".", ms=2, color=BASELINE)
-        share = "found nothing"
-        if self.explains > 0:
-            share = f"explains {100 * self.explains:.0f} % of held-out segments"
-        ax.set_title(
-            f"Learned {name}: {share};\nit does not extrapolate beyond the data"
-        )
-        return ax
-
-    def save(self, path: str | Path) -> None:
-        """Write physics, network and samples as JSON: numbers and formulas, no code."""
-        samples = vars(self.samples)
-        (weights, bias), (sizes, constant) = self.network.layers
-        content = {
-            "format": FORMAT,
-            "physics": self.physics.content(),
-            "equation": self.equation,
-            "on": list(self.on),
-            "shift": self.network.shift.tolist(),
-            "spread": self.network.spread.tolist(),
-            "explains": self.explains,
-            "hidden": [weights.tolist(), bias.tolist()],
-            "record": {name: values.tolist() for name, values in samples.items()},
-            "output": [sizes[0].tolist(), float(constant[0])],
-        }
-        write_whole(path, json.dumps(content) + "\n")
-
-    @staticmethod
-    def load(path: str | Path) -> "LearnedForce":
-        """Read what `save` wrote; never runs code from the file.
-
-        Raises:
-            DataError: for anything else.
-        """
-        return read_json(path, FORMAT, "a learned force", _from_content)
-
     def __str__(self) -> str:
         ranges = []
         for name, (lower, upper) in zip(self.on, self.network.seen.T, strict=True):
@@ -190,26 +106,6 @@ class LearnedForce:
             f"learned force in d{self.equation}/dt, known for {', '.join(ranges)}: "
             f"explains {self.explains:.2f} of the missing force"
         )
-
-
-def _from_content(content: dict[str, Any]) -> LearnedForce:
-    physics = Fit.from_content(content["physics"])
-    equation = str(content["equation"])
-    physics.model.index(equation, "equation of the learned force")
-    on = _checked_names(physics.model, list(map(str, content["on"])))
-    record = content["record"]
-    samples = ForceSamples(**{name: np.array(record[name], float) for name in record})
-    shift = np.array(content["shift"], float)
-    spread = np.array(content["spread"], float)
-    weights, bias = (np.array(one, float) for one in content["hidden"])
-    sizes, constant = (np.array(one, float) for one in content["output"])
-    layers = ((weights, bias), (sizes[None], constant[None]))
-    network = Network(shift, spread, range_of(samples.v), "tanh", layers)
-    network.check_sizes(len(on), 1)
-    if len(samples.v) != len(samples.w):
-        raise DataError("its variables and forces differ in length.")
-    explains = float(content["explains"])
-    return LearnedForce(physics, equation, on, network, explains, samples)
 
 
 def learned_force(

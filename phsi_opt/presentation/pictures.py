@@ -132,26 +132,6 @@ def plot_profile(
     return ax
 
 
-def plot_states(
-    t: np.ndarray,
-    channels: Sequence[Channel],
-    *,
-    t_unit: str,
-    title: str,
-    ax: Axes | None = None,
-) -> Axes:
-    """Measured and estimated states over (n_samples,) times, a panel each."""
-    panels = []
-    for one in channels:
-        curves = [Curve("measured", t, one.measured, MEASURED, POINTS)]
-        name = "estimated"
-        if not np.isfinite(one.measured).any():
-            curves, name = [], "estimated (not measured)"
-        curves.append(Curve(name, t, one.simulated, MODEL))
-        panels.append(Panel(label(one.name, one.unit), curves, height=0.75))
-    return drawn(Chart(label("t", t_unit), tuple(panels)), title, ax)
-
-
 # ---- how well every parameter is known -----------------------------------------------
 
 
