@@ -1,0 +1,427 @@
+"""Verdicts from given evidence, errors and forces: nothing is fitted here."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.diagnosis import conclusion, diagnose
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.refit import DiagnosedModel
+from phsi_opt.errors import SolveError
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.screening.effect_size import Size
+from tests.machines import damped_spring
+
+MODEL = damped_spring()
+DAMPER = effect_named(MODEL, "viscous damping", "p")
+FRICTION = effect_named(MODEL, "coulomb friction", "p")
+PUSH = effect_named(MODEL, "constant force", "p")
+SPRING = effect_named(MODEL, "cubic stiffness", "p")
+WAVE = effect_named(MODEL, "harmonic force", "p")
+OFFSET = effect_named(MODEL, "sensor offset", "q")
+NAMED, PARTLY_NAMED = ph.Verdict.NAMED, ph.Verdict.PARTLY_NAMED
+UNEXPLAINED, NOTHING = ph.Verdict.UNEXPLAINED, ph.Verdict.NOTHING_MISSING
+
+
+def positions(q: np.ndarray) -> ph.Measurements:
+    x = np.column_stack([q, np.full(len(q), np.nan)])
+    return ph.Measurements.from_arrays(np.arange(len(q)), x, states=["q", "p"])
+
+
+def run(rmse: float, p: float = 0.0) -> Any:
+    """A free run beside a noise floor of 1 m; ``p`` of its whiteness."""
+    return SimpleNamespace(
+        rmse=rmse,
+        noise_floor=1.0,
+        error_unit="m",
+        floor_words=lambda: "1 m",
+        table=pd.DataFrame({"whiteness": [p]}),
+        record=SimpleNamespace(
+            shows_correlated_noise=False,
+            has_correlated_noise=False,
+            data=positions(np.sin(np.arange(40.0))),
+        ),
+        fit=SimpleNamespace(
+            model=MODEL, names=(), outcome=SimpleNamespace(at_bounds=())
+        ),
+    )
+
+
+def fitted(trained: Any, judged: Any = None) -> DiagnosedModel:
+    return DiagnosedModel(trained, judged or trained, ph.MaximumLikelihood())
+
+
+def candidate(effect: ph.Effect, evidence: float, **known: Any) -> Candidate:
+    """A weighed effect of a size of 2 +- 0.1, which takes over the whole force."""
+    known = {"force_left": 0.0, "was_weighed": True} | known
+    return Candidate(effect, 2.0, 0.1, log_bayes=evidence, **known)
+
+
+@dataclass
+class Case:
+    """What is known before the verdict."""
+
+    candidates: list[Candidate]
+    base: DiagnosedModel = field(default_factory=lambda: fitted(run(10.0)))
+    # The re-fit with each effect, by name; None where it fails.
+    larger: Mapping[str, DiagnosedModel | None] = field(default_factory=dict)
+    second: list[Candidate] = field(default_factory=list)
+    alone: float | None = -100.0  # log evidence without a force; None: not found
+    function: float | None = None  # of an unknown function of q
+
+    def concluded(self, monkeypatch: pytest.MonkeyPatch) -> ph.Diagnosis:
+        rankings = iter([self.candidates, self.second])
+        record = SimpleNamespace(
+            base=SimpleNamespace(
+                log_evidence=0.0,
+                disturbances=SimpleNamespace(forces=[SimpleNamespace(place=1)]),
+            ),
+            without_force=self.without_force,
+            with_functions=self.with_functions,
+        )
+        monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda _: record)
+        monkeypatch.setattr(
+            conclusion, "ranked", lambda *_: (record, list(next(rankings)))
+        )
+        monkeypatch.setattr(conclusion, "refit", self.refit)
+        monkeypatch.setattr(conclusion, "thorough_refit", lambda larger: larger)
+        monkeypatch.setattr(conclusion, "fitted_size", lambda *_: Size(2.1, 0.2, "N"))
+        effects = [DAMPER, FRICTION, PUSH, SPRING, WAVE, OFFSET]
+        evidence: Any = record
+        return conclusion.concluded(self.base, evidence, effects)
+
+    def refit(self, base: DiagnosedModel, one: Candidate) -> DiagnosedModel | None:
+        return self.larger.get(one.name, fitted(run(1.05, p=0.5)))
+
+    def without_force(self, comparisons: Sequence[Any]) -> Any:
+        if self.alone is None:
+            raise SolveError("no such states")
+        return SimpleNamespace(log_evidence=self.alone)
+
+    def with_functions(self, equation: int) -> Any:
+        if self.function is None:
+            return None
+        kinds = SimpleNamespace(functions=(SimpleNamespace(state=0),))
+        return SimpleNamespace(log_evidence=self.function, disturbances=kinds)
+
+
+def lost(found: ph.Diagnosis) -> dict[str, str]:
+    return {one.name: one.lost for one in found.ranking}
+
+
+# ---- named
+
+
+def test_a_decisive_effect_that_leaves_noise_is_named(monkeypatch) -> None:
+    others = [candidate(PUSH, 5.0), candidate(SPRING, 3.5), candidate(OFFSET, -1.0)]
+    found = Case([candidate(DAMPER, 20.0), *others]).concluded(monkeypatch)
+    assert (found.verdict, found.proposed) == (NAMED, (DAMPER,))
+    assert found.reason == (
+        "viscous damping on p (2.10 +- 0.20 N); the training error falls from 10.0 to "
+        "1.05 m, noise floor 1 m; decisive evidence (log evidence 20.0)"
+    )
+    (finding,) = found.findings
+    assert finding.share == pytest.approx((100 - 1.05**2) / 99)
+    first = found.ranking[0]
+    assert (first.coefficient, first.std_error, first.lost) == (2.1, 0.2, "")
+    assert (first.train_rmse, first.share) == (1.05, finding.share)
+    assert np.isnan(first.held_out_rmse)
+    assert first.fit is found.proposed_fit is first.trained.fit  # type: ignore[union-attr]
+    likelier = "viscous damping on p is more likely"
+    assert list(lost(found).values()) == ["", likelier, likelier, likelier]
+
+
+def test_the_errors_on_the_data_held_out_judge(monkeypatch) -> None:
+    base = fitted(run(10.0), run(20.0))
+    larger = {str(DAMPER): fitted(run(1.0, p=0.5), run(2.0))}
+    case = Case([candidate(DAMPER, 20.0)], base, larger)
+    found = case.concluded(monkeypatch)
+    assert "the held-out error falls from 20.0 to 2.00 m" in found.reason
+    first = found.ranking[0]
+    assert (first.train_rmse, first.held_out_rmse) == (1.0, 2.0)
+    assert first.comparison is larger[str(DAMPER)].judged
+    assert first.share == found.findings[0].share == pytest.approx(396 / 399)
+
+
+def test_of_those_that_evidence_does_not_tell_apart_the_simplest_is_first(
+    monkeypatch,
+) -> None:
+    # Each is strong, both together are decisive. Friction has a speed besides.
+    tied = [candidate(FRICTION, 4.4), candidate(DAMPER, 3.2), candidate(SPRING, 1.3)]
+    found = Case(tied).concluded(monkeypatch)
+    assert found.proposed == (DAMPER,)
+    assert [one.effects for one in found.findings] == [(DAMPER, FRICTION)]
+    assert lost(found) == {
+        str(DAMPER): "",
+        str(FRICTION): "the data cannot distinguish it from the named effect",
+        str(SPRING): "viscous damping on p is more likely",
+    }
+    # Of equal ones it is the one that the catalogue has first.
+    alike = [candidate(PUSH, 9.0), candidate(DAMPER, 9.0)]
+    assert Case(alike).concluded(monkeypatch).proposed == (DAMPER,)
+    # Alone it is not decisive.
+    assert not Case(tied[:1]).concluded(monkeypatch).findings
+
+
+def test_an_effect_whose_re_fit_fails_gives_way_to_the_next(monkeypatch) -> None:
+    at_bound = run(1.05, p=0.5)
+    at_bound.fit.names = ("viscous_damping_p",)
+    at_bound.fit.model = MODEL.add(DAMPER)
+    at_bound.fit.outcome.at_bounds = ("viscous_damping_p",)
+    small = replace(candidate(PUSH, 20.0), std_error=1.1)
+    tied = [
+        small,
+        candidate(DAMPER, 19.5),
+        candidate(SPRING, 19.2),
+        candidate(OFFSET, 19),
+    ]
+    case = Case(tied, larger={str(DAMPER): fitted(at_bound), str(SPRING): None})
+    found = case.concluded(monkeypatch)
+    assert [one.effects for one in found.findings] == [(OFFSET,)]
+    assert lost(found) == {
+        "sensor offset on q": "",
+        "constant force on p": "its size, 2.0 +- 1.1, does not differ significantly from zero",
+        "viscous damping on p": (
+            "the data do not determine it: viscous damping on p ends at a limit of its range"
+        ),
+        "cubic stiffness on p": "could not be re-fitted",
+    }
+    assert replace(small, std_error=1.0).size.z == 2.0
+    kept = Case([replace(small, std_error=1.0)]).concluded(monkeypatch)
+    assert kept.verdict == NAMED
+
+
+# ---- named, but not alone
+
+
+def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) -> None:
+    larger = {str(DAMPER): fitted(run(6.0))}
+    for force_left, is_enough in ((0.7, True), (0.72, False)):
+        one = candidate(DAMPER, 20.0, force_left=force_left)
+        for alone, is_evident in ((20.0 - 4.7, True), (20.0 - 4.5, False)):
+            case = Case([one], larger=larger, alone=alone)
+            found = case.concluded(monkeypatch)
+            assert (found.verdict == NAMED) == (not is_evident)
+            assert bool(found.findings)  # it explains 65 % of the error
+        case = replace(case, larger={str(DAMPER): fitted(run(9.0))}, alone=None)
+        found = case.concluded(monkeypatch)
+        assert bool(found.findings) == is_enough
+    assert found.verdict == UNEXPLAINED and found.proposed == ()
+    assert found.reason == (
+        "the nearest is viscous damping on p (2.00 +- 0.10; log evidence 20.0): the "
+        "training error falls from 10.0 to 9.00 m, noise floor 1 m. It is not named: "
+        "it explains only 48 % of what is missing (mean square) and 19 % of the error"
+    )
+    partly = Case([replace(one, force_left=0.6)], larger=larger, alone=None)
+    found = partly.concluded(monkeypatch)
+    assert found.verdict == PARTLY_NAMED
+    assert found.reason.endswith(
+        "decisive evidence (log evidence 20.0). It accounts for 64 % of what is missing "
+        "(mean square) and 65 % of the squared error above the noise floor; more is "
+        "missing"
+    )
+
+
+def test_two_effects_are_named_that_explain_enough_together_alone(monkeypatch) -> None:
+    larger = {str(DAMPER): fitted(run(9.5)), str(SPRING): fitted(run(1.05, p=0.5))}
+    first, second = candidate(DAMPER, 20.0, force_left=0.9), candidate(SPRING, 9.0)
+    others = [candidate(SPRING, 6.0), candidate(PUSH, 1.0)]
+    case = Case([first, *others], larger=larger, second=[second], alone=None)
+    found = case.concluded(monkeypatch)
+    assert (found.verdict, found.proposed) == (NAMED, (DAMPER, SPRING))
+    assert [one.effects for one in found.findings] == [(DAMPER,), (SPRING,)]
+    assert [str(effect) for effect in found.effects] == list(
+        map(str, (DAMPER, SPRING, PUSH))
+    )
+    assert found.ranking[1].log_evidence == 9.0
+    assert found.reason.startswith(
+        "viscous damping on p (2.10 +- 0.20 N) and cubic stiffness on p (2.10 +- 0.20 N); "
+    )
+    # Without a second that is decisive, the first is not named.
+    case = replace(case, second=[replace(second, log_bayes=3.0)])
+    assert case.concluded(monkeypatch).findings == ()
+
+
+@pytest.mark.parametrize(("effect", "percent"), [(SPRING, 64), (OFFSET, 36)])
+def test_what_two_effects_take_over_of_a_force(effect, percent, monkeypatch) -> None:
+    # Of one force what each leaves multiplies; of two, the larger rest counts.
+    larger = {str(DAMPER): fitted(run(9.5)), str(effect): fitted(run(7.0))}
+    first = candidate(DAMPER, 20.0, force_left=0.8)
+    second = [candidate(effect, 9.0, force_left=0.75)]
+    case = Case(
+        [first, candidate(effect, 1.0)], larger=larger, second=second, alone=None
+    )
+    found = case.concluded(monkeypatch)
+    assert found.verdict == PARTLY_NAMED
+    assert f"It accounts for {percent} % of what is missing" in found.reason
+
+
+# ---- not named
+
+
+def test_a_larger_error_of_either_free_run_is_a_doubt(monkeypatch) -> None:
+    base = fitted(run(10.0), run(10.0))
+    for errors in ((10.1, 1.0), (1.0, 10.1)):
+        larger = {str(DAMPER): fitted(*(run(error) for error in errors))}
+        case = Case([candidate(DAMPER, 20.0)], base, larger)
+        found = case.concluded(monkeypatch)
+        assert (found.verdict, found.findings) == (UNEXPLAINED, ())
+        assert (
+            lost(found)[str(DAMPER)] == "its free-run error is larger than without it"
+        )
+    assert "the held-out error rises from 10.0 to 10.1 m" in found.reason
+    # Within the noise an error may be larger.
+    base = fitted(run(10.0), run(1.0))
+    larger = {str(DAMPER): fitted(run(1.05, p=0.5), run(1.09))}
+    assert Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch).findings
+
+
+def test_a_wave_that_leaves_more_is_not_named(monkeypatch) -> None:
+    larger = {str(WAVE): fitted(run(2.0)), str(DAMPER): fitted(run(2.0))}
+    wave = Case([candidate(WAVE, 20.0)], larger=larger, alone=None)
+    found = wave.concluded(monkeypatch)
+    doubt = "more is missing, and every function of time contains such waves"
+    assert found.verdict == UNEXPLAINED and lost(found)[str(WAVE)] == doubt
+    assert replace(wave, alone=19.0).concluded(monkeypatch).verdict == NAMED
+    # Nor as the second of two.
+    larger[str(DAMPER)] = fitted(run(9.5))
+    first = candidate(DAMPER, 20.0, force_left=0.9)
+    both = [first, candidate(WAVE, 1.0)]
+    case = Case(both, larger=larger, second=[candidate(WAVE, 9.0)], alone=None)
+    assert case.concluded(monkeypatch).findings == ()
+
+
+def test_an_unknown_function_that_is_far_likelier_is_a_doubt(monkeypatch) -> None:
+    larger = dict.fromkeys(map(str, (DAMPER, OFFSET)), fitted(run(2.0)))
+    case = Case([candidate(DAMPER, 20.0)], larger=larger, alone=None)
+    assert replace(case, function=40.0).concluded(monkeypatch).verdict == PARTLY_NAMED
+    found = replace(case, function=40.1).concluded(monkeypatch)
+    assert lost(found)[str(DAMPER)] == (
+        "an unknown function of q in dp/dt is more likely (log evidence 40.1 against "
+        "20.0)"
+    )
+    # A sensor's error is no force.
+    case = replace(case, candidates=[candidate(OFFSET, 20.0)], function=90.0)
+    assert case.concluded(monkeypatch).verdict == PARTLY_NAMED
+
+
+def test_steps_coarser_than_the_motion_may_be_the_cause(monkeypatch) -> None:
+    coarse = run(10.0)
+    coarse.record.data = positions(np.repeat([1.0, 2.0], 20))
+    base = fitted(coarse)
+    steps = "the quantisation of q, whose standard deviation is less than one step"
+    found = Case([candidate(DAMPER, 20.0)], base).concluded(monkeypatch)
+    assert lost(found)[str(DAMPER)] == f"the cause may also be {steps}"
+    found = Case([candidate(DAMPER, 1.0)], base).concluded(monkeypatch)
+    assert f"; it may be {steps}; " in found.reason
+    # Not where the free run with the effect is off by more.
+    larger = {str(DAMPER): fitted(run(1.3))}
+    assert Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch).findings
+
+
+def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
+    ranking = [
+        candidate(PUSH, 30.0, was_weighed=False, lost="too small"),
+        candidate(DAMPER, 3.5),
+        candidate(SPRING, 1.5),
+        candidate(OFFSET, -1.5),
+    ]
+    for alone, verdict in ((-4.5, NOTHING), (-4.7, UNEXPLAINED), (None, UNEXPLAINED)):
+        found = Case(ranking, alone=alone).concluded(monkeypatch)
+        assert found.verdict == verdict
+    assert found.reason == (
+        "training error 10.0 m, noise floor 1 m: there is evidence that something is "
+        "missing, but no effect of the catalogue explains it; the nearest is viscous "
+        "damping on p, but its evidence is only strong (3.5)"
+    )
+    assert list(lost(found).values()) == [
+        "too small",
+        "its evidence is only strong (3.5)",
+        "its evidence is only weak (1.5)",
+        "there is no evidence for it (-1.5)",
+    ]
+    # What gains nothing is not the nearest; noise lacks nothing, whatever the force.
+    found = Case(ranking[-1:], alone=None).concluded(monkeypatch)
+    assert found.reason.endswith("no effect of the catalogue explains it")
+    white = fitted(run(1.05, p=0.5), run(1.0))
+    found = Case(ranking, white, alone=None).concluded(monkeypatch)
+    assert (found.verdict, found.reason) == (
+        NOTHING,
+        "held-out error 1.00 m, noise floor 1 m; there is no evidence of anything "
+        "missing, and no effect is decisive",
+    )
+
+
+def test_without_evidence_the_free_runs_alone_decide() -> None:
+    error = SolveError("no states were found")
+    for base, verdict, said in (
+        (
+            fitted(run(10.0)),
+            UNEXPLAINED,
+            "10.0 m, noise floor 1 m; no states were found",
+        ),
+        (
+            fitted(run(1.0, p=0.5)),
+            NOTHING,
+            "1.00 m, noise floor 1 m; the residuals are noise",
+        ),
+    ):
+        found = conclusion.without_evidence(base, error)
+        assert (found.verdict, found.ranking) == (verdict, ())
+        assert found.reason == f"training error {said}"
+        assert (found.record, found.base) == (base.record, base.judged)
+
+
+# ---- from one base to another
+
+
+def diagnosed(
+    monkeypatch: pytest.MonkeyPatch,
+    base: DiagnosedModel,
+    findings: tuple[Any, ...] = (),
+    held: DiagnosedModel | None = None,
+    better: DiagnosedModel | None = None,
+) -> tuple[ph.Diagnosis, list[float]]:
+    """The diagnosis, and the errors of the models that were judged, in this order."""
+    judged = []
+
+    def concluded(base: DiagnosedModel, record: Any, effects: Any) -> ph.Diagnosis:
+        assert record is base.judged and effects == [DAMPER]
+        judged.append(base.judged.rmse)
+        return ph.Diagnosis(base.record, base.judged, (), NAMED, "named", findings)
+
+    monkeypatch.setattr(DiagnosedModel, "of", lambda *_: base)
+    monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda one: one.judged)
+    monkeypatch.setattr(diagnose, "concluded", concluded)
+    monkeypatch.setattr(diagnose, "held_base", lambda *_: held)
+    monkeypatch.setattr(diagnose, "better_base", lambda *_: better)
+    given: Any = {"loss": None, "progress": lambda _: None, "executor": None}
+    found = diagnose.diagnose_comparison(
+        base.trained, base.judged, effects=[DAMPER], **given
+    )
+    return found, judged
+
+
+def test_a_diagnosis_begins_again_from_a_better_base_alone(monkeypatch) -> None:
+    of_held = run(9.0)
+    of_held.record.aligned = SimpleNamespace(notes=["inputs are held"])
+    base, held, better = fitted(run(10.0)), fitted(of_held), fitted(run(8.0))
+    name = ph.Finding((DAMPER,), "a loss", 2.0, 0.1, 0.9)
+    known: dict[str, Any]
+    for known, expected, reason in (
+        ({}, [10.0], "named"),
+        ({"better": better}, [10.0, 8.0], "named"),
+        ({"better": better, "findings": (name,)}, [10.0], "named"),
+        ({"held": held}, [10.0, 9.0], "inputs are held; named"),
+        ({"held": held, "better": better}, [10.0, 9.0, 8.0], "named"),
+    ):
+        found, judged = diagnosed(monkeypatch, base, **known)
+        assert (judged, found.reason) == (expected, reason)
+    noise = fitted(run(1.0, p=0.5))
+    assert diagnosed(monkeypatch, noise, better=better)[1] == [1.0]
