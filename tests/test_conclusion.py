@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.comparison import compare
 from phsi_opt.diagnosis import conclusion, diagnose
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.refit import DiagnosedModel
@@ -34,17 +35,20 @@ def positions(q: np.ndarray) -> ph.Measurements:
     return ph.Measurements.from_arrays(np.arange(len(q)), x, states=["q", "p"])
 
 
-def run(rmse: float, p: float = 0.0) -> Any:
-    """A free run beside a noise floor of 1 m; ``p`` of its whiteness."""
+def run(rmse: float, p: float = 0.0, *others: float, lasts: bool = False) -> Any:
+    """A free run beside a noise floor of 1 m; ``p`` of the whiteness of each channel.
+
+    ``lasts``: whether the noise was seen to last from sample to sample.
+    """
     return SimpleNamespace(
         rmse=rmse,
         noise_floor=1.0,
         error_unit="m",
         floor_words=lambda: "1 m",
-        table=pd.DataFrame({"whiteness": [p]}),
+        table=pd.DataFrame({"whiteness": [p, *others]}),
         record=SimpleNamespace(
-            shows_correlated_noise=False,
-            has_correlated_noise=False,
+            shows_correlated_noise=lasts,
+            has_correlated_noise=lasts,
             data=positions(np.sin(np.arange(40.0))),
         ),
         fit=SimpleNamespace(
@@ -113,6 +117,45 @@ class Case:
 
 def lost(found: ph.Diagnosis) -> dict[str, str]:
     return {one.name: one.lost for one in found.ranking}
+
+
+# ---- when a model fails, and when a larger one explains it
+
+
+@pytest.mark.parametrize(("found", "is_white", "is_like"), [
+    (run(1.24, 0.5), True, True),
+    (run(1.26, 0.5), False, False),
+    (run(1.24, 0.0009), False, False),
+    (run(1.24, 0.0006, np.nan), True, True),  # of two channels, one with few values
+    (run(1.24, 0.0004, 0.9), False, False),
+    (run(1.24, 0.0, lasts=True), False, True),
+    (run(1.26, 0.5, lasts=True), False, False),
+])  # fmt: skip
+def test_noise_is_small_and_white_unless_it_lasts(found, is_white, is_like) -> None:
+    assert compare.is_white_noise(found) is is_white
+    assert compare.is_like_noise(found) is is_like
+
+
+def test_a_run_fails_that_is_a_tenth_beyond_the_noise() -> None:
+    assert [compare.is_failing(run(rmse)) for rmse in (1.09, 1.11)] == [False, True]
+
+
+def test_what_was_missing_is_explained_where_noise_or_next_to_nothing_is_left() -> None:
+    def explains(trained: Any, judged: Any, base: Any) -> bool:
+        return compare.is_explained(base, trained, judged)
+
+    base = run(10.0)
+    assert explains(run(1.24, 0.5), run(9.0), base)
+    assert explains(run(1.09), run(1.09), base)
+    assert not explains(run(1.11), run(1.09), base)
+    assert not explains(run(1.09), run(1.11), base)
+    # 97 % of the error above the noise floor are removed, or a little less.
+    assert explains(run(1.09), run(1.09), run(2.8))
+    assert not explains(run(1.09), run(1.09), run(2.6))
+    # Noise that lasts must have been seen before the larger model was fitted.
+    lasting = run(1.24, 0.0, lasts=True)
+    assert explains(lasting, run(9.0), run(10.0, lasts=True))
+    assert not explains(lasting, run(9.0), base)
 
 
 # ---- named

@@ -97,8 +97,9 @@ def test_a_sensor_at_its_limit_is_told_and_the_top_of_a_quantised_wave_is_not() 
 
 def test_missing_samples_stuck_sensors_and_repeated_values_are_told() -> None:
     assert noticed(changed(slice(3, 8), np.nan))[1] == "5 of 2000 missing"
-    stuck = noticed(changed(slice(500, 550), NOISY[500]))[1]
-    assert stuck == f"stays at {NOISY[500]:.4g} for 50 samples, at t = 5 s"
+    for n, told in ((9, ""), (10, "10 samples, at t = 5 s")):
+        stuck = noticed(changed(slice(500, 500 + n), NOISY[500]))[1]
+        assert stuck == (told and f"stays at {NOISY[500]:.4g} for {told}")
     assert noticed(np.repeat(NOISY[::10], 10))[1] == "a new value every 10 samples"
     assert noticed(np.ones(T.size))[1] == "does not change"
     assert noticed(RNG.normal(size=T.size))[1].startswith("changes mostly between")

@@ -358,6 +358,8 @@ def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
     ("0", "2021-11-22", {}, "line 3: '2021-11-22' is not a real number"),
     ("2021-11-22", "2021-11-23", {"start": "2021-11-22Z"}, "start='2021-11-22Z' is not a date without time zone"),
     ("2021-11-22", "2021-11-23", {"units": {"t": "h"}}, "the unit 'h', and dates"),
+    ("09:00:00", "2021-11-22", {}, "is a date without time zone, and the first cell of the column is a time of day;"),
+    ("09:00:00", "10:00:00", {"start": "2021-11-22"}, "is not a time of day like the times; expected a form such as '9:00:00'"),
 ])  # fmt: skip
 def test_dates_that_cannot_be_used_are_refused_by_row(
     first: str, second: str, options: dict[str, Any], message: str
@@ -371,6 +373,11 @@ def test_dates_of_a_data_frame_are_times_too() -> None:
     frame = pd.DataFrame({"t": times, "q": [1.0, 2.0, 3.0]})
     data = ph.Measurements.from_dataframe(frame, time="t", states=["q"])
     np.testing.assert_array_equal(data.trajectories[0].t, [0, 900, 1800])
+    of_day = [dt.time(9), dt.timedelta(hours=9, minutes=15), "09:30:00"]
+    data = ph.Measurements.from_dataframe(
+        frame.assign(t=of_day), time="t", states=["q"], start=dt.time(8)
+    )
+    np.testing.assert_array_equal(data.trajectories[0].t, [3600, 4500, 5400])
 
 
 # ---- Excel ----

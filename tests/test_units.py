@@ -13,12 +13,14 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.model.unit_checks import UnitCheck
 from phsi_opt.presentation.units import (
+    STANDARD_DEVIATIONS,
     dates_words,
     frequency_words,
     in_si,
     measure_of,
     rate_unit,
     scale_of,
+    scale_of_errors,
     scale_of_rate,
     time_words,
     times_words,
@@ -200,6 +202,20 @@ def test_dates_are_told_as_exactly_as_their_range_asks(last: float, words: str) 
 
 
 # ---- measurements --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("unit", "largest", "expected"), [
+    ("m", 0.0101, (1.0, "m")),
+    ("m", 0.0099, (1e3, "mm")),
+    ("m", 0.99e-5, (1e6, "µm")),
+    ("m", 1e-30, (1.0, "m")),  # no prefix is so small
+    ("m", 0.0, (1.0, "m")),
+    ("degC", 0.001, (1.0, "degC")),
+    (STANDARD_DEVIATIONS, 0.001, (100.0, "% of the standard deviation")),
+])  # fmt: skip
+def test_small_errors_are_told_with_a_prefix(unit, largest, expected) -> None:
+    size, told = scale_of_errors(unit, largest)
+    assert (size, told) == (pytest.approx(expected[0]), expected[1])
 
 
 def test_measurements_in_si_are_computed_in_si_and_told_as_written() -> None:
