@@ -286,6 +286,34 @@ def test_nothing_of_a_study_file_runs(spring: Path, tmp_path: Path) -> None:
     assert not canary.exists()
 
 
+def test_the_study_of_a_file_takes_its_effects_one_after_the_other(spring) -> None:
+    path = changed(
+        spring,
+        ('k = { start = 10.0, lower = 0, unit = "N/m" }', "k = 50.0"),
+        ("c = { lower = 0 }", "c = 0.8"),
+        ("[]  # none yet", "[]"),
+        ("[data.states]", "between = [0.0, 1.0]\n[data.states]"),
+    )
+    file = ph.StudyFile.read(path).with_added("constant force on p")
+    assert file.steps.max_steps == 4
+    for name, said in (("constant force on p", "already"), ("rain on p", "rain")):
+        with pytest.raises(ph.ModelError, match=said):
+            file.with_added(name)
+    told: list[list[str]] = []
+    said_of: list[str] = []
+    study = file.study(
+        said_of.append, after_each=lambda one: told.append(list(map(str, one.added)))
+    )
+    assert told == [[], ["constant force on p"]]
+    assert study.model.free == file.model().free
+    assert said_of and study.record.title == "Study of spring.csv"
+    parts = file.parts()
+    digests = [
+        part and part.digest for part in (study.train, study.held_out, study.final)
+    ]
+    assert digests == [part and part.digest for part in parts]
+
+
 # ---- refusals ------------------------------------------------------------------------
 
 
