@@ -344,6 +344,7 @@ def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
     ("[data]", "[date]", "date", "Did you mean 'data'?"),
     ("[data]", "[data", "", "this is not TOML"),
     ('files = ["spring.csv"]', "", "data.files", "expected the data file"),
+    ('files = ["spring.csv"]', "files = []", "data.files", "line 4: data.files: expected the data file"),
     ("time = {", "# {", "data.time.column", "expected the column of the times"),
     ('"spring.csv"', '"sprung.csv"', "data.files", "there is no such file"),
     ('["spring.csv"]', '["spring.csv", "spring.csv"]', "data.files", "is listed 2 times"),
