@@ -373,7 +373,7 @@ def test_dates_of_a_data_frame_are_times_too() -> None:
     frame = pd.DataFrame({"t": times, "q": [1.0, 2.0, 3.0]})
     data = ph.Measurements.from_dataframe(frame, time="t", states=["q"])
     np.testing.assert_array_equal(data.trajectories[0].t, [0, 900, 1800])
-    of_day = [dt.time(9), dt.timedelta(hours=9, minutes=15), "09:30:00"]
+    of_day: Any = [dt.time(9), dt.timedelta(hours=9, minutes=15), "09:30:00"]
     data = ph.Measurements.from_dataframe(
         frame.assign(t=of_day), time="t", states=["q"], start=dt.time(8)
     )

@@ -4,10 +4,13 @@
 
 mutmut changes one thing at a time in a module (a sign, a limit, an argument) and runs
 the tests that reach it, one mutant after the other. It works on a copy of the project,
-with the modules and tests named in ``[tool.mutmut]`` of pyproject.toml. Of every module
-a sample is drawn. The page is of seed 1; tests are written for what survives of other
-seeds. Where modules are named (``statistics``), they alone are changed, and no page is
-written; ``--show`` prints what no test noticed.
+with the modules and tests named in ``[tool.mutmut]`` of pyproject.toml. It changes no
+functions with decorators, such as properties, and nothing outside of functions, such as
+the tests of values in ``keys.py``, which are made at import.
+
+Of every module a sample is drawn. The page is of seed 1; tests are written for what
+survives of other seeds. Where modules are named (``statistics``), they alone are
+changed, and no page is written; ``--show`` prints what no test noticed.
 """
 
 import contextlib
@@ -158,28 +161,30 @@ def show(folder: Path, statuses: Mapping[str, str]) -> None:
         print(f"{status}: {mutant}", *changed, sep="\n", flush=True)
 
 
-def page(table: pd.DataFrame) -> str:
+def page(table: pd.DataFrame, sample: int, seed: int) -> str:
     """A row per module, and all of them together."""
     share = table["killed"] / table["mutants"]
     shown = table.assign(**{"share killed": share.map("{:.0%}".format)})
     values = {"share": share.iloc[-1], "total": table["mutants"].iloc[-1]}
-    return render("benchmarks/pages/mutants.md", shown=shown, asked=ASKED, **values)
+    values |= {"asked": ASKED, "sample": sample, "seed": seed}
+    return render("benchmarks/pages/mutants.md", shown=shown, **values)
 
 
 def main() -> None:
     """Change, test, count, and write the page of all modules and the reported seed."""
     seed = int(option("seed", str(REPORTED_SEED)))
+    sample = int(option("sample", "40"))
     with tempfile.TemporaryDirectory(prefix="mutants") as name:
         folder = Path(name)
         copied(folder)
         if chosen():
             limited(folder, chosen())
-        names = drawn(folder, int(option("sample", "40")), seed)
+        names = drawn(folder, sample, seed)
         run(folder, names)
         found = {}
         for module, statuses in outcomes(folder).items():
             found[module] = {name: statuses[name] for name in names if name in statuses}
-        text = page(tally(found))
+        text = page(tally(found), sample, seed)
         print(text)
         if flag("show"):
             for statuses in found.values():
