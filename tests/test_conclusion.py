@@ -11,8 +11,10 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.comparison import compare
-from phsi_opt.diagnosis import conclusion, diagnose
+from phsi_opt.criteria import THOROUGH_ITERATIONS
+from phsi_opt.diagnosis import conclusion, diagnose, refit
 from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.ranking import NO_EVIDENCE
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
 from phsi_opt.model.catalogue import effect_named
@@ -75,7 +77,8 @@ class Case:
     base: DiagnosedModel = field(default_factory=lambda: fitted(run(10.0)))
     # The re-fit with each effect, by name; None where it fails.
     larger: Mapping[str, DiagnosedModel | None] = field(default_factory=dict)
-    second: list[Candidate] = field(default_factory=list)
+    # Beside the first; None: there is no evidence beside it.
+    second: list[Candidate] | None = field(default_factory=list)
     alone: float | None = -100.0  # log evidence without a force; None: not found
     function: float | None = None  # of an unknown function of q
 
@@ -89,10 +92,15 @@ class Case:
             without_force=self.without_force,
             with_functions=self.with_functions,
         )
+
+        def ranked(*_: Any) -> tuple[Any, list[Candidate]]:
+            ranking = next(rankings)
+            if ranking is None:
+                raise SolveError("no such states")
+            return record, list(ranking)
+
         monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda _: record)
-        monkeypatch.setattr(
-            conclusion, "ranked", lambda *_: (record, list(next(rankings)))
-        )
+        monkeypatch.setattr(conclusion, "ranked", ranked)
         monkeypatch.setattr(conclusion, "refit", self.refit)
         monkeypatch.setattr(conclusion, "thorough_refit", lambda larger: larger)
         monkeypatch.setattr(conclusion, "fitted_size", lambda *_: Size(2.1, 0.2, "N"))
@@ -289,6 +297,10 @@ def test_two_effects_are_named_that_explain_enough_together_alone(monkeypatch) -
     # Without a second that is decisive, the first is not named.
     case = replace(case, second=[replace(second, log_bayes=3.0)])
     assert case.concluded(monkeypatch).findings == ()
+    said: list[str] = []
+    case = replace(case, second=None, base=replace(case.base, say=said.append))
+    assert case.concluded(monkeypatch).findings == ()
+    assert said == [f"no second effect is considered: {NO_EVIDENCE}"]
 
 
 @pytest.mark.parametrize(("effect", "percent"), [(SPRING, 64), (OFFSET, 36)])
@@ -468,3 +480,33 @@ def test_a_diagnosis_begins_again_from_a_better_base_alone(monkeypatch) -> None:
         assert (judged, found.reason) == (expected, reason)
     noise = fitted(run(1.0, p=0.5))
     assert diagnosed(monkeypatch, noise, better=better)[1] == [1.0]
+
+
+# ---- other optima of one model
+
+
+def fit_of(deviance: float) -> Any:
+    """A fit of 40 values with one free parameter."""
+    model = damped_spring("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0))
+    bic = deviance + np.log(40)
+    return SimpleNamespace(model=model, names=("k",), n_values=40, bic=bic)
+
+
+def test_a_thorough_re_fit_counts_unless_it_is_another_optimum(monkeypatch) -> None:
+    data, loss, brief = SimpleNamespace(), ph.MaximumLikelihood(), fit_of(100.0)
+    asked: dict[str, Any] = {}
+
+    def identify(*given: Any, **settings: Any) -> Any:
+        asked.update(settings, given=given)
+        if found is None:
+            raise SolveError("it did not converge")
+        return found
+
+    monkeypatch.setattr(refit, "identify", identify)
+    for deviance, is_taken in ((109.9, True), (110.1, False), (None, False)):
+        found = None if deviance is None else fit_of(deviance)
+        expected = found if is_taken else brief
+        aligned: Any = data
+        assert refit.thorough_fit(aligned, loss, brief) is expected
+    assert asked["given"] == (brief.model, data, loss) and asked["start"] is brief
+    assert asked["settings"].max_iterations == THOROUGH_ITERATIONS
