@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,7 +17,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.sweeps.local_workers import THREAD_VARIABLES, local_workers
-from phsi_opt.sweeps.sweep import Ahead
+from phsi_opt.sweeps.sweep import ahead
 from tests import sweep_tasks
 from tests.machines import driven_spring
 from tests.sweep_tasks import Counted
@@ -131,13 +132,13 @@ def test_lines_and_errors_come_when_their_case_is_asked_for(workers: Executor) -
     cases = {str(n): n for n in range(1, 5)}
     for executor in (None, workers):
         said: list[str] = []
-        ahead = Ahead(sweep_tasks.halved, cases, executor, said.append)
-        with closing(ahead):
-            assert ahead.result("4") == 2
-            assert ahead.result("1") == 0.5
+        with closing(ahead(sweep_tasks.halved, cases, executor, said.append)) as calls:
+            first, second, third = islice(calls, 3)
+            assert second() == 1
+            assert first() == 0.5
             with pytest.raises(ph.SolveError, match="three"):
-                ahead.result("3")
-        assert said == ["halving 4", "halving 1", "halving 3"]
+                third()
+        assert said == ["halving 2", "halving 1", "halving 3"]
 
 
 # ---- starts --------------------------------------------------------------------------

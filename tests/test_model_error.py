@@ -250,7 +250,7 @@ def test_two_calls_give_the_same_bits(loss: ph.MaximumLikelihood) -> None:
     assert one.bic == other.bic
     for source, covariance in one.covariances.items():
         np.testing.assert_array_equal(covariance, other.covariances[source])
-    np.testing.assert_array_equal(one.freedom, other.freedom)
+    np.testing.assert_array_equal(one.degrees_of_freedom, other.degrees_of_freedom)
 
 
 def test_intervals_use_the_degrees_of_freedom_of_each_standard_error() -> None:

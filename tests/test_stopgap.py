@@ -47,9 +47,8 @@ class Case:
         self.train = measured(hidden, [(1.5, 0.0), (-1.0, 1.0)], seed=0)
         self.held_out = measured(hidden, [(1.2, -0.5)], seed=9)
         self.fit = ph.identify(spring(known=False), self.train)
-        self.learned = learned_force(
-            self.fit, self.train, equation="p", on=on, epochs=40
-        )
+        record = Record.of(self.fit, self.train)
+        self.learned = learned_force(record, equation="p", on=on, epochs=40)
         self.before = ph.compare(self.fit, self.held_out)
 
     def rmse(self, learned: LearnedForce) -> float:
@@ -156,7 +155,7 @@ def test_bad_settings_and_short_records_are_refused(pulse, changed, message) -> 
         few = replace(run, t=run.t[kept], x=run.x[kept], u=run.u[kept])
         data = replace(data, trajectories=(few,))
     with pytest.raises((ph.ModelError, ph.DataError), match=message):
-        learned_force(pulse.fit, data, **settings)
+        learned_force(Record.of(pulse.fit, data), **settings)
 
 
 def test_terms_that_the_physics_has_are_never_distilled(pulse: Case) -> None:

@@ -18,7 +18,7 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
-from phsi_opt.sweeps.sweep import Ahead, Progress
+from phsi_opt.sweeps.sweep import Progress, ahead
 
 NO_EVIDENCE = "no states follow the measurements with it"
 
@@ -58,12 +58,13 @@ def _ranked_beside(
     likeliest = None
     highest = 0.0
     worth = -np.inf
-    with closing(Ahead(partial(_weighed, record), cases, base.executor, base.say)) as w:
-        for place, one in cases.items():
+    weigh = partial(_weighed, record)
+    with closing(ahead(weigh, cases, base.executor, base.say)) as results:
+        for one in chosen:
             if one.gain < worth:
                 break
             try:
-                weighed = w.result(place)
+                weighed = next(results)()
             except SolveError:
                 base.say(f"{one.effect} is not considered: {NO_EVIDENCE}")
                 failed = _expected(base, one, NO_EVIDENCE)

@@ -227,7 +227,7 @@ class Diagnosis(Summarised):
             DataError: the record is too short to learn from.
             SolveError: the parameters could not be estimated together with the force.
         """
-        from phsi_opt.learning.learned_force import learned_force_of
+        from phsi_opt.learning.learned_force import learned_force
 
         equation = equation or str(self.where["equation"].iloc[0])
         if on is None:
@@ -235,7 +235,7 @@ class Diagnosis(Summarised):
             on = self.fit.model.states
             if best is not None:
                 on = str(best["variable"]).split(", ")
-        return learned_force_of(self.record, equation=equation, on=list(on), seed=seed)
+        return learned_force(self.record, equation=equation, on=list(on), seed=seed)
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw the missing force along one trajectory, with two standard deviations.

@@ -121,7 +121,7 @@ class Fit(FitRecord, Summarised):
         _check_names(fit.noise, model.states)
         hold = checked_hold(fit.hold, model.inputs)
         n = len(fit.names)
-        freedom = fit.freedom
+        freedom = fit.uncertainty.value.freedom
         for what, numbers in (
             ("the variances of the estimates", np.diag(fit.covariance.reshape(n, n))),
             ("noise", np.array(list(fit.noise.values()))),

@@ -353,14 +353,6 @@ class FitRecord(Identified):
         return self.uncertainty.value.source
 
     @property
-    def freedom(self) -> np.ndarray | None:
-        """Degrees of freedom of the variances, (n_names,), for intervals.
-
-        None: those that the residuals leave.
-        """
-        return self.uncertainty.value.freedom
-
-    @property
     def model_error_rows(self) -> tuple[ModelErrorRow, ...]:
         """The rows of `model_error`."""
         return self.uncertainty.value.model_error_rows
@@ -426,9 +418,9 @@ class FitRecord(Identified):
     @property
     def degrees_of_freedom(self) -> np.ndarray:
         """How well each variance is known, (n_names,), for Student's quantiles."""
-        if self.freedom is not None:
-            return self.freedom
-        return np.full(len(self.names), max(self.n_values - len(self.names), 1))
+        n = len(self.names)
+        freedom = self.uncertainty.value.freedom
+        return np.full(n, max(self.n_values - n, 1)) if freedom is None else freedom
 
     @property
     def standard_errors(self) -> "pd.DataFrame":
@@ -497,9 +489,9 @@ class FitRecord(Identified):
 
             value +- t * std_error
 
-        where t is the quantile of Student's distribution. Its degrees of freedom
-        (``freedom``) are n_values - n_names where white noise is all there is: the
-        noise was estimated from the same data. Where trajectories give the standard
+        where t is the quantile of Student's distribution. Its `degrees_of_freedom` are
+        n_values - n_names where white noise is all there is: the noise was estimated
+        from the same data. Where trajectories give the standard
         errors, or disturbances that were estimated, they are fewer. Where the curvature
         misleads (a bent valley, a bound near by), `profile` gives better limits: these
         are symmetric and may lie beyond a bound, at which a report cuts them.

@@ -39,7 +39,7 @@ from phsi_opt.initialization.relative_guesses import corner_widths, resolve_gues
 from phsi_opt.initialization.scaling import kinematic_states, theta_scale
 from phsi_opt.initialization.starting_values import starting_values
 from phsi_opt.model.model import Model
-from phsi_opt.sweeps.sweep import Ahead, Progress, silent
+from phsi_opt.sweeps.sweep import Progress, ahead, silent
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import PHSILoss
@@ -242,8 +242,8 @@ def best_optimum(
     values = [None, *_random_values(problem, first)]
     cases = {f"start {number}": theta for number, theta in enumerate(values, 1)}
     solve = partial(_optimum_at, of_workers, first)
-    with closing(Ahead(solve, cases, task.executor, task.say)) as ahead:
-        estimates = [replace(ahead.result(key), task=task) for key in cases]
+    with closing(ahead(solve, cases, task.executor, task.say)) as results:
+        estimates = [replace(result(), task=task) for result in results]
     best = likeliest(estimates)
     notes = first.notes
     if len(estimates) > 1:

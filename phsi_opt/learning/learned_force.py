@@ -109,8 +109,7 @@ class LearnedForce:
 
 
 def learned_force(
-    fit: Fit,
-    data: Measurements,
+    record: Record,
     *,
     equation: str,
     on: Sequence[str],
@@ -120,8 +119,7 @@ def learned_force(
     """Learn the force that a fit lacks in one equation, as a function of variables.
 
     Args:
-        fit: of the model.
-        data: the measurements to learn from.
+        record: the fit along the measurements to learn from.
         equation: the state whose equation lacks the force.
         on: names of states, efforts (``dH_dp``), inputs, or ``t``.
         seed: of the network's first weights.
@@ -131,26 +129,8 @@ def learned_force(
     Raises:
         ModelError: a name is unknown, the equation is one of kinematics, a setting is
             not possible, or torch is not installed.
-        DataError: there are fewer than 50 intervals, or the measurements do not fit the
-            model.
-        SolveError: the missing force or the physics could not be estimated.
-    """
-    record = Record.of(fit, data)
-    return learned_force_of(record, equation=equation, on=on, seed=seed, epochs=epochs)
-
-
-def learned_force_of(
-    record: Record,
-    *,
-    equation: str,
-    on: Sequence[str],
-    seed: int = 0,
-    epochs: int = 200,
-) -> LearnedForce:
-    """`learned_force` for a record of the fit that was made before.
-
-    Raises:
-        ModelError: as there; DataError, SolveError: likewise.
+        DataError: there are fewer than 50 intervals.
+        SolveError: the physics could not be estimated.
     """
     model = record.fit.model
     on = _checked_names(model, on)

@@ -7,14 +7,14 @@ alike. An executor that was given is never shut down here.
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 from urllib.parse import quote
 
 from phsi_opt.arguments import is_count, typed
@@ -276,54 +276,34 @@ T = TypeVar("T")
 Result = TypeVar("Result")
 
 
-class Ahead(Generic[T, Result]):
-    """Results by key, in any order; close it, and what is not begun is cancelled.
+def ahead(
+    function: Callable[[T, Progress], Result],
+    cases: Mapping[str, T],
+    executor: Executor | None,
+    say: Progress,
+) -> Generator[Callable[[], Result], None, None]:
+    """Calls that give the results of the cases, in order; close it to cancel the rest.
 
-    The lines of a case and its error come when its result is asked for, as if it had
-    been computed in that moment; so it is without an executor, and where there is one
-    case. The function takes a case and what is called with lines of text; it stands at
-    the top level of a module, or is a `functools.partial` of such a function.
+    The lines of a case and its error come with its call, as if it had been computed in
+    that moment; so it is without an executor, and where there is one case. The function
+    takes a case and what is called with lines of text; it stands at the top level of a
+    module, or is a `functools.partial` of such a function.
     """
-
-    def __init__(
-        self,
-        function: Callable[[T, Progress], Result],
-        cases: Mapping[str, T],
-        executor: Executor | None,
-        say: Progress,
-    ) -> None:
-        self._function = function
-        self._cases = cases
-        self._executor = executor if len(cases) > 1 else None
-        self._say = say
-        self._waiting = iter(cases.items())
-        self._begun: dict[str, Future[_Heard]] = {}
-
-    def result(self, key: str) -> Result:
-        """The result of a case.
-
-        Raises:
-            PhsiOptError: What the function raised, or a worker ended.
-        """
-        if self._executor is None:
-            return self._function(self._cases[key], self._say)
-        while key not in self._begun:
-            for other, case in self._waiting:
-                future = self._executor.submit(_heard, self._function, case)
-                self._begun[other] = future
-                if future.done():  # one that computes at once is asked for no more
+    if executor is None or len(cases) == 1:
+        for case in cases.values():
+            yield partial(function, case, say)
+        return
+    begun: list[Future[_Heard]] = []
+    waiting = iter(cases.values())
+    try:
+        for number, key in enumerate(cases):
+            for case in waiting if number == len(begun) else ():
+                begun.append(executor.submit(_heard, function, case))
+                if begun[-1].done():  # one that computes at once is asked for no more
                     break
-        heard = _result_of(self._begun[key], key)
-        for line in heard.lines:
-            self._say(line)
-        if heard.error is not None:
-            raise heard.error
-        result: Result = heard.result
-        return result
-
-    def close(self) -> None:
-        """Cancel what is not begun."""
-        for future in self._begun.values():
+            yield partial(_told, begun[number], key, say)
+    finally:
+        for future in begun:
             future.cancel()
 
 
@@ -341,3 +321,12 @@ def _heard(function: Callable[[Any, Progress], Any], case: Any) -> _Heard:
         return _Heard(function(case, lines.append), lines)
     except PhsiOptError as error:
         return _Heard(None, lines, error)
+
+
+def _told(future: "Future[_Heard]", key: str, say: Progress) -> Any:
+    heard = _result_of(future, key)
+    for line in heard.lines:
+        say(line)
+    if heard.error is not None:
+        raise heard.error
+    return heard.result
