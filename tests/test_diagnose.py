@@ -283,6 +283,36 @@ def test_an_effect_that_became_superfluous_is_taken_out_again() -> None:
         study.remove("cubic drag", "p")
 
 
+def test_an_effect_stays_where_few_iterations_do_not_fit_the_model_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = []
+
+    def identify(model: Model, *data: Any, settings: Any = None, **words: Any) -> Any:
+        if settings is not None and not settings.thorough:
+            asked.append((settings.max_iterations, sorted(model.free)))
+            raise ph.SolveError("no optimum")
+        return ph.identify(model, *data, settings=settings, **words)
+
+    monkeypatch.setattr("phsi_opt.study.record.identify", identify)
+    data = swings(damped_spring(loss="0.1 + 0.25*abs(dH_dp)"), seed=5)
+    lines: list[str] = []
+    rivals = ["quadratic drag", "cubic drag"]
+    parts = data.split(0.7)
+    study = ph.Study(base(), *parts, effects=rivals, progress=lines.append)
+    study.add("cubic drag", "p")
+    study.auto()
+    assert [str(one) for one in study.added] == [
+        "cubic drag on p",
+        "quadratic drag on p",
+    ]
+    ((iterations, names),) = asked
+    assert iterations < 100
+    assert not any("cubic" in name for name in names)
+    (told,) = [line for line in lines if "stays" in line]
+    assert told.startswith("cubic drag on p stays")
+
+
 def test_a_corner_that_is_too_sharp_is_made_rounder_again() -> None:
     def rate(t: float, x: np.ndarray) -> list[float]:
         q, v = x

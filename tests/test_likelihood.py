@@ -2,6 +2,7 @@
 outliers, gaps, starts, steps.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.estimation import likelihood_problem
+from phsi_opt.estimation.likelihood_steps import by_steps
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.grid import grid_of
@@ -198,6 +201,28 @@ def test_coarse_samples_get_steps_in_between_and_fine_ones_none() -> None:
     # Refinement ends below a tenth of a standard error.
     assert shift[refined] < 0.1
     assert shift[crude] > 0.5
+
+
+def test_an_optimum_on_steps_that_are_too_long_stays_where_finer_ones_lead_nowhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    data = coarse(0.4, sigma=0.001)
+    crude = ph.identify(duffing(), data, ph.MaximumLikelihood(steps=1))
+
+    def stalled(values: LikelihoodValues, *others: Any) -> Any:
+        found = by_steps(values, *others)
+        if values.grid.n_intervals < 150:
+            return found
+        outcome = replace(found.solution.outcome, success=False)
+        return replace(found, solution=replace(found.solution, outcome=outcome))
+
+    monkeypatch.setattr(likelihood_problem, "by_steps", stalled)
+    monkeypatch.delattr(likelihood_problem, "by_ipopt")  # would be many iterations
+    fit = ph.identify(duffing(), data)
+    assert most_steps(fit) == 1
+    assert fit.values == pytest.approx(crude.values, rel=1e-6)
+    (said,) = [one for one in fit.warnings if "integration steps are too long" in one]
+    assert "the solver failed" in said
 
 
 # ---- uncertainty ---------------------------------------------------------------------

@@ -39,6 +39,7 @@ from phsi_opt.initialization.relative_guesses import corner_widths, resolve_gues
 from phsi_opt.initialization.scaling import kinematic_states, theta_scale
 from phsi_opt.initialization.starting_values import starting_values
 from phsi_opt.model.model import Model
+from phsi_opt.model_error.joint_estimate import STEPS_OF_A_PROBLEM
 from phsi_opt.sweeps.sweep import Progress, ahead, silent
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import steps_per_gap
@@ -99,7 +100,8 @@ def _with_fine_steps(
         )
         there = replace(StartingPoint.at(estimate, steps), is_optimum=True)
         estimate.release()
-        finer = problem.solve(there)
+        # From an optimum full steps lead there, or hardly anything does.
+        finer = problem.solve(there, most_steps=STEPS_OF_A_PROBLEM)
         if not finer.is_success:
             note = (
                 "the integration steps are too long: the estimates depend on them, "

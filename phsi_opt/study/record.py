@@ -28,6 +28,7 @@ from phsi_opt.force_analysis.pictures import follows_of
 from phsi_opt.later import Later
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_words
 from phsi_opt.presentation.numbers import capitalised, number, number_of, proper_names
 from phsi_opt.presentation.summary import Part, Summary, printed_table
@@ -279,9 +280,14 @@ class StudyRecord:
         judging = judged[0] if judged else None
         return EvidenceRecord.of(trained, judging).base.log_evidence
 
-    def fitted(self, model: Model, start: Fit | None = None) -> Fit:
+    def fitted(
+        self,
+        model: Model,
+        start: Fit | None = None,
+        settings: SolverSettings | None = None,
+    ) -> Fit:
         """A model fitted to the training data, from the estimates of another fit."""
-        return identify(model, self.training, self.loss, start=start)
+        return identify(model, self.training, self.loss, start=start, settings=settings)
 
     def fitted_base(self) -> Fit:
         """By the changes between samples where no motion follows the record."""

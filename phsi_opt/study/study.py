@@ -16,12 +16,14 @@ from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.refit import BRIEF, thorough_fit
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import EffectChoice, Given, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.presentation.content import HELD_OUT, TRAINING, StudyContent
 from phsi_opt.presentation.summary import Summarised, Summary
 from phsi_opt.study.record import Step, StudyRecord
@@ -278,8 +280,11 @@ class Study(Summarised):
         self.record = replace(self.record, steps=(*self.record.steps, step))
         return step.cautioned
 
-    def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
-        return self.record.fitted(self.record.model_with(effects), self.fit)
+    def _fit_with(
+        self, effects: tuple[Effect, ...], settings: SolverSettings | None = None
+    ) -> Fit:
+        model = self.record.model_with(effects)
+        return self.record.fitted(model, self.fit, settings)
 
     @interruptible
     def remove(self, effect: str | Effect, equation: str | None = None) -> Fit:
@@ -500,13 +505,16 @@ class Study(Summarised):
         return self._go_on(Step(label, added, fit, first.trained, judged))
 
     def _check_earlier(self) -> None:
+        record = self.record
         for effect in self.record.steps[-2].added:
             kept = self._without(effect)
             try:
-                fit = self._fit_with(kept)
-                gain = self.record.evidence(fit) - self.record.evidence(self.fit)
-            except PhsiOptError:
+                fit = self._fit_with(kept, BRIEF)
+                gain = record.evidence(fit) - record.evidence(self.fit)
+            except PhsiOptError as error:
+                self._say(f"{effect} stays: no fit of the model without it ({error})")
                 continue
             if gain > 0:
                 self._say(f"{effect} has become superfluous")
+                fit = thorough_fit(record.training, record.loss, fit)
                 self._take(f"without {effect}", kept, fit)
