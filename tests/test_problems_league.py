@@ -131,7 +131,7 @@ def told_of(case: tuple[str, int, float, int]) -> dict[str, Any]:
     _, number, noise, _ = case
     told = {"number": number, "noise": noise, "system": "spring", "states": 2}
     told |= {"term": "dx_1/dt: -c", "holder": "catalogue", "outcome": "named"}
-    told |= {"added": "drag", "ended": "", "seconds": 1.0}
+    told |= {"added": "drag", "ended": "", "seconds": 1.0, "all seconds": 100.0}
     return told | {way: [0.99, 0.5] for way in odebench.WAYS}
 
 
@@ -153,9 +153,11 @@ def test_odebench_is_downloaded_and_its_page_counts_what_was_found(
     monkeypatch.setattr(provenance, "RESULTS", tmp_path / "results")
     monkeypatch.setattr(odebench, "studied", told_of)
     odebench.main()
+    odebench.main()  # all is kept
     server.shutdown()
     server.server_close()
     text = (tmp_path / "results" / "odebench.md").read_text("utf-8")
+    assert "; seconds: 200; " in text.splitlines()[0]
     assert "| 0.05 | reconstruction | 1 | 1 | 1 | 1 |" in text
     assert "| 0.05 | generalization | 0 | 0 | 0 | 0 |" in text
     assert "| 0.05 | catalogue | 1 |" in text

@@ -542,7 +542,9 @@ def main() -> None:
             for fault, example in tally.faults.items():
                 print(f"    {fault}\n        {example}", flush=True)
     if not chosen():
-        provenance.write("fuzz.md", page({name: tallies[name] for name in names}))
+        seconds = sum(tally.seconds for tally in tallies.values())
+        text = page({name: tallies[name] for name in names})
+        provenance.write("fuzz.md", text, seconds=seconds)
 
 
 if __name__ == "__main__":

@@ -129,7 +129,9 @@ def main() -> None:
             print(one.key, one.result["errors"], one.result["added"], flush=True)
             print(one.result["fit"], flush=True)
     if not words and len(done) == len(WAYS) * len(LEAGUE):
-        provenance.write("league.md", page([done[key] for key in cases]))
+        results = [done[key] for key in cases]
+        seconds = sum(sum(result["seconds"]) for result in results)
+        provenance.write("league.md", page(results), seconds=seconds)
 
 
 if __name__ == "__main__":

@@ -14,13 +14,17 @@ RESULTS = ROOT / "results"
 BEGIN = time.monotonic()
 
 
-def provenance(made_by: str = "") -> str:
-    """One line for the head of a result, made by this process or by a given command."""
+def provenance(made_by: str = "", seconds: float | None = None) -> str:
+    """One line for the head of a result, made by this process or by a given command.
+
+    ``seconds`` are those of all cases, where this process may have found some of them
+    done; None: those since it began.
+    """
     system = f"{platform.system()} {platform.machine()}"
     machine = f"{system}, Python {platform.python_version()}"
-    seconds = f"seconds: {time.monotonic() - BEGIN:.0f}"
-    made_by = made_by or command()
-    return f"command: {made_by}; commit: {commit()}; {seconds}; machine: {machine}"
+    seconds = time.monotonic() - BEGIN if seconds is None else seconds
+    made_by = f"command: {made_by or command()}; commit: {commit()}"
+    return f"{made_by}; seconds: {seconds:.0f}; machine: {machine}"
 
 
 def command() -> str:
@@ -64,8 +68,10 @@ def commit() -> str:
     return run.stdout.strip() or "unknown"
 
 
-def write(name: str, text: str, made_by: str = "") -> Path:
-    """Write a text result under results/; ``made_by``: as of `provenance`."""
+def write(
+    name: str, text: str, made_by: str = "", seconds: float | None = None
+) -> Path:
+    """Write a text result under results/; the last two as of `provenance`."""
     if sys.argv[0] == "-c":
         raise RuntimeError(
             f"results/{name} is written by a script of the project, not by python -c: "
@@ -73,4 +79,5 @@ def write(name: str, text: str, made_by: str = "") -> Path:
         )
     path = RESULTS / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    return write_whole(path, f"<!-- {provenance(made_by)} -->\n\n{text.rstrip()}\n")
+    head = provenance(made_by, seconds)
+    return write_whole(path, f"<!-- {head} -->\n\n{text.rstrip()}\n")
