@@ -159,20 +159,3 @@ def ljung_box(series: Sequence[np.ndarray]) -> float:
             correlation = np.sum(residual[lag:] * residual[:-lag]) / power
             statistic += n * (n + 2) * correlation**2 / (n - lag)
     return chi_square_tail(statistic, n_lags) if n_lags else np.nan
-
-
-def profiled_deviance(squares: np.ndarray, n_values: np.ndarray) -> float:
-    """-2 log likelihood, up to a constant, with the noise that each channel leaves.
-
-    ::
-
-        sum over channels of n log(sum of squared residuals / n)
-
-    Args:
-        squares: sums of squared residuals, (n_channels,).
-        n_values: numbers of them, (n_channels,); channels without any do not count.
-    """
-    is_measured = n_values > 0
-    n = n_values[is_measured]
-    variances = np.maximum(squares[is_measured] / n, TINY)
-    return float(np.sum(n * np.log(variances)))

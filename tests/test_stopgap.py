@@ -10,7 +10,7 @@ import phsi_opt as ph
 from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
 from phsi_opt.learning.learned_force import LearnedForce, distil, learned_force
-from phsi_opt.learning.orthogonal_network import Response
+from phsi_opt.learning.orthogonal_network import ForceSamples, Response
 
 TIMES = np.arange(0.0, 12.01, 0.08)
 
@@ -48,6 +48,7 @@ class Case:
         self.held_out = measured(hidden, [(1.2, -0.5)], seed=9)
         self.fit = ph.identify(spring(known=False), self.train)
         record = Record.of(self.fit, self.train)
+        self.samples = ForceSamples.of(record, "p", on)
         self.learned = learned_force(record, equation="p", on=on, epochs=40)
         self.before = ph.compare(self.fit, self.held_out)
 
@@ -77,7 +78,7 @@ def test_a_pulse_outside_the_catalogue_is_learned_and_the_held_out_error_falls(
     assert pulse.learned.explains > 0.9
     assert pulse.rmse(pulse.learned) < 0.2 * pulse.before.rmse
     beside = Record.of(pulse.learned.fit, pulse.train).estimate.w
-    before = pulse.learned.samples.w
+    before = pulse.samples.w
     assert np.sqrt(np.mean(beside**2)) < 0.5 * np.sqrt(np.mean(before**2))
     # The free run needs both: with the parameters of the first fit, which had stood in
     # for the force, it is worse.
@@ -88,7 +89,7 @@ def test_a_pulse_outside_the_catalogue_is_learned_and_the_held_out_error_falls(
 def test_the_learned_force_is_orthogonal_to_what_the_free_parameters_can_produce(
     coupled: Case,
 ) -> None:
-    samples = coupled.learned.samples
+    samples = coupled.samples
     assert samples.physics.shape[1] == 2  # stiffness and damping
     force = coupled.learned.at(samples.v) / samples.std
     assert np.linalg.norm(samples.physics.T @ force) < 1e-9 * np.linalg.norm(force)
@@ -159,7 +160,7 @@ def test_bad_settings_and_short_records_are_refused(pulse, changed, message) -> 
 
 
 def test_terms_that_the_physics_has_are_never_distilled(pulse: Case) -> None:
-    samples = pulse.learned.samples
+    samples = pulse.samples
     v = samples.v[:, 0]
     response = Response.of(Record.of(pulse.fit, pulse.train), row=1)
     of_cubic_spring = response.traces(-(v**3)[:, None])[:, 0]

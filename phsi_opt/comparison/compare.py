@@ -41,7 +41,6 @@ from phsi_opt.statistics import (
     autocorrelation_time,
     chi_square_limit,
     ljung_box,
-    profiled_deviance,
     rms,
 )
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
@@ -214,22 +213,6 @@ class Comparison(Summarised):
         """
         squared = (np.concatenate(self.residuals) * self.weights) ** 2
         return squared[np.isfinite(self._y)]
-
-    @cached_property
-    def misfit(self) -> float:
-        """Squared residuals of all measured values, in units of the noise variance."""
-        return float(np.sum(self._squares_by_state))
-
-    @cached_property
-    def deviance(self) -> float:
-        """Of the free run, up to a constant (see ``profiled_deviance``)."""
-        return profiled_deviance(self._squares_by_state, self._n_values)
-
-    @property
-    def _squares_by_state(self) -> np.ndarray:
-        """Sums of squared residuals in noise variances, (n_states,)."""
-        residuals = np.concatenate(self.residuals) / self.sigma
-        return np.nansum(residuals**2, axis=0)
 
     @property
     def rmse(self) -> float:

@@ -51,10 +51,6 @@ class NamedFile(os.PathLike[str]):
         """What its name ends in, such as ".csv"."""
         return Path(self.name).suffix
 
-    def exists(self) -> bool:
-        """Whether it is there."""
-        return os.path.exists(self.place)  # False too where the name is too long
-
 
 DataFile = Path | NamedFile
 

@@ -273,10 +273,6 @@ class DisturbedEstimate(Estimate):
         """Number of measured values."""
         return self.search.problem.n_values
 
-    def deviance_change(self, model: Model) -> float:
-        """That of the plain estimate."""
-        return self.plain.deviance_change(model)
-
     @property
     def misfit(self) -> float:
         """Mean of the squared residuals over their noise, the force let in."""

@@ -16,7 +16,7 @@ the edge.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import count, filterfalse
 from typing import Any
@@ -55,7 +55,6 @@ class LearnedForce:
         explains: share of what the fit left in the measurements (the squares of its
             linearised residuals) that the force predicts on stretches of time left out.
             Zero or below: it found nothing, and N is set to zero.
-        samples: what it was learned from.
     """
 
     physics: Fit
@@ -63,7 +62,6 @@ class LearnedForce:
     on: tuple[str, ...]
     network: Network
     explains: float
-    samples: ForceSamples = field(repr=False)
 
     def at(self, v: Any) -> np.ndarray:
         """The force (n,) at values (n, n_variables) of its variables."""
@@ -138,7 +136,7 @@ def learned_force(
     samples = ForceSamples.of(record, equation, on)
     response = Response.of(record, model.index(equation))
     network, explains = orthogonal_network(samples, response, epochs, seed)
-    learned = LearnedForce(record.fit, equation, on, network, explains, samples)
+    learned = LearnedForce(record.fit, equation, on, network, explains)
     if explains <= 0:
         return learned
     return replace(learned, physics=_re_estimated(learned, record))

@@ -109,11 +109,6 @@ class Linearization:
         return self.grid.n_trajectories
 
     @property
-    def data(self) -> np.ndarray:
-        """Residuals, and minus the offsets of the dynamics below them."""
-        return np.concatenate([self.residual, -self.offset])
-
-    @property
     def middles(self) -> np.ndarray:
         """Times of the middles of the intervals, (n_intervals,)."""
         grid = self.grid

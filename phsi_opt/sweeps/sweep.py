@@ -109,12 +109,10 @@ class Done:
     Attributes:
         key: Its key.
         result: What the function returned.
-        was_kept: Whether the result was read from the folder, not computed.
     """
 
     key: str
     result: Any
-    was_kept: bool = False
 
 
 @partial(typed, error=DataError)
@@ -194,7 +192,7 @@ def _swept(
     for key, result in kept.found(cases) if kept else ():
         del missing[key]
         say(f"{next(n_done)} of {len(cases)}: {key}, read from the folder")
-        yield Done(key, result, was_kept=True)
+        yield Done(key, result)
     if not missing:
         return
     # Processes of our own end when the sweep does.
