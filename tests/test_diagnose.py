@@ -10,12 +10,10 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis import conclusion
 from phsi_opt.diagnosis.candidate import Grade, Verdict
 from phsi_opt.diagnosis.diagnose import candidate_of
 from phsi_opt.diagnosis.record import next_step
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.screening.effect_size import Size
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -356,18 +354,6 @@ def test_a_run_that_is_far_off_is_no_wrong_unit_where_a_name_explains_it() -> No
     assert "a constant is better" not in f"{found} {' '.join(found.sentences)}"
     open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
     assert open_.sentences[0] == found.base.warning
-
-
-def test_an_effect_whose_fitted_size_is_not_determined_is_not_named(
-    drag, monkeypatch
-) -> None:
-    fit, data, _ = drag
-    asked = partial(ph.diagnose, fit, data, effects=["quadratic drag"])
-    assert asked().findings
-    monkeypatch.setattr(conclusion, "fitted_size", lambda *_: Size(0.1, 0.2))
-    found = asked()
-    assert found.verdict == Verdict.UNEXPLAINED and not found.findings
-    assert "standard error exceeds its size" in found.ranking[0].lost
 
 
 def test_what_makes_the_free_run_held_out_worse_is_not_named() -> None:

@@ -267,12 +267,8 @@ class _Judge:
     ) -> Diagnosis:
         judges = [self] if second is None else [self, second]
         last = thorough_refit(judges[-1].larger or larger)
-        for judge in judges:
-            size = fitted_size(judge.base.fit.model, last.fit, judge.ranking[0].effect)
-            if not size.is_determined:
-                lost = "its standard error exceeds its size beside the other parameters"
-                return self.not_named(larger, lost)
         if second is None:
+            size = fitted_size(self.base.fit.model, last.fit, self.ranking[0].effect)
             self.note_refit(0, last)
             self.note(0, coefficient=size.value, std_error=size.std_error)
         findings = tuple(judge.finding(last) for judge in judges)
