@@ -1,7 +1,6 @@
 """Screening, verdicts and studies: the true effect is named, and nothing false is."""
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.criteria import DECISIVE_EVIDENCE
-from phsi_opt.diagnosis.candidate import Grade, Verdict
+from phsi_opt.diagnosis.candidate import Grade
 from phsi_opt.diagnosis.diagnose import candidate_of
 from phsi_opt.diagnosis.record import next_step
 from phsi_opt.model.catalogue import effect_named

@@ -20,6 +20,7 @@ from phsi_opt.simulation.simulate import free_run
 from problems.league import f16, odebench, robot
 from problems.league.entries import LEAGUE
 from problems.league.run import WAYS, error, page
+from problems.measured.vibrations import RATE, Shaken
 from problems.tools import provenance
 
 T = np.arange(0, 4, 0.05)
@@ -70,9 +71,9 @@ def test_the_page_says_where_others_are_ahead_and_by_how_much():
     assert behind[0].startswith("- EMPS, the test: what was found has 2 times")
 
 
-def shaken(model: ph.Model, n: int) -> f16.Record:
+def shaken(model: ph.Model, n: int) -> Shaken:
     """A swept sine at the shaker, the accelerations from differences of velocities."""
-    t = np.arange(n) / f16.RATE
+    t = np.arange(n) / RATE
     u = 50 * np.sin(2 * np.pi * (4 + 3 * t) * t)[:, None]
     fine = np.linspace(0, t[-1], 4 * (n - 1) + 1)
     force = np.interp(fine, t, u[:, 0])[:, None]
@@ -83,7 +84,7 @@ def shaken(model: ph.Model, n: int) -> f16.Record:
     modal[:, 3] = value["j4"] * pr
     b, s, j = (np.array([value[f"{k}{i}"] for i in (1, 2, 3, 4)]) for k in "bsj")
     velocities = np.c_[modal @ b, modal @ s, modal @ (s + j)]
-    return f16.Record(t, u, np.gradient(velocities, fine, axis=0, edge_order=2)[::4])
+    return Shaken(t, u, np.gradient(velocities, fine, axis=0, edge_order=2)[::4])
 
 
 def test_accelerations_of_the_f16_are_slopes_of_its_velocities():

@@ -10,13 +10,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
 
 import phsi_opt as ph
 from problems.league import f16, robot
-from problems.measured import machines, storages
+from problems.measured import machines, storages, vibrations
 from problems.measured.machines import Array, positive
-from problems.tools.data_paths import folder
 
 
 @dataclass(frozen=True)
@@ -155,21 +153,7 @@ def tanks_physics() -> ph.FirstOrder:
 
 # --- Bouc and Wen's hysteresis
 
-BOUC_WEN_RATE = 750.0  # Hz
 VELOCITY_ROUNDED, FORCE_ROUNDED = 1e-8, 1e-6  # squares of m/s and N, both negligible
-
-
-def bouc_wen(name: str) -> ph.Measurements:
-    """Displacement (m) and force (N); the force is band-limited: a smooth curve."""
-    u_file, y_file = (folder("bouc_wen") / f"{what}{name}.mat" for what in "uy")
-    u, y = (_only_array(path) for path in (u_file, y_file))
-    return _record(np.arange(len(u)) / BOUC_WEN_RATE, y, u, "q p", "cubic")
-
-
-def _only_array(path: object) -> Array:
-    content = loadmat(path)
-    (name,) = (key for key in content if not key.startswith("_"))
-    return content[name].ravel()
 
 
 def bouc_wen_physics() -> ph.FirstOrder:
@@ -188,18 +172,6 @@ def bouc_wen_physics() -> ph.FirstOrder:
     return ph.FirstOrder(["q", "p", "z"], rates, inputs=["u"])
 
 
-def bouc_wen_base() -> ph.PseudoHamiltonian:
-    """A mass on a linear spring with linear loss."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        R=ph.damping("p"),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=positive(5e4), m=positive(2.0)),
-        F={"p": ph.formula("u")},
-    )
-
-
 def of_pieces(
     cut: Callable[[ph.Measurements], tuple[ph.Measurements, ph.Measurements]],
 ) -> Callable[[ph.Model, ph.Measurements], tuple[ph.Model, list[str]]]:
@@ -213,10 +185,11 @@ def found(study: ph.Study) -> tuple[ph.Model, list[str]]:
     return study.model, list(study.history["effect"][1:])
 
 
-def first_two(n: int, data: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
-    """The first ``n`` samples of a record, and as many after them."""
-    t = data.trajectories[0].t
-    return data.between(None, t[n - 1]), data.between(t[n], t[2 * n - 1])
+def of_resonance(model: ph.Model, train: ph.Measurements) -> tuple[ph.Model, list[str]]:
+    """By a study of the F-16's main resonance; what it adds acts in the joint."""
+    held_out = vibrations.resonance(f16.MIDDLE)
+    _, added = found(ph.Study(vibrations.resonance_model(), train, held_out))
+    return f16.with_effects(model, added), added
 
 
 LEAGUE: Mapping[str, Entry] = {
@@ -245,7 +218,7 @@ LEAGUE: Mapping[str, Entry] = {
         },
         base=machines.box_model,
         physics=box_physics,
-        study=of_pieces(partial(first_two, 2 * 2048)),
+        study=of_pieces(partial(machines.first_two, 2 * 2048)),
         published="1.49 and 2.39 (baselines), 0.26 to 0.36 (best)",
     ),
     "cascaded tanks": Entry(
@@ -266,14 +239,14 @@ LEAGUE: Mapping[str, Entry] = {
         n_first=50,
         unit="um",
         per_unit=1e6,
-        train=partial(bouc_wen, "est_multisine"),
+        train=partial(vibrations.bouc_wen, "est_multisine"),
         tests=lambda: {
-            "multisine": bouc_wen("val_multisine"),
-            "sine sweep": bouc_wen("val_sinesweep"),
+            "multisine": vibrations.bouc_wen("val_multisine"),
+            "sine sweep": vibrations.bouc_wen("val_sinesweep"),
         },
-        base=bouc_wen_base,
+        base=vibrations.bouc_wen_base,
         physics=bouc_wen_physics,
-        study=of_pieces(partial(first_two, 1000)),
+        study=of_pieces(partial(machines.first_two, vibrations.N_BOUC_WEN)),
         published="about 10",
     ),
     "F-16": Entry(
@@ -281,11 +254,11 @@ LEAGUE: Mapping[str, Entry] = {
         n_first=50,
         unit="m/s^2",
         per_unit=1.0,
-        train=f16.train,
-        tests=lambda: {f"level {level}": f16.test(level) for level in (2, 4, 6)},
+        train=partial(vibrations.resonance, f16.EXTREMES),
+        tests=lambda: {f"level {level}": vibrations.f16(level) for level in (2, 4, 6)},
         base=f16.base,
         physics=f16.physics,
-        study=lambda model, _: found(f16.study(model)),
+        study=of_resonance,
         published="-",
         fit=f16.fitted,
         error=lambda fit, record, entry: f16.error(fit, record, entry.n_first),

@@ -8,11 +8,10 @@ shows in them.
 """
 
 import re
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
-from scipy.io import loadmat
 from scipy.optimize import least_squares
 from scipy.signal import resample
 
@@ -20,20 +19,17 @@ import phsi_opt as ph
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.simulation.simulate import free_run, rates
 from problems.measured.machines import Array
-from problems.tools.data_paths import folder
+from problems.measured.vibrations import PERIOD, RATE, Shaken, inside, period
 
-RATE, PERIOD = 400, 8192  # Hz; samples
 LAG = PERIOD // 2
-LEVELS, THIN = (1, 3, 5, 7), 2  # that are fitted; every other sample for a study
-SHARE_LEFT = 0.2  # of every motion, by the modes
-FREQUENCY = np.fft.rfftfreq(PERIOD, 1 / RATE)
-INSIDE = (FREQUENCY >= 2) & (FREQUENCY <= 45)  # Hz, the force and its harmonics
+EXTREMES, MIDDLE = (1, 7), (3, 5)  # levels: a study fits these, and is judged by these
+BAND = (2.0, 45.0)  # Hz, the force and its harmonics
 POSITIONS, MOMENTA = ("e1", "e2", "e3", "r"), ("p1", "p2", "p3", "pr")
 N = len(POSITIONS)
 NAMES = r"\b([kcbsj]\d|[kc]j)\b"  # of parameters
 # Rough values by mode with the joint loose, of unit modal mass: stiffness (1/s^2),
 # damping (1/s), and how far shaker, wing and joint move with it (kg^-1/2); then the
-# stiffness (N/m) and damping (N s/m) of the joint.
+# stiffness (N/m) and damping (N s/m) of the joint, and what its friction starts from.
 START = {
     "k": (3.5, 2020.0, 3230.0, 12500.0),
     "c": (6.7, 0.1, 0.5, 0.1),
@@ -42,46 +38,11 @@ START = {
     "j": (0.0026, 0.0083, 0.0068, 0.0076),
 }
 JOINT = {"kj": 4e5, "cj": 2e4}
-# The same of a linear fit to what a study sees of all levels, each with its own joint.
-SEEN = {
-    "k": (3.5, 1.0, 2700.0, 22000.0),
-    "c": (6.2, 0.01, 0.01, 7.0),
-    "b": (0.130, -0.0353, -0.0290, 0.313),
-    "s": (-0.0109, 0.176, 0.0140, -0.209),
-    "j": (0.0152, -0.0700, -0.0173, 0.185),
+FRICTION = {
+    "hysteresis_force_pr": 300.0,  # N
+    "hysteresis_width_pr": 6e-5,  # m
+    "hysteresis_slow_pr": 1e-5,  # m/s
 }
-
-
-class Record(NamedTuple):
-    """Times (s), force (N), accelerations (m/s^2) of shaker, wing and payload."""
-
-    t: Array  # (n_samples,)
-    u: Array  # (n_samples, 1)
-    a: Array  # (n_samples, 3)
-
-
-def test(level: int) -> Record:
-    """The whole record of a level that is not fitted."""
-    u, a = _read(f"Level{level}_Validation")
-    return Record(np.arange(len(u)) / RATE, u, a)
-
-
-def period(level: int) -> Record:
-    """The mean of the periods but the first."""
-    u, a = (x.reshape(-1, PERIOD, x.shape[1])[1:] for x in _read(f"Level{level}"))
-    return Record(np.arange(PERIOD) / RATE, u.mean(axis=0), a.mean(axis=0))
-
-
-def integrated(a: Array, times: int) -> Array:
-    """Accelerations of a period (n_samples, n) integrated, within the band."""
-    factor = np.zeros(len(FREQUENCY), complex)
-    factor[INSIDE] = (2j * np.pi * FREQUENCY[INSIDE]) ** -times
-    return np.fft.irfft(np.fft.rfft(a, axis=0) * factor[:, None], axis=0)
-
-
-def _read(name: str) -> tuple[Array, Array]:
-    content = loadmat(folder("f16") / f"FullMSine_{name}.mat")
-    return content["Force"].T, content["Acceleration"].T
 
 
 # --- models
@@ -91,7 +52,7 @@ def base() -> ph.PseudoHamiltonian:
     """Four modes with the joint loose, and a spring and a damper in the joint.
 
     With the modal displacements e_i, r = sum j_i e_i gives the last one. Sensors show
-    the velocities of shaker (b) and wing (s), beside r itself.
+    the velocities of shaker (b) and wing (s).
     """
     last = f"(r - {_sum('j{i}*e{i}')})/j{N}"
     rate = f"(dH_dpr - {_sum('j{i}*dH_dp{i}')})/j{N}"
@@ -134,9 +95,15 @@ def _parameter(name: str) -> ph.Parameter:
 
 def physics() -> ph.Model:
     """Dry friction in the joint, which sticks before it slides: Bouc and Wen's."""
-    model = base().add("hysteresis", "pr")
-    values = {"hysteresis_force_pr": 300.0, "hysteresis_width_pr": 6e-5}  # N, m
-    return model.with_values(values | {"hysteresis_slow_pr": 1e-5})
+    return with_effects(base(), ["hysteresis on p"])
+
+
+def with_effects(model: ph.Model, effects: Sequence[str]) -> ph.Model:
+    """With effects of the main resonance ("hysteresis on p") in the joint."""
+    for effect in effects:
+        model = model.add(effect.removesuffix(" on p"), "pr")
+    known = FRICTION.keys() & model.values.keys()
+    return model.with_values({name: FRICTION[name] for name in known})
 
 
 # --- free runs
@@ -151,7 +118,7 @@ def fitted(model: ph.Model, _: ph.Measurements) -> ph.Model:
     linear = {name for name in model.values if re.fullmatch(NAMES, name)}
     model = model.with_free(linear - {"k1"})
     run = _runner(model.rhs(), PERIOD + LAG)
-    records = [period(level) for level in LEVELS]
+    records = [period(level) for level in sorted(EXTREMES + MIDDLE)]
     inputs = [_with_midpoints(record.u) for record in records]
 
     def misfit(values: Array) -> Array:
@@ -179,7 +146,7 @@ def fitted(model: ph.Model, _: ph.Measurements) -> ph.Model:
 
 def _lines(a: Array) -> Array:
     """Real and imaginary parts (n, 3) of accelerations of a period in the band."""
-    lines = np.fft.rfft(a, axis=0)[INSIDE]
+    lines = np.fft.rfft(a, axis=0)[inside(BAND)]
     return np.concatenate([lines.real, lines.imag])
 
 
@@ -221,7 +188,7 @@ def _shape(model: ph.Model, kind: str) -> Array:
     return np.array([model.values[f"{kind}{i}"] for i in range(1, N + 1)])
 
 
-def error(model: ph.Model, record: Record, n_first: int) -> float:
+def error(model: ph.Model, record: Shaken, n_first: int) -> float:
     """Root mean square error (m/s^2) of one free run, from the first samples on.
 
     Its starting state is estimated from these alone; what they do not tell stays small
@@ -248,43 +215,3 @@ def error(model: ph.Model, record: Record, n_first: int) -> float:
     start = scale * least_squares(misfit, rest).x
     a = accelerations(start, len(record.t))[n_first:]
     return float(np.sqrt(np.mean(a**2)))
-
-
-# --- what is fitted, and what a study is given
-
-
-def train() -> ph.Measurements:
-    """2 s of each level at 200 Hz: r (m), two velocities (m/s).
-
-    Each level shows another quarter of the period, so that no wave fits all of them. Of
-    each channel the modes leave a fifth at the highest level, which is given as noise.
-    """
-    states, inputs = [], []
-    for number, level in enumerate(LEVELS):
-        record = period(level)
-        x = np.full((PERIOD, 2 * N), np.nan)
-        x[:, N - 1] = integrated(record.a[:, 2:] - record.a[:, 1:2], 2)[:, 0]
-        x[:, N : N + 2] = integrated(record.a[:, :2], 1)
-        begin = number * PERIOD // len(LEVELS)
-        states.append(x[begin : begin + 2 * RATE : THIN])
-        inputs.append(record.u[begin : begin + 2 * RATE : THIN])
-    names = [*POSITIONS, *MOMENTA]
-    sizes = dict(zip(names, states[-1].std(axis=0).tolist(), strict=True))
-    return ph.Measurements.from_arrays(
-        [np.arange(0, 2, THIN / RATE)] * len(LEVELS),
-        states,
-        inputs,
-        states=names,
-        inputs=["u"],
-        hold="cubic",
-        noise={name: SHARE_LEFT * sizes[name] for name in names[N - 1 : N + 2]},
-    )
-
-
-def study(model: ph.Model) -> ph.Study:
-    """Of the lowest and the highest level, the others held out; the modes are known."""
-    first, second = train()[0::3], train()[1:3]
-    known = {f"{kind}{i}": x for kind in SEEN for i, x in enumerate(SEEN[kind], 1)}
-    model = model.with_values({"kj": 3e6, "cj": 1.5e4}).with_fixed(known)
-    fit = ph.identify(model, first, start=ph.identify(model.frozen(), first))
-    return ph.Study(model, first, second, fit=fit)

@@ -27,6 +27,12 @@ def with_unmeasured(*measured: Array, n: int = 1) -> Array:
     return np.column_stack([*measured, np.full((len(measured[0]), n), np.nan)])
 
 
+def first_two(n: int, data: ph.Measurements) -> tuple[ph.Measurements, ph.Measurements]:
+    """The first ``n`` samples of a record, and as many after them."""
+    t = data.trajectories[0].t
+    return data.between(None, t[n - 1]), data.between(t[n], t[2 * n - 1])
+
+
 class Record(NamedTuple):
     """Times, positions and forces of the same samples, each (n_samples,)."""
 

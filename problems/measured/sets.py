@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import phsi_opt as ph
-from problems.measured import machines, storages
+from problems.measured import machines, storages, vibrations
 
 Model = ph.PseudoHamiltonian | ph.FirstOrder
 Records = tuple[ph.Measurements, ph.Measurements]
@@ -106,6 +106,27 @@ SETS = {
         page="silverbox",
         note="2048 samples of a multisine are fitted, 2048 of another one judge; the "
         "end of the arrow, with larger amplitudes, is only looked at.",
+    ),
+    "Bouc-Wen hysteresis": Set(
+        "bouc_wen",
+        "a mass that is shaken; linear spring and damper",
+        vibrations.bouc_wen_base,
+        lambda: machines.first_two(
+            vibrations.N_BOUC_WEN, vibrations.bouc_wen("est_multisine")
+        ),
+        "Bouc and Wen's hysteresis",
+        ("bouc-wen hysteresis on p",),
+        lambda: {"sine sweep": vibrations.bouc_wen("val_sinesweep")},
+    ),
+    "F-16": Set(
+        "f16",
+        "the main resonance of a wing with a payload, shaken at four levels (6.8 to "
+        "8 Hz); linear stiffness and damping",
+        vibrations.resonance_model,
+        lambda: (vibrations.resonance((1, 7)), vibrations.resonance((3, 5))),
+        "the bolted joint of the payload slides with dry friction, and has a gap",
+        ("hysteresis on p",),
+        lambda: {f"level {n}": vibrations.resonance((n,)) for n in (2, 4, 6)},
     ),
     "motor pendulum": Set(
         "torque_pendulum",
