@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-FORMAT = "phsi_opt fit 1"
+FORMAT = "phsi_opt fit 2"
 PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and pictures
 # Ratio of two standard errors beyond which the report gives both.
 DIFFERENT_STD_ERRORS = 4 / 3
