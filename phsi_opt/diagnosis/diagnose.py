@@ -19,7 +19,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.conclusion import concluded, without_evidence
 from phsi_opt.diagnosis.ranking import ranked
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.refit import DiagnosedModel, better_base, held_base, refit
+from phsi_opt.diagnosis.refit import DiagnosedModel, held_base, refit
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import fit_of
@@ -129,17 +129,10 @@ def diagnose_comparison(
         return without_evidence(base, error)
     found = concluded(base, record, effects)
     held = held_base(base, record, found.established)
-    if held is not None:
-        base = held
-        record = base.evidence_record()
-        found = concluded(base, record, effects)
-        found = replace(found, reason=f"{base.record.aligned.notes[0]}; {found.reason}")
-    if found.findings or base.is_noise:
+    if held is None:
         return found
-    better = better_base(base, record)
-    if better is None:
-        return found
-    return concluded(better, better.evidence_record(), effects)
+    found = concluded(held, held.evidence_record(), effects)
+    return replace(found, reason=f"{held.record.aligned.notes[0]}; {found.reason}")
 
 
 def candidate_of(

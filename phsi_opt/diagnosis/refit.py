@@ -220,26 +220,6 @@ def _gain_beside(
     return both[0].log_evidence - both[1].log_evidence
 
 
-def better_base(base: DiagnosedModel, record: EvidenceRecord) -> DiagnosedModel | None:
-    """The model from a clearly better optimum, found beside a force; None: none."""
-    fit = base.fit
-    if not fit.model.free or not base.record.is_of_training:
-        return None
-    weighed = record.base
-    values = {name: weighed.model.values[name] for name in fit.model.free}
-    states = base.record.estimate.grid.split(weighed.states[: record.n_fitted_nodes])
-    start = replace(fit, model=fit.model.with_values(values), states=states)
-    base.say("re-fitting the model from the estimate with a random disturbance")
-    aligned = base.record.aligned
-    try:
-        better = identify(start.model, aligned, base.loss, start=start)
-        if not deviance(better) < deviance(fit) - OTHER_OPTIMUM_DEVIANCE:
-            return None
-        return base.with_fit(better)
-    except PhsiOptError:
-        return None
-
-
 def refit(base: DiagnosedModel, candidate: Candidate) -> DiagnosedModel | None:
     """The base model with an effect more, fitted; None where that fails, which is said.
 

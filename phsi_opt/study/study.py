@@ -207,7 +207,7 @@ class Study(Summarised):
         self.considered[number] = (choice, record.train.hold)
         if found.data.hold != record.train.hold:
             record = record.held_as(found.data.hold, found.record.aligned.notes)
-        if found.fit is not step.fit:  # a better optimum
+        if found.fit is not step.fit:  # such as to inputs held otherwise
             step = record.step(f"{step.label}, re-fitted", step.added, found.fit)
         steps = (*record.steps[:-1], step)
         diagnoses = {**record.diagnoses, number: found}
