@@ -439,9 +439,7 @@ def test_without_evidence_the_free_runs_alone_decide() -> None:
 def diagnosed(
     monkeypatch: pytest.MonkeyPatch,
     base: DiagnosedModel,
-    findings: tuple[Any, ...] = (),
     held: DiagnosedModel | None = None,
-    better: DiagnosedModel | None = None,
 ) -> tuple[ph.Diagnosis, list[float]]:
     """The diagnosis, and the errors of the models that were judged, in this order."""
     judged = []
@@ -449,13 +447,12 @@ def diagnosed(
     def concluded(base: DiagnosedModel, record: Any, effects: Any) -> ph.Diagnosis:
         assert record is base.judged and effects == [DAMPER]
         judged.append(base.judged.rmse)
-        return ph.Diagnosis(base.record, base.judged, (), NAMED, "named", findings)
+        return ph.Diagnosis(base.record, base.judged, (), NAMED, "named")
 
     monkeypatch.setattr(DiagnosedModel, "of", lambda *_: base)
     monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda one: one.judged)
     monkeypatch.setattr(diagnose, "concluded", concluded)
     monkeypatch.setattr(diagnose, "held_base", lambda *_: held)
-    monkeypatch.setattr(diagnose, "better_base", lambda *_: better)
     given: Any = {"loss": None, "progress": lambda _: None, "executor": None}
     found = diagnose.diagnose_comparison(
         base.trained, base.judged, effects=[DAMPER], **given
@@ -463,23 +460,16 @@ def diagnosed(
     return found, judged
 
 
-def test_a_diagnosis_begins_again_from_a_better_base_alone(monkeypatch) -> None:
+def test_a_diagnosis_begins_again_from_inputs_that_are_held(monkeypatch) -> None:
     of_held = run(9.0)
     of_held.record.aligned = SimpleNamespace(notes=["inputs are held"])
-    base, held, better = fitted(run(10.0)), fitted(of_held), fitted(run(8.0))
-    name = ph.Finding((DAMPER,), "a loss", 2.0, 0.1, 0.9)
-    known: dict[str, Any]
+    base, held = fitted(run(10.0)), fitted(of_held)
     for known, expected, reason in (
-        ({}, [10.0], "named"),
-        ({"better": better}, [10.0, 8.0], "named"),
-        ({"better": better, "findings": (name,)}, [10.0], "named"),
-        ({"held": held}, [10.0, 9.0], "inputs are held; named"),
-        ({"held": held, "better": better}, [10.0, 9.0, 8.0], "named"),
+        (None, [10.0], "named"),
+        (held, [10.0, 9.0], "inputs are held; named"),
     ):
-        found, judged = diagnosed(monkeypatch, base, **known)
+        found, judged = diagnosed(monkeypatch, base, known)
         assert (judged, found.reason) == (expected, reason)
-    noise = fitted(run(1.0, p=0.5))
-    assert diagnosed(monkeypatch, noise, better=better)[1] == [1.0]
 
 
 # ---- other optima of one model
