@@ -394,7 +394,7 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert f"fell from {base.judged:.3g} to {larger.judged:.3g} m" in told.sentence
     assert content.forces and not content.present.forces
     ranked = {row.effect: row for row in content.present.ranking}
-    assert ranked["quadratic drag on p"].size == "not determined"  # at a limit
+    assert ranked["quadratic drag on p"].size == "size not determined"  # at a limit
 
 
 def test_it_is_told_whether_a_model_is_diagnosed_or_will_be(studied: Session) -> None:

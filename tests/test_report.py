@@ -378,7 +378,7 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert estimate_text(2e9, 3e6, "kg m^2") == "(2.0000 +- 0.0030)e+09 kg m^2"
     assert estimate_text(8.4999812, 7.1e-6) == "8.4999812 +- 0.0000071"
     assert with_error(2e9, 3e6, "m^2") == "(2.0000 ± 0.0030)×10⁹ m²"
-    assert str(Size(4000.0, 52000.0)) == "not determined"
+    assert str(Size(4000.0, 52000.0)) == "size not determined"
     assert str(Size(146.32, np.nan, "mm")) == "146.3 mm"
     assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
     assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"

@@ -13,7 +13,7 @@ from phsi_opt.presentation.numbers import estimate_text, number, time_constant_w
 from phsi_opt.presentation.units import scale_of
 from phsi_opt.statistics import TINY
 
-NOT_DETERMINED = "not determined"
+NOT_DETERMINED = "size not determined"
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def resonance(levels: Sequence[int]) -> ph.Measurements:
         inputs,
         states=["q", "p"],
         inputs=["u"],
-        units={"q": "m", "p": "m/s", "u": "N"},
+        units={"t": "s", "q": "m", "p": "m/s", "u": "N"},
         hold="cubic",
     )
 
