@@ -90,6 +90,7 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: ph.PseudoHamiltonian(states=["q", "p"], H="p**2", S=[[0, 1j], [-1, 0]]), "is not a matrix of numbers"),
     (lambda: ph.Parameter([10**5000]), r"value=list\(\.\.\.\) is not possible"),  # type: ignore[arg-type]
     (lambda: ph.SolverSettings(max_iterations=10**5000), "max_iterations=a number beyond"),
+    (lambda: ph.SolverSettings(show=10**5000), "show=a number beyond .* expected bool"),  # type: ignore[arg-type]
     (lambda: measured().thinned(10**5000), "thinned\\(a number beyond"),
     (lambda: measured(t=2**53 + 1), "has the shape"),
     (lambda: ph.Measurements.from_arrays(T, X, states=np.array(1.0)), "states=.* Write a list"),  # type: ignore[arg-type]

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from phsi_opt.arguments import is_of, require, require_choice, require_count
+from phsi_opt.arguments import require, require_choice, require_count, typed
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
 from phsi_opt.optimization.program import Program
@@ -28,6 +28,7 @@ from phsi_opt.statistics import TINY
 SOLVERS = ("auto", "ipopt")
 
 
+@typed
 @dataclass(frozen=True)
 class SolverSettings:
     """Settings of the solver: tolerance and limits.
@@ -58,8 +59,7 @@ class SolverSettings:
     def __post_init__(self) -> None:
         for name in ("tolerance", "max_seconds"):
             value = getattr(self, name)
-            fine = is_of(value, float) and value > 0
-            require(fine, f"SolverSettings: {name}", value, "a number above 0")
+            require(value > 0, f"SolverSettings: {name}", value, "a number above 0")
         require_count("SolverSettings: max_iterations", self.max_iterations)
         require_choice("SolverSettings: solver", self.solver, SOLVERS)
 
