@@ -172,7 +172,9 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> "Figure"
 
 
 def _draw_title(ax: "Axes", text: str) -> None:
-    ax.set_title(fill(text, width=62), fontsize=10)
+    from phsi_opt.presentation.charts import set_title
+
+    set_title(ax, fill(text, width=62), fontsize=10)
 
 
 def _sure_title(force: EquationForce) -> str:

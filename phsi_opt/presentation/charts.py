@@ -290,7 +290,7 @@ def svg(chart: Chart) -> str:
         for line in chain.from_iterable(map(Axes.get_lines, figure.axes)):
             if line.get_linestyle() == "None":  # each of many points takes 100 letters
                 line.set_rasterized(np.size(line.get_xdata()) > 300)
-        _set_title(ax, _short(chart.title), loc="left", fontsize=10)
+        set_title(ax, _short(chart.title), loc="left", fontsize=10)
         text = io.StringIO()
         written: Any = {"format": "svg", "metadata": {"Date": None, "Creator": None}}
         figure.savefig(text, dpi=150, **written)
@@ -340,11 +340,12 @@ def drawn(
         row.tick_params(axis="x", labelbottom=is_last)
         row.xaxis.label.set_visible(is_last)
     if title:
-        _set_title(ax, title)
+        set_title(ax, title)
     return ax
 
 
-def _set_title(ax: Axes, title: str, **look: Any) -> None:
+def set_title(ax: Axes, title: str, **look: Any) -> None:
+    """Above the legend."""
     legend = ax.get_legend()
     n_rows = -(-len(legend.get_texts()) // LEGEND_COLUMNS) if legend else 0
     ax.set_title(title, pad=6 + 14 * n_rows, **look)  # points, above the legend
