@@ -174,7 +174,7 @@ def long_page(chosen_set: Set, story: Story) -> str:
     """A story at length; its pictures go to results/measured."""
     name = chosen_set.page.removesuffix("_story")
     save(story.diagnoses[0].figure(), f"measured/{name}_missing_force.png", dpi=100)
-    size = (max(6.0, 2.2 * len(story.study.steps)), 3.8)
+    size = (max(9.0, 2.2 * len(story.study.steps)), 3.8)  # the legend needs 8
     history, ax = plt.subplots(figsize=size, layout="constrained")
     story.study.plot_history(ax)
     save(history, f"measured/{name}_history.png", dpi=100)
