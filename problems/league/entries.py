@@ -187,7 +187,7 @@ def found(study: ph.Study) -> tuple[ph.Model, list[str]]:
 
 def of_resonance(model: ph.Model, train: ph.Measurements) -> tuple[ph.Model, list[str]]:
     """By a study of the F-16's main resonance; what it adds acts in the joint."""
-    held_out = vibrations.resonance(f16.MIDDLE)
+    held_out = vibrations.resonance(vibrations.JUDGED)
     _, added = found(ph.Study(vibrations.resonance_model(), train, held_out))
     return f16.with_effects(model, added), added
 
@@ -254,7 +254,7 @@ LEAGUE: Mapping[str, Entry] = {
         n_first=50,
         unit="m/s^2",
         per_unit=1.0,
-        train=partial(vibrations.resonance, f16.EXTREMES),
+        train=partial(vibrations.resonance, vibrations.FITTED),
         tests=lambda: {f"level {level}": vibrations.f16(level) for level in (2, 4, 6)},
         base=f16.base,
         physics=f16.physics,

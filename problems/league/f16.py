@@ -19,10 +19,17 @@ import phsi_opt as ph
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.simulation.simulate import free_run, rates
 from problems.measured.machines import Array
-from problems.measured.vibrations import PERIOD, RATE, Shaken, inside, period
+from problems.measured.vibrations import (
+    FITTED,
+    JUDGED,
+    PERIOD,
+    RATE,
+    Shaken,
+    inside,
+    period,
+)
 
 LAG = PERIOD // 2
-EXTREMES, MIDDLE = (1, 7), (3, 5)  # levels: a study fits these, and is judged by these
 BAND = (2.0, 45.0)  # Hz, the force and its harmonics
 POSITIONS, MOMENTA = ("e1", "e2", "e3", "r"), ("p1", "p2", "p3", "pr")
 N = len(POSITIONS)
@@ -118,7 +125,7 @@ def fitted(model: ph.Model, _: ph.Measurements) -> ph.Model:
     linear = {name for name in model.values if re.fullmatch(NAMES, name)}
     model = model.with_free(linear - {"k1"})
     run = _runner(model.rhs(), PERIOD + LAG)
-    records = [period(level) for level in sorted(EXTREMES + MIDDLE)]
+    records = [period(level) for level in sorted(FITTED + JUDGED)]
     inputs = [_with_midpoints(record.u) for record in records]
 
     def misfit(values: Array) -> Array:

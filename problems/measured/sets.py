@@ -125,7 +125,10 @@ SETS = {
         "the main resonance of a wing with a payload, shaken at four levels (6.8 to "
         "8 Hz); linear stiffness and damping",
         vibrations.resonance_model,
-        lambda: (vibrations.resonance((1, 7)), vibrations.resonance((3, 5))),
+        lambda: (
+            vibrations.resonance(vibrations.FITTED),
+            vibrations.resonance(vibrations.JUDGED),
+        ),
         "the bolted joint of the payload slides with dry friction, and has a gap",
         ("hysteresis on p",),
         lambda: {f"level {n}": vibrations.resonance((n,)) for n in (2, 4, 6)},

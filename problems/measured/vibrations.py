@@ -52,6 +52,7 @@ def bouc_wen_base() -> ph.PseudoHamiltonian:
 # --- F-16: a wing with a payload
 
 RATE, PERIOD = 400, 8192  # Hz; samples
+FITTED, JUDGED = (1, 7), (3, 5)  # levels: a study fits these, these judge
 FREQUENCY = np.fft.rfftfreq(PERIOD, 1 / RATE)
 BAND = (6.8, 8.0)  # Hz, the main resonance, which has two thirds of the motion
 PART, THIN = 10 * RATE, 4  # samples of a level that a study sees, and every how many
