@@ -150,9 +150,7 @@ def unexplained(diagnosis: ph.Diagnosis, **changes: Any) -> ph.Diagnosis:
     return replace(diagnosis, verdict=ph.Verdict.UNEXPLAINED, **left)
 
 
-def test_the_first_screen_says_what_where_since_when_and_what_to_add(
-    content, study
-) -> None:
+def test_the_first_screen_says_what_where_when_and_what_to_add(content, study) -> None:
     expected = {
         "What was wrong": r"Coulomb friction on p was missing: .* dp/dt lacked a force of [\d.]+ N.*",
         "Where it was": "In the force on q \\(dp/dt\\).*",

@@ -278,7 +278,7 @@ def only_follows(trained: Comparison, judged: Comparison) -> bool:
 STRONG_STRETCH = 1 / 3  # share of the strongest stretch's force, of one that counts
 
 
-def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
+def when_answer(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     """When the surest force is there, in which runs, where it is strongest."""
     force = diagnosis.analysis.force_in()
     if force.is_uncertain:
@@ -292,7 +292,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     is_in_one = np.sum(sizes > sizes.max() / 2) == 1
     return say(
         __package__,
-        "since",
+        "when",
         begin=_beginning(force, strongest) if is_in_one else "",
         quantity=force.quantity,
         again="repeatedly" if _comes_and_goes(force, strongest) else "",
@@ -440,8 +440,8 @@ def _remains(study: StudyRecord) -> Answer:
     present = study.present
     if present is None or present.verdict in (Verdict.NOTHING_MISSING, Verdict.NAMED):
         return Answer("")
-    since = since_when(present, study.last.train)
-    facts = {"where": where_answer(present), "since": since}
+    when = when_answer(present, study.last.train)
+    facts = {"where": where_answer(present), "when": when}
     return answer("remains", present, study.held_out is not None, **facts)
 
 
@@ -542,8 +542,8 @@ def _answers(study: StudyRecord) -> tuple[Answer, ...]:
         questions = PRESENT if diagnosis.findings else UNNAMED
         wrong = answer("wrong", diagnosis, is_held_out)
         to_do = answer("to_do", diagnosis, is_held_out)
-    since = since_when(diagnosis, step.train)
-    answers = (wrong, where_answer(diagnosis, is_past), since, to_do)
+    when = when_answer(diagnosis, step.train)
+    answers = (wrong, where_answer(diagnosis, is_past), when, to_do)
     asked = zip(answers, questions, strict=True)
     return tuple(replace(one, question=question) for one, question in asked)
 
@@ -576,7 +576,7 @@ def step_story(study: StudyRecord, place: int) -> str:
     facts = {
         "missing": answer("missing", diagnosis, is_held_out),
         "where": where_answer(diagnosis),
-        "since": since_when(diagnosis, study.steps[place].train),
+        "when": when_answer(diagnosis, study.steps[place].train),
         "to_do": answer("to_do", diagnosis, is_held_out),
         "place": place,
         "step": next(iter(study.steps[place + 1 : place + 2]), None),
