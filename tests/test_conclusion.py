@@ -77,6 +77,8 @@ class Case:
     base: DiagnosedModel = field(default_factory=lambda: fitted(run(10.0)))
     # The re-fit with each effect, by name; None where it fails.
     larger: Mapping[str, DiagnosedModel | None] = field(default_factory=dict)
+    # A re-fit made thorough, where it is another.
+    thorough: DiagnosedModel | None = None
     # Beside the first; None: there is no evidence beside it.
     second: list[Candidate] | None = field(default_factory=list)
     alone: float | None = -100.0  # log evidence without a force; None: not found
@@ -102,7 +104,9 @@ class Case:
         monkeypatch.setattr(DiagnosedModel, "evidence_record", lambda _: record)
         monkeypatch.setattr(conclusion, "ranked", ranked)
         monkeypatch.setattr(conclusion, "refit", self.refit)
-        monkeypatch.setattr(conclusion, "thorough_refit", lambda larger: larger)
+        monkeypatch.setattr(
+            conclusion, "thorough_refit", lambda larger: self.thorough or larger
+        )
         monkeypatch.setattr(conclusion, "fitted_size", lambda *_: Size(2.1, 0.2, "N"))
         effects = [DAMPER, FRICTION, PUSH, SPRING, WAVE, OFFSET]
         evidence: Any = record
@@ -265,7 +269,7 @@ def test_an_effect_beside_which_a_force_is_evident_is_partly_named(monkeypatch) 
         assert bool(found.findings) == is_enough
     assert found.verdict == UNEXPLAINED and found.proposed == ()
     assert found.reason == (
-        "the nearest is viscous damping on p (2.00 +- 0.10; log evidence 20.0): the "
+        "the nearest is viscous damping on p (2.10 +- 0.20; log evidence 20.0): the "
         "training error falls from 10.0 to 9.00 m, noise floor 1 m. It is not named: "
         "it explains only 48 % of what is missing (mean square) and 19 % of the error"
     )
@@ -335,6 +339,29 @@ def test_a_larger_error_of_either_free_run_is_a_doubt(monkeypatch) -> None:
     base = fitted(run(10.0), run(1.0))
     larger = {str(DAMPER): fitted(run(1.05, p=0.5), run(1.09))}
     assert Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch).findings
+
+
+def test_what_a_study_would_add_is_judged_and_not_the_brief_re_fit(monkeypatch) -> None:
+    worse = "its free-run error is larger than without it"
+    base = fitted(run(10.0), run(10.0))
+    later = fitted(run(1.0), run(10.1))
+    case = Case([candidate(DAMPER, 20.0)], base, thorough=later)
+    assert lost(case.concluded(monkeypatch))[str(DAMPER)] == worse
+
+
+def test_two_effects_with_a_larger_error_are_not_named(monkeypatch) -> None:
+    # Even where no force is evident beside both of them.
+    base = fitted(run(10.0), run(10.0))
+    first, second = candidate(DAMPER, 20.0, force_left=0.9), candidate(SPRING, 9.0)
+    for error, are_named in ((9.9, True), (10.1, False)):
+        larger = {
+            str(DAMPER): fitted(run(9.5), run(9.5)),
+            str(SPRING): fitted(run(2.0), run(error)),
+        }
+        case = Case(
+            [first, candidate(SPRING, 6.0)], base, larger, second=[second], alone=10.0
+        )
+        assert bool(case.concluded(monkeypatch).findings) == are_named
 
 
 def test_a_wave_that_leaves_more_is_not_named(monkeypatch) -> None:

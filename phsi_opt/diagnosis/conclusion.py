@@ -5,7 +5,7 @@ the same. *Which law*: the effects that the evidence does not tell from it are a
 *How much*: a re-fit's free runs, and whether a force remains evident beside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -65,14 +65,13 @@ def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
 class _Judge:
     """One diagnosis on the way to its verdict."""
 
-    # ``larger`` is the re-fit with the first effect of the ranking, ``is_complete``
-    # whether no force is evident beside it; both once they are known.
+    # ``is_complete`` is whether no force is evident beside the re-fit with the first
+    # effect of the ranking, once that is known.
 
     base: DiagnosedModel
     record: EvidenceRecord
     effects: Sequence[Effect]
     ranking: list[Candidate]
-    larger: DiagnosedModel | None = None
     is_complete: bool | None = None
 
     def concluded(self) -> Diagnosis:
@@ -82,10 +81,10 @@ class _Judge:
         doubt = self.doubt(larger)
         if not doubt:
             return self.named(larger)
-        second = self.second(larger)
-        if second is None:
+        both = self.second(larger)
+        if both is None:
             return self.not_named(larger, doubt)
-        return self.named(larger, second)
+        return self.named(*both)
 
     # ---- effects ---------------------------------------------------------------------
 
@@ -103,10 +102,10 @@ class _Judge:
 
         while tied := self.tied():
             place = self.ranking.index(min(tied, key=size))
-            larger = self.refit(place)
+            # Judged is what a study would add.
+            larger = self.refit(place, thorough_refit)
             if larger is not None:
                 self.ranking.insert(0, self.ranking.pop(place))
-                self.larger = larger
                 return larger
         return None
 
@@ -121,7 +120,11 @@ class _Judge:
         together = np.logaddexp.reduce([one.log_evidence for one in tied])
         return tied if together >= DECISIVE_EVIDENCE else []
 
-    def refit(self, place: int) -> DiagnosedModel | None:
+    def refit(
+        self,
+        place: int,
+        finished: Callable[[DiagnosedModel], DiagnosedModel] = lambda brief: brief,
+    ) -> DiagnosedModel | None:
         """The base with a candidate; None where that rejects it."""
         one = self.ranking[place]
         if not one.size.z >= SURE_DEVIATIONS:
@@ -134,29 +137,29 @@ class _Judge:
         if larger is None:
             self.note(place, lost="could not be re-fitted")
             return None
+        larger = finished(larger)
         new = new_names(self.base.fit.model, one.effect, larger.fit.names)
         at_bound = [name for name in new if name in larger.fit.outcome.at_bounds]
         if at_bound:
             words = parameter_words(larger.fit.model, at_bound[0])
             self.note(place, lost=AT_LIMIT.format(words))
             return None
-        self.note_refit(place, larger)
-        return larger
-
-    def note_refit(self, place: int, larger: DiagnosedModel) -> None:
-        held_out = larger.judged.rmse if self.base.is_held_out else np.nan
+        found = fitted_size(self.base.fit.model, larger.fit, one.effect)
         self.note(
             place,
+            coefficient=found.value,
+            std_error=found.std_error,
             fit=larger.fit,
             trained=larger.trained,
             comparison=larger.judged,
             train_rmse=larger.trained.rmse,
-            held_out_rmse=held_out,
+            held_out_rmse=larger.judged.rmse if self.base.is_held_out else np.nan,
             share=self.base.share_explained(larger),
         )
+        return larger
 
-    def second(self, larger: DiagnosedModel) -> "_Judge | None":
-        """The judge of a second effect, where both together explain enough."""
+    def second(self, larger: DiagnosedModel) -> "tuple[DiagnosedModel, _Judge] | None":
+        """The re-fit with a second effect and its judge, where both explain enough."""
         others = [one.effect for one in self.ranking[1:]]
         try:
             record, ranking = ranked(larger, larger.evidence_record(), others)
@@ -165,10 +168,7 @@ class _Judge:
             self.base.say(f"no second effect is considered: {NO_EVIDENCE}")
             return None
         both = second.first()
-        if both is None:
-            return None
-        is_enough = second.explains_all(both) or not self.doubt(both, second)
-        return second if is_enough else None
+        return None if both is None or self.doubt(both, second) else (both, second)
 
     # ---- doubts ----------------------------------------------------------------------
 
@@ -183,7 +183,7 @@ class _Judge:
             return f"the cause may also be {steps}"
         if self.is_worse(larger):
             return "its free-run error is larger than without it"
-        if self.explains_all(larger):
+        if (second or self).explains_all(larger):
             return ""
         if any(is_wave(effect) and effect.needs_clock for effect in effects):
             return "more is missing, and every function of time contains such waves"
@@ -266,12 +266,7 @@ class _Judge:
         self, larger: DiagnosedModel, second: "_Judge | None" = None
     ) -> Diagnosis:
         judges = [self] if second is None else [self, second]
-        last = thorough_refit(judges[-1].larger or larger)
-        if second is None:
-            size = fitted_size(self.base.fit.model, last.fit, self.ranking[0].effect)
-            self.note_refit(0, last)
-            self.note(0, coefficient=size.value, std_error=size.std_error)
-        findings = tuple(judge.finding(last) for judge in judges)
+        findings = tuple(judge.finding(larger) for judge in judges)
         is_complete = judges[-1].explains_all(larger)
         if second is not None:
             first, *others = self.ranking
@@ -290,18 +285,18 @@ class _Judge:
         said = " and ".join(map(str, findings))
         one = self.ranking[0]
         graded = f"{one.grade} evidence (log evidence {one.log_evidence:.1f})"
-        reason = f"{said}; {self.change(last)}; {graded}"
+        reason = f"{said}; {self.change(larger)}; {graded}"
         if not is_complete:
             verdict = Verdict.PARTLY_NAMED
-            share = max(0.0, self.base.share_explained(last))
+            share = max(0.0, self.base.share_explained(larger))
             reason += (
                 f". It accounts for {100 * self.of_force(second):.0f} % of what is "
                 f"missing (mean square) and {100 * share:.0f} % of the squared error "
                 "above the noise floor; more is missing"
             )
-        return self.diagnosis(verdict, reason, findings, effects, last.fit)
+        return self.diagnosis(verdict, reason, findings, effects, larger.fit)
 
-    def finding(self, last: DiagnosedModel) -> Finding:
+    def finding(self, larger: DiagnosedModel) -> Finding:
         """The first with those that the data do not tell from it, and its size."""
         # The likeliest of these are re-fitted; one that a re-fit presses to a bound or
         # to nothing is none of them.
@@ -314,13 +309,13 @@ class _Judge:
             self.refit(place)
         members = [self.ranking[place] for place in (0, *places)]
         effects = tuple(one.effect for one in members if not one.lost)
-        size = fitted_size(self.base.fit.model, last.fit, effects[0])
+        size = fitted_size(self.base.fit.model, larger.fit, effects[0])
         return Finding(
             effects,
             class_of(effects),
             size.value,
             size.std_error,
-            self.base.share_explained(last),
+            self.base.share_explained(larger),
             size.unit,
         )
 
