@@ -154,7 +154,7 @@ def test_the_first_screen_says_what_where_when_and_what_to_add(content, study) -
     expected = {
         "What was wrong": r"Coulomb friction on p was missing: .* dp/dt lacked a force of [\d.]+ N.*",
         "Where it was": "In the force on q \\(dp/dt\\).*",
-        "When": r"Significantly during \d+ % of the time(, repeatedly)?, in both "
+        "When": r"Clearly during \d+ % of the time(, repeatedly)?, in both "
         r"training runs\. It is strongest at t = .* of run \d\..*",
         "What was added": r"Coulomb friction on p \(.* N\)\. It is practically certain "
         r"\(odds of more than a million to one\)\.",
@@ -244,7 +244,7 @@ def test_a_paragraph_tells_each_fact_once_in_sentences(content) -> None:
     sizes = re.findall(r"[\d.]+ ± [\d.]+ N", told)
     assert len(sizes) == 1 and told.count("falls from") == 1
     assert "What is missing acts in the force on q (dp/dt)" in told
-    assert "It is there significantly during " in told
+    assert "It shows clearly during " in told
     assert told.endswith("Coulomb friction on p was added in step 1.")
 
 

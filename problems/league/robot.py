@@ -145,19 +145,14 @@ def fitted(models: Sequence[ph.Model], train: Sequence[Record]) -> ph.Model:
 def study(
     models: Sequence[ph.Model], train: Sequence[Record]
 ) -> tuple[list[ph.Model], list[str]]:
-    """The models after a study of each joint, and the effects that were added.
-
-    Its inertia and weights are those of the fitted base model.
-    """
+    """The models after a study of each joint, and the effects that were added."""
     first, second = (moving(train[part], WINDOW) for part in (STUDIED, HELD_OUT))
     found: list[ph.Model] = []
     added: list[str] = []
-    for base in each_fitted(models, train):
-        known = {name: x for name, x in base.values.items() if name[0] != "d"}
-        model = base.with_fixed(known)
+    for model in each_fitted(models, train):
         of_joint = ph.Study(model, data(model, first), held_out=data(model, second))
         of_joint.auto()
-        found.append(of_joint.model.with_free(list(known)))
+        found.append(of_joint.model)
         added += list(of_joint.history["effect"][1:])
     return found, added
 
