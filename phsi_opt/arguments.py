@@ -149,8 +149,9 @@ def require_known(
     except TypeError:  # a list, or an array, that has no hash
         is_known = False
     if not is_known:
-        are_words = all(str(one).isidentifier() for one in listed)
-        words = map(str if are_words else repr, listed)  # blanks, commas, numbers
+        # A name with a blank or a comma is quoted, as are those beside it.
+        are_words = all(isinstance(one, str) and one.isidentifier() for one in listed)
+        words = map(str if are_words else shown, listed)
         expected = some_of(list(words)) or "none: there are no names"
         hint = did_you_mean(name, listed)
         raise error(f"{said}; expected one of {expected}.{hint}")

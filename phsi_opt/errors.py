@@ -130,9 +130,11 @@ def did_you_mean(name: object, options: Iterable[object]) -> str:
     Returns:
         ``" Did you mean 'x'?"``, or ``""`` when no option is close.
     """
-    by_lower_case = {str(option).lower(): str(option) for option in options}
-    asked_for = (name if isinstance(name, str) else shown(name)).lower()
-    matches = difflib.get_close_matches(asked_for, by_lower_case, n=1)
+    asked_for, *known = (
+        one if isinstance(one, str) else shown(one) for one in (name, *options)
+    )
+    by_lower_case = {one.lower(): one for one in known}
+    matches = difflib.get_close_matches(asked_for.lower(), by_lower_case, n=1)
     if not matches:
         return ""
     closest = by_lower_case[matches[0]]

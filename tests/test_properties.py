@@ -3,9 +3,11 @@
 Each property is tried with its part of `N_INPUTS`; PHSI_OPT_INPUTS=10000 asks for more.
 """
 
+import itertools
 import math
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -150,6 +152,36 @@ def test_the_usual_arguments_are_accepted(tmp_path: Path, monkeypatch) -> None:
         values, _ = fuzz.arguments_of(name, call)
         if values and fuzz.SHARES.get(name, 1.0) > SELDOM:
             fuzz.used(call, values)
+
+
+class Unshown:
+    """A value of which no message can tell what it is."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no text")
+
+
+LONG = 10**5000
+UNSHOWN = [LONG, [LONG], {"a": LONG}, {LONG: 1}, Unshown(), [Unshown()], (LONG,)]
+UNSHOWN.append(np.array([LONG], dtype=object))
+
+
+def test_arguments_that_cannot_be_shown_are_refused(
+    tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    tally = fuzz.Tally()
+    for name, call in fuzz.public():
+        values, _ = fuzz.arguments_of(name, call)
+        target = fuzz.Target(st.none(), partial(fuzz.used, call))
+        for argument, odd in itertools.product(values, UNSHOWN):
+            if (name, argument) != (
+                "sweep",
+                "cases",
+            ):  # its function has errors of its own
+                fuzz.tried(target, values | {argument: odd}, tally)
+    assert tally.faults == {}
+    assert tally.counts["refused"] > tally.counts["accepted"] > 0
 
 
 @pytest.mark.parametrize("call", [

@@ -23,7 +23,7 @@ from phsi_opt.data.checks import (
     numbered_names,
     read_only_floats,
 )
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, shown
 from phsi_opt.presentation.numbers import number_of
 
 
@@ -56,7 +56,7 @@ class Trajectory:
         is_text = isinstance(self.name, str) and self.name
         if not is_text or not self.name.isprintable():
             raise DataError(
-                f"trajectory name {self.name!r} is not a text of one line; "
+                f"trajectory name {shown(self.name)} is not a text of one line; "
                 "give each trajectory a non-empty name."
             )
         title = f"trajectory {self.name!r}"
