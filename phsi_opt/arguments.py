@@ -46,7 +46,7 @@ def typed(call: Call, error: type[PhsiOptError] = ModelError) -> Call:
     """Decorate a public function or record: it refuses arguments of other types.
 
     Checked is what the annotations say, down to the entries of lists and mappings. A
-    list may be any collection, and a bool is no number.
+    list may be a tuple, and a bool is no number.
 
     Raises:
         PhsiOptError: it names the first argument of another type, its value, the type,
@@ -89,6 +89,7 @@ def is_of(value: Any, hint: Any) -> bool:
     if kind in ACCEPTED:
         is_bool = isinstance(value, bool | np.bool_)
         is_kind = isinstance(value, ACCEPTED[kind]) and is_bool == (kind is bool)
+        is_kind = is_kind and not isinstance(value, np.timedelta64)  # a NumPy integer
         is_whole = is_kind and isinstance(value, int)
         return is_kind and not (is_whole and abs(value) >= 2**1023)  # beyond floats
     if kind is Any or not isinstance(kind, type):
@@ -100,10 +101,8 @@ def is_of(value: Any, hint: Any) -> bool:
         return is_kind and all(map(is_of, chain(*value.items()), cycle(parts)))
     if not issubclass(kind, Iterable) or not parts:
         return isinstance(value, kind)
-    others: Any = str | bytes | Mapping
-    if issubclass(kind, Sequence):  # in an order
-        others |= set | frozenset | (str if kind is Sequence else np.ndarray)
-    if isinstance(value, others) or not np.iterable(value):
+    of_kind = Sequence if issubclass(kind, Sequence) else Iterable  # a list for a tuple
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, of_kind):
         return False
     is_once = isinstance(value, Iterator)
     return is_once or all(map(is_of, value, repeat(parts[0])))

@@ -56,14 +56,26 @@ def written_path(path: str | Path) -> Path:
     return place
 
 
-def _unwritable(path: str | Path, error: Exception) -> DataError:
+def make_folder(path: Path) -> None:
+    """Make a folder, and those above it, where it is not there.
+
+    Raises:
+        DataError: It cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise _unwritable(path, error, "folder") from None
+
+
+def _unwritable(path: str | Path, error: Exception, what: str = "file") -> DataError:
     why = f"expected a path ({error})"
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         why = "its folder does not exist; create it, or give another path"
     elif isinstance(error, OSError):
         why = why_not_read(error)
     named = repr(str(path)) if isinstance(path, str | Path) else shown(path)
-    return DataError(f"file {named} cannot be written: {why}.")
+    return DataError(f"{what} {named} cannot be written: {why}.")
 
 
 def remove_unfinished(place: Path) -> None:

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 import phsi_opt as ph
 from phsi_opt.model.expressions import CASADI, NUMPY, evaluate, parse
 from problems.benchmarks import fuzz
+from problems.benchmarks.fuzz_inputs import Unshown
 
 N_INPUTS = int(os.environ.get("PHSI_OPT_INPUTS", "1000"))
 N_PROPERTIES = 3
@@ -152,13 +153,6 @@ def test_the_usual_arguments_are_accepted(tmp_path: Path, monkeypatch) -> None:
         values, _ = fuzz.arguments_of(name, call)
         if values and fuzz.SHARES.get(name, 1.0) > SELDOM:
             fuzz.used(call, values)
-
-
-class Unshown:
-    """A value of which no message can tell what it is."""
-
-    def __repr__(self) -> str:
-        raise RuntimeError("no text")
 
 
 LONG = 10**5000

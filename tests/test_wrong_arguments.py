@@ -126,7 +126,12 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: ph.Measurements.from_csv("\ud800", time="t", states=["q"]), "file"),
     (lambda: read_of([]), "without a column"),
     (lambda: run_names_of([10**5000, 1]), "a name of a trajectory cannot be shown"),
-    (lambda: ph.Measurements(pd.DataFrame(), ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
+    (lambda: ph.Measurements(pd.DataFrame(), ["q"]), "trajectories=DataFrame"),  # type: ignore[arg-type]
+    (lambda: ph.Measurements([], ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
+    (lambda: ph.FirstOrder(iter("qp"), {}), "states=.*Write a list"),  # type: ignore[arg-type]
+    (lambda: ph.Pruning(np.timedelta64(1)), "threshold=np.timedelta64"),  # type: ignore[arg-type]
+    (lambda: list(ph.sweep(str, {"\ud800": 1})), "the key '.ud800'"),
+    (lambda: list(ph.sweep(str, {"a": 1}, folder="a\0b")), "folder 'a.x00b' cannot"),
     (lambda: read_of("t", {"q": ()}), "without a column"),
     (lambda: read_of("t", separator=1), "separator=1"),
     (lambda: ph.SolverSettings(max_iterations=1.5), "max_iterations=1.5"),  # type: ignore[arg-type]

@@ -30,7 +30,7 @@ from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import check_alike, first_text, survey, unfilled
 from phsi_opt.study_file.toml_text import add_effects
 from phsi_opt.transcription.grid import AlignedData
-from phsi_opt.writing import write_whole
+from phsi_opt.writing import make_folder, write_whole
 
 DEMO_FILES = ("friction_spring.csv", "study.toml")
 PICTURE_MARK = b"<!-- measurements drawn by phsi-opt:"
@@ -264,17 +264,14 @@ def written_demonstration(folder: Path) -> Path:
         DataError: another file is there, or the folder cannot be written.
     """
     shipped = files("phsi_opt.study_file") / "examples" / "spring"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in DEMO_FILES:
-            text = (shipped / name).read_bytes()
-            place = folder / name
-            if place.exists() and file_bytes(place) != text:
-                raise DataError(
-                    f"{place} exists already with changes, and was not overwritten. "
-                    "Give another folder: phsi-opt demo FOLDER."
-                )
-            write_whole(place, text)
-    except OSError as error:
-        raise DataError(f"{folder} cannot be written ({error}).") from None
+    make_folder(folder)
+    for name in DEMO_FILES:
+        text = (shipped / name).read_bytes()
+        place = folder / name
+        if place.exists() and file_bytes(place) != text:
+            raise DataError(
+                f"{place} exists already with changes, and was not overwritten. "
+                "Give another folder: phsi-opt demo FOLDER."
+            )
+        write_whole(place, text)
     return folder / "study.toml"

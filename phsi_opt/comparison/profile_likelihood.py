@@ -406,7 +406,7 @@ def bootstrap(
         "noise": dict(fit.noise),
         "huber": fit.huber,
         "data": data.digest,
-        "seed": seed,
+        "seed": int(seed),
     }
     text = json.dumps(content, sort_keys=True)
     seeds = np.random.SeedSequence(seed).spawn(n_draws)

@@ -21,7 +21,7 @@ from phsi_opt.arguments import is_count, typed
 from phsi_opt.errors import DataError, PhsiOptError, SolveError, shown
 from phsi_opt.reading import file_text
 from phsi_opt.sweeps.local_workers import local_workers
-from phsi_opt.writing import write_whole
+from phsi_opt.writing import make_folder, write_whole
 
 Progress = Callable[[str], None]
 FORMAT = "phsi_opt sweep 1"
@@ -58,7 +58,7 @@ class KeptResults:
                 f"the result of {key!r} cannot be saved as JSON: {error}. Return "
                 "numbers, texts, lists and mappings, or sweep without a folder."
             ) from None
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder)
         write_whole(self.path_of(key), text + "\n")
 
     def found(self, keys: Iterable[str]) -> Iterator[tuple[str, Any]]:
@@ -257,14 +257,14 @@ def _check(
             "functools.partial."
         )
     for key in cases:
-        if not key:
+        if not key or not key.isprintable():
             raise DataError(
-                f"the key {shown(key)} is not a text with at least one character; give "
-                "every case such a name."
+                f"the key {shown(key)} is not a text of one line; give every case a "
+                "non-empty name."
             )
     if not is_count(in_flight):
         raise DataError(
-            f"in_flight={in_flight!r} must be a number of cases, 1 or more."
+            f"in_flight={shown(in_flight)} must be a number of cases, 1 or more."
         )
 
 

@@ -5,10 +5,11 @@
 Every public function, record and method gets inputs that Hypothesis draws from a seed;
 seed 1 is the page's, and faults are looked for with others. They are usual arguments,
 of which one or two are replaced by others of the annotated type, or a part of which by
-anything. So are tables, and study files and fits of which bytes, cells or keys are
-replaced. Foreign is an exception or warning that is not the package's own (but those of
-numbers that overflow, and Python's of a call that lacks an argument); silent is an
-input that was taken with another meaning. The folder keeps what is done.
+anything; before, every argument in turn is each of some hundred odd values. So are
+tables, and study files and fits of which bytes, cells or keys are replaced. Foreign is
+an exception or warning that is not the package's own (but those of numbers that
+overflow, and Python's of a call that lacks an argument); silent is an input that was
+taken with another meaning. The folder keeps what is done.
 """
 
 import contextlib
@@ -22,7 +23,7 @@ import tomllib
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -51,6 +52,7 @@ from problems.benchmarks.fuzz_inputs import (
     Draw,
     changed,
     damaged,
+    each_odd,
     fitted,
     measured,
     spring,
@@ -78,6 +80,8 @@ class Target:
     inputs: Draw
     call: Callable[[Any], Any]
     is_meant: Callable[[Any, Any], bool] = lambda given, result: True
+    # Inputs that are tried before those that are drawn.
+    each: Callable[[], Iterable[Any]] = tuple
 
 
 # made by the package, not by its user
@@ -176,6 +180,13 @@ def used(call: Callable[..., Any], arguments: Arguments) -> Any:
     if not isinstance(result, np.ndarray):
         _ = str(result), repr(result)
     return result
+
+
+def each_replaced(values: Arguments) -> Iterator[Arguments]:
+    """Usual arguments, each in turn replaced by every odd value."""
+    for name in values:
+        for odd in each_odd():
+            yield values | {name: odd}
 
 
 def framed(columns: Any) -> Any:
@@ -380,7 +391,8 @@ def targets() -> dict[str, Target]:
         values, hints = arguments_of(name, call)
         if values:
             inputs = changed(values, hints=hints)
-            found[name] = Target(inputs, partial(used, call), is_kept)
+            each = partial(each_replaced, values)
+            found[name] = Target(inputs, partial(used, call), is_kept, each)
     saved = json.loads(json.dumps(fitted().content()))
     mat = io.BytesIO()
     t = np.linspace(0.0, 2.0, 21)
@@ -475,8 +487,10 @@ def shown(value: Any) -> str:
     return text[:400].encode("ascii", "backslashreplace").decode()
 
 
-def fuzzed(target: Target, n_inputs: int, first_seed: int = 1) -> Tally:
-    """So many inputs of a target, the same in every run with a seed."""
+def fuzzed(
+    target: Target, n_inputs: int, first_seed: int = 1, first: Iterable[Any] = ()
+) -> Tally:
+    """So many inputs of a target after the first, the same in every run with a seed."""
     tally = Tally()
 
     @seed(first_seed)
@@ -495,6 +509,8 @@ def fuzzed(target: Target, n_inputs: int, first_seed: int = 1) -> Tally:
     short = "\n".join([header, *rows[::20]])
     Path(FOLDER.name, "friction_spring.csv").write_text(short)
     with contextlib.chdir(FOLDER.name):  # what is written goes there
+        for one in first:
+            tried(target, one, tally)
         run()
     return tally
 
@@ -502,7 +518,8 @@ def fuzzed(target: Target, n_inputs: int, first_seed: int = 1) -> Tally:
 def fuzzed_entry(case: tuple[str, int, int]) -> Arguments:
     """The tally of an entry, as it is kept in a folder."""
     name, n_inputs, first_seed = case
-    return vars(fuzzed(targets()[name], n_inputs, first_seed))
+    target = targets()[name]
+    return vars(fuzzed(target, n_inputs, first_seed, target.each()))
 
 
 def page(tallies: Mapping[str, Tally]) -> str:
@@ -516,7 +533,11 @@ def page(tallies: Mapping[str, Tally]) -> str:
         faults += [{"entry": name, "fault": fault} for fault in one.faults]
     n_all = len(tallies) and len(faults) // 2
     return render(
-        "benchmarks/pages/fuzz.md", rows=rows, all=rows[-1], faults=faults[:n_all]
+        "benchmarks/pages/fuzz.md",
+        rows=rows,
+        all=rows[-1],
+        faults=faults[:n_all],
+        n_odd=len(list(each_odd())),
     )
 
 

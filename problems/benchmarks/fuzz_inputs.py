@@ -11,6 +11,7 @@ from datetime import datetime  # noqa: F401  # of OTHERS
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
+from itertools import repeat
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin
@@ -59,8 +60,27 @@ OTHERS = [  # made anew for every input
     *("np.array([HUGE, 1], object)", "[HUGE, 1.0]", "[10**5000]", "10**5000"),
     *("['q', '\\ud800']", "..."),
     *("[np.ma.masked, 0.0]", "pd.array(['a', None])", "{'q': ()}", "{'q': HUGE}"),
+    *("np.timedelta64(1)", "[pd.DataFrame()]", "{'q': pd.DataFrame()}", "[pd.NA, 1.0]"),
+    *("{'q': np.array([1.0, 2.0])}", "pd.DataFrame({'q': [1.0, 2.0]})", "lambda: 1"),
+    *("memoryview(b'ab')", "pd.Series(['a', None])", "pd.Timestamp(0)", "Unshown()"),
+    *("[Unshown()]", "{'q': [10**5000]}", "{10**5000: 1}", "(10**5000,)"),
 ]
 # fmt: on
+
+
+class Unshown:
+    """A value of which no message can tell what it is."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("no text")
+
+
+def each_odd() -> Iterator[Any]:
+    """Every odd value that is not drawn."""
+    yield from (*NUMBERS, *TEXTS)
+    yield from map(eval, OTHERS, repeat(globals()))
+
+
 ODD: Draw = st.one_of(
     st.sampled_from(NUMBERS),
     st.sampled_from(TEXTS),
@@ -136,7 +156,7 @@ def usual() -> Arguments:
         **{"Study.loss": None, "diagnose.loss": None, "effects": ["constant force"]},
         **{"without": ["gap"], "t": [0.0, 0.5, 1.0], "x": [*pair, [0.0, 1.0]]},
         **{"u": [1.0, 2.0, 3.0], "x0": [1.0, 0.0], "hold": "linear", "key": 0},
-        **{"Trajectory.x": [[1.0], [2.0], [3.0]], "trajectories": measured()[:]},
+        **{"Trajectory.x": [[1.0], [2.0], [3.0]], "trajectories": list(measured())},
         **{"Measurements.from_arrays.names": ["one"], "units": {"q": "m", "t": "s"}},
         **{"noise": {"q": 0.1}, "Channel.noise": 0.1, "x_start": pair, "x_end": pair},
         **{"t_start": [0.0, 0.5], "t_end": [0.5, 1.0], "u_start": [1.0, 2.0]},
