@@ -102,7 +102,8 @@ def is_of(value: Any, hint: Any) -> bool:
     if not issubclass(kind, Iterable) or not parts:
         return isinstance(value, kind)
     of_kind = Sequence if issubclass(kind, Sequence) else Iterable  # a list for a tuple
-    if isinstance(value, str | bytes | Mapping) or not isinstance(value, of_kind):
+    is_kind = isinstance(value, of_kind) and np.iterable(value)  # no array of no axes
+    if isinstance(value, str | bytes | Mapping) or not is_kind:
         return False
     is_once = isinstance(value, Iterator)
     return is_once or all(map(is_of, value, repeat(parts[0])))
@@ -145,7 +146,7 @@ def require_known(
     listed = list(known)
     try:
         is_known = name in dict.fromkeys(listed)
-    except TypeError:  # a list, or an array, that has no hash
+    except (TypeError, ValueError):  # such as a list, or an array, that has no hash
         is_known = False
     if not is_known:
         # A name with a blank or a comma is quoted, as are those beside it.

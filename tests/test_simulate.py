@@ -115,13 +115,20 @@ def test_the_right_hand_side_outlives_the_memory_it_was_made_in() -> None:
     ({"u": np.zeros((3, 1))}, r"u has shape \(3, 1\); expected finite numbers of"),
     ({"u": [np.nan, 0.0]}, r"expected finite numbers of shape \(2, 1\)"),
     ({"u": None}, r"the model has inputs \(u\); give u of shape \(2, 1\)"),
-    ({"u": lambda t: [1.0, 2.0]}, "returned 2 numbers; expected 1"),
+    ({"u": lambda t: [1.0, 2.0]}, "returned 2 numbers; expected 1, one for each of u"),
+    ({"u": lambda: 1.0}, r"the function u\(t\) failed: TypeError"),
+    ({"u": lambda t: "a"}, r"u\(t\)='a' must be an array of real numbers"),
     ({"hold": "spline"}, "hold='spline' is unknown"),
 ])  # fmt: skip
 def test_arguments_that_do_not_fit_are_refused(run, arguments, message) -> None:
     given: dict[str, Any] = {"t": [0.0, 1.0], "x0": [1.0, 0.0], "u": np.zeros((2, 1))}
     with pytest.raises(ph.DataError, match=message):
         run(spring(), **(given | arguments))
+
+
+def test_a_force_of_another_length_is_refused() -> None:
+    with pytest.raises(ph.DataError, match=r"force\(t, x\) returned 1 numbers"):
+        ph.simulate(spring(F=""), [0.0, 1.0], [1.0, 0.0], force=lambda t, x: x[:1])
 
 
 @pytest.mark.parametrize(("rate", "run"), [

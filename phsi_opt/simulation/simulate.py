@@ -24,7 +24,7 @@ import scipy
 from phsi_opt.arguments import require_choice, typed
 from phsi_opt.data.checks import LARGEST_VALUE, Hold, hold_of_each
 from phsi_opt.data.trajectory import SmoothInputs
-from phsi_opt.errors import DataError, SolveError, shown
+from phsi_opt.errors import DataError, SolveError, shown, some_of
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import argument_symbols
@@ -85,6 +85,9 @@ def simulate(
         array([1.   , 0.368, 0.135])
     """
     require_choice("method", method, METHODS)
+    t, x0, u = checked_arguments(model, t, x0, u)
+    if force is not None:
+        check_function("force(t, x)", model.states, force, t[0], x0)
     added = None if force is None else (lambda at, x, u: force(at, x))
     return simulate_forced(model, t, x0, u, added, hold=hold, method=method)
 
@@ -279,6 +282,26 @@ def _real_numbers(values: Any, name: str) -> np.ndarray:
     raise DataError(f"{name}={shown(values)} must be an array of real numbers.")
 
 
+def check_function(
+    called: str, names: Sequence[str], function: Callable[..., Any], *arguments: Any
+) -> None:
+    """Call a function once, and refuse one that does not return a number per name.
+
+    Raises:
+        DataError: it failed, or returned something else.
+    """
+    try:
+        value = function(*arguments)
+    except Exception as error:
+        raise DataError(f"the function {called} failed: {shown(error)}.") from error
+    size = _real_numbers(value, called).size
+    if size != len(names):
+        raise DataError(
+            f"the function {called} returned {size} numbers; expected {len(names)}, "
+            f"one for each of {some_of(list(names))}."
+        )
+
+
 def checked_arguments(
     model: Model, t: Any, x0: Any, u: Any
 ) -> tuple[np.ndarray, np.ndarray, Any]:
@@ -304,12 +327,7 @@ def checked_arguments(
             f"({', '.join(model.states)})."
         )
     if callable(u):
-        size = np.size(u(times[0]))
-        if size != model.n_inputs:
-            raise DataError(
-                f"the function u returned {size} numbers; expected {model.n_inputs}, "
-                "one per input."
-            )
+        check_function("u(t)", model.inputs, u, times[0])
         return times, start, u
     expected = (len(times), model.n_inputs)
     if u is None and model.n_inputs:

@@ -155,8 +155,7 @@ def arguments_of(name: str, call: Callable[..., Any]) -> tuple[Arguments, Argume
         value = usual().get(f"{name}.{known}", default)
         if repr(value) != "<factory>":
             values[known] = value
-    values.pop("executor", None)
-    values.pop("progress", None)
+    values.pop("progress", None)  # the errors are its own
     return values, {known: hints.get(known, Any) for known in values}
 
 

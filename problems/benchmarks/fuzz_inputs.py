@@ -7,6 +7,7 @@ parts are replaced, damaged bytes, cells of tables, formulas.
 import math
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime  # noqa: F401  # of OTHERS
 from decimal import Decimal
 from fractions import Fraction
@@ -162,13 +163,14 @@ def usual() -> Arguments:
         **{"t_start": [0.0, 0.5], "t_end": [0.5, 1.0], "u_start": [1.0, 2.0]},
         **{"u_end": [2.0, 3.0], "fraction": 0.7, "begin": 0.0, "end": 1.0},
         **{"source": table(), "separator": ",", "frame": frame, "path": "saved.json"},
-        **{"function": str, "cases": {"a": 1}, "called": "coulomb friction"},
+        **{"function": callable, "cases": {"a": 1}, "called": "coulomb friction"},
         **{"level": 0.9, "l1": {"H": 0.1}, "share": 0.4, "column": "t"},
         **{"DataSection.states": columns, "added": ["coulomb friction"]},
         **{"StudyFile.of.data": ph.DataSection(states=columns, **section)},
         **{"StudyFile.of.held_out": ph.HeldOut(share=0.4), "max_iterations": 5},
         **{"StudyFile.of.loss": None, "StudyFile.of.folder": ".", "what": "x"},
         **{"FirstOrder.S": None, "FirstOrder.H": None, "folder": None},
+        **{"executor": ThreadPoolExecutor(1)},
         **usual_of_readers,
         **sections,
     }
