@@ -2,7 +2,7 @@
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import cache, wraps
 from itertools import chain, cycle, repeat
@@ -46,7 +46,7 @@ def typed(call: Call, error: type[PhsiOptError] = ModelError) -> Call:
     """Decorate a public function or record: it refuses arguments of other types.
 
     Checked is what the annotations say, down to the entries of lists and mappings. A
-    list may be a tuple, and a bool is no number.
+    list may be any collection with an order, and a bool is no number.
 
     Raises:
         PhsiOptError: it names the first argument of another type, its value, the type,
@@ -59,26 +59,39 @@ def typed(call: Call, error: type[PhsiOptError] = ModelError) -> Call:
 
     @wraps(call)
     def checked(*args: Any, **words: Any) -> Any:
-        check_types(dict(zip(names, args, strict=False)) | words, types_of(call), error)
-        return call(*args, **words)
+        given = dict(zip(names, args, strict=False)) | words
+        right = with_types(given, types_of(call), error)
+        named = [right[name] for name in names[: len(args)]]
+        words = {name: right[name] for name in words}
+        return call(*named, *args[len(names) :], **words)
 
     return checked  # type: ignore[return-value]
 
 
-def check_types(
+def with_types(
     given: Mapping[str, Any],
     types: Mapping[str, Any],
     error: type[PhsiOptError] = ModelError,
-) -> None:
-    """Check values by name against the types of these names."""
+) -> dict[str, Any]:
+    """Values by name, checked against the types of these names."""
+    found = {}
     for name, value in given.items():
         hint = types.get(name, Any)
-        if not is_of(value, hint):
+        found[name] = value if is_of(value, hint) else as_list(value)
+        if not is_of(found[name], hint):
             kind = re.sub(r"(\w+\.)+", "", inspect.formatannotation(hint))
             advice = map(WRITTEN_AS.__getitem__, filter(kind.__contains__, WRITTEN_AS))
             wrong = DataError if OF_DATA.search(kind) else error
             said = f"{name}={shown(value)} is not possible; expected {kind[:120]}."
             raise wrong(" ".join([said, *advice]))
+    return found
+
+
+def as_list(value: Any) -> Any:
+    """A list of what is a collection with an order, such as an index or a view."""
+    without_order = str | bytes | Mapping | set | frozenset
+    is_listed = isinstance(value, Collection) and np.iterable(value)
+    return value if isinstance(value, without_order) or not is_listed else list(value)
 
 
 def is_of(value: Any, hint: Any) -> bool:

@@ -126,7 +126,7 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: ph.Measurements.from_csv("\ud800", time="t", states=["q"]), "file"),
     (lambda: read_of([]), "without a column"),
     (lambda: run_names_of([10**5000, 1]), "a name of a trajectory cannot be shown"),
-    (lambda: ph.Measurements(pd.DataFrame(), ["q"]), "trajectories=DataFrame"),  # type: ignore[arg-type]
+    (lambda: ph.Measurements(pd.DataFrame(), ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
     (lambda: ph.Measurements([], ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
     (lambda: ph.FirstOrder(iter("qp"), {}), "states=.*Write a list"),  # type: ignore[arg-type]
     (lambda: ph.Pruning(np.timedelta64(1)), "threshold=np.timedelta64"),  # type: ignore[arg-type]
@@ -144,6 +144,23 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
 def test_a_wrong_argument_is_named(call: Callable[[], Any], said: str) -> None:
     with pytest.raises(ph.PhsiOptError, match=said):
         call()
+
+
+@pytest.mark.parametrize("names", [
+    pd.Index(["q", "p"]),
+    pd.Series(["q", "p"]),
+    np.array(["q", "p"]),
+    {"q": 1, "p": 2}.keys(),
+], ids=lambda one: type(one).__name__)  # fmt: skip
+def test_names_may_be_any_collection_with_an_order(names) -> None:
+    inputs: Any = pd.Index(["u"])
+    data = ph.Measurements.from_arrays(T, X, u=T, states=names, inputs=inputs)
+    assert (data.states, data.inputs) == (("q", "p"), ("u",))
+    frame = pd.DataFrame({"t": T, "q": X[:, 0], "p": X[:, 1]})
+    assert (
+        ph.Measurements.from_dataframe(frame, time="t", states=names).states
+        == data.states
+    )
 
 
 @pytest.mark.parametrize(("place", "said"), [
