@@ -108,6 +108,13 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
         r"l1=\[1\]",
     ),
     (lambda: ph.identify(spring(), measured(x=0 * X), ph.PHSILoss()), "every state is zero"),
+    # Squares of such numbers are infinite, among which the solver looks without end.
+    (
+        lambda: ph.identify(
+            forced("c*abs(p)**w", c=ph.Parameter(1e200), w=ph.Parameter(-5.4)), measured()
+        ),
+        r"beyond 1e\+100, at",
+    ),
     (lambda: ph.formula(["q"]), r"expression=\['q'\] is not possible; expected str"),  # type: ignore[arg-type]
     (lambda: ph.damping(3), "variable 3 is not a usable name"),  # type: ignore[arg-type]
     (lambda: spring().with_upper({"k": "1"}), "bounds={'k': '1'}"),  # type: ignore[dict-item]

@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from phsi_opt.data.checks import LARGEST_VALUE
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
@@ -155,7 +156,7 @@ def values_at(
 
 
 def check_rates(model: Model, grid: Grid) -> None:
-    """Refuse a model with a term that is not finite at the measured states.
+    """Refuse a model with a term that is not finite, or huge, at the measured states.
 
     Nor are the slopes of a term of H, at the values from which parameters start.
 
@@ -176,7 +177,7 @@ def check_rates(model: Model, grid: Grid) -> None:
             theta = factor * resolved.theta + added
             t = grid.t[nodes][None, :]
             (values,) = in_numbers(made, x[nodes].T, grid.u[nodes].T, t, theta)
-            is_bad &= ~np.isfinite(values)
+            is_bad &= ~(np.abs(values) < LARGEST_VALUE)  # squares are numbers too
             if not is_bad.any():
                 return
     for placed, of_term in zip(model.placed(), is_bad, strict=True):
@@ -195,8 +196,8 @@ def _told(model: Model, grid: Grid, placed: PlacedTerm, where: str, node: int) -
         if np.isfinite(value):
             at.append(f"{name} = {value:.4g}")
     values = [f"{name} = {value:.4g}" for name, value in model.values.items()]
-    text = f"the term {term.body!r} in {place} has no finite value at {where}, first "
-    text += f"at {', '.join(at)}"
+    text = f"the term {term.body!r} in {place} has no finite value, or one beyond "
+    text += f"{LARGEST_VALUE:g}, at {where}, first at {', '.join(at)}"
     if grid.trajectory[-1]:
         text += f" of trajectory {grid.trajectory[node] + 1}"
     if values:

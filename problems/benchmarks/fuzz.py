@@ -1,9 +1,9 @@
 """Drawn wrong arguments and damaged files: errors of the package, and nothing misread.
 
-    python -m problems.benchmarks.fuzz [--inputs=N] [--seed=1] [--folder=...] [ENTRY]
+    python -m problems.benchmarks.fuzz [--inputs=N] [--seed=36000] [--folder=...] [ENTRY]
 
 Every public function, record and method gets inputs that Hypothesis draws from a seed;
-seed 1 is the page's, and faults are looked for with others. They are usual arguments,
+seed 36000 is the page's, and faults are looked for with others. They are usual arguments,
 of which one or two are replaced by others of the annotated type, or a part of which by
 anything; before, every argument in turn is each of some hundred odd values. So are
 tables, and study files and fits of which bytes, cells or keys are replaced. Foreign is
@@ -111,7 +111,7 @@ SHARES = {
     **dict.fromkeys(["PseudoHamiltonian", "FirstOrder", "mechanical"], 0.4),
     **dict.fromkeys(["formula, text", "Fit.load, keys", "Fit.load, bytes"], 3.0),
     **dict.fromkeys(["Measurements.from_arrays", "Measurements.from_csv, cells"], 3.0),
-    "Measurements.from_mat, bytes": 0.1,
+    "Measurements.from_mat, bytes": 0.02,
 }
 
 
@@ -543,7 +543,7 @@ def page(tallies: Mapping[str, Tally]) -> str:
 def main() -> None:
     """Try every entry, and write the page where all were tried."""
     n_inputs = int(option("inputs", "100000"))
-    first_seed = int(option("seed", "1"))
+    first_seed = int(option("seed", "36000"))
     names = [name for name in targets() if not chosen() or name in chosen()]
     total = sum(SHARES.get(name, 1.0) for name in names)
     cases = {}
