@@ -1,10 +1,10 @@
 """Drawn wrong arguments and damaged files: errors of the package, and nothing misread.
 
-    python -m problems.benchmarks.fuzz [--inputs=N] [--seed=36000] [--folder=...] [ENTRY]
+    python -m problems.benchmarks.fuzz [--inputs=N] [--seed=36000] [--folder=F] [ENTRY]
 
 Every public function, record and method gets inputs that Hypothesis draws from a seed;
-seed 36000 is the page's, and faults are looked for with others. They are usual arguments,
-of which one or two are replaced by others of the annotated type, or a part of which by
+the page's is 36000, and faults are looked for with others. They are usual arguments, of
+which one or two are replaced by others of the annotated type, or a part of which by
 anything; before, every argument in turn is each of some hundred odd values. So are
 tables, and study files and fits of which bytes, cells or keys are replaced. Foreign is
 an exception or warning that is not the package's own (but those of numbers that
