@@ -3,13 +3,13 @@
     python -m problems.benchmarks.fuzz [--inputs=N] [--seed=36000] [--folder=F] [ENTRY]
 
 Every public function, record and method gets inputs that Hypothesis draws from a seed;
-the page's is 36000, and faults are looked for with others. They are usual arguments, of
-which one or two are replaced by others of the annotated type, or a part of which by
-anything; before, every argument in turn is each of some hundred odd values. So are
-tables, and study files and fits of which bytes, cells or keys are replaced. Foreign is
-an exception or warning that is not the package's own (but those of numbers that
-overflow, and Python's of a call that lacks an argument); silent is an input that was
-taken with another meaning. The folder keeps what is done.
+pages take 36000 and more, and faults are looked for with others. They are usual
+arguments, of which one or two are replaced by others of the annotated type, or a part
+of which by anything; before, every argument in turn is each of some hundred odd values.
+So are tables, and study files and fits of which bytes, cells or keys are replaced.
+Foreign is an exception or warning that is not the package's own (but those of numbers
+that overflow, and Python's of a call that lacks an argument); silent is an input that
+was taken with another meaning. The folder keeps what is done.
 """
 
 import contextlib
@@ -263,6 +263,7 @@ def are_exact(given_arguments: Arguments, result: ph.Measurements) -> bool:
 
 # ---- texts and files -----------------------------------------------------------------
 
+QUOTED = re.compile(r'^"((?:[^"]|"")*)"')
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 EXAMPLE = Path(ph.__file__).parent / "study_file" / "examples" / "spring"
 STUDY = (EXAMPLE / "study.toml").read_bytes()
@@ -336,7 +337,8 @@ def cell_is_meant(cell: Any, result: ph.Measurements) -> bool:
         is_missing = expected is None or not math.isfinite(expected)
         is_near = math.isclose(expected or 0.0, number, rel_tol=1e-14)
         return math.isnan(number) if is_missing else is_near
-    bare = cell.strip().strip('"').strip()
+    # What follows a quoted part belongs to the cell, as in every reader of CSV.
+    bare = QUOTED.sub(lambda one: one[1].replace('""', '"'), cell.strip()).strip()
     if math.isnan(number):
         return bare.lower() in ("", "nan", "na", "n/a")
     grouped = re.sub(r"(?<=\d)[,' \u00a0](?=\d{3})", "", bare)  # 1,000 with a point
