@@ -99,8 +99,8 @@ def shown(value: object) -> str:
 
     A table, an array or a model is not printed into a message.
     """
-    if isinstance(value, int) and abs(value) > 10**12:
-        return "a number beyond 10**12"
+    if isinstance(value, int) and abs(value) > 10**20:  # times in ns are shown
+        return "a number beyond 10**20"
     if isinstance(value, str) and len(value) > MOST_LETTERS:
         return repr(f"{value[: MOST_LETTERS - 5]}...")
     try:

@@ -133,6 +133,14 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     (lambda: ph.Measurements.from_csv("\ud800", time="t", states=["q"]), "file"),
     (lambda: read_of([]), "without a column"),
     (lambda: run_names_of([10**5000, 1]), "a name of a trajectory cannot be shown"),
+    (
+        lambda: ph.Measurements.from_dataframe(
+            pd.DataFrame({"t": [0.0, 1.0], "q": [1.0, "a"]}, index=[1, 10**5000]),
+            time="t",
+            states=["q"],
+        ),
+        "column 'q', row a number beyond",
+    ),
     (lambda: ph.Measurements(pd.DataFrame(), ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
     (lambda: ph.Measurements([], ["q"]), "expected at least one Trajectory"),  # type: ignore[arg-type]
     (lambda: ph.FirstOrder(iter("qp"), {}), "states=.*Write a list"),  # type: ignore[arg-type]

@@ -527,13 +527,13 @@ def _check_column(table: Table, column: Any, layout: Layout) -> None:
     n_found = found.count(column)
     if n_found > 1:
         raise DataError(
-            f"{table.title} has {n_found} columns called {column!r}; expected one. "
-            "Rename them so that it is clear which one is meant."
+            f"{table.title} has {n_found} columns called {shown(column)}; expected "
+            "one. Rename them so that it is clear which one is meant."
         )
     if layout.columns.count(column) > 1:
         raise DataError(
-            f"{table.title}: the column {column!r} is used twice; expected one column "
-            "per name. Choose another one."
+            f"{table.title}: the column {shown(column)} is used twice; expected one "
+            "column per name. Choose another one."
         )
 
 

@@ -83,12 +83,12 @@ class Table:
 
     def place(self, column: Any, i: int) -> str:
         """The words for the i-th cell of a column."""
-        return f"{self.title}, column {column!r}, {self.row(i)}:"
+        return f"{self.title}, column {shown(column)}, {self.row(i)}:"
 
     def row(self, i: int) -> str:
         """The words for the i-th row, such as "line 3"."""
         (label,) = self.frame.index[[i]].tolist()  # as a list: 3, not np.int64(3)
-        return f"{self.row_word} {label!r}"
+        return f"{self.row_word} {shown(label)}"
 
 
 def chosen_part(
@@ -107,7 +107,7 @@ def chosen_part(
     if may_be_several and name not in filled:
         name = None
     if name is not None:
-        require_known(name, known, f"{title} has no {word} {name!r}", DataError)
+        require_known(name, known, f"{title} has no {word} {shown(name)}", DataError)
     elif len(filled) > 1 and not may_be_several:
         raise DataError(
             f"{title} has several {word}s with content: {filled}. Choose one: "
@@ -116,7 +116,7 @@ def chosen_part(
     elif filled:
         name = filled[0]
     if name is None or name not in filled:
-        what = "is empty" if name is None else f"has an empty {word} {name!r}"
+        what = "is empty" if name is None else f"has an empty {word} {shown(name)}"
         raise DataError(
             f"{title} {what}; expected a header row and at least 2 rows of numbers."
         )

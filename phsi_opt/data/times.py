@@ -197,7 +197,7 @@ def _moments(table: Table, column: Any, date_format: str | None) -> list[Moment]
         moments.append(moment)
         if _kind(moment) != _kind(moments[0]):
             raise DataError(
-                f"{place} {cell!r} is {_kind(moment)}, and the first cell of the "
+                f"{place} {shown(cell)} is {_kind(moment)}, and the first cell of the "
                 f"column is {_kind(moments[0])}; expected the same kind in all cells."
             )
     return moments
@@ -250,11 +250,11 @@ def _refused(cell: Any, date_format: str | None) -> str:
         )
     if date_format is not None:
         return (
-            f"{cell!r} does not match date_format={date_format!r}. Correct the cell "
-            "or the format."
+            f"{shown(cell)} does not match date_format={date_format!r}. Correct the "
+            "cell or the format."
         )
     return (
-        f"{cell!r} is neither a number nor a date; expected such as '2021-11-22 "
+        f"{shown(cell)} is neither a number nor a date; expected such as '2021-11-22 "
         "09:15:00' or '2021-11-22 09:15:00+01:00' (names of time zones are not "
         'supported). For other dates set date_format: "%d.%m.%Y %H:%M:%S", or with the '
         'month first "%m/%d/%Y %H:%M:%S".'
@@ -271,8 +271,8 @@ def _start(start: Any, date_format: str | None, first: Moment) -> Moment:
     moment = _moment(start, date_format) or _moment(start, None)
     if moment is None or _kind(moment) != _kind(first):
         raise DataError(
-            f"start={start!r} is not {_kind(first)} like the times; expected a form "
-            f"such as {str(first)!r}."
+            f"start={shown(start)} is not {_kind(first)} like the times; expected a "
+            f"form such as {str(first)!r}."
         )
     return moment
 

@@ -55,6 +55,8 @@ from problems.benchmarks.fuzz_inputs import (
     each_odd,
     fitted,
     measured,
+    places,
+    replaced,
     spring,
     usual,
 )
@@ -181,11 +183,11 @@ def used(call: Callable[..., Any], arguments: Arguments) -> Any:
     return result
 
 
-def each_replaced(values: Arguments) -> Iterator[Arguments]:
-    """Usual arguments, each in turn replaced by every odd value."""
-    for name in values:
-        for odd in each_odd():
-            yield values | {name: odd}
+def each_replaced(values: Arguments, is_deep: bool) -> Iterator[Arguments]:
+    """Usual arguments, each in turn replaced by every odd value; or each part of them."""
+    for path in places(values):
+        for odd in each_odd() if is_deep or len(path) == 1 else ():
+            yield replaced(values, path, odd)
 
 
 def framed(columns: Any) -> Any:
@@ -392,7 +394,8 @@ def targets() -> dict[str, Target]:
         values, hints = arguments_of(name, call)
         if values:
             inputs = changed(values, hints=hints)
-            each = partial(each_replaced, values)
+            is_deep = SHARES.get(name, 1.0) >= 1  # others take long
+            each = partial(each_replaced, values, is_deep)
             found[name] = Target(inputs, partial(used, call), is_kept, each)
     saved = json.loads(json.dumps(fitted().content()))
     mat = io.BytesIO()
