@@ -184,7 +184,7 @@ def used(call: Callable[..., Any], arguments: Arguments) -> Any:
 
 
 def each_replaced(values: Arguments, is_deep: bool) -> Iterator[Arguments]:
-    """Usual arguments, each in turn replaced by every odd value; or each part of them."""
+    """Usual arguments, each in turn, or each part, replaced by every odd value."""
     for path in places(values):
         for odd in each_odd() if is_deep or len(path) == 1 else ():
             yield replaced(values, path, odd)
