@@ -60,7 +60,7 @@ def typed(call: Call, error: type[PhsiOptError] = ModelError) -> Call:
     @wraps(call)
     def checked(*args: Any, **words: Any) -> Any:
         given = dict(zip(names, args, strict=False)) | words
-        right = with_types(given, types_of(call), error)
+        right = checked_types(given, types_of(call), error)
         named = [right[name] for name in names[: len(args)]]
         words = {name: right[name] for name in words}
         return call(*named, *args[len(names) :], **words)
@@ -68,7 +68,7 @@ def typed(call: Call, error: type[PhsiOptError] = ModelError) -> Call:
     return checked  # type: ignore[return-value]
 
 
-def with_types(
+def checked_types(
     given: Mapping[str, Any],
     types: Mapping[str, Any],
     error: type[PhsiOptError] = ModelError,
@@ -88,10 +88,10 @@ def with_types(
 
 
 def as_list(value: Any) -> Any:
-    """A list of what is a collection with an order, such as an index or a view."""
-    without_order = str | bytes | Mapping | set | frozenset
-    is_listed = isinstance(value, Collection) and np.iterable(value)
-    return value if isinstance(value, without_order) or not is_listed else list(value)
+    """A collection with an order, such as an index, as a list; others as they are."""
+    is_other = isinstance(value, str | bytes | Mapping | set | frozenset)
+    is_listed = isinstance(value, Collection) and np.iterable(value) and not is_other
+    return list(value) if is_listed else value
 
 
 def is_of(value: Any, hint: Any) -> bool:

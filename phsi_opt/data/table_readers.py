@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 
 import numpy as np
 
-from phsi_opt.arguments import is_size, require_known, types_of, with_types
+from phsi_opt.arguments import checked_types, is_size, require_known, types_of
 from phsi_opt.data.checks import Hold, check_unique, checked_names
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import BinarySource, Source, opened_files
@@ -390,7 +390,7 @@ def columns_in(column: Any) -> list[Any]:
 
 
 def _layout(words: TableWords) -> Layout:
-    right = with_types(words, types_of(TableWords), DataError)
+    right = checked_types(words, types_of(TableWords), DataError)
     others = ("units", "noise")
     return Layout(**{name: one for name, one in right.items() if name not in others})
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.arguments import types_of, with_types
+from phsi_opt.arguments import checked_types, types_of
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.table_extent import (
     WORD,
@@ -52,7 +52,7 @@ class TextFormat:
     units_row: int | None = None  # the row of the units; 0: there is none
 
     def __post_init__(self) -> None:
-        with_types(vars(self), types_of(TextFormat), DataError)
+        checked_types(vars(self), types_of(TextFormat), DataError)
         columns = self.columns
         if columns is not None and not (len(columns) and all(columns)):
             raise DataError(f"columns={shown(columns)} lacks names; expected one each.")

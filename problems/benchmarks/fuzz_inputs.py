@@ -77,7 +77,7 @@ class Unshown:
 
 
 def each_odd() -> Iterator[Any]:
-    """Every odd value that is not drawn."""
+    """The odd values that are listed above, each of them once."""
     yield from (*NUMBERS, *TEXTS)
     yield from map(eval, OTHERS, repeat(globals()))
 
