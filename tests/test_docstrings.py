@@ -172,7 +172,6 @@ def for_users() -> list[Documented]:
     """What users see, each with the methods of its class."""
     exported = [f"{module}.{name}" for name, module in phsi_opt.MODULES.items()]
     exported += ["phsi_opt.baselines", "phsi_opt.learning.hybrid"]
-    exported += ["phsi_opt.learning.learned_force"]
     found = []
     for one in documented():
         if any(f"{one.name}.".startswith(f"{name}.") for name in exported):

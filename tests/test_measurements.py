@@ -103,58 +103,6 @@ def test_masked_entries_are_missing_samples() -> None:
     np.testing.assert_array_equal(data.trajectories[0].x, [[1], [np.nan], [3]])
 
 
-def pairs(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, ...]:
-    return x[:-1], x[1:], t[:-1], t[1:]
-
-
-def test_consecutive_pairs_that_share_their_sample_join() -> None:
-    rng = np.random.default_rng(1)
-    t, x = np.cumsum(rng.uniform(0.1, 1, 9)), rng.normal(size=(9, 2))
-    x[4, 1] = np.nan  # a sample that was not measured is shared too
-    keep = np.array([0, 1, 2, 4, 5, 6, 7])  # pair 3 is lost: two trajectories
-    data = ph.Measurements.from_pairs(*(array[keep] for array in pairs(x, t)))
-    assert data.states == ("x1", "x2")
-    assert [run.name for run in data] == ["run 1", "run 2"]
-    np.testing.assert_array_equal(data.trajectories[0].x, x[:4])
-    np.testing.assert_array_equal(data.trajectories[1].x, x[4:])
-    np.testing.assert_array_equal(data.trajectories[1].t, t[4:])
-
-
-def test_a_jump_separates_pairs_unless_it_is_of_a_held_input() -> None:
-    noisy = ph.Measurements.from_pairs([1.0, 2.0], [2.1, 3.0], [0, 1], [1, 2])
-    assert [run.n_samples for run in noisy] == [2, 2]
-    x0, x1, t0, t1, u = [1.0, 2.0], [2.0, 3.0], [0, 1], [1, 2], [5.0, 6.0]
-    linear = ph.Measurements.from_pairs(x0, x1, t0, t1, u_start=u, u_end=u)
-    assert [run.n_samples for run in linear] == [2, 2]
-    for u_end in (u, None):
-        held = ph.Measurements.from_pairs(
-            x0, x1, t0, t1, u_start=u, u_end=u_end, hold="zero", inputs=["force"]
-        )
-        assert held.inputs == ("force",)
-        np.testing.assert_array_equal(held.trajectories[0].u, [[5], [6], [6]])
-
-
-@pytest.mark.parametrize(("changes", "message"), [
-    ({"x_end": [[1.0]]}, r"x_start has the shape \(2, 1\) and x_end \(1, 1\); expected the same shape"),
-    ({"t_start": [0], "t_end": [1]}, "lengths differ: .*'x_start': 2, 't_start': 1.*one row per pair"),
-    ({"t_end": [1, 1]}, r"pair 1: t_end\[1\]=1.0 is not after t_start\[1\]=1.0"),
-    ({"u_start": [1, 2]}, "only one of u_start and u_end is given.*hold='zero'"),
-    ({"u_end": [1, 2], "hold": "zero"}, "only one of u_start and u_end"),
-    ({"states": ["a", "b"]}, r"has 1 state column; expected 2, one for each of \['a', 'b'\]"),
-    ({"x_start": ["a", "b"]}, "x_start has the type"),
-    ({"x_start": [], "x_end": [], "t_start": [], "t_end": []}, "there are no pairs"),
-])  # fmt: skip
-def test_pairs_that_cannot_be_used_are_refused(changes, message) -> None:
-    good: dict[str, Any] = {
-        "x_start": [1.0, 2.0],
-        "x_end": [2.0, 3.0],
-        "t_start": [0, 1],
-        "t_end": [1, 2],
-    }
-    with pytest.raises(ph.DataError, match=message):
-        ph.Measurements.from_pairs(**(good | changes))
-
-
 @pytest.mark.parametrize(("changes", "message"), [
     ({"t": [0, 2, 1]}, r"trajectory 'run 1': t\[2\]=1.0 is not after t\[1\]=2.0; .*Sort the samples or drop"),
     ({"t": [0, np.nan, 1]}, r"trajectory 'run 1': t\[1\] is nan"),

@@ -13,7 +13,7 @@ from problems.thesis import comparison, figures, grids, questions
 from problems.thesis.methods import solver
 from problems.thesis.runs import Run, done, medians, table
 from problems.thesis.scores import free_run, phsi_loss, rates, score
-from problems.thesis.systems import SYSTEMS, leak
+from problems.thesis.systems import SYSTEMS, joined_steps, leak
 from problems.tools import provenance
 
 # --- the systems and their scores
@@ -47,6 +47,17 @@ def test_clean_data_give_every_coefficient_to_1e_4_and_the_exact_support(
     assert s.relative < 1e-4
     assert phsi_loss(fit, data) == pytest.approx(fit.loss_value, rel=1e-6, abs=1e-16)
     assert free_run(fit, *system.tests(10)).mean() < 1e-4
+
+
+def test_steps_that_share_their_sample_join() -> None:
+    rng = np.random.default_rng(1)
+    t, x = np.cumsum(rng.uniform(0.1, 1, 9)), rng.normal(size=(9, 2))
+    keep = np.array([0, 1, 2, 4, 5, 6, 7])  # step 3 is lost: two trajectories
+    steps = (x[:-1][keep], x[1:][keep], t[:-1][keep], t[1:][keep])
+    first, second = joined_steps(*steps, ["q", "p"])
+    np.testing.assert_array_equal(first.x, x[:4])
+    np.testing.assert_array_equal(second.x, x[4:])
+    np.testing.assert_array_equal(second.t, t[4:])
 
 
 def test_the_score_counts_missed_and_spurious_terms() -> None:

@@ -66,10 +66,6 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(tmp_path) ->
     assert np.array_equal(measured(NANOSECONDS).trajectories[0].t, expected)
     two = measured([NANOSECONDS, NANOSECONDS + 7], [X, X])
     assert np.array_equal(two.trajectories[1].t, expected + 7)
-    pairs = ph.Measurements.from_pairs(
-        X[:-1], X[1:], NANOSECONDS[:-1], NANOSECONDS[1:], states=["q", "p"]
-    )
-    assert np.array_equal(pairs.trajectories[0].t, expected)
     path = tmp_path / "record.csv"
     rows = zip(NANOSECONDS, X[:, 0], strict=True)
     path.write_text("ns,q\n" + "".join(f"{t},{q}\n" for t, q in rows))

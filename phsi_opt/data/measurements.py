@@ -35,7 +35,6 @@ from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
     checked_trajectories,
-    joined_pairs,
     part_of,
     trajectories_in_arrays,
 )
@@ -75,8 +74,7 @@ def worked_out_once(make: Derived[Arguments]) -> Derived[Arguments]:
 class Measurements(TableReaders, Summarised):
     """Several trajectories of the same channels, with names, units and noise levels.
 
-    Created by `from_csv`, `from_excel`, `from_mat`, `from_dataframe`, `from_arrays` or
-    `from_pairs`.
+    Created by `from_csv`, `from_excel`, `from_mat`, `from_dataframe` or `from_arrays`.
 
     Attributes:
         trajectories: At least one `Trajectory`; their names differ.
@@ -160,53 +158,6 @@ class Measurements(TableReaders, Summarised):
             inputs = numbered_names("u", trajectories[0].u.shape[1])
         units = {} if units is None else units
         return cls(trajectories, tuple(states), tuple(inputs), units, hold, noise)
-
-    @classmethod
-    @partial(typed, error=DataError)
-    def from_pairs(
-        cls,
-        x_start: Any,
-        x_end: Any,
-        t_start: Any,
-        t_end: Any,
-        *,
-        states: Sequence[str] | None = None,
-        u_start: Any = None,
-        u_end: Any = None,
-        inputs: Sequence[str] | None = None,
-        hold: Hold = "linear",
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-    ) -> Self:
-        """From integration steps, each given by its start and its end.
-
-        A pair which starts exactly where the pair before it ended (same time, same
-        state, same input) continues its trajectory; any other pair starts a new one.
-        With hold="zero" the input at the end of a pair has no influence: it is not
-        compared, and ``u_end`` may be omitted.
-
-        Args:
-            x_start: States at the starts, (n_pairs, n_states); a single state may be
-                (n_pairs,).
-            x_end: States at the ends, the same shape.
-            t_start: Times of the starts, (n_pairs,).
-            t_end: Times of the ends, (n_pairs,).
-            states: The names of the states, x1, x2, ... where none are given.
-            u_start: Inputs at the starts, (n_pairs, n_inputs).
-            u_end: Inputs at the ends, the same shape.
-            inputs: The names of the inputs, u1, u2, ... where none are given.
-            hold, units, noise: As the attributes of `Measurements`.
-
-        Raises:
-            DataError: Something cannot be used.
-        """
-        t, x, u = joined_pairs(
-            (t_start, t_end), (x_start, x_end), (u_start, u_end), inputs, hold
-        )
-        if states is None:
-            states = numbered_names("x", x[0].shape[1])
-        options: dict[str, Any] = {"hold": hold, "units": units, "noise": noise}
-        return cls.from_arrays(t, x, u, states=states, inputs=inputs, **options)
 
     @property
     def n_states(self) -> int:

@@ -13,13 +13,10 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.checks import (
-    Hold,
     check_same_length,
     check_unique,
     check_values,
-    checked_names,
     from_first,
-    hold_of_each,
     numbered_names,
     read_only_floats,
 )
@@ -258,74 +255,3 @@ def trajectories_in_arrays(
         Trajectory(name, from_first(t_run, t[0]), x_run, u_run)
         for name, t_run, x_run, u_run in zip(names, t, x, u, strict=True)
     )
-
-
-Pair = tuple[Any, Any]  # one quantity at the starts and at the ends of all pairs
-
-
-def joined_pairs(
-    t: Pair, x: Pair, u: Pair, inputs: Sequence[str] | None, hold: Hold
-) -> tuple[list[np.ndarray], ...]:
-    """Times, states and inputs of the trajectories that pairs make, in their order.
-
-    A pair continues the pair before it if it starts at the same time, state and input;
-    two values that were not measured are the same. A held input ("zero") acts on
-    nothing at the end of a pair: it is not compared, and may be None if all are held.
-
-    Raises:
-        DataError: the arrays cannot be used, or a pair does not go forward.
-    """
-    if u[0] is None and u[1] is None:
-        u = (np.empty((len(read_only_floats(t[0], 1, "t_start")), 0)),) * 2
-    n_inputs = 1 if u[0] is None else read_only_floats(u[0], 2, "u_start").shape[1]
-    names = checked_names(inputs or numbered_names("u", n_inputs), "inputs")
-    is_held = hold_of_each(hold, names) == "zero"
-    if u[1] is None and is_held.all():
-        u = (u[0], u[0])
-    if u[0] is None or u[1] is None:
-        raise DataError(
-            "only one of u_start and u_end is given; expected both. "
-            "If u keeps its value: hold='zero'."
-        )
-    times = (from_first(t[0], t[0]), from_first(t[1], t[0]))
-    starts: dict[str, np.ndarray] = {}
-    ends: dict[str, np.ndarray] = {}
-    for label, values, n_axes in (("x", x, 2), ("t", times, 1), ("u", u, 2)):
-        start, end = f"{label}_start", f"{label}_end"
-        starts[start] = read_only_floats(values[0], n_axes, start)
-        ends[end] = read_only_floats(values[1], n_axes, end)
-        shapes = starts[start].shape, ends[end].shape
-        if shapes[0] != shapes[1]:
-            raise DataError(
-                f"{start} has the shape {shapes[0]} and {end} {shapes[1]}; "
-                "expected the same shape."
-            )
-    check_same_length(starts, "one row per pair")
-    _check_forward(starts["t_start"], ends["t_end"])
-    first, last = (np.column_stack(list(side.values())) for side in (starts, ends))
-    is_missing = np.isnan(first[1:]) & np.isnan(last[:-1])
-    same = (first[1:] == last[:-1]) | is_missing
-    if n_inputs == len(names):  # else refused with the names
-        same[:, same.shape[1] - n_inputs :] |= is_held
-    begins = np.flatnonzero(~same.all(axis=1)) + 1
-    runs = np.split(np.arange(len(first)), begins)
-    samples = [np.vstack([first[rows], last[rows[-1:]]]) for rows in runs]
-    k = starts["x_start"].shape[1]
-    parts = (k, slice(k), slice(k + 1, None))  # times, states, inputs
-    return tuple([run[:, columns] for run in samples] for columns in parts)
-
-
-def _check_forward(t: np.ndarray, t_end: np.ndarray) -> None:
-    """Refuse pairs that do not go forward in time, or none at all."""
-    if not len(t):
-        raise DataError(
-            "there are no pairs; expected at least one row in x_start and t_start."
-        )
-    check_values(t, "t_start[{}]".format, may_be_missing=False)
-    check_values(t_end, "t_end[{}]".format, may_be_missing=False)
-    for k in np.flatnonzero(t_end <= t)[:1]:
-        raise DataError(
-            f"pair {k}: t_end[{k}]={float(t_end[k])} is not after "
-            f"t_start[{k}]={float(t[k])}; each pair must go forward in time. "
-            "Exchange the two ends or drop the pair."
-        )

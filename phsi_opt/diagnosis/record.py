@@ -14,7 +14,6 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
-from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import Answer
 from phsi_opt.presentation.summary import (
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from phsi_opt.learning.learned_force import LearnedForce
 
 CANDIDATE_COLUMNS = [
     *("effect", "slot", "equation", "coefficient", "std_error", "unit", "log_bayes"),
@@ -207,35 +204,6 @@ class Diagnosis(Summarised):
                 if first is not None and other is not None:
                     return separating(first, other, self.data, self.estimate.sigma)
         return None
-
-    def learned_force(
-        self,
-        equation: str | None = None,
-        on: Sequence[str] | None = None,
-        seed: int = 0,
-    ) -> "LearnedForce":
-        """A temporary replacement if no effect fits: a network for the missing force.
-
-        Args:
-            equation: default: the one whose missing force is strongest.
-            on: variables of the force; default: the variable on which it depends most.
-            seed: of the network's first weights.
-
-        Raises:
-            ModelError: a name is unknown, the equation is one of kinematics, or torch
-                is not installed.
-            DataError: the record is too short to learn from.
-            SolveError: the parameters could not be estimated together with the force.
-        """
-        from phsi_opt.learning.learned_force import learned_force
-
-        equation = equation or str(self.where["equation"].iloc[0])
-        if on is None:
-            best = leading(self.follows, equation)
-            on = self.fit.model.states
-            if best is not None:
-                on = str(best["variable"]).split(", ")
-        return learned_force(self.record, equation=equation, on=list(on), seed=seed)
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw the missing force along one trajectory, with two standard deviations.

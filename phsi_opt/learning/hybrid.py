@@ -61,7 +61,7 @@ __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 # By then the network has taken its part, and what is small is small beside it.
 FIRST_PRUNED_TURN = 2
 SETTLED = 1e-3  # relative change of a coefficient below which it does not move
-FORMAT = "phsi_opt hybrid 2"
+FORMAT = "phsi_opt hybrid 3"
 SIGNAL = "network_signal_"  # the inputs that stand for the force begin so
 STEP_SHARE = f"{SIGNAL}share"  # of the step
 

@@ -19,13 +19,13 @@ from phsi_opt.learning.network import (
     begin_at,
     layers_of,
     range_of,
-    torch_for,
+    torch_with,
     trainable,
 )
 from phsi_opt.model.model import Model
 
 TIME_NAME = "t"  # of the time among the variables
-UNTRAINED = Network(np.zeros(0), np.zeros(0), np.zeros((2, 0)), "relu")
+UNTRAINED = Network(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
 # Share of the left-out error by which a further training may raise it. Noise in the
 # tanks raises it by up to 0.03; strong weight decay takes the force of exact data, or
 # one of two variables, away by 8 to 240 times.
@@ -193,12 +193,12 @@ def train(
     visited = v.reshape(-1, v.shape[-1])
     network = before.network
     if not network.layers:
-        network = Network.scaled(visited, network.activation)
+        network = Network.scaled(visited)
     network = replace(network, seen=range_of(visited))
     scale = np.maximum(np.sqrt(np.mean(data.target**2, axis=0)), LEAST_SIZE)
-    with torch_for("a neural force", seed) as torch:
+    with torch_with(seed) as torch:
         sizes = [v.shape[-1], *settings.hidden, len(scale)]
-        net = trainable(sizes, network.activation)
+        net = trainable(sizes)
         if network.layers:
             *hidden, (weights, bias) = network.layers
             begin_at(net, (*hidden, (weights / scale[:, None], bias / scale)))

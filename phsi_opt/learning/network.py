@@ -1,8 +1,8 @@
-"""Networks that stand for a force: their values, and what their training shares.
+"""A network of ReLU layers as a force: its values, its output layer, and torch.
 
 Once trained, a network is a list of matrices and needs no torch. torch is imported
-inside the functions that train. Output layers are found by ridge regression, whose
-weight is chosen by the prediction of what was left out.
+inside the functions that train. The output layer is found by ridge regression, whose
+weight is chosen by the prediction of folds of the data that were left out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,14 +38,13 @@ class Network:
     shift: np.ndarray
     spread: np.ndarray
     seen: np.ndarray  # (2, n_variables), least and largest value in training
-    activation: str  # of the hidden layers, 'relu' or 'tanh'
     layers: Layers = ()  # the hidden ones, and the output
 
     @classmethod
-    def scaled(cls, v: np.ndarray, activation: str) -> "Network":
+    def scaled(cls, v: np.ndarray) -> "Network":
         """Without layers, for values (n, n_variables) of its variables."""
         spread = np.maximum(v.std(axis=0), LEAST_SIZE)
-        return cls(v.mean(axis=0), spread, range_of(v), activation)
+        return cls(v.mean(axis=0), spread, range_of(v))
 
     def standardized(self, v: np.ndarray) -> np.ndarray:
         """What the first layer is given at values (n, n_variables)."""
@@ -55,8 +54,7 @@ class Network:
         """Output of the last hidden layer, (n, n_features), at v (n, n_variables)."""
         z = self.standardized(v)
         for weights, bias in self.layers[:-1]:
-            z = z @ weights.T + bias
-            z = np.tanh(z) if self.activation == "tanh" else np.maximum(z, 0.0)
+            z = np.maximum(z @ weights.T + bias, 0.0)
         return z
 
     def at(self, v: np.ndarray) -> np.ndarray:
@@ -89,19 +87,7 @@ def range_of(v: np.ndarray) -> np.ndarray:
     return np.stack([v.min(axis=0), v.max(axis=0)])
 
 
-# ---- output layers by ridge regression -----------------------------------------------
-
-
-def ridge_solutions(
-    normal: np.ndarray, ridge: np.ndarray, weights: np.ndarray = RIDGE_WEIGHTS
-) -> Iterator[np.ndarray]:
-    """Coefficients (k,) of a regression for each weight of its ridge, (n_weights,).
-
-    By its `normal_equations` and the ridge (k, k).
-    """
-    for weight in weights:
-        regularized = normal[:, :-1] + weight * ridge
-        yield np.linalg.lstsq(regularized, normal[:, -1], rcond=SINGULAR)[0]
+# ---- the output layer by ridge regression --------------------------------------------
 
 
 def cross_validated_ridge(
@@ -120,22 +106,28 @@ def cross_validated_ridge(
     normals = [normal_equations(*part) for part in parts]
     normal = sum(normals[1:], normals[0])
     ridge = np.diag(ridged * np.mean(np.diag(normal)[ridged]))
+
+    def solution(equations: np.ndarray, weight: float) -> np.ndarray:
+        regularized = equations[:, :-1] + weight * ridge
+        return np.linalg.lstsq(regularized, equations[:, -1], rcond=SINGULAR)[0]
+
     errors = np.zeros((len(RIDGE_WEIGHTS), N_FOLDS))
     for fold, (of_fold, target) in enumerate(parts):
-        for place, z in enumerate(ridge_solutions(normal - normals[fold], ridge)):
+        for place, weight in enumerate(RIDGE_WEIGHTS):
+            z = solution(normal - normals[fold], weight)
             errors[place, fold] = np.sum((target - of_fold @ z) ** 2)
     more = errors - errors[np.argmin(errors.sum(axis=1))]
     standard_error = more.std(axis=1, ddof=1) / np.sqrt(N_FOLDS)
     good = np.flatnonzero(more.mean(axis=1) <= standard_error)
-    return next(ridge_solutions(normal, ridge, RIDGE_WEIGHTS[good[-1:]]))
+    return solution(normal, RIDGE_WEIGHTS[good[-1]])
 
 
 # ---- in torch ------------------------------------------------------------------------
 
 
 @contextmanager
-def torch_for(what: str, seed: int) -> Iterator[Any]:
-    """Torch with one thread, and random numbers of its own, for what is trained.
+def torch_with(seed: int) -> Iterator[Any]:
+    """Torch with one thread and its own random numbers, for a training.
 
     Raises:
         ModelError: torch is not installed.
@@ -144,14 +136,14 @@ def torch_for(what: str, seed: int) -> Iterator[Any]:
         import torch
     except ImportError:
         raise ModelError(
-            f"{what} needs torch: pip install 'phsi_opt[neural]'."
+            "a neural force needs torch: pip install 'phsi_opt[neural]'."
         ) from None
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         yield torch
 
 
-def trainable(sizes: Sequence[int], activation: str) -> Any:
+def trainable(sizes: Sequence[int]) -> Any:
     """Layers of these sizes in torch, the first that of the variables.
 
     Weights and biases are drawn evenly within +-1 over the root of the inputs' number.
@@ -161,7 +153,7 @@ def trainable(sizes: Sequence[int], activation: str) -> Any:
     parts: list[Any] = []
     for n_in, n_out in pairwise(sizes):
         parts.append(nn.Linear(n_in, n_out, dtype=float64))
-        parts.append(nn.Tanh() if activation == "tanh" else nn.ReLU())
+        parts.append(nn.ReLU())
     return nn.Sequential(*parts[:-1])
 
 

@@ -17,18 +17,14 @@ from functools import cached_property
 
 import numpy as np
 
-from phsi_opt.estimation.record import Record
-from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     OptimalitySystem,
 )
-from phsi_opt.screening.weighing import SCHEME, EvidenceRecord
+from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.sensors import outputs
 
@@ -43,23 +39,6 @@ class LinearizedRecord:
     states: np.ndarray  # (n_nodes, n_states) where it was linearised
     likelihood: MarginalLikelihood  # of the record there
     disturbances: Disturbances  # noise and forces, with their sizes
-
-    @classmethod
-    def of(cls, record: Record) -> "LinearizedRecord":
-        """With the dynamics hard, at the states of a record's missing force."""
-        estimate = record.estimate
-        model = record.model.with_values(estimate.rounded)
-        unknown = Theta.of(model, record.trajectories)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = record.theta
-        point = point_at(model, estimate.grid, unknown, theta, estimate.x)
-        values = LikelihoodValues(model, estimate.grid, SCHEME, point, unknown)
-        linear = Linearizer(values).at(point.scaled)
-        sigma = np.tile(estimate.sigma, (len(record.trajectories), 1))
-        noise = Disturbances(sigma)
-        moving = np.arange(len(theta))
-        likelihood = MarginalLikelihood(linear, noise, moving)
-        return cls(model, unknown, theta, estimate.x, likelihood, noise)
 
     @classmethod
     def beside_force(cls, record: EvidenceRecord) -> "LinearizedRecord":

@@ -15,7 +15,7 @@ data are what its results were made from (docs/thesis.md lists every choice).
 `System.thesis_data` reads the data of the thesis where they are present.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -161,7 +161,7 @@ class System:
                 stored["t_start"],
                 stored["t_end"],
             )
-            return ph.Measurements.from_pairs(*pairs, states=self.states)
+        return joined_steps(*pairs, self.states)
 
     def training_data(self, kind: str) -> ph.Measurements:
         """`thesis_data` where they are present, else one draw per ``kind``."""
@@ -198,6 +198,27 @@ class System:
         rng = np.random.default_rng(seed)
         t = np.linspace(0.0, self.test_time, 101)
         return t, np.array([self.solve(self.start(rng), t) for _ in range(n)])
+
+
+def joined_steps(
+    x_start: Vector,
+    x_end: Vector,
+    t_start: Vector,
+    t_end: Vector,
+    states: Sequence[str],
+) -> ph.Measurements:
+    """The trajectories of integration steps, (n_steps, n_states) and (n_steps,).
+
+    A step that starts exactly at the end of the step before it continues its
+    trajectory; any other step starts a new one.
+    """
+    starts = np.column_stack([t_start, x_start])
+    ends = np.column_stack([t_end, x_end])
+    is_new = np.any(starts[1:] != ends[:-1], axis=1)
+    runs = np.split(np.arange(len(starts)), np.flatnonzero(is_new) + 1)
+    samples = [np.vstack([starts[rows], ends[rows[-1:]]]) for rows in runs]
+    t, x = [run[:, 0] for run in samples], [run[:, 1:] for run in samples]
+    return ph.Measurements.from_arrays(t, x, states=states)
 
 
 def thesis_data_present() -> bool:
