@@ -12,7 +12,6 @@ import pytest
 import torch
 
 import phsi_opt as ph
-from phsi_opt.baselines.descent import Adam
 from phsi_opt.baselines.gradient_descent import (
     Descent,
     DescentRun,
@@ -172,19 +171,6 @@ def test_the_starts_are_those_of_the_thesis() -> None:
 
 
 # ---- the descent ---------------------------------------------------------------------
-
-
-def test_adam_takes_the_steps_of_torchs_adam() -> None:
-    start = torch.tensor(np.random.default_rng(0).normal(size=5))
-    mine, theirs = start.clone().requires_grad_(), start.clone().requires_grad_()
-    adam = Adam([mine], 0.01)
-    reference = torch.optim.Adam([theirs], lr=0.02, weight_decay=0.01)
-    for _ in range(20):
-        adam.step(torch.autograd.grad((mine**4).sum(), mine), 0.02)
-        reference.zero_grad()
-        (theirs**4).sum().backward()
-        reference.step()
-    np.testing.assert_allclose(mine.detach(), theirs.detach(), rtol=1e-12)
 
 
 def test_clean_data_give_the_true_terms_and_coefficients() -> None:

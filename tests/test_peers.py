@@ -17,6 +17,7 @@ from problems.peers.joint_force import JointForce
 from problems.peers.phnn import NetworkDescent, _Networks, phnn
 from problems.peers.sindy import lasso, regressions, sindy
 from problems.peers.ssinn import SymplecticDescent, _Flow, separable
+from problems.peers.torch_networks import parameters_of
 from problems.peers.torch_steps import Steps
 from problems.thesis.joint_descent import _JointRun, joint_descent
 from problems.thesis.systems import SYSTEMS
@@ -147,7 +148,8 @@ def test_the_gradient_beside_a_neural_force_is_that_of_differences() -> None:
     data = ph.Measurements.from_arrays(ts, xs, us, states=["q", "p"], inputs=["u"])
     force = JointForce(("q", "p"), ("q", "u", "t"), hidden=(5, 4), penalty=0.3)
     run = _JointRun(model, data, Descent(), 3, None, force)
-    assert_gradient(lambda: run.loss(run.tables), run.parameters)
+    trained = [run.theta, *parameters_of(run.layers)]
+    assert_gradient(lambda: run.loss(run.tables), trained)
 
 
 def test_without_force_and_damping_a_network_keeps_its_energy() -> None:

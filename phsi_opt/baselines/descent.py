@@ -1,4 +1,4 @@
-"""Settings of a descent, and Adam in shuffled batches (thesis Algorithm 6).
+"""Settings of a descent, and the descent in shuffled batches (thesis Algorithm 6).
 
 It knows a loss of the tables of a batch, and nothing of models. The settings are made
 without torch, which is imported for the first step.
@@ -6,7 +6,7 @@ without torch, which is imported for the first step.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import cos, pi, sqrt
+from math import cos, pi
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,8 +28,7 @@ from phsi_opt.transcription.losses import l1_weights
 if TYPE_CHECKING:
     import pandas as pd
     from torch import Generator, Tensor
-
-Step = Callable[[Sequence["Tensor"], float], None]  # down gradients, at a learning rate
+    from torch.optim import Optimizer
 
 STARTS = ("thesis", "normal", "model")
 DECAYS = ("none", "cosine")
@@ -52,8 +51,7 @@ class Descent:
             ``prune_every``); None begins with the first ``prune_every``.
         threshold: least magnitude of a coefficient that stays.
         prune_slots: slots in which terms are pruned.
-        weight_decay: added to the gradient as weight_decay * parameter, as Adam of
-            torch does.
+        weight_decay: added to the gradient as weight_decay * parameter.
         l1: lambda of ``|xi|`` per slot, such as {"H": 0.1, "F": 0.01}.
         l1_off_after: share of the epochs after which that of H is off (the thesis'
             code: half); None keeps it.
@@ -130,51 +128,6 @@ def check_descent(settings: Any) -> None:
 # ---- the descent -------------------------------------------------------------------
 
 
-class Adam:
-    """Adam (Kingma and Ba 2015), with the steps of torch's.
-
-    Vectors are short here: with torch's own a descent takes 1.4 times as long, and 3 s
-    more to load.
-
-    Args:
-        parameters: tensors that require a gradient; they are moved in place.
-        weight_decay: added to the gradient as weight_decay * parameter.
-        relative: learning rates of the tensors, in units of the common one; None: 1.
-    """
-
-    def __init__(
-        self,
-        parameters: Sequence["Tensor"],
-        weight_decay: float = 0.0,
-        relative: Sequence[float] | None = None,
-    ) -> None:
-        self.raw = [one.detach() for one in parameters]
-        self.weight_decay = weight_decay
-        self.relative = relative or [1.0] * len(parameters)
-        self.means = [one.new_zeros(one.shape) for one in self.raw]
-        self.squares = [one.new_zeros(one.shape) for one in self.raw]
-        self.steps = 0
-
-    def step(self, gradients: Sequence["Tensor"], rate: float) -> None:
-        """One step down the gradients, which are used up."""
-        self.steps += 1
-        # Decay of the means of the gradient and of its square, as in the paper.
-        first = 0.9
-        second = 0.999
-        towards = -rate / (1 - first**self.steps)
-        unbiased = 1 / sqrt(1 - second**self.steps)
-        for raw, gradient, mean, square, relative in zip(
-            self.raw, gradients, self.means, self.squares, self.relative, strict=True
-        ):
-            if self.weight_decay:
-                gradient.add_(raw, alpha=self.weight_decay)
-            mean.lerp_(gradient, 1 - first)
-            square.mul_(second)
-            square.addcmul_(gradient, gradient, value=1 - second)
-            size = square.sqrt().mul_(unbiased).add_(1e-8)
-            raw.addcdiv_(mean, size, value=towards * relative)
-
-
 def batches(
     tables: Sequence["Tensor"], size: int, generator: "Generator"
 ) -> Iterator[tuple["Tensor", ...]]:
@@ -186,8 +139,7 @@ def batches(
 
 
 def descend(
-    parameters: Sequence["Tensor"],
-    step: Step,
+    optimizer: "Optimizer",
     loss: Callable[[Sequence["Tensor"]], "Tensor"],
     tables: Sequence["Tensor"],
     settings: Any,
@@ -199,8 +151,8 @@ def descend(
     """Descend in shuffled batches (thesis Algorithm 6).
 
     Args:
-        parameters: of the loss.
-        step: such as `Adam.step`; it moves the parameters.
+        optimizer: of the parameters of the loss. A group of them may have its own
+            ``rate``, a factor on the learning rate.
         loss: of the tables of a batch.
         tables: the data, the intervals along the first axis.
         settings: its ``epochs``, the size of a ``batch``, and the learning ``rate`` by
@@ -216,19 +168,21 @@ def descend(
     Raises:
         SolveError: when the loss is no longer finite.
     """
-    import torch
-
-    n_terms = sum(one.numel() for one in parameters)
+    groups = optimizer.param_groups
+    n_terms = sum(one.numel() for group in groups for one in group["params"])
     history = []
     for epoch in range(1, settings.epochs + 1):
         rate = settings.rate(epoch)
+        for group in groups:
+            group["lr"] = rate * group.get("rate", 1.0)
         values = []
         for batch in batches(tables, settings.batch, generator):
+            optimizer.zero_grad()
             value = loss(batch)
-            slopes = torch.autograd.grad(value, parameters, materialize_grads=True)
-            step(slopes, rate)
-            values.append(value.detach())
-        mean = float(torch.stack(values).to(torch.float64).mean())
+            value.backward()
+            optimizer.step()
+            values.append(value.item())
+        mean = float(np.mean(values))
         if not np.isfinite(mean):
             raise SolveError(
                 f"the loss is {mean} in epoch {epoch}: gradient descent has diverged. "

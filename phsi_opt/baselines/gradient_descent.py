@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Descent, descend
+from phsi_opt.baselines.descent import Descent, descend
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
@@ -79,10 +79,6 @@ def gradient_descent(
 class DescentRun:
     """One descent: its parameters, their bounds, and what was pruned.
 
-    A subclass may train more than the dictionary (`further`, `optimizer`, `loss`,
-    `defects`), prune by another rule (`weak`), or look on after each epoch
-    (`after_epoch`).
-
     Args:
         model: whose parameters are sought.
         data: every state measured.
@@ -114,16 +110,10 @@ class DescentRun:
         self.theta = torch.tensor(start, dtype=self.dtype, requires_grad=True)
         self._set_bounds()
         self.l1 = self._l1(epoch=1)
-        self.parameters = [self.theta, *self.further()]
-        self.adam = self.optimizer()
-
-    def further(self) -> list[Tensor]:
-        """What is trained beside theta."""
-        return []
-
-    def optimizer(self) -> Adam:
-        """Adam on all parameters."""
-        return Adam(self.parameters, self.settings.weight_decay)
+        decay = settings.weight_decay
+        self.adam = torch.optim.Adam([self.theta], weight_decay=decay)
+        self.adam.register_step_pre_hook(lambda *_: self._add_slope_of_l1())
+        self.adam.register_step_post_hook(lambda *_: self._keep_bounds())
 
     def loss(self, tables: Sequence[Tensor]) -> Tensor:
         """The loss of a batch, without L1."""
@@ -180,13 +170,12 @@ class DescentRun:
         of_theta = [weights.get(one.slot, 0.0) * one.prunable for one in self.entries]
         return torch.tensor(of_theta, dtype=self.dtype)
 
-    def step(self, gradients: Sequence[Tensor], rate: float) -> None:
-        """A step of Adam, with the slope of L1, and back into the bounds."""
-        theta = self.theta.detach()
-        if self.l1 is not None:
-            gradients[0].addcmul_(self.l1, theta.sign())
-        self.adam.step(gradients, rate)
-        theta.clamp_(self.lower, self.upper)
+    def _add_slope_of_l1(self) -> None:
+        if self.l1 is not None and self.theta.grad is not None:
+            self.theta.grad.addcmul_(self.l1, self.theta.detach().sign())
+
+    def _keep_bounds(self) -> None:
+        self.theta.detach().clamp_(self.lower, self.upper)
 
     def after_epoch(self, epoch: int) -> int:
         """Prune, if it is time; the number of terms that are left."""
@@ -218,8 +207,7 @@ class DescentRun:
             SolveError: if the loss diverges or if the whole energy was pruned.
         """
         history = descend(
-            self.parameters,
-            self.step,
+            self.adam,
             self.loss,
             self.tables,
             self.settings,

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from phsi_opt.arguments import require
-from phsi_opt.baselines.descent import Adam, descend
+from phsi_opt.baselines.descent import descend
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible
@@ -97,9 +97,9 @@ def phnn(
         generator = torch.Generator().manual_seed(seed)
         networks = _Networks(model, damping, settings, neural, generator)
         steps = Steps(grid, settings.integrator, dtype)
+        decay = settings.weight_decay
         history = descend(
-            networks.parameters,
-            Adam(networks.parameters, settings.weight_decay).step,
+            torch.optim.Adam(networks.parameters, weight_decay=decay),
             lambda tables: networks.loss(steps, tables, settings.penalty),
             steps.tables,
             settings,

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, descend
+from phsi_opt.baselines.descent import descend
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.data.measurements import Measurements
@@ -104,8 +104,7 @@ def ssinn(
         generator = torch.Generator().manual_seed(seed)
         theta = _random_start(len(model.H), generator).to(dtype).requires_grad_()
         history = descend(
-            [theta],
-            Adam([theta], settings.weight_decay).step,
+            torch.optim.Adam([theta], weight_decay=settings.weight_decay),
             lambda batch: flow.loss(theta, batch),
             tables,
             settings,

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam
 from phsi_opt.baselines.gradient_descent import Descent, DescentRun
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.measurements import Measurements
@@ -118,19 +117,11 @@ class _JointRun(_TestedRun):
         super().__init__(model, data, settings, seed, significance)
         self.steps = Steps(self.grid, settings.integrator, self.dtype)
         self.tables = self.steps.tables
-
-    def further(self) -> list[Tensor]:
-        """The weights."""
         self.layers = random_layers(self.placed.widths, self.generator, self.dtype)
-        return parameters_of(self.layers)
-
-    def optimizer(self) -> Adam:
-        """Adam, with the learning rate of the weights."""
-        relative = 1.0
-        if self.force.rate is not None:
-            relative = self.force.rate / self.settings.learning_rate
-        rates = [1.0] + [relative] * (len(self.parameters) - 1)
-        return Adam(self.parameters, self.settings.weight_decay, rates)
+        rate = force.rate or settings.learning_rate
+        weights = parameters_of(self.layers)
+        relative = rate / settings.learning_rate
+        self.adam.add_param_group({"params": weights, "rate": relative})
 
     def rates(self, model: Model, theta: Tensor) -> "_JointRates":
         """The model at its free parameters, and the force."""
