@@ -5,8 +5,7 @@ energy, and what to do where no effect of the catalogue is named: one that shake
 sought at the machine, one that follows an input where the input enters, one that
 follows nothing measured in a state or an input that the model and the data lack.
 
-Here are the facts; the sentences stand in ``words.jinja``. Ranges are told by what they
-are among the values that occurred, and a velocity has no symbol.
+Here are the facts; the sentences stand in ``words.jinja``. A velocity has no symbol.
 """
 
 from collections import defaultdict
@@ -24,7 +23,7 @@ from phsi_opt.force_analysis.cross_validation import odd_basis
 from phsi_opt.force_analysis.dependence import CAUSES, leading
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.localization import StrongRange, strong_region
+from phsi_opt.force_analysis.localization import strong_region
 from phsi_opt.force_analysis.waves import period_of
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.kinds import turn_of
@@ -230,19 +229,11 @@ def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str
     """At which values of its variables a force is strong."""
     names = force.map_variables if names is None else names
     region = strong_region(force, names, force.told)
-    return ", and ".join(range_words(force, *found) for found in region.items())
-
-
-def range_words(force: EquationForce, name: str, ranges: Sequence[StrongRange]) -> str:
-    """What the ranges of a variable are among the values that it had."""
-    return _said(
-        force,
-        "range",
-        called=plain_name(force, name),
-        unit=spaced(force.scale_of(name).unit),
-        is_velocity=force.place_noun == "position" and bool(force.position_of(name)),
-        ranges=ranges,
-    ).lead
+    words = []
+    for name, ranges in region.items():
+        unit = spaced(force.scale_of(name).unit)
+        words.append(f"where {plain_name(force, name)} is {' or '.join(ranges)}{unit}")
+    return ", and ".join(words)
 
 
 def plain_name(force: EquationForce, name: str) -> str:

@@ -104,7 +104,9 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
     return best_first.drop(columns="gain")
 
 
-def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.ndarray:
+def _functions(
+    force: Force, variable: str, wave: PositionWave | None = None
+) -> np.ndarray:
     """Of a variable, or of a pair 'q, p', as they would be shown, (n_intervals, k)."""
     values = list(map(force.record.variable, variable.split(", ")))
     if len(values) == 2:
@@ -146,16 +148,14 @@ def _ranks(z: np.ndarray) -> np.ndarray:
     return centred / max(float(np.linalg.norm(centred)), TINY)
 
 
-def without_parameters(
-    force: Force, variable: str, wave: PositionWave | None = None
-) -> np.ndarray:
+def without_parameters(force: Force, variable: str) -> np.ndarray:
     """The force less what other values of the model's parameters explain.
 
     It is what to plot against a variable, (n_intervals,): of the parameters' slopes
     only that is taken off which is no function of the variable.
     """
     slopes = force.by_parameters
-    functions = _functions(force, variable, wave)
+    functions = _functions(force, variable)
     of_slopes = np.linalg.lstsq(functions, slopes, rcond=LEAST_SINGULAR_VALUE)[0]
     independent = slopes - functions @ of_slopes
     joint = np.hstack([functions, independent])

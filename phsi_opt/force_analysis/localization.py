@@ -69,21 +69,8 @@ def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
     return np.sqrt(squares / np.maximum(count, 1))
 
 
-@dataclass(frozen=True)
-class StrongRange:
-    """Values between which a force is strong; the ends where few lie beyond."""
-
-    begin: float
-    end: float
-    is_lowest: bool
-    is_highest: bool
-
-    def __str__(self) -> str:
-        return range_words(self.begin, self.end)
-
-
-def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
-    """Ranges of a variable in which a force is strong; none where none stands out."""
+def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[str]:
+    """Ranges of a variable, "begin to end", in which a force is strong, if any."""
     low, high = np.quantile(z, OUTER_QUANTILES)
     edges = np.unique(np.linspace(low, high, num=9))
     n_bins = len(edges) - 1
@@ -97,15 +84,11 @@ def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
     found = scipy.ndimage.find_objects(scipy.ndimage.label(is_strong)[0])
     if is_strong.all() or len(found) > MOST_STRONG_RANGES:
         return []
-    ranges = []
-    for (bins,) in found:
-        begin, end = edges[[bins.start, bins.stop]].tolist()
-        ranges.append(StrongRange(begin, end, bins.start == 0, bins.stop == n_bins))
-    return ranges
+    return [range_words(edges[bins.start], edges[bins.stop]) for (bins,) in found]
 
 
 # Ranges of the variables, by name, in which a force is strong.
-Region = Mapping[str, Sequence[StrongRange]]
+Region = Mapping[str, Sequence[str]]
 
 
 def strong_region(
@@ -121,7 +104,7 @@ def strong_region(
 
 def region_words(region: Region) -> str:
     """A region in a table: 'q -1 to -0.6 or 0.7 to 1, p 2 to 3'."""
-    words = [f"{name} {' or '.join(map(str, region[name]))}" for name in region]
+    words = [f"{name} {' or '.join(ranges)}" for name, ranges in region.items()]
     return ", ".join(words)
 
 

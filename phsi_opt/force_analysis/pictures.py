@@ -104,9 +104,9 @@ def follows_of(
 ) -> Follows:
     """A force against a variable, the one that predicts it best unless one is given.
 
-    Where the force repeats along the variable, this is folded to the period. What other
-    values of the parameters explain is taken off (see `without_parameters`), but not
-    against time. A law (n_intervals,) is drawn through it.
+    Where the force repeats in time, this is folded to the period. What other values of
+    the parameters explain is taken off (see `without_parameters`), but not against
+    time. A law (n_intervals,) is drawn through it.
     """
     from scipy.stats import binned_statistic  # slow to load
 
@@ -114,19 +114,14 @@ def follows_of(
     z = force.told(variable)
     x_label = force.variable_label(variable)
     w = force.w
-    wave = force.wave if law is None else None
-    period = None
     if variable != TIME_NAME and law is None:  # beside a law no parameter is free
-        w = without_parameters(force, variable, wave)
-        if wave is not None and wave.position == variable:
-            period = wave.period / force.scale_of(variable).size
+        w = without_parameters(force, variable)
     elif variable == TIME_NAME and force.share_of(TIME_NAME) >= CLEAR_PATTERN:
         period = period_of(force)
-        z = z - z[0] if period else z
-        period = period and period / force.scale_of(variable).size
-    if period is not None:
-        z = z % period
-        x_label = f"{x_label}, folded to the period of {period:.3g}"
+        if period is not None:
+            period /= force.scale_of(variable).size
+            z = (z - z[0]) % period
+            x_label = f"{x_label}, folded to the period of {period:.3g}"
     w = w / force.scale.size
     binned = [binned_statistic(z, w, one, bins=16) for one in ("mean", "std")]
     count, edges = np.histogram(z, binned[0].bin_edges)
