@@ -5,9 +5,9 @@ import shutil
 import socket
 import subprocess
 import sys
-import time
+import tempfile
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from problems.examples.friction_spring import CSV
+from tests.waiting import HANGS_AFTER, wait_for
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-SOLVED_WITHIN = 60.0  # s; a busy machine takes several times the usual five
-STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
 RUNS = ("run 1", "run 2", "run 3")
 
 
@@ -46,14 +45,6 @@ def loaded_table(marker: Path) -> bytes:
     return f"{LOADED_PICKLE.format(marker)}\n0,1\n1,2\n2,3\n3,5\n".encode()
 
 
-def wait_for(is_done: Callable[[], bool], seconds: float = SOLVED_WITHIN) -> None:
-    """Look until something is so; it fails after the seconds of a slow machine."""
-    end = time.monotonic() + seconds
-    while not is_done():
-        assert time.monotonic() < end, "it takes too long"
-        time.sleep(0.02)
-
-
 def browser_path() -> str:
     """An installed Chromium; skips where there is none, and fails in CI."""
     for name in BROWSERS:
@@ -72,27 +63,28 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
     port = _free_port()
     command = [sys.executable, "-m", "phsi_opt.command_line", "page", *arguments]
     environment = {**_environment(), "TMPDIR": str(folder)}
-    server = subprocess.Popen(
-        [*command, "--no-show", "--port", str(port)],
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
     address = f"http://127.0.0.1:{port}"
-    try:
-        _wait_until_up(server, address)
-        yield address
-    finally:
-        server.terminate()
+    with tempfile.TemporaryFile("w+") as said:  # a pipe that nobody reads fills
+        server = subprocess.Popen(
+            [*command, "--no-show", "--port", str(port)],
+            cwd=folder,
+            env=environment,
+            stdout=said,
+            stderr=subprocess.STDOUT,
+        )
         try:
-            server.wait(10)
-        except subprocess.TimeoutExpired:
-            server.kill()
-            server.wait(10)
-        assert server.stdout is not None
-        server.stdout.close()
+            wait_for(lambda: _is_up(address), server)
+            yield address
+        finally:
+            has_ended = server.poll() is not None
+            server.terminate()
+            try:
+                server.wait(10)
+            except subprocess.TimeoutExpired:
+                server.kill()
+                server.wait()
+            said.seek(0)
+            assert not has_ended, f"the server ended: {said.read()}"
 
 
 def _free_port() -> int:
@@ -111,18 +103,12 @@ def _environment() -> dict[str, str]:
     return environment
 
 
-def _wait_until_up(server: "subprocess.Popen[str]", address: str) -> None:
-    end = time.monotonic() + STARTS_WITHIN
-    while time.monotonic() < end:
-        if server.poll() is not None:
-            assert server.stdout is not None
-            raise AssertionError(f"the server ended: {server.stdout.read()}")
-        try:
-            with urllib.request.urlopen(address, timeout=5):
-                return
-        except OSError:
-            time.sleep(0.1)
-    raise AssertionError("the server did not start")
+def _is_up(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(address, timeout=HANGS_AFTER):
+            return True
+    except OSError:
+        return False
 
 
 def contrast(one: str, other: str) -> float:

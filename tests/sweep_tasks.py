@@ -12,6 +12,7 @@ import numpy as np
 
 import phsi_opt as ph
 from phsi_opt.transcription.losses import MaximumLikelihood
+from tests.waiting import HANGS_AFTER
 
 N_SAMPLES = 60
 
@@ -68,7 +69,7 @@ def process_and_threads(number: int) -> tuple[int, str]:
 def sleeps(folder: str) -> None:
     """Leaves a file named by its process, and sleeps for longer than any test."""
     Path(folder, str(os.getpid())).touch()
-    time.sleep(600)
+    time.sleep(10 * HANGS_AFTER)
 
 
 def dies(number: int) -> int:

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -38,13 +37,13 @@ from phsi_opt.study_file import kept_fits
 from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.survey import survey
 from problems.examples.friction_spring import CSV
+from tests.waiting import HANGS_AFTER, wait_for
 
 FITTING = "fitting the base model"
 ADDING = "adding"
 ROOT = Path(ph.__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 COMMAND = [sys.executable, "-m", "phsi_opt.command_line"]
-PATIENCE = 60.0  # s for what takes a second or two where nothing else computes
 runner = CliRunner()
 
 
@@ -590,19 +589,9 @@ def stopped(at: Path, after: str, arguments: list[str], number: int) -> Said:
     """A command that gets a signal, as Ctrl-C goes to all processes of a terminal."""
     process = begun(at, after, *arguments)
     os.killpg(process.pid, number)
-    out, err = process.communicate(timeout=PATIENCE)
-    assert is_gone(process.pid), "something of it goes on"
+    out, err = process.communicate(timeout=HANGS_AFTER)
+    wait_for(lambda: not any(_living(process.pid)))  # nothing of it goes on
     return Said(process.returncode, out, err)
-
-
-def is_gone(group: int) -> bool:
-    """Whether all processes of a group end."""
-    until = time.monotonic() + PATIENCE
-    while any(_living(group)):
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.05)
-    return True
 
 
 def _living(group: int) -> Iterator[int]:
@@ -635,7 +624,7 @@ def test_a_working_process_that_dies_is_told(short: Path) -> None:
     process = begun(short.parent, "screening", "study", "--auto", "--save", "fit.json")
     (working,) = working_processes(process.pid)
     os.kill(working, signal.SIGKILL)
-    _, err = process.communicate(timeout=PATIENCE)
+    _, err = process.communicate(timeout=HANGS_AFTER)
     assert process.returncode == ExitCode.FAILED
     assert "ended without a result" in err
     assert ph.Fit.load(short.with_name("fit.json")).names == ("k", "c")
@@ -648,7 +637,7 @@ def test_the_working_process_ends_with_the_one_that_waits_for_it(short: Path) ->
     process.stderr.close()
     process.stdout.close()
     process.wait()
-    assert is_gone(process.pid), "the working process goes on"
+    wait_for(lambda: not any(_living(process.pid)))
 
 
 def working_processes(parent: int) -> Iterator[int]:

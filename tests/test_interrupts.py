@@ -18,8 +18,8 @@ from phsi_opt.interrupts import interruptible, is_noted, solving
 from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.optimization import ipopt
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
+from tests.waiting import HANGS_AFTER
 
-PATIENCE = 60.0  # s for what takes far less, on a busy machine too
 T = np.linspace(0, 10, 101)
 SPRING = ph.PseudoHamiltonian(
     states=["q", "p"],
@@ -176,13 +176,13 @@ def test_solvers_of_other_threads_leave_ctrl_c_to_the_main_one() -> None:
     def first() -> None:
         with solving():
             second_thread.start()
-            assert events["both solve"].wait(PATIENCE)
+            assert events["both solve"].wait(HANGS_AFTER)
         events["first is done"].set()
 
     def second() -> None:
         with solving():
             events["both solve"].set()
-            assert events["first is done"].wait(PATIENCE)
+            assert events["first is done"].wait(HANGS_AFTER)
 
     second_thread = threading.Thread(target=second)
     first_thread = threading.Thread(target=first)

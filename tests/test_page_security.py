@@ -16,7 +16,8 @@ import phsi_opt.page
 from phsi_opt.page.guards import is_own_origin
 from phsi_opt.page.serve import MOST_SESSIONS, Sessions
 from phsi_opt.page.session import Session
-from tests.page_tools import loaded_table, served, wait_for
+from tests.page_tools import loaded_table, served
+from tests.waiting import HANGS_AFTER, wait_for
 
 FORBIDDEN = 403
 SWITCHED = 101  # to a websocket
@@ -60,7 +61,7 @@ class Visitor:
         self, method: str, path: str, body: bytes | None = None, /, **headers: str
     ) -> Answer:
         port = self.place.port
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=HANGS_AFTER)
         told = {name.replace("_", "-"): value for name, value in headers.items()}
         connection.request(method, path, body, told)
         answer = connection.getresponse()

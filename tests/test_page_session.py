@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import weakref
 from collections.abc import Iterator
 from dataclasses import replace
@@ -41,11 +40,11 @@ from phsi_opt.page.worker import Shown, Turns, waits
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
-from tests.page_tools import contrast, spring_table, wait_for
+from tests.page_tools import contrast, spring_table
 from tests.test_logger_files import mdf_file, tdms_file
+from tests.waiting import HANGS_AFTER, wait_for
 
 CSS = Path(ph.__file__).parent / "page" / "page.css"
-ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
 # What the page was given of ``studied``, whether what is missing was said to be worked
 # out, and what was said of the work.
 SHOWN: list[tuple[StudyContent, bool, Any]] = []
@@ -427,7 +426,7 @@ def test_the_exported_script_reproduces_every_step(studied, tmp_path) -> None:
         env={**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=HANGS_AFTER,
         check=True,
     )
     errors = [float(word) for word in ran.stdout.splitlines()[-1].split()]
@@ -571,9 +570,7 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session, monkeypatch) -
     assert session.job is not None
     assert session._worker is not None
     pid = session._worker.pid
-    began = time.monotonic()
     session.cancel()
-    assert time.monotonic() - began < ENDS_WITHIN
     assert not is_running(pid)
     assert session.job is None
     assert session.message == "Fitted; cancelled while diagnosing."
@@ -591,7 +588,7 @@ def test_a_worker_that_is_lost_is_told_and_nothing_else_is(session: Session) -> 
     fitted = session.content
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
-    wait_for(lambda: session.job is None, ENDS_WITHIN)
+    wait_for(lambda: session.job is None)
     assert "ended unexpectedly (Fitted; diagnosing)" in session.message
     assert session.content is fitted and not session.is_stale
     session.diagnose()
@@ -608,7 +605,7 @@ def test_a_session_that_ends_leaves_no_memory_process_or_file(tmp_path: Path) ->
     known = weakref.ref(session)
     session.close()
     del session
-    wait_for(lambda: gc.collect() >= 0 and known() is None, ENDS_WITHIN)
+    wait_for(lambda: gc.collect() >= 0 and known() is None)
     assert not is_running(pid)
     assert list(tmp_path.iterdir()) == []
 
@@ -629,12 +626,12 @@ def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     last.fit()
     wait_for(lambda: waits_for(last, 2))
     other.cancel()  # who waits no more is not waited for
-    wait_for(lambda: waits_for(last, 1), ENDS_WITHIN)
+    wait_for(lambda: waits_for(last, 1))
     other.fit()
     wait_for(lambda: waits_for(other, 2))
     assert session._worker is not None
     os.kill(session._worker.pid, signal.SIGKILL)
-    wait_for(lambda: session.job is None, ENDS_WITHIN)
+    wait_for(lambda: session.job is None)
     assert "(Fitting the base model)" in session.message
     wait_for(lambda: waits_for(other, 1))
     last.cancel()
@@ -649,7 +646,7 @@ def test_orders_wait_for_their_turn_and_a_lost_worker_gives_it_back(
     wait_for(lambda: bool(last.job and last.job.line not in ("", waits(1))))
     os.kill(session._worker.pid, signal.SIGSTOP)  # it takes no study yet
     session.diagnose()
-    wait_for(lambda: waits_for(session, 1), ENDS_WITHIN)
+    wait_for(lambda: waits_for(session, 1))
     for one in (other, last):
         one.close()
 

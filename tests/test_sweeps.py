@@ -6,8 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -22,9 +20,9 @@ import phsi_opt as ph
 from phsi_opt.sweeps.local_workers import InThisProcess, local_workers
 from phsi_opt.sweeps.sweep import KeptResults
 from tests import sweep_tasks
+from tests.waiting import HANGS_AFTER, wait_for
 
 N_WORKERS = 2
-PATIENCE = 60.0  # s for what takes far less, on a busy machine too
 
 
 def draws(n: int) -> dict[str, np.random.SeedSequence]:
@@ -82,7 +80,7 @@ def test_processes_and_threads_give_the_bits_of_one_process(serial) -> None:
 def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
     quiet = {
         "distributed.logging.distributed": "critical",
-        "distributed.comm.timeouts.connect": "30s",
+        "distributed.comm.timeouts.connect": f"{HANGS_AFTER}s",
     }
     cluster = partial(distributed.LocalCluster, 3, 1, True, dashboard_address=":0")
     with (
@@ -187,7 +185,7 @@ STARTING = f"""
 import os, pathlib, sys, time
 if __name__ != "__main__":
     pathlib.Path(sys.argv[1], str(os.getpid())).touch()
-    time.sleep(600)
+    time.sleep({10 * HANGS_AFTER})
 {COMPUTING}
 """
 
@@ -215,11 +213,11 @@ def test_workers_end_with_their_parent_and_at_ctrl_c(
         start_new_session=True,
     )
     try:
-        _wait_for(lambda: len(list(folder.iterdir())) == 2)
+        wait_for(lambda: len(list(folder.iterdir())) == 2, process)
         pids = [int(one.name) for one in folder.iterdir()]
         os.kill(-process.pid if is_for_all else process.pid, sent)
-        process.wait(PATIENCE)
-        _wait_for(lambda: not any(map(_is_alive, pids)))
+        process.wait(HANGS_AFTER)
+        wait_for(lambda: not any(map(_is_alive, pids)))
     finally:
         with contextlib.suppress(ProcessLookupError):  # all have ended
             os.killpg(process.pid, signal.SIGKILL)
@@ -227,13 +225,6 @@ def test_workers_end_with_their_parent_and_at_ctrl_c(
     if sent == signal.SIGINT:
         assert said.count("Traceback") == 1
         assert said.rstrip().endswith("KeyboardInterrupt")
-
-
-def _wait_for(is_reached: Callable[[], bool]) -> None:
-    until = time.monotonic() + PATIENCE
-    while not is_reached():
-        assert time.monotonic() < until
-        time.sleep(0.02)
 
 
 def _is_alive(pid: int) -> bool:
