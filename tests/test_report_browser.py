@@ -22,8 +22,11 @@ from phsi_opt.presentation.content import (
 from phsi_opt.presentation.html_report import html_report
 from phsi_opt.presentation.units import Scale
 from tests.page_tools import browser_path
+from tests.waiting import HANGS_AFTER
 
 NAMES = ("base model", "with friction")
+PATIENCE = 1000 * HANGS_AFTER  # ms
+expect.set_options(timeout=PATIENCE)
 
 
 def run(name: str) -> Run:
@@ -73,6 +76,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
             executable_path=browser_path(), args=arguments
         )
         page = found.new_page()
+        page.set_default_timeout(PATIENCE)
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto(Path(path).as_uri())
         yield page
