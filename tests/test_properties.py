@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 import phsi_opt as ph
 from phsi_opt.model.expressions import CASADI, NUMPY, evaluate, parse
 from problems.benchmarks import fuzz
-from problems.benchmarks.fuzz_inputs import Unshown
+from problems.benchmarks.fuzz_inputs import MARKER, Unshown
 
 N_INPUTS = int(os.environ.get("PHSI_OPT_INPUTS", "1000"))
 N_PROPERTIES = 3
@@ -136,7 +136,8 @@ def test_a_formula_has_one_value_in_every_library(text, values) -> None:
 
 SELDOM = 0.1  # share of the inputs of an entry that takes long
 TARGETS = fuzz.targets()
-QUICK = [name for name in TARGETS if fuzz.SHARES.get(name, 1.0) > SELDOM]
+SHARES = fuzz.SHARES | dict.fromkeys(fuzz.BINARY, 0.0)  # these take long as well
+QUICK = [name for name in TARGETS if SHARES.get(name, 1.0) > SELDOM]
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -183,3 +184,11 @@ def test_the_search_notices_a_foreign_error_and_a_wrong_reading(call) -> None:
     target = fuzz.Target(st.none(), lambda _: call(), lambda *_: False)
     fuzz.tried(target, None, tally)
     assert len(tally.faults) == 1
+
+
+def test_the_search_notices_what_is_slow_and_what_is_run(monkeypatch) -> None:
+    monkeypatch.setattr(fuzz, "SLOW", -1.0)
+    tally = fuzz.Tally()
+    fuzz.tried(fuzz.Target(st.none(), lambda _: MARKER.touch()), None, tally)
+    assert set(tally.faults) == {"slow", "ran"}
+    assert not MARKER.exists(), "the next input is looked at anew"

@@ -1,24 +1,27 @@
 """Drawn wrong arguments and damaged files: errors of the package, and nothing misread.
 
-    python -m problems.benchmarks.fuzz [--inputs=N] [--seed=36000] [--folder=F] [ENTRY]
+    python -m problems.benchmarks.fuzz --inputs=20000 --seed=64001 [--folder=F] [ENTRY]
 
 Every public function, record and method gets inputs that Hypothesis draws from a seed;
 pages take 36000 and more, and faults are looked for with others. They are usual
 arguments, of which one or two are replaced by others of the annotated type, or a part
 of which by anything; before, every argument in turn is each of some hundred odd values.
-So are tables, and study files and fits of which bytes, cells or keys are replaced.
+So are tables, and study files and fits of which bytes, cells or keys are replaced;
+long texts that repeat a few letters; workbooks, MATLAB, MDF and TDMS files of which
+bits, sizes or parts are changed, some with formulas that would run a command.
 Foreign is an exception or warning that is not the package's own (but those of numbers
 that overflow, and Python's of a call that lacks an argument); silent is an input that
-was taken with another meaning. The folder keeps what is done.
+was taken with another meaning; slow one that took more than 20 s of the processor, its
+children's too; ran one after which a file was there that only a command makes. The
+folder keeps what is done.
 """
 
 import contextlib
 import inspect
-import io
 import json
 import math
+import os
 import re
-import time
 import tomllib
 import traceback
 import warnings
@@ -32,20 +35,29 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
-import openpyxl
 import pandas as pd
 import tomlkit
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
-from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt.data.table_readers import TableWords
+from phsi_opt.study_file.survey import survey
+from problems.benchmarks.fuzz_files import (
+    broken,
+    mat_files,
+    mdf_files,
+    tables_with_texts,
+    tdms_files,
+    workbook,
+    workbooks,
+)
 from problems.benchmarks.fuzz_inputs import (
     CELLS,
     FOLDER,
     FORMULAS,
     LAWS,
+    MARKER,
     ODD,
     TABLE,
     Arguments,
@@ -71,6 +83,8 @@ MATHEMATICAL = (
     ".*masked element to nan",
 )
 OUTCOMES = ("accepted", "refused", "foreign", "silent")
+FAULTS = ("slow", "ran")
+SLOW = 20.0  # s of the processor
 
 # ---- public entries, by their annotations --------------------------------------------
 
@@ -101,6 +115,13 @@ RESULTS |= {"Complaint", "Verdict", "Model", "StudyFile"}
 INNER = {"built", "with_parameters", "rhs_slopes", "from_content", "index", "terms_at"}
 INNER |= {"trajectory_number", "from_tables", "function", "chart", "sympy"}
 INNER |= {"from_excel", "from_mat", "from_mdf", "from_tdms", "load"}
+# Each of these files is read in a process of its own, for up to a second and a half.
+BINARY = (
+    "Measurements.from_mdf, bytes",
+    "Measurements.from_tdms, bytes",
+    "Measurements.from_mat, bytes",
+    "Measurements.from_excel, parts",
+)
 # The share of inputs that others get: these take long, or have many ways to go wrong.
 SHARES = {
     **dict.fromkeys(["profile", "bootstrap", "diagnose", "Study", "sweep"], 0.05),
@@ -113,7 +134,7 @@ SHARES = {
     **dict.fromkeys(["PseudoHamiltonian", "FirstOrder", "mechanical"], 0.4),
     **dict.fromkeys(["formula, text", "Fit.load, keys", "Fit.load, bytes"], 3.0),
     **dict.fromkeys(["Measurements.from_arrays", "Measurements.from_csv, cells"], 3.0),
-    "Measurements.from_mat, bytes": 0.02,
+    **dict.fromkeys(BINARY, 0.5),
 }
 
 
@@ -271,6 +292,7 @@ EXAMPLE = Path(ph.__file__).parent / "study_file" / "examples" / "spring"
 STUDY = (EXAMPLE / "study.toml").read_bytes()
 COLUMNS: Arguments = {"time": "t", "states": ["q"]}
 BOTH: Arguments = {"time": "t", "states": ["q", "p"], "decimal": "."}
+LOGGED: Arguments = {"time": "time", "states": ["q"], "inputs": ["u"]}
 
 
 def model_of(text: str) -> ph.PseudoHamiltonian:
@@ -317,15 +339,9 @@ def made(write: Callable[[Any], bytes], read: Callable[[bytes], Any]) -> Any:
     return call
 
 
-def workbook(value: Any) -> bytes:
+def workbook_with(value: Any) -> bytes:
     """A workbook with a cell of the value."""
-    book = openpyxl.Workbook()
-    sheet: Any = book.active
-    for row in (["t", "q", "p"], [0, 1.5, 2], [1, value, 3], [2, 4.5, 5]):
-        sheet.append(row)
-    file = io.BytesIO()
-    book.save(file)
-    return file.getvalue()
+    return workbook([["t", "q", "p"], [0, 1.5, 2], [1, value, 3], [2, 4.5, 5]])
 
 
 def cell_is_meant(cell: Any, result: ph.Measurements) -> bool:
@@ -375,6 +391,17 @@ def study_is_meant(content: Any, study: ph.StudyFile) -> bool:
     )
 
 
+def encoded(text: str) -> bytes:
+    """A text in UTF-8, also what is no text there."""
+    return text.encode("utf-8", "surrogatepass")
+
+
+def read_table(path: Path) -> ph.Measurements:
+    """A table whose columns are looked at, as `init` does, and read."""
+    _ = str(survey(path))
+    return ph.Measurements.from_csv(path, **COLUMNS)
+
+
 def read_path(path: Any) -> None:
     """Every reader is given the path; none is a file of its kind."""
     readers: list[Any] = [ph.Fit.load, ph.StudyFile.read]
@@ -398,9 +425,6 @@ def targets() -> dict[str, Target]:
             each = partial(each_replaced, values, is_deep)
             found[name] = Target(inputs, partial(used, call), is_kept, each)
     saved = json.loads(json.dumps(fitted().content()))
-    mat = io.BytesIO()
-    t = np.linspace(0.0, 2.0, 21)
-    savemat(mat, {"t": t, "q": t**2, "name": "text", "log": {"a": t}, "z": 1j * t})
     m = ph.Measurements
     in_fit = in_file("fit.json", load_fit)
     in_study = in_file("study.toml", read_study)
@@ -408,10 +432,11 @@ def targets() -> dict[str, Target]:
     in_book = in_file("cell.xlsx", partial(m.from_excel, **BOTH))
     in_table = in_file("t.csv", partial(m.from_csv, **COLUMNS))
     in_mat = in_file("t.mat", partial(m.from_mat, **COLUMNS))
+    in_mdf = in_file("t.mf4", partial(m.from_mdf, **LOGGED))
+    in_tdms = in_file("t.tdms", partial(m.from_tdms, **LOGGED))
+    in_texts = in_file("texts.csv", read_table)
     paths = st.text(max_size=9).map(lambda name: f"{FOLDER.name}/{name}")
-    toml = partial(
-        made, lambda one: tomlkit.dumps(one).encode("utf-8", "surrogatepass")
-    )
+    toml = partial(made, lambda one: encoded(tomlkit.dumps(one)))
     fit_json = made(lambda one: json.dumps(one, default=str).encode(), in_fit)
     rows = made(lambda one: f"t;q;p\n0;1.5;2\n1;{one};3\n2;4.5;5\n".encode(), in_csv)
     return found | {
@@ -420,9 +445,17 @@ def targets() -> dict[str, Target]:
         "Measurements.from_csv, cells": Target(CELLS, rows, cell_is_meant),
         "Measurements.from_csv, bytes": Target(damaged(TABLE), in_table),
         "Measurements.from_excel, cells": Target(
-            st.one_of(ODD, CELLS), made(workbook, in_book), cell_is_meant
+            st.one_of(ODD, CELLS), made(workbook_with, in_book), cell_is_meant
         ),
-        "Measurements.from_mat, bytes": Target(damaged(mat.getvalue()), in_mat),
+        "Measurements.from_csv, texts": Target(
+            tables_with_texts(), made(encoded, in_texts)
+        ),
+        "Measurements.from_excel, parts": Target(
+            workbooks(), in_file("t.xlsx", partial(m.from_excel, **COLUMNS))
+        ),
+        "Measurements.from_mat, bytes": Target(broken(mat_files), in_mat),
+        "Measurements.from_mdf, bytes": Target(broken(mdf_files), in_mdf),
+        "Measurements.from_tdms, bytes": Target(broken(tdms_files), in_tdms),
         "Fit.load, bytes": Target(damaged(json.dumps(saved).encode()), in_fit),
         "Fit.load, keys": Target(changed(saved), fit_json),
         "StudyFile.read, bytes": Target(damaged(STUDY), in_study),
@@ -454,7 +487,7 @@ class Tally:
 
 def tried(target: Target, given_input: Any, tally: Tally) -> None:
     """Try one input, and count what became of it."""
-    begin = time.process_time()
+    begin = processor_time()
     outcome = "accepted"
     fault = ""
     try:
@@ -473,12 +506,21 @@ def tried(target: Target, given_input: Any, tally: Tally) -> None:
         own = [one for one in frames if "phsi_opt/" in one.filename] or frames
         place = f"{Path(own[-1].filename).name}:{own[-1].lineno}"
         fault = f"{type(error).__name__} in {place}: {str(error)[:60]}"
-    seconds = time.process_time() - begin
+    seconds = processor_time() - begin
     tally.counts[outcome] += 1
     tally.seconds += seconds
     tally.slowest = max(tally.slowest, seconds)
-    if fault:
-        tally.faults.setdefault(fault, shown(given_input))
+    faults = {fault: bool(fault), "slow": seconds > SLOW, "ran": MARKER.exists()}
+    for kind in FAULTS:
+        tally.counts[kind] += faults[kind]
+    MARKER.unlink(missing_ok=True)
+    for kind in filter(faults.__getitem__, faults):
+        tally.faults.setdefault(kind, shown(given_input))
+
+
+def processor_time() -> float:
+    """Seconds of this process and of its children that have ended."""
+    return sum(os.times()[:4])
 
 
 def shown(value: Any) -> str:
@@ -531,9 +573,10 @@ def page(tallies: Mapping[str, Tally]) -> str:
     rows = []
     faults = []
     for name, one in [*tallies.items(), ("all", sum(tallies.values(), Tally()))]:
-        counts = {outcome: one.counts[outcome] for outcome in OUTCOMES}
+        counts = {outcome: one.counts[outcome] for outcome in (*OUTCOMES, *FAULTS)}
+        n_inputs = sum(one.counts[outcome] for outcome in OUTCOMES)
         seconds = {"seconds": f"{one.seconds:.1f}", "slowest": f"{one.slowest:.2f}"}
-        rows.append({"entry": name, "inputs": one.counts.total(), **counts, **seconds})
+        rows.append({"entry": name, "inputs": n_inputs, **counts, **seconds})
         faults += [{"entry": name, "fault": fault} for fault in one.faults]
     n_all = len(tallies) and len(faults) // 2
     return render(
@@ -547,7 +590,7 @@ def page(tallies: Mapping[str, Tally]) -> str:
 
 def main() -> None:
     """Try every entry, and write the page where all were tried."""
-    n_inputs = int(option("inputs", "100000"))
+    n_inputs = int(option("inputs", "20000"))
     first_seed = int(option("seed", "36000"))
     names = [name for name in targets() if not chosen() or name in chosen()]
     total = sum(SHARES.get(name, 1.0) for name in names)

@@ -26,6 +26,8 @@ import phsi_opt as ph
 Draw = st.SearchStrategy[Any]
 Arguments = dict[str, Any]
 FOLDER = tempfile.TemporaryDirectory(prefix="fuzz")
+MARKER = Path(FOLDER.name, "ran")  # a file that hostile texts make where they are run
+RUNS = f"__import__('pathlib').Path('{MARKER}').touch()"
 
 NOTHING = object()  # in place of a part that is left out
 TABLE = b"t,q,u\n0,1.5,2\n1,2.5,3\n2,3.5,4\n3,4.5,5\n"
@@ -45,7 +47,13 @@ TEXTS = [
     *(*NAMES, "", "x", " ", "1", "1_000", "\ud800", "q\ud800", "a\0b", "x" * 5000),
     *(DIGITS, "10**400", "1e400", "\N{MATHEMATICAL ITALIC SMALL Q}", "q\n", "м", "sin"),
     *("lambda", "k*q**2", "q+\ud800", "((((", "9**9**9", "../x", "/", ".", "1 2"),
-    *("a,b", "{}", "%s", "\x1b[31m", "N/m"),
+    *("a,b", "{}", "%s", "\x1b[31m", "N/m", RUNS),
+]
+SHAPES = [
+    *(" ", "(", ")", "(:", "()", "[", "]", "{", "1", "0", "1.", "1,", "1e", "+", "-"),
+    *("'", '"', '""', ";", ",", "\t", ":", "/", "*", "**", "^", "_", "=", "#", "%"),
+    *(".", "a", "a ", "A1", "a_", "1:", "2024-", "N/m ", "m^2 ", "s^-1*", "S/N: 1, "),
+    *("(a", "q (", "<c ", "sin(", "q*-", "min(q,", "dH_dp*", "\u00a0", "\\", "\n"),
 ]
 OTHERS = [  # made anew for every input
     *("None", "b'q'", "[]", "()", "{}", "set()", "[None]", "['q']", "['q', 'q']"),
@@ -82,7 +90,17 @@ def each_odd() -> Iterator[Any]:
     yield from map(eval, OTHERS, repeat(globals()))
 
 
+# A few letters, up to 100 000 of them: what is not linear in them never ends.
+REPEATED: Draw = st.builds(
+    lambda begin, shape, length, end: begin + shape * (length // len(shape)) + end,
+    st.sampled_from(["", "q (", "t", "1", "-", '"', "1e", "a"]),
+    st.sampled_from(SHAPES),
+    st.sampled_from([100, 2000, 20_000, 100_000]),
+    st.sampled_from(["", "x", "1", ")", "]", "!", '"', " "]),
+)
+
 ODD: Draw = st.one_of(
+    REPEATED,
     st.sampled_from(NUMBERS),
     st.sampled_from(TEXTS),
     st.sampled_from(OTHERS).map(lambda text: eval(text)),
@@ -159,9 +177,8 @@ def usual() -> Arguments:
         **{"u": [1.0, 2.0, 3.0], "x0": [1.0, 0.0], "hold": "linear", "key": 0},
         **{"Trajectory.x": [[1.0], [2.0], [3.0]], "trajectories": list(measured())},
         **{"Measurements.from_arrays.names": ["one"], "units": {"q": "m", "t": "s"}},
-        **{"noise": {"q": 0.1}, "Channel.noise": 0.1, "x_start": pair, "x_end": pair},
-        **{"t_start": [0.0, 0.5], "t_end": [0.5, 1.0], "u_start": [1.0, 2.0]},
-        **{"u_end": [2.0, 3.0], "fraction": 0.7, "begin": 0.0, "end": 1.0},
+        **{"noise": {"q": 0.1}, "Channel.noise": 0.1},
+        **{"fraction": 0.7, "begin": 0.0, "end": 1.0},
         **{"source": table(), "separator": ",", "frame": frame, "path": "saved.json"},
         **{"function": callable, "cases": {"a": 1}, "called": "coulomb friction"},
         **{"level": 0.9, "l1": {"H": 0.1}, "share": 0.4, "column": "t"},
@@ -194,7 +211,7 @@ def of_type(hint: Any) -> Draw:
 
 PLAIN: dict[Any, Draw] = {
     NoneType: st.none(),
-    str: st.one_of(st.sampled_from(NAMES), st.sampled_from(TEXTS)),
+    str: st.one_of(st.sampled_from(NAMES), st.sampled_from(TEXTS), REPEATED),
     bool: st.booleans(),
     # What lies between costs hours where it counts, and is no other kind of number.
     int: st.one_of(st.integers(-2, 5), st.integers(10**7), st.integers(max_value=-9)),
@@ -277,6 +294,7 @@ CELLS: Draw = st.one_of(
         *("0b1", "1e1_0", "1E+02", ".5", "5.", "+3", "1 ", " 1", '"1"', "''", "1e-400"),
         *("0_1", "_1", "1__0"),
     ]),
+    REPEATED,
     st.floats(-1e6, 1e6).map(repr),
     st.text(st.sampled_from("0123456789.eE+-_ xj/'\"\u00a0"), max_size=6),
 )
@@ -289,6 +307,7 @@ PIECES = [
 # fmt: on
 LETTERS = "qpkut+-*/().,0123456789 e_^[]'\"=:sincolgabxm\ud800\0\n"
 FORMULAS: Draw = st.one_of(
+    REPEATED,
     st.sampled_from(TEXTS),
     st.text(st.characters(), max_size=20),
     st.text(st.sampled_from(LETTERS), max_size=24),
