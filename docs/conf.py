@@ -71,7 +71,7 @@ nitpick_ignore_regex = [
     ),
     (
         "py:.*",
-        r"(jinja2|multiprocessing|nicegui|ui|events)(\..*)?|Environment|Template|Tensor",
+        r"(jinja2|multiprocessing|nicegui|ui|events)(\..*)?|Environment|Template|Tensor|Optimizer",
     ),
     (
         "py:class",

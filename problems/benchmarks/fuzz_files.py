@@ -63,7 +63,7 @@ CONVERSIONS: tuple[Mapping[str, Any] | None, ...] = (
 
 
 def mdf_of(
-    conversion: Mapping[str, Any] | None, version: str, compression: int
+    conversion: Mapping[str, Any] | None, version: str, compression: Any
 ) -> bytes:
     """An MDF file with two channels, one of whole numbers that are converted."""
     import asammdf
@@ -92,13 +92,12 @@ def mdf_files() -> list[bytes]:
 
 @cache
 def tdms_files() -> list[bytes]:
-    """TDMS files with numbers, texts and properties, in one and several segments."""
+    """TDMS files with one segment or two, plain or scaled."""
     import nptdms
 
-    told = {"wf_increment": 0.1, "wf_start_offset": 0.0, "unit_string": "m"}
+    told = {"wf_increment": 0.1, "wf_start_offset": 0.0, "unit_string": "m", "by": "me"}
     numbers = nptdms.ChannelObject("a", "q", np.cos(T), told)
     whole = nptdms.ChannelObject("a", "u", np.arange(len(T)), told)
-    texts = nptdms.ChannelObject("b", "said", ["one", "two"])
     scaling = {
         **told,
         "NI_Number_Of_Scales": 1,
@@ -111,7 +110,7 @@ def tdms_files() -> list[bytes]:
     files = []
     for segments in (
         [[numbers, whole]],
-        [[numbers, whole], [texts]],
+        [[numbers, whole], [numbers, whole]],
         [[scaled, whole]],
     ):
         content = io.BytesIO()
