@@ -79,7 +79,7 @@ def checked_types(
         hint = types.get(name, Any)
         found[name] = value if is_of(value, hint) else as_list(value)
         if not is_of(found[name], hint):
-            kind = re.sub(r"(\w+\.)+", "", inspect.formatannotation(hint))
+            kind = re.sub(r"\b(\w++\.)+", "", inspect.formatannotation(hint))
             advice = map(WRITTEN_AS.__getitem__, filter(kind.__contains__, WRITTEN_AS))
             wrong = DataError if OF_DATA.search(kind) else error
             said = f"{name}={shown(value)} is not possible; expected {kind[:120]}."

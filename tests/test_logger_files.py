@@ -71,9 +71,8 @@ FILES: dict[str, tuple[str, tuple[str, str, str], tuple[str, str, str]]] = {
         "Time (s),Flow (l/min),Level\n" + body('{t},"{q:,}",{u}'),
         ("Time (s)", "Flow (l/min)", "Level"), ("s", "l/min", ""),
     ),
-    "comments above and between, a footer": (
-        "# bench 3, run 12\n# gain, 2.5\nt,q,u\n" + body("{t},{q},{u}").replace("1.5,4.0", "# step\n1.5,4.0")
-        + "End of data\n",
+    "comments above, a footer": (
+        "# bench 3, run 12\n# gain, 2.5\nt,q,u\n" + body("{t},{q},{u}") + "End of data\n",
         ("t", "q", "u"), ("", "", ""),
     ),
     "names in a comment": ("# t q u\n# s mm N\n" + body("{t} {q} {u}"), ("t", "q", "u"), ("s", "mm", "N")),
@@ -120,7 +119,7 @@ def test_a_row_of_units_is_believed_where_nobody_says_otherwise() -> None:
     options: dict[str, Any] = {"trajectory": "run", "states": {"q": "angle"}}
     data = read(text, time="time", **options)
     assert data.units == {"t": "s", "q": "deg"}
-    assert read(text, time="time", units={"q": "rad"}, **options).units["q"] == "rad"
+    assert read(text, time="time", units={"q": ""}, **options).units["q"] == ""
     tables = [io.StringIO(text), io.StringIO(text.replace("deg", "rad"))]
     with pytest.raises(
         ph.DataError, match=r"'q' has the unit 'rad', but in a .* 'deg'"
@@ -131,43 +130,50 @@ def test_a_row_of_units_is_believed_where_nobody_says_otherwise() -> None:
 
 
 def test_what_was_understood_is_told_with_its_keys(tmp_path: Path) -> None:
-    text = "Bench 3\n\nt;q\ns;mm\n# begin\n0;1,5\n# step\n1;2,5\n2;3,5\nEnd\n"
+    text = "Bench 3\n\nt;q\ns;mm\n# begin\n0;1,5\n1;2,5\n2;3,5\nEnd\n"
     seen = looked_at(text, tmp_path)
     assert [str(one) for one in seen.read] == [
-        "skip = 2          header in line 3, samples in lines 6 to 9; comments: 2; "
-        "not read: lines from 10 on",
+        "skip = 2          header in line 3, samples in lines 6 to 8; not read: lines "
+        "from 9 on",
         "units_row = 4     units in line 4",
         'separator = ";"   between cells',
         'decimal = ","     before decimals; a point marks thousands',
     ]
 
 
-def test_one_of_several_tables_is_chosen_and_none_in_silence(tmp_path: Path) -> None:
-    text = "a,b\n0,1\n1,2\n\nt,q,u\n" + body("{t},{q},{u}")
-    options: dict[str, Any] = {"time": 0, "states": {"q": 1}}
-    with pytest.raises(
-        ph.DataError, match=r"has 2 tables, from line 1, 5 on.*skip = 0 or skip = 4"
-    ):
-        read(text, **options)
-    assert [read(text, skip=n, **options).n_samples for n in (0, 4)] == [2, 6]
-    (skip, *_) = looked_at(text, tmp_path).read
-    assert (skip.key, skip.content, skip.is_set) == ("skip", 4, True)
-
-
-def test_tables_with_the_same_header_are_runs(tmp_path: Path) -> None:
-    table = "t,q,u\ns,mm,N\n" + body("{t},{q},{u}")
-    text = f"Run 1\n{table}\nRun 2\n{table}"
-    data = read(text, time="t", states=["q"], inputs=["u"], trajectory="table")
-    assert [run.name for run in data] == ["1", "2"]
-    assert [run.x[:, 0].tolist() for run in data] == [Q, Q]
-    seen = looked_at(text, tmp_path)
-    assert seen.run is not None and seen.run.column == "table"
-    with pytest.raises(ph.DataError, match=r"times must increase.*\(trajectory\)"):
+@pytest.mark.parametrize(("between", "n"), [
+    ("End of run 1\nt,q,u\n", 8),
+    ("t,q,u\n", 8),
+    ("\nx,y\ns,m\n", 9),
+    ("# step\n", 8),
+    ("%step, 2 V\n", 8),
+])  # fmt: skip
+def test_a_file_with_several_tables_or_a_comment_is_to_be_cut(
+    between: str, n: int, tmp_path: Path
+) -> None:
+    rows = body("{t},{q},{u}")
+    text = f"t,q,u\n{rows}{between}{rows}"
+    words = between.split()[0].split(",")[0]
+    said = rf"line {n} contains '{words}.*samples stand above it and below .* Cut the"
+    with pytest.raises(ph.DataError, match=said):
         read(text, time="t", states=["q"])
+    with pytest.raises(ph.DataError, match=said):
+        looked_at(text, tmp_path)
+    book = openpyxl.Workbook()
+    for line in text.splitlines():
+        book.active.append(line.split(","))
+    book.save(tmp_path / "log.xlsx")
+    with pytest.raises(ph.DataError, match=said.replace("line", "row")):
+        ph.Measurements.from_excel(tmp_path / "log.xlsx", time="t", states=["q"])
+    # What the user said is no part of the table is none.
+    data = read(f"x,y\n0,1\n1,2\nt,q,u\n{rows}", skip=3, time="t", states=["q"])
+    assert data.trajectories[0].x[:, 0].tolist() == Q
 
 
 @pytest.mark.parametrize(("text", "said"), [
-    ("t,q\n0,1\nOL,OL\n1,2\n2,3\n", "has 2 tables"),
+    ("t,q\n0,1\nOL,OL\n1,2\n2,3\n", "line 3 contains 'OL, OL'"),
+    ("t,q,u\n0,1,2\n#DIV/0!,,0.5\n2,3,4\n", "column 't', line 3: '#DIV/0!'"),
+    ("t,q,u\n0,1,2\n#N/A,#N/A,#N/A\n2,3,4\n", "line 3 contains '#N/A, #N/A, #N/A'"),
     ("t,q\n#REF!,1\n1,2\n2,3\n", "line 2: '#REF!' is neither a number nor a date"),
     ("t,q\n0,1\n#VALUE!,2\n2,3\n", "line 3: '#VALUE!'"),
     ("t,q\n0,1\n1,2\nMean,0.5\n", "line 4: 'Mean'"),

@@ -1,5 +1,6 @@
 """What is noticed in measurements before there is a model, and their picture."""
 
+import io
 from typing import Any
 
 import numpy as np
@@ -103,6 +104,47 @@ def test_missing_samples_stuck_sensors_and_repeated_values_are_told() -> None:
     assert noticed(np.repeat(NOISY[::10], 10))[1] == "a new value every 10 samples"
     assert noticed(np.ones(T.size))[1] == "does not change"
     assert noticed(RNG.normal(size=T.size))[1].startswith("changes mostly between")
+
+
+def test_values_far_from_all_others_may_stand_for_missing_ones() -> None:
+    for value in (-9999.0, 999.0, 1e30):
+        said = (
+            f"{value:g} in 3 samples, far from all others, first at t = 4 s: missing?"
+        )
+        assert said in noticed(changed([400, 401, 1200], value))[1]
+    assert "missing" not in noticed(changed([400, 401, 1200], 3.0))[1]
+    # Of a signal with few values it is not said: pulses of an input have them.
+    assert "missing" not in noticed(np.where(T % 7 < 0.1, 1.0, 0.0))[1]
+
+
+def test_samples_that_repeat_the_one_before_are_told_unless_it_is_chance() -> None:
+    stale = np.arange(100, 2000, 10)
+    told = "190 samples like the one before in all channels, the first at t = 1 s"
+    assert noticed(changed(stale, NOISY[stale - 1]))[0].endswith(told)
+    assert "like the one" not in noticed(np.round(NOISY, 3))[0]
+    assert "like the one" not in noticed(np.where(T < 3, 0.0, NOISY))[0], "at rest"
+    u = changed(stale, 0.0, np.cos(T))
+    data = data_of(changed(stale, NOISY[stale - 1]), u=u, inputs=["u"])
+    assert "like the one" not in data.noticed["noticed"][0]
+
+
+def test_steps_of_a_run_that_are_a_power_of_ten_longer_are_told() -> None:
+    for factor, is_told in ((1000, True), (0.1, True), (7, False), (1, False)):
+        runs: Any = ([T, T, factor * T], [NOISY] * 3)
+        clock = data_of(runs[1], runs[0]).noticed["noticed"][0]
+        said = (
+            f"the steps of run 3 are {factor:g} times those of others: in another unit?"
+        )
+        assert (said in clock) == is_told
+
+
+def test_a_last_line_that_was_cut_is_told() -> None:
+    lines = [f"{t:.2f},{q:.4f}" for t, q in zip(T[:40], NOISY, strict=False)]
+    for text, is_told in (("\n".join(lines), False), ("\n".join(lines)[:-2], True)):
+        for end in ("", "\n"):
+            file = io.StringIO(f"t,q\n{text}{end}")
+            data = ph.Measurements.from_csv(file, time="t", states=["q"])
+            assert ("may be cut: '0." in str(data)) == (is_told and not end)
 
 
 def test_an_input_that_jumps_is_told_with_its_hold() -> None:

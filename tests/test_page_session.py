@@ -368,9 +368,9 @@ def test_the_measurements_are_drawn_before_there_is_a_model(tmp_path: Path) -> N
     session.check()
     assert session.seen_data is seen, "nothing has changed"
     assert session.draft.data is not None
-    session.draft.data.columns[2].table["unit"] = "mm"
+    session.draft.data.columns[2].table["unit"] = "metre"
     session.check()
-    assert session.seen_data.rows[1]["unit"] == "mm"
+    assert session.seen_data.rows[1]["unit"] == "metre"
     session.draft.data.columns[1].becomes(NOT_USED)
     session.check()
     assert session.seen_data.chart is None
@@ -484,7 +484,7 @@ def test_undo_and_redo_solve_nothing_and_lose_no_model(studied: Session) -> None
 def test_every_edit_is_undone_and_done_again(tmp_path: Path) -> None:
     session = filled(tmp_path)
     assert session.draft.data is not None
-    session.draft.data.columns[2].table["unit"] = "mm"
+    session.draft.data.columns[2].table["unit"] = "metre"
     session.check()
     session.draft.model.table["H"] = "k*q**2 + p**2/(2*m)"
     session.check()

@@ -37,6 +37,7 @@ def remarks(seen: TableSurvey) -> dict[str, tuple[str, str]]:
     ("q,x\n1,2\n3,1\n7,5\n", "q", (1.0, 7.0), "1 to 7"),  # which increases
     ("q\n1\n3\n2\n", None, None, "no column increases from line to line; name the column of the times."),
     ("t,q\n1,2\n1,1\n7,5\n", "t", None, "1 to 7"),
+    ("time,x,q\na,1,2\nb,3,1\nc,7,5\n", "x", (1.0, 7.0), "1 to 7"),  # texts
     ("q,dt\n1,0.1\n3,\n2,\n", None, (0.0, 0.2), "no column increases from line to line; name the column of the times."),
     ("t,q\n2020-01-01,2\n2020-01-02,1\n", "t", None, "the times are dates"),
     ("t,q\n20210131,1\n20210201,2\n20210202,1\n", "t", None, "numbers such as 20210131 look like dates"),
@@ -81,7 +82,66 @@ def test_a_clock_beside_the_times_counts_the_same_moments_or_its_own(table) -> N
         assert (parts["v"][0] == "state") == (said == "as regular as t")
 
 
+@pytest.mark.parametrize(
+    "name", ["T_room", "T_in", "T_C", "T_amb", "T_1", "t_oil", "t_1"]
+)
+@pytest.mark.parametrize("clock", ["time_s", "zeit", "x", "when"])
+def test_a_clock_is_what_increases_and_no_temperature(table, name, clock) -> None:
+    k = np.arange(40)
+    rising = 20 + np.log1p(k)
+    wave = 20 + np.sin(k)
+    for temperature in (wave, rising)[: 1 if clock == "x" else 2]:
+        stamp = [f"2026-01-01 00:{n:02}" if clock == "when" else str(2 * n) for n in k]
+        rows = zip(temperature, stamp, np.cos(k), strict=True)
+        lines = [f"{a:.3f},{b},{c}\n" for a, b, c in rows]
+        seen = seen_in(table, f"{name},{clock},q\n{''.join(lines)}")
+        assert seen.time is not None and seen.time.column == clock
+        assert remarks(seen)[name][0] == ("input" if name == "T_in" else "state")
+
+
+def test_times_that_were_rounded_are_proposed_with_their_step(table: Path) -> None:
+    t = 0.1353 * np.arange(2000)
+    lines = [f"{a:.2E}\t{np.sin(0.1 * a):.2E}\n" for a in t]
+    seen = seen_in(table, "Tank\nRun 12\n\n" + "".join(lines))
+    assert seen.time is not None and seen.time.column == "0"
+    assert "time = { step = 0.1353 }" in seen.time.remark
+    with pytest.raises(
+        ph.DataError, match=r"as rounded times do: .*step=0\.1353"
+    ) as error:
+        ph.Measurements.from_csv(table, time=0, states={"y": 1})
+    assert "drop" not in str(error.value) and "remove" not in str(error.value)
+    # A held input that never falls, and a counter of a machine, are no such clock.
+    seen = seen_in(table, "u,q\n" + "".join(f"{k // 10},{k % 7}\n" for k in range(40)))
+    assert seen.time is None
+
+
 # ---- runs
+
+
+def test_a_clock_that_begins_anew_begins_a_run(table: Path) -> None:
+    t = np.tile(0.05 * np.arange(40), 3)
+    t[40:] += np.repeat([0.02, -0.02], 40)
+    lines = [f"{a:.2f},{np.cos(a + k):.4f}\n" for k, a in enumerate(t)]
+    seen = seen_in(table, "t_s,x_m\n" + "".join(lines))
+    assert seen.runs == ["log/1", "log/2", "log/3"]
+    said = "the clock begins anew in line 42, line 82: 3 runs"
+    assert seen.said == f"-0.02 to 1.97; {said}"
+    data = ph.Measurements.from_csv(table, time="t_s", states={"q": "x_m"})
+    assert [run.name for run in data] == seen.runs
+    assert [run.n_samples for run in data] == [40, 40, 40]
+    assert said in " ".join(str(data).split())
+    assert said in data.noticed["noticed"][0]
+
+
+def test_a_clock_that_goes_back_elsewhere_is_refused_without_harm(table: Path) -> None:
+    table.write_text("t,q\n0,1\n1,2\n2,3\n1,4\n2,5\n")
+    with pytest.raises(ph.DataError, match=r"line 5: 1.0 is not after 2.0") as error:
+        ph.Measurements.from_csv(table, time="t", states=["q"])
+    assert "cut the file where a run begins" in str(error.value)
+    assert "Sort" not in str(error.value)
+    table.write_text("t,q\n0,1\n1,2\n1,2\n2,5\n")
+    with pytest.raises(ph.DataError, match=r"line 4: .* The rows are the same: remove"):
+        ph.Measurements.from_csv(table, time="t", states=["q"])
 
 
 def test_runs_are_named_by_a_column_that_has_few_names(table: Path) -> None:

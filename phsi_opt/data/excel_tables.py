@@ -58,7 +58,7 @@ def table_of_excel(
     )
     title = f"{file.title}, sheet {sheet!r}"
     rows = sheets[sheet]
-    table = table_of_rows(file, title, "row", rows, wanted, form, "", may_be_several)
+    table = table_of_rows(file, title, "row", rows, wanted, form, "")
     return replace(table, sheets=tuple(sorted(filled, key=lambda one: one != sheet)))
 
 

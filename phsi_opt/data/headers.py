@@ -1,20 +1,17 @@
 """What a column's header says: a label, a unit, the words that name times and inputs.
 
 Units stand in brackets ("q [m]", "T (degC)", "Time(s)"), after a stroke ("x / mm"), or
-after the last underscore where it is one ("position_m", "Tempo_s"); "v_m_s" is in m/s,
-"a_m_s2" in m/s2. A column of a MATLAB matrix, "X(:,2)", has none.
+after the last underscore ("position_m", "Tempo_s"); "v_m_s" is in m/s, "a_m_s2" in
+m/s2. Other words in brackets, such as the socket of a channel, are part of the label.
+A column of a MATLAB matrix, "X(:,2)", has no unit.
 """
 
 import re
 from dataclasses import dataclass
 
-from phsi_opt.data.table_extent import unit_in
-from phsi_opt.data.text_tables import PART
+from phsi_opt.data.table_extent import is_unit
 from phsi_opt.presentation.units import are_alike
 
-IN_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-AFTER_STROKE = re.compile(r"^(.*?\S)(?:\s+(?:/|in)|,)\s+(\S+)$")
-SERIAL = re.compile(r"\s*\([^)]*:[^)]*\)$")  # of a logger: "Temp, °C (S/N: 1234)"
 OF_MATRIX = re.compile(r"([\w.]+)\((?::,\s*)?(\d+)(?:,\s*:)?\)")
 TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
 # Words that are units behind a name; pint knows c and in, too.
@@ -38,7 +35,7 @@ TIME_WORDS = words_in(
     "t time times timestamp datetime date tempo zeit temps datum uhrzeit zeitstempel"
 )
 STEP_WORDS = words_in("ts dt step")
-RUN_WORDS = words_in(f"run trajectory trial experiment versuch record {PART}")
+RUN_WORDS = words_in("run trajectory trial experiment versuch record")
 SET_POINT_WORDS = words_in(
     "setpoint reference referencia referenz sollwert target desired"
 )
@@ -58,33 +55,23 @@ class Header:
         of_matrix = OF_MATRIX.fullmatch(text)
         if of_matrix is not None:
             return Header(text, f"{of_matrix[1]}_{of_matrix[2]}")
-        column = text
-        text = SERIAL.sub("", column)
-        for form in (IN_BRACKETS, AFTER_STROKE):
-            found = form.match(text)
-            is_after_comma = form is AFTER_STROKE and "," in text
-            if found and found[1] and (not is_after_comma or unit_in(found[2])):
-                return Header(column, found[1], SPELLED.get(found[2], found[2]))
-        label, _, last = text.rpartition("_")
-        name, _, numerator = label.rpartition("_")
-        time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
-        may_be_rate = name and time in TIMES and UNIT_WORD.fullmatch(numerator)
-        rate = f"{numerator}/{time}"
-        is_rate = may_be_rate and any(are_alike(rate, one) for one in WRITTEN_RATES)
-        if is_rate and TIME_WORDS.isdisjoint(_words(text)[:1]):
-            return Header(column, name, f"{numerator}/{last}")
-        is_unit = last in TIMES or UNIT_WORD.fullmatch(last)
-        if label and last not in INDICES and is_unit:
-            return Header(column, label, SPELLED.get(last, last))
-        return Header(column, text)
+        before, bracketed = _in_brackets(text)
+        if before and (not bracketed or is_unit(bracketed)):
+            return Header(text, before, SPELLED.get(bracketed, bracketed))
+        # In the brackets may be a serial number: "Temp, °C (S/N: 1234)".
+        label, unit = _label_and_unit(before or text)
+        return Header(text, label if unit else text, SPELLED.get(unit, unit))
 
     @property
     def is_time(self) -> bool:
-        """Whether it says that it is the time; T is a temperature."""
-        words = _words(self.label.rpartition(".")[2])  # of a field of a struct
-        if not words or self.label == "T" or self.unit not in ("", *TIMES):
+        """Whether it says that it is the time; T is a temperature, and so is t_oil."""
+        label = self.label.rpartition(".")[2]  # of a field of a struct
+        words = _words(label)
+        if not words or label == "T" or self.unit not in ("", *TIMES):
             return False
-        return words[0] in TIME_WORDS or (words[-1] in TIME_WORDS and self.unit != "")
+        if self.unit:
+            return not TIME_WORDS.isdisjoint((words[0], words[-1]))
+        return label == "t" or words[0] in TIME_WORDS - {"t"}
 
     @property
     def is_run(self) -> bool:
@@ -122,6 +109,35 @@ def unit_of_header(text: str, is_time: bool) -> str:
     """The unit that a header tells; "" where a channel would be in a unit of time."""
     unit = Header.of(text).unit
     return unit if (unit in TIMES) == is_time else ""
+
+
+def _in_brackets(text: str) -> tuple[str, str]:
+    """The text before its last brackets, and inside; "" where it ends in none."""
+    text = text.rstrip()
+    begin = max(text.rfind("["), text.rfind("("))
+    inside = text[begin + 1 : -1]
+    if begin < 0 or not text.endswith(("]", ")")) or "]" in inside or ")" in inside:
+        return "", ""
+    return text[:begin].rstrip(), inside.strip()
+
+
+def _label_and_unit(text: str) -> tuple[str, str]:
+    """The label and the unit behind a stroke, a comma or underscores; "": none."""
+    *words, last = text.split() or [""]
+    label = " ".join(words)
+    for sign in (" /", " in", ","):
+        if label.endswith(sign) and is_unit(last):
+            return label.removesuffix(sign).rstrip(), last
+    label, _, last = text.rpartition("_")
+    name, _, numerator = label.rpartition("_")
+    time = last.removesuffix("2")  # of a rate such as m/s, l/min, rad/s2
+    may_be_rate = name and time in TIMES and UNIT_WORD.fullmatch(numerator)
+    rate = f"{numerator}/{time}"
+    is_rate = may_be_rate and any(are_alike(rate, one) for one in WRITTEN_RATES)
+    if is_rate and TIME_WORDS.isdisjoint(_words(text)[:1]):
+        return name, f"{numerator}/{last}"
+    is_word = last in TIMES or UNIT_WORD.fullmatch(last)
+    return label, last if label and is_word and last not in INDICES else ""
 
 
 def _words(text: str) -> list[str]:

@@ -7,6 +7,7 @@ that its function states; a reader decides whether it matters.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from phsi_opt.data.channel_noise import (
     scatter_of,
 )
 from phsi_opt.data.trajectory import Trajectory, is_stepped, run_numbers
+from phsi_opt.errors import some_of
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.units import date_words, spaced, time_words
 
@@ -88,10 +90,14 @@ class DataLook:
         return np.where(is_last, np.nan, np.diff(self.t, append=np.nan))
 
     @cached_property
+    def typical_steps(self) -> np.ndarray:
+        """The median step of each trajectory, (n_trajectories,)."""
+        return np.array([np.median(np.diff(run.t)) for run in self.trajectories])
+
+    @cached_property
     def relative_steps(self) -> np.ndarray:
         """The steps, (n_samples,), over the median step of their trajectory."""
-        typical = [float(np.median(np.diff(run.t))) for run in self.trajectories]
-        return self.steps / np.array(typical)[self.run]
+        return self.steps / self.typical_steps[self.run]
 
     @cached_property
     def is_uneven(self) -> bool:
@@ -108,7 +114,13 @@ class DataLook:
         return np.flatnonzero(self.relative_steps > LONG_STEP)
 
     def clock_words(self) -> str:
-        """How regular the samples are, and where there are gaps."""
+        """How regular the samples are, where gaps are, and what is odd in the runs."""
+        remarks = map(attrgetter("remark"), self.trajectories)
+        of_reader = some_of(list(filter(None, remarks)))
+        words = (self._regularity(), of_reader, self._odd_steps(), self._repeated())
+        return "; ".join(filter(None, words))
+
+    def _regularity(self) -> str:
         steps = self.steps if self.is_uneven else self.steps / self.relative_steps
         low = np.nanmin(steps)
         high = np.nanmax(steps)
@@ -129,6 +141,39 @@ class DataLook:
             place = self.place_words(longest)
             words.append(f"{number_of(len(self.gaps), 'gap')} {of} {size}, {place}")
         return ", ".join(words)
+
+    def _odd_steps(self) -> str:
+        """A run whose steps are a power of ten of the others', as in another unit."""
+        typical = self.typical_steps
+        powers = np.log10(typical / np.sort(typical)[len(typical) // 2])
+        is_whole = np.abs(powers - np.round(powers)) < np.log10(1 + REGULAR_STEPS)
+        for number in np.flatnonzero(is_whole & (np.round(powers) != 0))[:1]:
+            run = self.trajectories[number].title
+            factor = f"{10 ** powers[number]:.4g} times those of others"
+            return f"the steps of {run} are {factor}: in another unit?"
+        return ""
+
+    def _repeated(self) -> str:
+        """Samples that repeat the one before in all channels, though one has noise.
+
+        By chance as many would be like the last but one. Many in a row are rest, or a
+        sensor that is stuck, which is told of the channel.
+        """
+        measured = [one for one in self.channels if len(one.known)]
+        has_noise = any(not one.resolution and one.noise > 0 for one in measured)
+        y = np.column_stack(list(map(attrgetter("values"), measured)))
+        is_new = np.append(True, np.any(y[1:] != y[:-1], axis=1))
+        is_new[self.ends] = True
+        begins = np.flatnonzero(is_new)
+        lengths = np.diff(begins, append=len(y))
+        is_short = (lengths > 1) & (lengths < MANY)
+        n = int(np.sum(lengths[is_short] - 1))
+        by_chance = np.sum(np.all(y[2:] == y[:-2], axis=1) & is_new[2:])
+        if not has_noise or not max(MANY, BEYOND * by_chance) <= n < len(y) / 2:
+            return ""
+        place = self.place_words(begins[is_short][0] + 1)
+        samples = number_of(n, "sample")
+        return f"{samples} like the one before in all channels, the first {place}"
 
     def place_words(self, sample: int) -> str:
         """When a sample was taken, such as "at t = 3 s in run 2"."""
@@ -170,6 +215,7 @@ class DataLook:
         n_missing = len(one.values) - len(values)
         if n_missing:
             yield f"{n_missing} of {len(one.values)} missing"
+        yield from self._fill_values(one)
         if len(values) > 1 and np.ptp(values) == 0:
             yield "does not change"
             return
@@ -192,6 +238,21 @@ class DataLook:
             yield f"constant between jumps, {'held' if is_held else NOT_HELD}"
         elif not one.resolution:
             yield from self._stays(one.values)
+
+    def _fill_values(self, one: ChannelLook) -> Iterator[str]:
+        """Values that may stand for missing ones, such as -9999.
+
+        They are five times as far from all others as these are from one another.
+        """
+        different = np.unique(one.values[one.known])
+        for value in different[[0, -1]] if len(different) > 2 * MANY else ():
+            others = different[different != value]
+            places = np.flatnonzero(one.values == value)
+            is_far = np.abs(others - value).min() > BEYOND * np.ptp(others)
+            if is_far and not np.isin(places, one.outliers).all():
+                n = number_of(len(places), "sample")
+                place = self.place_words(places[0])
+                yield f"{value:g} in {n}, far from all others, first {place}: missing?"
 
     def _stays(self, values: np.ndarray) -> Iterator[str]:
         """Whether a channel keeps its values, or stops once, as a stuck sensor does."""

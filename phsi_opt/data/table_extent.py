@@ -1,10 +1,9 @@
 """Where in a file its table stands: its header, a row of units, its rows of values.
 
-Loggers write settings above the table, comments into it, statistics below it, and
-several tables into a file. A section of a file is rows of text and the rows of values
-below them. The table is the section with most values; sections with the same header
-continue it. Another table is never left out in silence. Rows that begin with different
-words are settings or statistics, not samples.
+Loggers write settings and comments above the table, and statistics below it. A section
+of a file is rows of text and the rows of values below them. The table is the section
+with most values. Rows that begin with different words are settings or statistics, not
+samples. Where another section may have samples, the file is to be cut.
 """
 
 import datetime as dt
@@ -17,23 +16,24 @@ from operator import attrgetter
 from typing import Any
 
 from phsi_opt.data.tables import MISSING_CELLS, THOUSANDS, Extent
-from phsi_opt.errors import DataError
+from phsi_opt.presentation.units import is_known
 
 Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its number
 
-NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
+NUMBER = re.compile(r"[+-]?(\d++([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 MOMENT = re.compile(
     r"\d{1,4}[-./: ](\d{1,2}|[A-Za-z]{3})[-./: ]\d[\d:.,]*([T ][\d:.,]+)?"
     r"(Z|[+-][\d:]+)?( ?[AaPp]\.?[Mm]\.?)?|\d{1,2}:\d\d( ?[AaPp][Mm])?"
 )
 COMMENT = re.compile(r"(#|%|//)\s*(?=\S)")
 COMMENT_MARKS = ("#", "%", "//")
-UNIT_IN_BRACKETS = re.compile(r"\[(.*)\]|\((.*)\)|<(.*)>")
 SYMBOL = (
     r"(([numkMGcdh\u00b5\u03bc]?(m|s|g|A|K|N|Nm|Pa|J|W|Wh|V|Hz|Ohm|\u03a9|bar|L|l|rad|"
     r"C|F|H|T|mol)|sec|min|h|hr|d|rpm|rev|deg|degC|degF|\u00b0[CF]?|psi|ft|in|lb|lbf|"
-    r"lbs|mph|kph)(\u00b2|\u00b3|(\^|\*\*)?-?\d)?)"
+    r"lbs|mph|kph|dB)(\u00b2|\u00b3|(\^|\*\*)?-?\d)?)"
 )
+# The number of a socket or a sensor, such as "CH1" or "Dev1/ai0".
+ADDRESS = re.compile(r"[^\W\d_][01]$|[A-Z]\d+$")
 UNIT = re.compile(rf"{SYMBOL}([ /*\u00b7.]\(?{SYMBOL}\)?)*|1/{SYMBOL}|%|-|1")
 # Kinds of a cell, a sign each; a row of cells is a text of them.
 VALUE, DATE, WORD, GAP = "nmt "
@@ -50,13 +50,18 @@ def kind(cell: Any) -> str:
     return DATE if MOMENT.fullmatch(cell) else WORD
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit, and no other word."""
+    is_address = ADDRESS.search(text) is not None
+    return not is_address and (UNIT.fullmatch(text) is not None or is_known(text))
+
+
 def unit_in(cell: Any) -> str:
     """The unit that a cell of a row of units says; "" where it is none."""
     text = str(cell).strip()
-    bracketed = UNIT_IN_BRACKETS.fullmatch(text)
-    if bracketed is not None:
-        return next(filter(None, bracketed.groups()), "").strip()
-    return text if UNIT.fullmatch(text) else ""
+    is_bracketed = text[:1] + text[-1:] in ("[]", "()", "<>")
+    inside = text[1:-1].strip() if is_bracketed else text
+    return inside if (is_unit if is_bracketed else UNIT.fullmatch)(inside) else ""
 
 
 def n_filled(cells: Sequence[Any]) -> int:
@@ -124,11 +129,6 @@ class Section:
         return len(self.values) * (self.typical.count(VALUE) + self.typical.count(DATE))
 
     @property
-    def begin(self) -> int:
-        """Its first row."""
-        return [*self.texts, *self.values][0].number
-
-    @property
     def is_list(self) -> bool:
         """Whether its rows begin with different words, as settings or statistics do."""
         firsts = {row.cells[0] for row in self.values if row.kinds.startswith(WORD)}
@@ -141,6 +141,10 @@ class Section:
             is_wide = self.values[0].width > 1
             return is_wide and bool(self.texts) and WORD not in self.typical
         return bool(self.values) and not self.is_list
+
+    def may_be_below(self, table: "Section") -> bool:
+        """Whether it is text or statistics, and no further samples."""
+        return not self.values or (self.is_list and table.typical[:1] != WORD)
 
     def head(
         self, is_first: bool, units_row: int | None
@@ -174,91 +178,50 @@ def extent_of(
     by_blanks: bool = False,
 ) -> Extent:
     """Find the table; ``skip`` rows stand above it, and row 0 of units is none."""
-    looked_at = _rows(rows, skip or 0, units_row, by_blanks)
-    sections = list(_sections(looked_at))
-    tables = list(filter(attrgetter("is_table"), sections))
+    sections = list(_sections(_rows(rows, skip or 0, units_row, by_blanks)))
     main = sections[0]
     if skip is None:
+        tables = list(filter(attrgetter("is_table"), sections))
         main = max(tables or sections, key=attrgetter("size"))
+    place = sections.index(main)
     head, units = main.head(skip is not None, units_row)
-    parts: list[list[Row]] = []
-    below: list[Row] = []
-    others = tables[: tables.index(main)] if main in tables else []
-    for section in sections[sections.index(main) :]:
-        own, _ = section.head(skip is not None, units_row)
-        is_same = own and head and own.cells == head.cells
-        if section is main or is_same:
-            parts.append(list(section.values))
-        elif not section.values or (section.is_list and main.typical[:1] != WORD):
-            below += [*section.texts, *section.values]
-        elif section not in tables:  # its rows are refused where they are wrong
-            parts[-1] += [*section.texts, *section.values]
-        elif skip is not None:
-            break
-        else:
-            others.append(section)
-    samples = list(itertools.chain(*parts))
-    first = head.number if head else [*samples, *main.texts][0].number
-    last = samples[-1].number if samples else first
-    n_comments = 0
-    for row in looked_at:
-        is_inside = first < row.number < last and row not in (head, units)
-        n_comments += row.is_comment and is_inside
+    samples = tuple(map(attrgetter("number"), main.values))
+    first = (head or [*main.values, *main.texts][0]).number
+    below = next((row for row in rows if samples and row > samples[-1]), None)
+    cut = None
+    if not all(one.may_be_below(main) for one in sections[place + 1 :]):
+        cut = below
+    elif any(map(attrgetter("is_table"), sections[:place])):
+        cut = [*main.texts, *main.values][0].number
     return Extent(
         head.number if head else None,
         units.number if units else None,
-        tuple(map(_numbers, parts)),
+        samples,
         names=tuple(head.cells) if head else (),
         unit_of=tuple(map(unit_in, units.cells)) if units else (),
         above=first - 1,
-        comments=n_comments,
-        below=_numbers(below),
-        others=tuple(map(attrgetter("begin"), others)),
+        below=below,
+        cut=cut,
     )
-
-
-def _numbers(rows: Iterable[Row]) -> tuple[int, ...]:
-    return tuple(map(attrgetter("number"), rows))
-
-
-def check_only_table(extent: Extent, title: str, row_word: str) -> None:
-    """Refuse a file with several tables, of which none was chosen.
-
-    Raises:
-        DataError: there are others.
-    """
-    if extent.others:
-        begins = sorted([extent.above + 1, *extent.others])
-        skips = " or ".join(f"skip = {begin - 1}" for begin in begins)
-        raise DataError(
-            f"{title} has {len(begins)} tables, from {row_word} "
-            f"{', '.join(map(str, begins))} on. Choose one by the number of "
-            f"{row_word}s above it: {skips}."
-        )
 
 
 def _rows(rows: Rows, skip: int, units_row: int | None, by_blanks: bool) -> list[Row]:
     """The rows behind those that are skipped.
 
-    Below a row as wide as most, "#REF!" before values is no comment mark: it is a wrong
-    cell of a sample.
+    Comments end at the first row as wide as most: below it, "#REF!" is a wrong cell.
     """
     found = []
     for number, cells in rows.items():
         if number > skip:
             kinds = "".join(map(kind, cells))
             found.append(Row(number, cells, WORD if number == units_row else kinds))
-    typical = _typical(found)
-    values = re.sub(f"[{VALUE}{DATE}]", f"[{VALUE}{DATE}]", typical[1:])
-    sample = re.compile(f".{values.replace(GAP, '.').replace(WORD, '.')}.*")
-    has_begun = False
+    width = len(_typical(found).rstrip(GAP))
     for i, row in enumerate(found):
         plain = _without_mark(row.cells, by_blanks)
-        is_sample = has_begun and row.n_values and sample.fullmatch(row.kinds)
-        if plain is not None and not is_sample:
+        if plain is not None:
             found[i] = Row(row.number, plain, WORD, is_comment=True)
-        elif row.width >= len(typical.rstrip(GAP)):
-            has_begun = True
+        elif row.width >= width:
+            break
     return found
 
 
@@ -286,8 +249,6 @@ def _sections(rows: Iterable[Row]) -> Iterator[Section]:
     values: list[Row] = []
     for row in rows:
         if row.is_text and values:
-            if row.is_comment:
-                continue
             yield _section(texts, values)
             texts = []
             values = []

@@ -22,10 +22,17 @@ from phsi_opt.data.logger_tables import table_of_groups
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, numbers_in, rows_of_runs, table_of_frame
 from phsi_opt.data.text_tables import TextFormat, table_of_csv
-from phsi_opt.data.times import Moment, times_in
+from phsi_opt.data.times import (
+    Moment,
+    begun_anew,
+    names_of_parts,
+    runs_of_clock,
+    times_in,
+)
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, shown
 from phsi_opt.interrupts import interruptible
+from phsi_opt.presentation.units import are_alike, contradict
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,7 +67,8 @@ class TableError(DataError):
 
     Attributes:
         by_part: The fault of each part: ``("time", "column")``, ``("trajectory",)``,
-            ``("states", name, "column")`` or ``("inputs", name, "column")``.
+            ``("states", name, "column")`` or ``("inputs", name, "column")``; or
+            "unit" in place of "column".
     """
 
     def __init__(self, by_part: Mapping[Part, DataError]) -> None:
@@ -88,9 +96,9 @@ class TableReaders:
 
         The text is UTF-8. What separates the cells (comma, semicolon, tab, blanks), the
         sign before decimals, the header and the line of the units are found in the text
-        where they are not given; settings above the table, comments and text below it
-        are skipped. Tables with the same header are told apart by a column "table".
-        Empty cells, nan and NA are missing samples.
+        where they are not given; settings and comments above the table and text below
+        it are skipped. Several tables in a file, and comments between samples, are
+        refused. Empty cells, nan and NA are missing samples.
 
         Args:
             source: A path, an open text file, or several of them: then each file is a
@@ -403,6 +411,7 @@ def _runs_in(
     There are none where there is a fault, and no moments where times are numbers.
     """
     rows: dict[str, np.ndarray] = {}
+    runs: list[list[np.ndarray]] = []  # the same, divided where the clock begins anew
     t = np.empty(len(table.frame))
     origins: list[Moment] = []
     none = np.empty((len(t), 0))
@@ -415,6 +424,7 @@ def _runs_in(
                 rows = _rows_by_name(table, column)
             elif part == TIME_PART:
                 t, origins = _times(table, layout, list(rows.values()))
+                runs = [runs_of_clock(t, own) for own in rows.values()]
             else:
                 values = np.full(len(t), np.nan)
                 name = part[1]
@@ -428,7 +438,8 @@ def _runs_in(
                         "dates; expected numbers. Put both on common times."
                     )
                 if has_clock:
-                    values = _at_times(table, layout, name, values, t, rows.values())
+                    parts = itertools.chain(*runs)
+                    values = _at_times(table, layout, name, values, t, parts)
                 columns[part[0]].append(values)
         except DataError as error:
             faults.setdefault(part, error)
@@ -441,13 +452,17 @@ def _runs_in(
         )
     x, u = map(np.column_stack, columns.values())
     trajectories = []
-    for i, (name, own) in enumerate(rows.items()):
-        known = own[np.isfinite(u[own]).all(axis=1)]
+    for i, (name, own) in enumerate(zip(rows, runs, strict=True)):
         is_date = bool(origins) and isinstance(origins[i], dt.datetime)
         origin: Any = origins[i] if is_date else None
-        trajectories.append(
-            Trajectory(prefix + name, t[known], x[known], u[known], origin)
-        )
+        begun = begun_anew([table.row(part[0]) for part in own[1:]])
+        remark = "; ".join(filter(None, (begun, table.ending if i == 0 else "")))
+        names = names_of_parts(prefix + name, len(own))
+        for called, samples in zip(names, own, strict=True):
+            known = samples[np.isfinite(u[samples]).all(axis=1)]
+            arrays = (t[known], x[known], u[known])
+            trajectories.append(Trajectory(called, *arrays, origin, remark))
+            remark = ""
     return trajectories, origins
 
 
@@ -505,19 +520,38 @@ def _units(
             f"units: the time 't' has the unit {units['t']!r}, and dates are read in "
             "seconds; expected 's'. Leave 't' out of units."
         )
-    columns = {**layout.states, **layout.inputs, "t": layout.time}
-    open_names = [name for name in columns if name not in units]
-    for table, name in itertools.product(tables, open_names):
+    faults: dict[Part, DataError] = {}
+    times = {} if are_dates else {"t": layout.time}
+    columns = {**times, **layout.states, **layout.inputs}
+    for table, name in itertools.product(tables, columns):
         column = str(columns[name])
-        of_header = unit_of_header(column, name == "t") if headers else ""
-        unit = table.units.get(column) or of_header
-        if unit and units.setdefault(name, unit) != unit:
+        of_header = unit_of_header(column, name == "t")
+        of_file = table.units.get(column) or of_header
+        if name in given and _contradict(given[name], of_file, column):
+            what = "states" if name in layout.states else "inputs"
+            part = ("time", "unit") if name == "t" else (what, name, "unit")
+            faults[part] = DataError(
+                f"units: {name!r} has the unit {str(given[name])!r}, but the column "
+                f"{shown(column)} of {table.title} is in {of_file!r}; expected the "
+                "unit of the numbers in the file. Give that, or correct the file."
+            )
+        unit = table.units.get(column) or of_header * headers
+        if name not in given and unit and units.setdefault(name, unit) != unit:
             raise DataError(
                 f"{table.title}: {name!r} has the unit {unit!r}, but in a table "
-                f"before it {units[name]!r}; expected one unit. Convert the "
-                f"tables, or say which it is: units={{{name!r}: ...}}."
+                f"before it {units[name]!r}; expected one unit. Convert the tables, so "
+                "that all have the same."
             )
+    if faults:
+        raise TableError(faults)
     return units
+
+
+def _contradict(given: str, of_file: str, column: str) -> bool:
+    """Whether a given unit is surely not the file's; "_A" may count sensors."""
+    may_be_index = len(of_file) == 1 and column.endswith(f"_{of_file}")
+    is_sure = not may_be_index or are_alike(given, of_file)
+    return is_sure and contradict(given, of_file)
 
 
 def _check_column(table: Table, column: Any, layout: Layout) -> None:

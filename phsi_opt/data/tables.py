@@ -35,18 +35,13 @@ class Extent:
 
     header: int | None  # the row of the names; None: there is none
     units: int | None  # the row of the units
-    parts: tuple[tuple[int, ...], ...]  # the rows of values, of each part
+    rows: tuple[int, ...]  # of values
     names: tuple[Any, ...] = ()  # the cells of the header
     unit_of: tuple[str, ...] = ()  # what the row of the units says; "" where it is none
     above: int = 0  # the last row above the table
-    comments: int = 0  # rows of comments between values
-    below: tuple[int, ...] = ()  # rows below the table that are not read
-    others: tuple[int, ...] = ()  # where other tables begin
-
-    @property
-    def rows(self) -> list[int]:
-        """All rows of values."""
-        return [row for part in self.parts for row in part]
+    below: int | None = None  # the first row below the table, which is not read
+    # the row that separates the table from another one; None: there is no other
+    cut: int | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +66,7 @@ class Table:
     # comma may be either
     decimal: str | None = None
     remark: str = ""  # what was guessed of the file's encoding; "" where nothing was
+    ending: str = ""  # why its last line may be cut; "" where it is not
     # sheets of a workbook, or groups of channels, that have content
     sheets: tuple[str, ...] = ()
     separator: str = ""  # between the cells of a text

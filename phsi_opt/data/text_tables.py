@@ -10,28 +10,21 @@ import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.arguments import checked_types, types_of
 from phsi_opt.data.file_opening import OpenedFile
-from phsi_opt.data.table_extent import (
-    WORD,
-    Rows,
-    check_only_table,
-    extent_of,
-    kind,
-    n_filled,
-)
+from phsi_opt.data.table_extent import WORD, Rows, extent_of, kind, n_filled
 from phsi_opt.data.tables import DECIMAL_COMMA, DECIMAL_POINT, THOUSANDS, Extent, Table
 from phsi_opt.errors import DataError, shown
 from phsi_opt.presentation.numbers import number_of
 
 BLANKS = " "  # one blank or several, tabs among them
 SEPARATORS = (",", ";", "\t", BLANKS)
-PART = "table"  # the column that counts tables with the same header in one file
+FEW = 10  # numbers; among less, a short one is no sign of a line that was cut
 SEPARATOR = re.compile(r"[^\"\r\n]")
 
 
@@ -81,19 +74,15 @@ class TextFormat:
                 )
 
 
-def table_of_csv(
-    file: OpenedFile,
-    wanted: Iterable[Any],
-    form: TextFormat,
-    may_be_several: bool = False,
-) -> Table:
+def table_of_csv(file: OpenedFile, wanted: Iterable[Any], form: TextFormat) -> Table:
     """The cells of a text table, as text; empty lines are skipped.
 
     The columns that are looked for, by name or by number from 0, help to find the
-    separator. Where there may be several tables, the largest is taken.
+    separator.
 
     Raises:
-        DataError: the table is empty, or a line has too few or too many cells.
+        DataError: the table is empty or not the only one, or a line has too few or too
+            many cells.
     """
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}
@@ -104,10 +93,21 @@ def table_of_csv(
             f"{file.title} is empty; "
             "expected a header line and at least 2 lines of numbers."
         )
-    title = file.title
-    return table_of_rows(
-        file, title, "line", rows, columns, form, separator, may_be_several
+    table = table_of_rows(file, file.title, "line", rows, columns, form, separator)
+    return replace(table, ending=_ending(file.content, table))
+
+
+def _ending(text: str, table: Table) -> str:
+    """Why the last line may be cut: its number is shorter than those above it."""
+    if len(table.frame) <= FEW:
+        return ""
+    cells = table.frame.iloc[:, -1]
+    digits = cells.str.count(r"\d").tolist()
+    is_cut = text.endswith(cells.iloc[-1]) and digits[-1] < min(digits[:-1])
+    words = (
+        f"the last line may be cut: {shown(cells.iloc[-1])} is shorter than all above"
     )
+    return words if is_cut else ""
 
 
 def table_of_rows(
@@ -118,7 +118,6 @@ def table_of_rows(
     wanted: Iterable[Any],
     form: TextFormat,
     separator: str,
-    may_be_several: bool,
 ) -> Table:
     """The table in some rows of cells.
 
@@ -129,8 +128,14 @@ def table_of_rows(
     import pandas as pd
 
     extent = _extent(rows, form, separator, title)
-    if not may_be_several:
-        check_only_table(extent, title, row_word)
+    if extent.cut is not None:
+        words = ", ".join(map(str, rows[extent.cut]))
+        raise DataError(
+            f"{title}, {row_word} {extent.cut} contains {shown(words)}, and samples "
+            "stand above it and below it: these are several tables, or a comment in a "
+            f"table. Cut the file here, so that each file has one table, or remove the "
+            f"{row_word}."
+        )
     cells_of = {i: rows[i] for i in extent.rows}
     head = extent.names
     widths = {i: n_filled(cells) for i, cells in cells_of.items()}
@@ -184,9 +189,6 @@ def table_of_rows(
         columns=pd.Index(labels, dtype=object),
         dtype=object,
     )
-    if len(extent.parts) > 1 and PART not in labels:
-        numbers = [[str(n)] * len(part) for n, part in enumerate(extent.parts, 1)]
-        frame[PART] = list(itertools.chain(*numbers))
     return Table(
         title,
         row_word,

@@ -3,7 +3,8 @@
 Dates become seconds, exact to the microsecond. A moment with an offset ("Z" or
 "+01:00") is taken as such; names of time zones are not read, and nothing is guessed: a
 column that is partly without offset, a day and month in an unknown order and a clock
-that was set back are refused with their row.
+that was set back are refused with their row. A clock that goes back to its first time
+begins a new run.
 
 Date, time of day and milliseconds may stand in columns of their own, and a date may be
 a number of days or seconds since another one.
@@ -16,6 +17,7 @@ or begin with no such year.
 """
 
 import datetime as dt
+import itertools
 import re
 from collections.abc import Sequence
 from contextlib import suppress
@@ -34,7 +36,7 @@ from phsi_opt.data.tables import (
     numbers_in,
     plain_number,
 )
-from phsi_opt.errors import DataError, shown
+from phsi_opt.errors import DataError, shown, some_of
 
 SECOND = dt.timedelta(seconds=1)
 UNIX = dt.datetime(1970, 1, 1)
@@ -45,7 +47,7 @@ CLOCKS = {
     "unix ms": (UNIX, SECOND / 1000),
     "unix us": (UNIX, SECOND / 1_000_000),
 }
-MILLISECONDS = re.compile(r"(?i).*\b(ms|msec|millis\w*)\b.*")
+MILLISECONDS = re.compile(r"(?i)\b(ms|msec|millis\w*)\b")
 TIME_OF_DAY = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
 NUMBERS = (NUMBER, DECIMAL_COMMA, re.compile(r"[+-]?inf(inity)?", re.IGNORECASE))
 # The signs of strptime, with the numbers that each may stand for.
@@ -116,6 +118,43 @@ def times_in(
     return t, []
 
 
+def runs_of_clock(t: np.ndarray, rows: np.ndarray) -> list[np.ndarray]:
+    """The rows of a run, divided where its clock goes back to its first time.
+
+    It may miss that by less than half of its typical step, the median.
+    """
+    steps = np.diff(t[rows])
+    step = np.median(steps[steps > 0]) if np.any(steps > 0) else 0.0
+    is_near = np.abs(t[rows[1:]] - t[rows[:1]]) < step / 2
+    return np.split(rows, np.flatnonzero((steps < 0) & is_near) + 1)
+
+
+def names_of_parts(run: str, n: int) -> list[str]:
+    """The names of the n parts of a run that `runs_of_clock` divides."""
+    return [run] if n == 1 else [f"{run}/{k}" for k in range(1, n + 1)]
+
+
+def begun_anew(rows: Sequence[str]) -> str:
+    """The remark about a clock that begins anew in rows; "" for none."""
+    said = f"the clock begins anew in {some_of(rows)}: {len(rows) + 1} runs"
+    return said if rows else ""
+
+
+def rounded_step(t: np.ndarray) -> str:
+    """The step of times that were rounded until some are equal; "" of other times.
+
+    They never fall, and stay within their largest step of an even clock (the line
+    through them), over ten of these steps at least.
+    """
+    steps = np.diff(t)
+    if not np.any(steps == 0) or not np.ptp(t) > 10 * np.max(steps):  # or NaN
+        return ""
+    line = np.polyfit(np.arange(len(t)), t, 1)
+    away = np.max(np.abs(t - np.polyval(line, np.arange(len(t)))))
+    is_even = np.min(steps) == 0 and away <= np.max(steps)
+    return f"{line[0]:.4g}" if is_even else ""
+
+
 def clock_of(values: np.ndarray) -> str:
     """The clock by which numbers are dates from 2000 to 2050; "": none."""
     for name, (origin, unit) in CLOCKS.items():
@@ -128,7 +167,7 @@ def clock_of(values: np.ndarray) -> str:
 
 def is_milliseconds(column: Any) -> bool:
     """Whether a header says that a column has milliseconds."""
-    return MILLISECONDS.fullmatch(str(column).replace("_", " ")) is not None
+    return MILLISECONDS.search(str(column).replace("_", " ")) is not None
 
 
 def _joined(table: Table, columns: Sequence[Any]) -> tuple[Table, Any, Any]:
@@ -216,11 +255,11 @@ def _moment(cell: Any, date_format: str | None) -> Moment | None:
     if not isinstance(cell, str):
         return None
     clock = TIME_OF_DAY.fullmatch(cell.strip())
-    if clock is not None:
-        hours, minutes, seconds = clock.groups()
-        whole = dt.timedelta(hours=int(hours), minutes=int(minutes))
-        return whole + float(seconds.replace(",", ".")) * SECOND
-    with suppress(ValueError):
+    with suppress(ValueError, OverflowError):
+        if clock is not None:
+            hours, minutes, seconds = clock.groups()
+            whole = dt.timedelta(hours=int(hours), minutes=int(minutes))
+            return whole + float(seconds.replace(",", ".")) * SECOND
         return dt.datetime.fromisoformat(cell.strip())
     return None
 
@@ -284,15 +323,33 @@ def _check_increasing(
     told: Sequence[Any],
     runs: Sequence[np.ndarray],
 ) -> None:
-    """Refuse a time of a trajectory that is not after the one before it."""
-    for rows in runs:
+    """Refuse a time of a run that is not after the one before it."""
+    parts = itertools.chain(*(runs_of_clock(t, rows) for rows in runs))
+    for rows in parts:
         for number in np.flatnonzero(np.diff(t[rows]) <= 0)[:1]:
             before, after = rows[number : number + 2].tolist()
-            clock = " (a clock set back in autumn repeats an hour)"
             raise DataError(
                 f"{table.place(column, after)} {told[after]} is not after "
-                f"{told[before]} of {table.row(before)}; times must increase "
-                f"strictly{'' if isinstance(told[0], float) else clock}. Sort the "
-                "samples or drop the duplicate. If the table contains several runs, "
-                "name the column of the run (trajectory)."
+                f"{told[before]} of {table.row(before)}; times must increase strictly. "
+                f"{_advice(table, t[rows], before, after)}"
             )
+
+
+def _advice(table: Table, t: np.ndarray, before: int, after: int) -> str:
+    """What to do about the times t of a run, of which two do not increase."""
+    advice = (
+        "If the table contains several runs, name the column of the run (trajectory), "
+        "or cut the file where a run begins; otherwise correct the times (a clock set "
+        "back in autumn repeats an hour)."
+    )
+    n_equal = int(np.sum(np.diff(t) == 0))
+    if n_equal and table.frame.iloc[before].equals(table.frame.iloc[after]):
+        return "The rows are the same: remove one of them."
+    step = rounded_step(t)
+    if step:
+        advice = (
+            f"{n_equal} of {len(t)} rows repeat a time, as rounded times do: if the "
+            "samples are even, give their step in place of the column: "
+            f"step={step}, in a study file time = {{ step = {step} }}. {advice}"
+        )
+    return advice

@@ -37,6 +37,7 @@ class Trajectory:
         x: States, (n_samples, n_states), NaN where not measured.
         u: Inputs, (n_samples, n_inputs), or (n_samples,) for a single input.
         origin: The date at which t is 0, if the times were dates; otherwise None.
+        remark: What its reader noticed, such as a clock that begins anew.
 
     Raises:
         DataError: The name is not a text, an array is not real or has another shape, or
@@ -48,6 +49,7 @@ class Trajectory:
     x: np.ndarray
     u: np.ndarray
     origin: dt.datetime | None = None
+    remark: str = ""
 
     def __post_init__(self) -> None:
         is_text = isinstance(self.name, str) and self.name
@@ -79,7 +81,8 @@ class Trajectory:
             raise DataError(
                 f"{title}: t[{after}]={float(self.t[after])} is not after "
                 f"t[{before}]={float(self.t[before])}; times must increase strictly. "
-                "Sort the samples or drop the duplicate."
+                "Give each run as arrays of its own; correct or leave out a sample "
+                "whose time is wrong."
             )
 
     @property
@@ -99,7 +102,8 @@ class Trajectory:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because unpickled arrays would be writeable."""
-        return type(self), (self.name, self.t, self.x, self.u, self.origin)
+        arrays = (self.t, self.x, self.u)
+        return type(self), (self.name, *arrays, self.origin, self.remark)
 
 
 def part_of(run: Trajectory, rows: slice) -> Trajectory:

@@ -325,7 +325,7 @@ def look_at(places: Mapping[str, Path], sheet: str | None = None) -> DataDraft:
                 numbers_in(one.table, column.column, may_be_missing=True)
         check_alike(seen[0].columns, one.columns, one.table.title)
         draft.n_samples += one.n_lines
-        draft.runs += one.run.cells.tolist() if one.run else [one.table.run]
+        draft.runs += one.runs
         if one.step is not None:
             draft.time = {"step": one.step}
     draft.runs = list(dict.fromkeys(draft.runs))

@@ -45,6 +45,7 @@ OF_MECHANICS = frozenset({"kg", "m", "s", RADIAN})
 FACTOR = re.compile(r"((?:[^\W\d_]|[%‰°])+)(?:(?:\^|\*\*)?(-?\d))?$")
 FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
 PLAIN_POWERS = str.maketrans("²³", "23")
+LONGEST_UNIT = 60  # letters; a longer text is no unit
 # ---- of pint
 BASE_OF_PINT = {
     **{"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K"},
@@ -53,6 +54,7 @@ BASE_OF_PINT = {
 CALLED_IN_PINT = {"%": "percent", "‰": "permille", "rev": "turn"}
 # Words of which pint would make a year, an atomic mass or a coulomb.
 OWN_WORDS = frozenset({"C", "a", "u", "dB"})
+SEVERAL_MEANINGS = frozenset({"g", "F"})  # gravity and Fahrenheit as well
 WITHOUT_BLANKS = re.compile(r"\b(kg|[kMmµμu]?[NVAW])(m\d?)?(s)?\b")  # Nm, Vs, kgm2
 # Temperatures that do not count from absolute zero, and what is told at 0 degC.
 CELSIUS = ("degC", "°C", "degF", "°F")
@@ -102,6 +104,8 @@ def product(first: Powers, second: Powers, power: float = 1.0) -> Powers:
 
 def powers_as_written(unit: str) -> Powers | None:
     """Powers of the units as they are written, of any name; None: not readable."""
+    if len(unit) > LONGEST_UNIT:
+        return None
     powers: Powers = {}
     plain = unit.translate(PLAIN_POWERS)
     for place, part in enumerate(plain.replace("(", "").replace(")", "").split("/")):
@@ -301,6 +305,23 @@ def are_alike(unit: str, other: str) -> bool:
     return measure is not None and like is not None and measure.powers == like.powers
 
 
+def contradict(unit: str, other: str) -> bool:
+    """Whether numbers in one unit are surely none in the other.
+
+    An angle may stand without its unit (rpm is 1/min to many), and so may a word that
+    SI does not know, or one of `SEVERAL_MEANINGS`, mean the same.
+    """
+    first, second = map(measure_of, (unit, other))
+    is_open = unit.lower() == other.lower() or SEVERAL_MEANINGS & {unit, other}
+    if first is None or second is None or is_open:
+        return False
+    ratio = product(first.powers, second.powers, -1)
+    if ratio:
+        return set(ratio) != {RADIAN} and set(ratio) <= set(BASE_UNITS)
+    have_zeros = (unit in CELSIUS) != (other in CELSIUS)
+    return not math.isclose(first.size, second.size) or have_zeros
+
+
 def words_of(unit: str) -> set[str]:
     """The words of a unit that SI does not know, such as "counts"."""
     measure = measure_of(unit) if unit else Measure({}, 1.0)
@@ -311,22 +332,33 @@ def _apart(found: re.Match[str]) -> str:
     return " ".join(filter(None, found.groups()))
 
 
+def is_known(unit: str) -> bool:
+    """Whether all words of a unit are of SI, or known to pint."""
+    written = powers_as_written(WITHOUT_BLANKS.sub(_apart, unit))
+    names = [unit] * unit.isalnum() if written is None else list(written)
+    return all(name in KNOWN or _parsed(name) for name in names) and bool(names)
+
+
 def _in_pint(name: str) -> Measure:
     """A name by pint; one that pint does not know, or has no size of, is its own."""
-    own = Measure({name: 1.0}, 1.0)
-    if name in OWN_WORDS or POWER_OF_NUMBER.search(name):
-        return own
+    parsed = _parsed(name)
+    by_name = {} if parsed is None else dict(parsed[1]._units)
+    if parsed is None or not by_name.keys() <= BASE_OF_PINT.keys():
+        return Measure({name: 1.0}, 1.0)
+    powers = {BASE_OF_PINT[one]: float(n) for one, n in by_name.items()}
+    return Measure(powers, float(f"{parsed[0]:.15g}"))
+
+
+def _parsed(name: str) -> Any:
+    """The size and the base units of a name in pint; None where there are none."""
+    if name in OWN_WORDS or len(name) > LONGEST_UNIT or POWER_OF_NUMBER.search(name):
+        return None
     try:
         registry = _registry()
         called = CALLED_IN_PINT.get(name, name.replace("Ohm", "ohm"))
-        size, units = registry.get_base_units(registry.parse_units(called))
+        return registry.get_base_units(registry.parse_units(called))
     except Exception:  # of pint, which reads it as Python
-        return own
-    by_name = dict(units._units)
-    if not by_name.keys() <= BASE_OF_PINT.keys():
-        return own
-    powers = {BASE_OF_PINT[one]: float(n) for one, n in by_name.items()}
-    return Measure(powers, float(f"{size:.15g}"))
+        return None
 
 
 @cache

@@ -4,6 +4,7 @@ A column is meant to be numeric where most of its cells are numbers: then a cell
 none is a mistake in the file, and it is reported with its line.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,12 @@ import pandas as pd
 
 from phsi_opt.data.headers import TIMES, Header, words_in
 from phsi_opt.data.tables import MISSING_CELLS, Table, plain_number, rows_of_runs
-from phsi_opt.data.times import clock_of, format_of_dates
+from phsi_opt.data.times import (
+    clock_of,
+    format_of_dates,
+    rounded_step,
+    runs_of_clock,
+)
 from phsi_opt.data.trajectory import is_stepped
 from phsi_opt.presentation.numbers import number_of, shortened
 
@@ -169,6 +175,27 @@ class Column(Header):
         """Whether cells are empty that should not be; other clocks have fewer."""
         return self.n_missing > 0 and not self.clock
 
+    def clock_runs(self, run: "Column | None") -> list[np.ndarray]:
+        """The rows of each run, divided where its values go back to the first one."""
+        assert self.values is not None
+        runs = self.rows_of(run)
+        return [part for rows in runs for part in runs_of_clock(self.values, rows)]
+
+    def increases(self, run: "Column | None") -> bool:
+        """Whether its values, where they are known, increase in each run."""
+        if self.values is None:
+            return False
+        for rows in self.rows_of(run):
+            known = self.values[rows][np.isfinite(self.values[rows])]
+            if np.any(np.diff(known) <= 0):
+                return False
+        return True
+
+    @property
+    def rounded_step(self) -> str:
+        """The step of times that were rounded until some are equal; "" of others."""
+        return "" if self.values is None else rounded_step(self.values)
+
     def wrong_time(self, run: "Column | None") -> str:
         """The first time that is missing, wrong or not after the one before it."""
         assert self.values is not None
@@ -176,7 +203,7 @@ class Column(Header):
             return self.wrong
         if self.n_missing:
             return f"{self.first_missing} has no time"
-        pairs = np.vstack([np.c_[rows[:-1], rows[1:]] for rows in self.rows_of(run)])
+        pairs = np.vstack([np.c_[rows[:-1], rows[1:]] for rows in self.clock_runs(run)])
         late = pairs[self.values[pairs[:, 1]] <= self.values[pairs[:, 0]]]
         if not len(late):
             return ""
@@ -185,12 +212,17 @@ class Column(Header):
             f"{self.lines[after]} has {self.values[after]:.6g}, not after "
             f"{self.values[before]:.6g} of {self.lines[before]}"
         )
-        return _and_more(said, len(late), "more such line")
+        step = self.rounded_step
+        rounded = (
+            f"the times were rounded: if they are even, time = {{ step = {step} }}"
+        )
+        return _joined(_and_more(said, len(late), "more such line"), step and rounded)
 
 
 def columns_of(table: Table) -> list[Column]:
     """All columns of a table, in its order."""
     headers = list(map(str, table.frame.columns))
+    n_of_name = Counter(headers)
     lines = list(map(table.row, range(len(table.frame))))
     columns = []
     for number, header in enumerate(headers):
@@ -203,7 +235,7 @@ def columns_of(table: Table) -> list[Column]:
         words = vars(Header.of(header))
         words["unit"] = table.units.get(header) or words["unit"]
         column = Column(**words, cells=cells, lines=lines, is_missing=is_missing)
-        column.said = _look_at(column, headers.count(header))
+        column.said = _look_at(column, n_of_name[header])
         columns.append(column)
     return columns
 

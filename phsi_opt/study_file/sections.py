@@ -264,7 +264,7 @@ def table_at(
         return table_of_groups(file, LOGGERS[reader], given.group, is_unknown)
     form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
-        return table_of_csv(file, given.wanted, form, is_unknown)
+        return table_of_csv(file, given.wanted, form)
     return table_of_excel(file, given.wanted, given.sheet, form, is_unknown)
 
 

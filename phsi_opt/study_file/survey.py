@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, count
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +22,12 @@ from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.headers import TIMES, Header, words_in
 from phsi_opt.data.table_extent import NUMBER
 from phsi_opt.data.tables import Table
-from phsi_opt.data.times import clock_of, is_milliseconds
+from phsi_opt.data.times import (
+    begun_anew,
+    clock_of,
+    is_milliseconds,
+    names_of_parts,
+)
 from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.expressions import RESERVED_IN_FORMULAS
 from phsi_opt.study_file.columns import (
@@ -106,14 +111,9 @@ class TableSurvey:
         units = extent.units
         said = f"header in {word} {header}" if header else "no header"
         said += f", samples in {word}s {extent.rows[0]} to {extent.rows[-1]}"
-        if extent.comments:
-            said += f"; comments: {extent.comments}"
         if extent.below:
-            said += f"; not read: {word}s from {extent.below[0]} on"
-        if extent.others:
-            begins = some_of(list(map(str, extent.others)))
-            said += f"; other tables: from {word} {begins} on"
-        keys.append(ReadKey("skip", extent.above, said, bool(extent.others)))
+            said += f"; not read: {word}s from {extent.below} on"
+        keys.append(ReadKey("skip", extent.above, said))
         if header is None:
             names = list(map(str, table.frame.columns))
             keys.append(ReadKey("columns", names, "no names in the file"))
@@ -134,8 +134,18 @@ class TableSurvey:
 
     @property
     def n_runs(self) -> int:
-        """The runs that a column tells; 1 where there is none."""
-        return 1 if self.run is None else int(self.run.cells.nunique())
+        """The runs that a column tells, or a clock that begins anew."""
+        return len(self.runs)
+
+    @cached_property
+    def runs(self) -> list[str]:
+        """The names of the runs, as those of the measurements."""
+        time = self.time
+        if self.run is not None:
+            return self.run.cells.unique().tolist()
+        has_values = time is not None and time.values is not None
+        n = len(time.clock_runs(None)) if time is not None and has_values else 1
+        return names_of_parts(self.table.run, n)
 
     @property
     def is_long(self) -> bool:
@@ -186,7 +196,10 @@ class TableSurvey:
             return "; ".join(filter(None, (said, time.other_dates)))
         if time.wrong:
             return time.said
-        return f"{time.values.min():g} to {time.values.max():g}"
+        begins = [time.lines[rows[0]] for rows in time.clock_runs(self.run)[1:]]
+        anew = begun_anew(begins) if self.run is None else ""
+        span = f"{time.values.min():g} to {time.values.max():g}"
+        return "; ".join(filter(None, (span, anew)))
 
 
 def survey(path: DataFile, part: str | None = None) -> TableSurvey:
@@ -213,7 +226,7 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
     time = _time(others, run, step)
     if time is not None:
         _put_together(time, others)
-        _find_other_clocks(time, others)
+        _find_other_clocks(time, others, run)
     for one in columns:
         if not one.said.startswith((OTHER_CLOCK, PART_OF_TIME)):
             _take_part(one, time, run, of_step)
@@ -222,7 +235,7 @@ def survey(path: DataFile, part: str | None = None) -> TableSurvey:
     if not seen.of_part(STATE):
         for one in seen.of_part(INPUT):
             one.becomes(STATE, PERHAPS_INPUT)
-    used: set[str] = set()
+    used: dict[str, int] = {}
     for one in columns:
         if one.part in (STATE, INPUT):
             one.name = _free_name(one.suggested_name, used)
@@ -277,21 +290,27 @@ def _run_by_times(columns: list[Column]) -> Column | None:
 def _time(
     others: list[Column], run: Column | None, step: float | None
 ) -> Column | None:
-    """The column that is called the time, else the first that increases."""
+    """What increases, or has dates; of several columns what is called the time.
 
-    def increases(one: Column) -> bool:
-        return one.is_dates if one.values is None else not one.wrong_time(run)
-
-    named = [one for one in others if one.is_time]
-    for one in filter(increases, named):
-        return one
-    for one in named:
-        if one.values is not None:
-            one.wrong = one.wrong_time(run)
+    Without one: what is called so and is wrong, or what was rounded until times are
+    equal, which is wrong, too.
+    """
+    numbers = [one for one in others if one.values is not None]
+    faulty = list(filter(attrgetter("is_time"), numbers))
+    dates = list(filter(attrgetter("is_dates"), others))
+    for one in (*filter(attrgetter("is_time"), others), *dates):
+        if one.is_dates or (one.values is not None and not one.wrong_time(run)):
             return one
-    if step is not None:
-        return None
-    return next((one for one in others if one.may_be_time and increases(one)), None)
+    if not faulty and step is None:
+        free = list(filter(attrgetter("may_be_time"), numbers))
+        for one in free:
+            if one.increases(run) and not one.n_missing and not one.wrong:
+                return one
+        faulty = list(filter(attrgetter("rounded_step"), free))
+    for one in faulty:
+        one.wrong = one.wrong_time(run)
+        return one
+    return None
 
 
 def _put_together(time: Column, others: list[Column]) -> None:
@@ -308,13 +327,14 @@ def _put_together(time: Column, others: list[Column]) -> None:
                 time.take_dates_of(time.cells)
 
 
-def _find_other_clocks(time: Column, others: list[Column]) -> None:
+def _find_other_clocks(time: Column, others: list[Column], run: Column | None) -> None:
     """Note the channels that follow another clock than the times."""
     clock = None
     for one in others:
         if one is time:
             clock = None
-        elif one.is_time and one.values is not None and not one.is_counter:
+        elif one.is_time and one.increases(run) and not one.is_counter:
+            assert one.values is not None
             is_same = not one.n_missing and _runs_alike(time.values, one.values)
             clock = None if is_same else one
             said = f"as regular as {time.column}" if is_same else "has its own times"
@@ -377,15 +397,17 @@ def _is_kept(values: np.ndarray | None, n: int) -> bool:
     return bool(np.var(means) >= 0.95 * np.var(known))
 
 
-def _free_name(wanted: str, used: set[str]) -> str:
+def _free_name(wanted: str, used: dict[str, int]) -> str:
     """A name that formulas can use, and none of those that are used; it is then."""
     try:
         checked_names([wanted], "states", (*RESERVED_NAMES, *RESERVED_IN_FORMULAS))
     except DataError:
         wanted = f"x_{wanted}" if wanted else "x"
-    names = chain([wanted], (f"{wanted}_{number}" for number in count(2)))
-    name = next(one for one in names if one not in used)
-    used.add(name)
+    name = wanted
+    while name in used:
+        used[wanted] += 1
+        name = f"{wanted}_{used[wanted]}"
+    used[name] = 1
     return name
 
 
