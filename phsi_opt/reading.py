@@ -43,7 +43,7 @@ def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
             "it is a pipe, a socket or a device, not a regular file; write its content "
             "to a file and give the path of that file"
         )
-    _check_size(status.st_size, most)
+    check_size(status.st_size, most)
     with open(path, "rb") as file:
         content: bytes = read_at_most(file, most)
     return content
@@ -75,15 +75,20 @@ def read_at_most(file: Any, most: int) -> Any:
             return part
         parts.append(part)
         size += len(part)
-        _check_size(size, most)
+        check_size(size, most)
         if not part:
             return part.join(parts)  # type: ignore[arg-type]
 
 
-def _check_size(size: int, most: int) -> None:
+def check_size(size: int, most: int, when: str = "or more") -> None:
+    """Refuse what has more bytes than may be read.
+
+    Raises:
+        OSError: It has.
+    """
     if size > most:
         raise OSError(
-            f"it has {size / 1e6:.1f} MB or more; at most {most / 1e6:g} MB are read"
+            f"it has {size / 1e6:.1f} MB {when}; at most {most / 1e6:g} MB are read"
         )
 
 

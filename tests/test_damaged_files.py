@@ -17,10 +17,10 @@ from scipy.io import savemat
 import phsi_opt as ph
 from phsi_opt import reading
 from phsi_opt.command_line.file_jobs import first_study
-from phsi_opt.data import excel_tables, matlab_tables
+from phsi_opt.data import reading_apart
 
 T = np.arange(40.0)
-N_DAMAGED = 60  # workbooks; always the same ones
+N_DAMAGED = 16  # workbooks; always the same ones
 LONGEST_WAIT = 600  # seconds; only a hang takes so long
 COLUMNS: dict[str, Any] = {"time": "t", "states": ["q"]}
 
@@ -196,26 +196,29 @@ def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(monkeypatch) -
     savemat(zeros, {"t": np.zeros(10_000)}, do_compression=True)
     zeros.seek(0)
     monkeypatch.setattr(reading, "LARGEST_FILE", 50_000)
-    with pytest.raises(ph.DataError, match=r"more than 0\.05 MB when decompressed"):
+    with pytest.raises(ph.DataError, match=r"MB when decompressed; at most 0\.05 MB"):
         from_mat(zeros, **COLUMNS)
 
 
-@pytest.mark.parametrize(("worker", "time_limit", "why"), [
+@pytest.mark.parametrize(("script", "wait", "why"), [
     ("import os; os.abort()", 60.0, "is damaged: the reader ended with exit code"),
     ("import time; time.sleep(600)", 0.5, "it was not read in 0.5 s"),
-    ("import no_such_library", 60.0, "No module named 'no_such_library'"),
-], ids=["crash", "endless", "no library"])  # fmt: skip
-def test_a_matlab_file_whose_reading_crashes_or_never_ends_is_refused(
-    worker: str,
-    time_limit: float,
+    ("open('answer.json', 'w').write('{')", 60.0, "Expecting property name"),
+    ("", 60.0, "there is no such file"),
+], ids=["crash", "endless", "half an answer", "no answer"])  # fmt: skip
+def test_a_file_whose_reading_crashes_or_never_ends_is_refused(
+    script: str,
+    wait: float,
     why: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    script = tmp_path / "worker.py"
-    script.write_text(worker)
-    monkeypatch.setattr(matlab_tables, "WORKER", script)
-    monkeypatch.setattr(matlab_tables, "TIME_LIMIT", time_limit)
+    place = tmp_path / "script.py"
+    place.write_text(script)
+    monkeypatch.setattr(reading_apart, "SCRIPT", place)
+    monkeypatch.setattr(
+        reading_apart, "READING_LIMITS", reading_apart.Limits(wait=wait)
+    )
     with pytest.raises(
         ph.DataError, match=f"open file cannot be read: .*{why}.* as CSV"
     ):
@@ -241,11 +244,11 @@ def test_a_sheet_is_read_whole_whatever_dimension_and_places_it_states(
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
-    (b'<row r="41"', b'<row r="4"', "row or cell 4 out of order"),
-    (b'<row r="41"', b'<row r="40"', "row or cell 40 out of order"),
-    (b'r="A41"', b'r="C41"', "row or cell B41 out of order"),
-    (b'r="B41"', b'r="ABCD41"', "row or cell ABCD41 out of order"),
-    (b'<row r="41"', b'<row r="999999999999"', "more than 1048576 rows"),
+    (b'<row r="41"', b'<row r="4"', "row 4, or a cell in it, out of order"),
+    (b'<row r="41"', b'<row r="40"', "row 40, or a cell in it, out of order"),
+    (b'r="A41"', b'r="C41"', "row 41, or a cell in it, out of order"),
+    (b'r="B41"', b'r="ABCD41"', "it is damaged .*ABCD"),
+    (b'<row r="41"', b'<row r="999999999999"', "beyond 1048576 rows"),
     (b"<worksheet", b"<!DOCTYPE a []><worksheet", "defines XML entities"),
     (b"<worksheet", "<wörksheet".encode("utf-16"), "is not XML in UTF-8"),
 ])  # fmt: skip
@@ -261,13 +264,11 @@ def test_a_sheet_that_would_lose_rows_or_grow_is_refused(old, new, message) -> N
 def test_one_filled_cell_far_away_does_not_make_a_sheet_that_fills_the_memory(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(excel_tables, "MOST_CELLS", 100)
+    monkeypatch.setattr(reading, "LARGEST_FILE", 500_000)  # bytes; 32 of a cell
+    assert from_excel(with_part(SHEET, bytes), **COLUMNS).n_samples == len(T)
     book = with_part(SHEET, lambda xml: xml.replace(b'r="B41"', b'r="XFD41"'))
-    with pytest.raises(ph.DataError, match="or more than 100 cells"):
+    with pytest.raises(ph.DataError, match="more than 15625 cells"):
         from_excel(book, **COLUMNS)
-    monkeypatch.setattr(excel_tables, "MOST_CELLS", 60)  # 41 rows of 2 or more
-    with pytest.raises(ph.DataError, match="or more than 60 cells"):
-        from_excel(with_part(SHEET, bytes), **COLUMNS)
 
 
 # ---- study files and fits ------------------------------------------------------------

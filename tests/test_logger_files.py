@@ -369,6 +369,140 @@ def test_groups_without_a_name_are_numbered(tmp_path: Path) -> None:
     assert run.x[:, 0].tolist() == U
 
 
+X = np.array([0, 1, 3, 7, 12, 20], np.int16)
+NUMBERS: dict[str, tuple[Any, Any, list[float]]] = {
+    "same": (X, None, X.tolist()),
+    "line": (X, {"a": 0.5, "b": -1.0}, (0.5 * X - 1).tolist()),
+    "ratio": (
+        X,
+        {"P1": 0, "P2": 1, "P3": 2, "P4": 0, "P5": 0.5, "P6": 4},
+        ((X + 2) / (0.5 * X + 4)).tolist(),
+    ),
+    "square": (
+        X,
+        {"P1": 2, "P2": 0, "P3": 0, "P4": 0, "P5": 4, "P6": 0},
+        (X / 2).tolist(),
+    ),
+    "between points": (
+        X,
+        {
+            "raw_0": 1,
+            "phys_0": 10.0,
+            "raw_1": 11,
+            "phys_1": 20.0,
+            "interpolation": True,
+        },
+        [10.0, 10.0, 12.0, 16.0, 20.0, 20.0],
+    ),
+    "nearest point": (
+        X,
+        {
+            "raw_0": 1,
+            "phys_0": 10.0,
+            "raw_1": 5,
+            "phys_1": 20.0,
+            "interpolation": False,
+        },
+        [10.0, 10.0, 10.0, 20.0, 20.0, 20.0],
+    ),
+}
+NUMBERS_4: dict[str, tuple[Any, Any, list[float]]] = {
+    "ranges": (
+        X,
+        {
+            "lower_0": 0,
+            "upper_0": 3,
+            "phys_0": 1.0,
+            "lower_1": 7,
+            "upper_1": 12,
+            "phys_1": 2.0,
+            "default": -1.0,
+        },
+        [1.0, 1.0, 1.0, 2.0, 2.0, -1.0],
+    ),
+    "ranges of reals": (
+        X.astype(float),
+        {
+            "lower_0": 0,
+            "upper_0": 3,
+            "phys_0": 1.0,
+            "lower_1": 7,
+            "upper_1": 12,
+            "phys_1": 2.0,
+            "default": -1.0,
+        },
+        [1.0, 1.0, -1.0, 2.0, -1.0, -1.0],
+    ),
+    "beside a text": (
+        X,
+        {"val_0": 20, "text_0": b"no signal", "default_addr": {"a": 2.0, "b": 0.0}},
+        [0.0, 2.0, 6.0, 14.0, 24.0, np.nan],
+    ),
+    "beside texts": (
+        X,
+        {
+            "lower_0": 5,
+            "upper_0": 15,
+            "text_0": b"low",
+            "default_addr": {"a": 2.0, "b": 0.0},
+        },
+        [0.0, 2.0, 6.0, np.nan, np.nan, 40.0],
+    ),
+}
+REFUSED: dict[str, tuple[Any, Any]] = {
+    "formula": (X, {"formula": "X1+1"}),
+    "words": (X, {"val_0": 0, "text_0": b"off", "val_1": 1, "text_1": b"on"}),
+    "text": (np.array([b"a"] * 6), None),
+}  # fmt: skip
+
+
+def mdf_with(channels: dict[str, Any], version: str, path: Path) -> Path:
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version=version) as mdf:
+        signals = []
+        for name, (raw, conversion, *_) in channels.items():
+            words: Any = {"encoding": "latin-1"} if raw.dtype.kind == "S" else {}
+            signal = asammdf.Signal(
+                raw, np.array(T), name=name, conversion=conversion, **words
+            )
+            signals.append(signal)
+        mdf.append(signals, acq_name="log")
+        return Path(mdf.save(path, overwrite=True))
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_conversions_that_are_numbers_are_applied_and_others_refused_by_name(
+    version: str, tmp_path: Path
+) -> None:
+    numbers = NUMBERS | (NUMBERS_4 if version >= "4" else {})
+    path = mdf_with(numbers | REFUSED, version, tmp_path / "log.mf4")
+    read = partial(ph.Measurements.from_mdf, path, time="time")
+    states = {f"x{i}": name for i, name in enumerate(numbers)}
+    (run,) = read(states=states)
+    for values, (_, _, expected) in zip(run.x.T, numbers.values(), strict=True):
+        np.testing.assert_allclose(values, expected, rtol=1e-15)
+    with pytest.raises(
+        ph.DataError, match=r"log.*', group '.*': the channel 'formula' .* executed"
+    ):
+        read(states=["formula"])
+    seen = survey(path)
+    assert [one.column for one in seen.columns] == ["time", *numbers]
+    assert {one.name for one in seen.table.further} == set(REFUSED)
+
+
+def test_invalid_samples_of_a_channel_are_missing(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    is_invalid = np.arange(6) == 2
+    with asammdf.MDF(version="4.10") as mdf:
+        signal = asammdf.Signal(
+            np.array(Q), np.array(T), name="q", invalidation_bits=is_invalid
+        )
+        mdf.append([signal])
+        path = mdf.save(tmp_path / "log.mf4", overwrite=True)
+    (run,) = ph.Measurements.from_mdf(path, time="time", states=["q"])
+    np.testing.assert_array_equal(run.x[:, 0], np.where(is_invalid, np.nan, Q))
+
+
 def test_a_library_that_is_not_installed_is_named_with_its_extra(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(ph.DataError, match=r'needs asammdf.*"phsi_opt\[loggers\]"'):

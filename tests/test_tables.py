@@ -454,6 +454,9 @@ def mat(content: dict[str, Any]) -> io.BytesIO:
 
 T = np.arange(4.0)
 X = np.column_stack([T**2, -T])
+SIGNALS = np.array([("angle", T**2), ("torque", -T)], [("Name", "O"), ("Data", "O")])
+# As dSPACE records it: the times and a list of signals, each in a struct.
+RECORDING = {"rec": {"X": {"Name": "time", "Data": T}, "Y": SIGNALS}}
 
 
 @pytest.mark.parametrize(("content", "options"), [
@@ -461,6 +464,8 @@ X = np.column_stack([T**2, -T])
     ({"t": T[:, np.newaxis], "X": X, "gain": 3.0}, {"time": "t", "states": {"q": "X(:,1)"}, "inputs": {"u": "X(:, 2)"}}),
     ({"t": T, "X": X.T}, {"time": "t", "states": {"q": "X(1,:)"}, "inputs": {"u": "X(2,:)"}}),
     ({"log": {"t": T, "X": X, "name": "x"}}, {"time": "log.t", "states": {"q": "X(:,1)"}, "inputs": {"u": "log.X(:,2)"}}),
+    ({"log": {"run": {"t": T, "X": X}}}, {"time": "log.run.t", "states": {"q": "run.X(:,1)"}, "inputs": {"u": "X(:,2)"}}),
+    (RECORDING, {"time": "rec.X.Data", "states": {"q": "rec.Y(1).Data"}, "inputs": {"u": "Y(2).Data"}}),
     ({"X": X.astype(np.int16)}, {"step": 1, "states": {"q": "X(:,1)"}, "inputs": {"u": "X(:,2)"}}),
 ])  # fmt: skip
 def test_vectors_matrices_and_structs_of_matlab_are_columns(content, options) -> None:
@@ -480,13 +485,13 @@ def test_vectors_matrices_and_structs_of_matlab_are_columns(content, options) ->
             "c": np.array([X, "a"], object),
         },
         r"no column 't'. The file contains: 'time' \(4 numbers\), 'X' \(4 x 2 numbers: "
-        r"X\(:,1\), \.\.\.\), 'gain' \(the number 3\), 'name' \(text\), 'c' \(cells",
+        r"X\(:,1\), \.\.\.\), 'gain' \(the number 3\), 'name' \(the text 'x'\), 'c' \(c",
     ),
     ({"t": T, "q": X}, r"no column 'q'.*'q' \(4 x 2 numbers: q\(:,1\)"),
     ({"t": T, "q": T[:3]}, r"differ in length: {'t': 4, 'q': 3}.*The file contains"),
-    ({"t": T, "q": "text"}, r"no column 'q'.*'q' \(text\)"),
+    ({"t": T, "q": "text"}, r"no column 'q'.*'q' \(the text 'text'\)"),
     ({"t": T, "a": {"q": T}, "b": {"q": T}}, r"several structs; .*\['a.q', 'b.q'\]"),
-    ({"t": T, "a": {"b": {"q": T}}}, r"'a.b' \(a list of structs or a struct in"),
+    ({"t": T, "a": {"q": np.zeros(1001, [("x", "f8")])}}, r"'a.q' \(a list of 1001 structs"),
     ({"t": T[::-1].copy(), "q": T}, "column 't', row 2: 2.0 is not after 3.0 of"),
     ({"t": T, "q": np.where(T == 1, np.inf, T)}, "column 'q', row 2: the value is inf"),
     ({"t": T, "q": T * 1j}, "column 'q', row 1: .* is not a real number"),
@@ -497,6 +502,17 @@ def test_a_matlab_file_that_cannot_be_used_is_refused_with_what_it_holds(
 ) -> None:
     with pytest.raises(ph.DataError, match=f"(?s)open file.*{message}"):
         ph.Measurements.from_mat(mat(content), time="t", states=["q"])
+
+
+def test_signals_in_structs_are_listed_with_their_names() -> None:
+    with pytest.raises(
+        ph.DataError,
+        match=r"'rec.Y\(2\).Name' \(the text 'torque'\), 'rec.Y\(2\).Data' \(4 numbers\)",
+    ):
+        ph.Measurements.from_mat(mat(RECORDING), time="t", states=["q"])
+    many = {f"x{i}": T for i in range(60)}
+    with pytest.raises(ph.DataError, match=r"'x49' \(4 numbers\) and 10 more\."):
+        ph.Measurements.from_mat(mat(many), time="t", states=["q"])
 
 
 def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do() -> None:

@@ -1,34 +1,28 @@
 """Columns of MATLAB files: vectors, columns or rows of matrices, fields of structs.
 
 A column is called as in MATLAB: ``y``, ``X(:,2)``, ``X(2,:)``, ``log.y``,
-``log.X(:,2)``; a field may go without its struct where one struct alone has it. Cells,
-texts, tables and structs in structs are not read, but are named where something is not
-found.
-
-SciPy's compiled reader trusts the sizes that a file states: a damaged file can crash
-the process that reads it, or fill its memory. It reads in a process of its own,
-`matlab_worker`.
+``log.X(:,2)``, ``log.Y(3).Data``; a field may go without its struct where one struct
+alone has it. Cells, texts and tables are not read, but are named where something is not
+found. `matlab_reader` reads the file.
 """
 
-import os
-import subprocess
-import sys
 from collections import ChainMap
 from collections.abc import Iterable
-from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
 
-from phsi_opt import reading
 from phsi_opt.data.file_opening import OpenedFile
+from phsi_opt.data.reading_apart import read_apart
 from phsi_opt.data.tables import Table, Variable
 from phsi_opt.errors import DataError, did_you_mean
 
 Vectors = dict[Variable, dict[str, np.ndarray]]  # those of each variable, by name
-WORKER = Path(__file__).with_name("matlab_worker.py")
-TIME_LIMIT = 120.0  # seconds; a file of 500 MB takes about 5
+MOST_LISTED = 50  # variables in a message
+SAVE_AGAIN = (
+    "Save it again in MATLAB by save(name, '-v7'), or write the table as CSV by "
+    "writetable or writematrix."
+)
 
 
 def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
@@ -113,7 +107,9 @@ def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:
 def _listing(variables: Vectors) -> str:
     """What a file holds, as a sentence."""
     listed = [f"{one.name!r} ({one.said})" for one in variables]
-    return f"The file contains: {', '.join(listed) or 'nothing'}."
+    others = len(listed) - MOST_LISTED
+    more = f" and {others} more" if others > 0 else ""
+    return f"The file contains: {', '.join(listed[:MOST_LISTED]) or 'nothing'}{more}."
 
 
 def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.ndarray]]:
@@ -140,44 +136,5 @@ def _described(name: str, values: np.ndarray) -> tuple[Variable, dict[str, np.nd
 
 def _variables(file: OpenedFile) -> Vectors:
     """The variables of a file, in its order; fields of structs as "struct.field"."""
-    try:
-        with TemporaryFile() as content, TemporaryFile() as arrays:
-            content.write(file.content)
-            content.seek(0)
-            why = _read_apart(content.fileno(), arrays.fileno())
-            if not why:
-                arrays.seek(0)
-                with np.load(arrays, allow_pickle=False) as found:
-                    names, *values = (found[key] for key in found.files)
-                return dict(map(_described, names.tolist(), values))
-    except OSError as error:
-        why = reading.why_not_read(error)
-    raise DataError(
-        f"{file.title} cannot be read: {why}. Save it again in MATLAB by "
-        "save(name, '-v7'), or write the table as CSV by writetable or writematrix."
-    )
-
-
-def _read_apart(content: int, arrays: int) -> str:
-    """Let the worker read from one open file into another; why it could not, or ""."""
-    if getattr(sys, "frozen", False) or not sys.executable:
-        return "this needs a Python interpreter, which this program does not have"
-    command = [sys.executable, "-P", "-X", "utf8", str(WORKER)]
-    try:
-        run = subprocess.run(
-            [*command, str(reading.LARGEST_FILE)],
-            stdin=content,
-            stdout=arrays,
-            stderr=subprocess.PIPE,
-            timeout=TIME_LIMIT,
-            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # they would take memory
-            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-        )
-    except subprocess.TimeoutExpired:
-        return f"it is damaged or too large: it was not read in {TIME_LIMIT:g} s"
-    if run.returncode == 0:
-        return ""
-    said = run.stderr.decode(errors="replace").splitlines()
-    if run.returncode == 1 and said:
-        return said[-1]
-    return f"it is damaged: the reader ended with exit code {run.returncode}"
+    names, values = read_apart(file, "matlab_reader", SAVE_AGAIN)
+    return dict(map(_described, names, values))

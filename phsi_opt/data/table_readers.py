@@ -191,8 +191,8 @@ class TableReaders:
         """Read MATLAB files of version 4 to 7.
 
         A column is a vector, a column or row of a matrix, or a field of a struct, and
-        is called as in MATLAB: "y", "X(:,2)", "X(2,:)", "log.y". Rows are counted
-        from 1.
+        is called as in MATLAB: "y", "X(:,2)", "X(2,:)", "log.y", or
+        "log.Y(3).Data". Rows are counted from 1.
 
         Args:
             source: A path, a file opened for reading bytes, or several of them: then
@@ -230,8 +230,9 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, channel and row.
         """
+        wanted = _layout(words).columns
         files = opened_files(source, as_text=False)
-        tables = [table_of_groups(file, "asammdf", group) for file in files]
+        tables = [table_of_groups(file, "asammdf", wanted, group) for file in files]
         return cls.from_tables(tables, **words)
 
     @classmethod
@@ -256,8 +257,9 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, channel and row.
         """
+        wanted = _layout(words).columns
         files = opened_files(source, as_text=False)
-        tables = [table_of_groups(file, "nptdms", group) for file in files]
+        tables = [table_of_groups(file, "nptdms", wanted, group) for file in files]
         return cls.from_tables(tables, **words)
 
     @classmethod

@@ -261,7 +261,8 @@ def table_at(
     if reader == "from_mat":
         return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
     if reader in LOGGERS:
-        return table_of_groups(file, LOGGERS[reader], given.group, is_unknown)
+        wanted = None if is_unknown else given.wanted
+        return table_of_groups(file, LOGGERS[reader], wanted, given.group)
     form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
         return table_of_csv(file, given.wanted, form)

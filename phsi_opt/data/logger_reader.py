@@ -1,0 +1,185 @@
+"""Read channels of logger files, by asammdf or nptdms, in a process of its own.
+
+Of an MDF file only raw values are read; `mdf_conversions` makes them physical. Nothing
+that a file says is executed: the libraries that could are absent.
+"""
+
+import itertools
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from operator import attrgetter
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from phsi_opt.data.mdf_conversions import physical, why_refused
+from phsi_opt.data.tables import chosen_part
+from phsi_opt.errors import DataError, shown
+from phsi_opt.reading import check_size
+
+TIME = "time"
+# asammdf executes formulas by numexpr and sympy, makes tables by pandas, and reads what
+# is attached to a file by canmatrix. Together they take 2 s to import.
+NOT_NEEDED = ("canmatrix.formats", "canmatrix.canmatrix", "canmatrix", "pandas")
+EXECUTING = ("numexpr", "sympy")
+NO_NUMBERS = {True: (7, 8), False: range(6, 17)}  # types of data, by whether it is old
+
+
+class Unused(ModuleType):
+    """A library that is imported and not used: all of its names are empty classes."""
+
+    def __getattr__(self, name: str) -> type:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return type(name, (), {})
+
+
+class Channel(NamedTuple):
+    """A channel that can be read, or the reason why it cannot be."""
+
+    name: str
+    unit: Any
+    values: Callable[[], np.ndarray]
+    why_not: str = ""
+
+
+@dataclass
+class Group:
+    """Channels with common times."""
+
+    n_samples: int
+    size: int  # bytes, as the file states them
+    channels: list[Channel] = field(default_factory=list)
+
+
+def read(
+    content: Any,
+    title: str,
+    most: int,
+    library: str,
+    asked: list[str] | None,
+    part: str | None,
+    may_be_several: bool,
+) -> tuple[dict[str, Any], list[np.ndarray]]:
+    """The channels of a group that are asked for, or all (None, or if any is missing).
+
+    Raises:
+        OSError: they are too large.
+        DataError: the group is not clear, or a channel cannot be read.
+    """
+    groups: dict[str, Group] = {}
+    for name, group in GROUPS_BY[library](content):
+        groups[f"{name} {len(groups) + 1}" if name in groups else name] = group
+    filled = [
+        name
+        for name, group in groups.items()
+        if group.n_samples and {one.name for one in group.channels} - {TIME}
+    ]
+    filled.sort(key=lambda name: -groups[name].n_samples)
+    part = chosen_part(part, filled, filled, "group", title, may_be_several)
+    group = groups[part]
+    check_size(group.size, most, "of samples")
+    names = [one.name for one in group.channels]
+    wanted = names if asked is None or not {*names}.issuperset(asked) else asked
+    chosen = [one for one in group.channels if one.name in wanted]
+    columns = list(itertools.filterfalse(attrgetter("why_not"), chosen))
+    others = list(filter(attrgetter("why_not"), chosen))
+    for one in others:
+        if asked is not None and one.name in asked:
+            raise DataError(
+                f"{title}, group {shown(part)}: the channel {shown(one.name)} cannot "
+                f"be read: {one.why_not}. Export it as numbers."
+            )
+    return {
+        "names": [one.name for one in columns],
+        "units": [str(one.unit or "") for one in columns],
+        "parts": sorted(filled, key=lambda name: name != part),
+        "further": [(one.name, one.why_not) for one in others],
+    }, [one.values() for one in columns]
+
+
+def _groups_of_mdf(content: Any) -> Iterator[tuple[str, Group]]:
+    for name in NOT_NEEDED + EXECUTING:
+        sys.modules[name] = Unused(name)
+    from asammdf import MDF
+
+    open_mdf: Any = MDF
+    mdf = open_mdf(content, process_bus_logging=False)
+    is_old = mdf.version < "4"
+    for number, recorded in enumerate(mdf.groups):
+        header = recorded.channel_group
+        n = header.cycles_nr
+        expanded = sum(block.original_size for block in recorded.data_blocks)
+        group = Group(n, max(8 * n, n * header.samples_byte_nr, expanded))
+        of = getattr(header, "cg_master_index", None)  # a group whose times are used
+        of = number if of is None else of
+        master = mdf.masters_db.get(of)
+        if master is not None:
+            clock = mdf.groups[of].channels[master]
+            why_not = why_refused(clock.conversion, is_old)
+            times = partial(_times_in_mdf, mdf, number, clock, is_old)
+            group.channels.append(Channel(TIME, "s", times, why_not))
+        for index, one in enumerate(recorded.channels):
+            if index == mdf.masters_db.get(number):
+                continue
+            why_not = why_refused(one.conversion, is_old)
+            if (
+                recorded.channel_dependencies[index]
+                or one.data_type in NO_NUMBERS[is_old]
+            ):
+                why_not = "its values are arrays, texts or bytes"
+            unit = getattr(one.conversion, "unit", "") or getattr(one, "unit", "")
+            values = partial(_values_in_mdf, mdf, number, index, is_old)
+            group.channels.append(Channel(one.name, unit, values, why_not))
+        yield getattr(header, "acq_name", "") or f"group {number + 1}", group
+
+
+def _times_in_mdf(mdf: Any, number: int, clock: Any, is_old: bool) -> np.ndarray:
+    conversion, clock.conversion = clock.conversion, None
+    return physical(conversion, is_old, mdf.get_master(number))
+
+
+def _values_in_mdf(mdf: Any, number: int, index: int, is_old: bool) -> np.ndarray:
+    raw, is_invalid = mdf.get(
+        group=number,
+        index=index,
+        samples_only=True,
+        raw=True,
+        ignore_invalidation_bits=True,  # they are missing samples
+    )
+    conversion = mdf.groups[number].channels[index].conversion
+    values = physical(conversion, is_old, raw)
+    if is_invalid is None or not is_invalid.any():
+        return values
+    return np.where(is_invalid, np.nan, values)
+
+
+def _groups_of_tdms(content: Any) -> Iterator[tuple[str, Group]]:
+    from nptdms import TdmsFile
+
+    for one in TdmsFile.open(content).groups():
+        by_clock: dict[Any, Group] = {}
+        for channel in one.channels():
+            n = len(channel)
+            step = channel.properties.get("wf_increment")
+            clock = (n, step, channel.properties.get("wf_start_offset"))
+            group = by_clock.setdefault(clock, Group(n, 0))
+            if step and not group.channels:
+                group.channels.append(Channel(TIME, "s", channel.time_track))
+            group.size += n * (getattr(channel.data_type, "size", None) or 8)
+            unit = channel.properties.get("unit_string")
+            values = partial(_values_in_tdms, channel)
+            group.channels.append(Channel(channel.name, unit, values))
+        for number, group in enumerate(by_clock.values(), 1):
+            yield one.name if len(by_clock) == 1 else f"{one.name} {number}", group
+
+
+def _values_in_tdms(channel: Any) -> np.ndarray:
+    values = np.asarray(channel[:])
+    return values.astype(str) if values.dtype.kind == "O" else values
+
+
+GROUPS_BY = {"asammdf": _groups_of_mdf, "nptdms": _groups_of_tdms}
