@@ -97,13 +97,9 @@ def test_every_expression_of_the_package_is_looked_at() -> None:
     assert len(EXPRESSIONS) > 40
 
 
-STILL_SLOW = pytest.mark.xfail(raises=TimeoutError, strict=False)
-
-
-@pytest.mark.parametrize(("pattern", "uses"), [
-    pytest.param(*one, id=place, marks=[STILL_SLOW] * place.endswith(".PLACE"))
-    for place, *one in EXPRESSIONS
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("pattern", "uses"), [pytest.param(*one, id=place) for place, *one in EXPRESSIONS]
+)
 def test_an_expression_takes_a_time_of_the_first_power(
     pattern: re.Pattern[Any], uses: tuple[str, ...]
 ) -> None:
