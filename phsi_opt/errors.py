@@ -7,6 +7,7 @@ catch it too. This file raises nothing itself.
 """
 
 import difflib
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -14,10 +15,22 @@ from typing import Any
 
 MOST_LETTERS = 60  # of a value in a message
 MOST_OF_A_KEY = 3  # complaints of one key that a message shows
+LONG_WORD = re.compile(r"(\S{120})\S{81,}(\S{60})")
+LONG_LINE = re.compile(r"(.{1400}).{201,}(.{400})")
+
+
+def concise(text: str) -> str:
+    """A message without the middle of long lines and of words, such as paths."""
+    return LONG_LINE.sub(r"\1 ... \2", LONG_WORD.sub(r"\1...\2", text))
 
 
 class PhsiOptError(Exception):
-    """Base class of the errors of this package."""
+    """Base class of the errors of this package; their messages are `concise`."""
+
+    def __init__(self, *said: object) -> None:
+        super().__init__(
+            *(concise(one) if isinstance(one, str) else one for one in said)
+        )
 
 
 class DataError(PhsiOptError, ValueError):
@@ -48,6 +61,9 @@ class Complaint:
     value: str
     said: str
     line: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "said", concise(self.said))
 
     def __str__(self) -> str:
         if not self.key:

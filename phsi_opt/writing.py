@@ -80,7 +80,7 @@ def _unwritable(path: str | Path, error: Exception, what: str = "file") -> DataE
 
 def remove_unfinished(place: Path) -> None:
     """Remove what processes that are gone have begun to write of a file."""
-    place = place.resolve()
+    place = Path(os.path.realpath(place))
     for part in place.parent.glob(_part(glob.escape(place.name[:40]), "?" * 8)):
         with suppress(OSError), part.open("rb") as file:
             _lock(file)
@@ -88,7 +88,9 @@ def remove_unfinished(place: Path) -> None:
 
 
 def _replace(place: Path, content: bytes) -> None:
-    place = place.resolve()  # where the name is a link, the file that it leads to
+    place = Path(
+        os.path.realpath(place)
+    )  # where the name is a link, the file that it leads to
     remove_unfinished(place)
     # in the same folder, because a file system is not renamed across
     part = place.with_name(_part(place.name[:40], token_hex(4)))

@@ -1,11 +1,11 @@
 """What the tests of the page share: small tables, and a server on a free port."""
 
 import os
+import re
 import shutil
 import socket
 import subprocess
 import sys
-import tempfile
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -57,34 +57,57 @@ def browser_path() -> str:
     pytest.skip(reason)
 
 
+SERVER = """
+if __name__ == "__main__":  # the processes that it starts do not need these
+    from phsi_opt.command_line.__main__ import main
+    from phsi_opt.page import draft_views, session
+    from tests import page_tools
+    {changed}
+    main()
+"""
+
+
+def endless(*_: object) -> None:
+    """Take the place of what reads files, and never give Python back."""
+    re.match("(a+)+$", "a" * 60 + "b")
+
+
 @contextmanager
-def served(folder: Path, *arguments: str) -> Iterator[str]:
-    """The page in a process of its own, on a free port; its address."""
+def served(folder: Path, changed: str = "", failure: str = "") -> Iterator[str]:
+    """The page in a process of its own, on a free port; its address.
+
+    Whatever it does meanwhile, it logs no exception.
+
+    Args:
+        folder: of its files.
+        changed: Python that changes the server before it starts.
+        failure: the only exception that it logs after all.
+    """
     port = _free_port()
-    command = [sys.executable, "-m", "phsi_opt.command_line", "page", *arguments]
-    environment = {**_environment(), "TMPDIR": str(folder)}
-    address = f"http://127.0.0.1:{port}"
-    with tempfile.TemporaryFile("w+") as said:  # a pipe that nobody reads fills
+    script, log = folder / "server.py", folder / "server.log"
+    script.write_text(SERVER.format(changed=changed))
+    with log.open("w") as output:
         server = subprocess.Popen(
-            [*command, "--no-show", "--port", str(port)],
+            [sys.executable, script, "page", "--no-show", "--port", str(port)],
             cwd=folder,
-            env=environment,
-            stdout=said,
+            env={**_environment(), "TMPDIR": str(folder)},
+            stdout=output,
             stderr=subprocess.STDOUT,
         )
+    address = f"http://127.0.0.1:{port}"
+    try:
+        wait_for(lambda: _is_up(address), server)
+        yield address
+    finally:
+        server.terminate()
         try:
-            wait_for(lambda: _is_up(address), server)
-            yield address
-        finally:
-            has_ended = server.poll() is not None
-            server.terminate()
-            try:
-                server.wait(10)
-            except subprocess.TimeoutExpired:
-                server.kill()
-                server.wait()
-            said.seek(0)
-            assert not has_ended, f"the server ended: {said.read()}"
+            server.wait(10)
+        except subprocess.TimeoutExpired:
+            server.kill()
+            server.wait(10)
+    logged = log.read_text()
+    failures = re.findall("(?m)^Traceback.*(?:\n .*)*\n(.*)", logged)
+    assert set(failures) == ({failure} if failure else set()), logged
 
 
 def _free_port() -> int:

@@ -91,6 +91,30 @@ def test_a_device_and_a_file_that_is_too_large_are_refused_before_they_are_read(
         read(path)
 
 
+def test_a_loop_of_links_and_an_endless_path_are_refused_in_a_few_words(
+    entry: tuple[Path, Any],
+) -> None:
+    path, read = entry
+    path.symlink_to(path)
+    with pytest.raises(ph.DataError, match=r"(cannot be read|no such file|symbolic)"):
+        read(path)
+    for long in (path.with_name("a" * 4000 + path.suffix), path / ("b/" * 2000)):
+        with pytest.raises(ph.DataError) as refusal:
+            read(long)
+        assert len(str(refusal.value)) < 700
+
+
+def test_a_name_without_end_is_shortened_in_every_message(tmp_path: Path) -> None:
+    name = "q" * 100_000
+    (tmp_path / "a.csv").write_text(f"t,{name}\n0,1\n1,x\n2,3\n")
+    with pytest.raises(ph.DataError) as refusal:
+        ph.Measurements.from_csv(tmp_path / "a.csv", time="t", states={"q": name})
+    assert len(str(refusal.value)) < 1000
+    with pytest.raises(ph.ModelError) as wrong:
+        ph.FirstOrder([name], {"x": f"{name}*y"})
+    assert len(str(wrong.value)) < 1000
+
+
 # ---- damaged tables ------------------------------------------------------------------
 
 
@@ -274,6 +298,7 @@ def test_one_filled_cell_far_away_does_not_make_a_sheet_that_fills_the_memory(
 # ---- study files and fits ------------------------------------------------------------
 
 DEEP = 50_000
+FORCED = "[model]\nstates = ['q', 'p']\nF.p = "  # by the term that follows
 
 
 @pytest.mark.parametrize(("text", "message"), [
@@ -286,7 +311,21 @@ DEEP = 50_000
     ('"\\' * DEEP, "this is not TOML"),
     ("#" + "x" * 1_000_000, "at most 1 MB are read"),
     ("".join(f"k{i} = 1\n" for i in range(DEEP)), "the rest of the file was not checked"),
-], ids=["key", "header", "list", "table", "inner", "number", "quotes", "long", "wrong"])  # fmt: skip
+    (f"[study]\neffects = {['a'] * DEEP}", f"it has {DEEP} entries; at most 100 are read"),
+    (f"[study]\nadded = {['a'] * DEEP}", f"it has {DEEP} entries"),
+    ("[parameters]\n" + "".join(f"k{i} = 1\n" for i in range(DEEP)), "at most 1000"),
+    ("[[effects]]\nname = 'a'\n" * 101, "it has 101 entries"),
+    (f"[held_out]\nruns = {['a'] * DEEP}", "at most 1000"),
+    (f"[model]\nstates = {['a'] * DEEP}", f"it has {DEEP} entries"),
+    (f"{FORCED}{{ polynomials = ['q', 'p'], degree = 60 }}", "would have 1891 terms; at most 500"),
+    (f"{FORCED}{{ trigonometric = 'q', n = {10**12} }}", "would have 2000000000000 terms"),
+    (f"{FORCED}'9**9**9'", "exceeds 64; rescale the term"),
+    (f"{FORCED}'{'(' * 3000}q{')' * 3000}'", "cannot be read: too many nested"),
+], ids=[
+    *("key", "header", "list", "table", "inner", "number", "quotes", "long", "wrong"),
+    *("effects", "added", "parameters", "own", "runs", "states", "polynomials", "waves"),
+    *("tower", "brackets"),
+])  # fmt: skip
 def test_a_study_file_made_to_do_harm_is_refused_at_once(
     tmp_path: Path, text: str, message: str
 ) -> None:

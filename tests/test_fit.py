@@ -5,7 +5,7 @@ file is ever run.
 import json
 import pickle
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -268,6 +268,48 @@ def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
     said = r"fit\.json (is damaged|contains a model that is not valid)"
     with pytest.raises(ph.DataError, match=said):
         ph.Fit.load(damaged(tmp_path, change))
+
+
+OPEN_MAPPINGS = (
+    "provenance",
+    "noise",
+    "units",
+    "inner",
+    "kinds",
+    "R",
+    "F",
+    "sensor",
+    "l1",
+)
+
+
+def mappings_of(content: Any, name: str = "") -> Iterator[dict[str, Any]]:
+    """The mappings of a content whose keys are told in advance."""
+    if isinstance(content, dict):
+        if name not in OPEN_MAPPINGS:
+            yield content
+        for key, one in content.items():
+            yield from mappings_of(one, key)
+    for one in content if isinstance(content, list) else ():
+        yield from mappings_of(one)
+
+
+def test_a_file_that_lacks_a_key_or_has_another_is_refused(tmp_path: Path) -> None:
+    content = json.loads(json.dumps(loaded_fit().content()))
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps(content))
+    assert "m[run 1]" in ph.Fit.load(path).std_errors
+    for mapping in list(mappings_of(content)):
+        for key in list(mapping):
+            for further in ({}, {f"{key}_": mapping[key]}):
+                known = dict(mapping)
+                del mapping[key]
+                mapping.update(further)
+                path.write_text(json.dumps(content))
+                with pytest.raises(ph.DataError, match=r"fit\.json (is|contains)"):
+                    ph.Fit.load(path)
+                mapping.clear()
+                mapping.update(known)
 
 
 @pytest.mark.parametrize(

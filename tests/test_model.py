@@ -266,7 +266,9 @@ def test_setting_a_value_keeps_the_bounds() -> None:
     (lambda: ph.polynomials(["q"], 1.5), "degree=1.5 is not possible"),  # type: ignore[arg-type]
     (lambda: ph.polynomials(["q"], 10**9), "degree=1000000000 .* exceeds 64"),
     (lambda: ph.polynomials(["q"], 10**5000), "degree=a number beyond 10"),
-    (lambda: ph.polynomials([f"x{i}" for i in range(20)], 5), "degree=5 in 20 variables would have 53130 terms; at most 5000"),
+    (lambda: ph.FirstOrder(["q", "p"], dict.fromkeys("qp", ph.polynomials(["q", "p"], 23))), "a model would have 598 terms; at most 500"),
+    (lambda: ph.polynomials(["q", "p"], 60), "degree=60 in 2 variables would have 1891 terms; at most 500"),
+    (lambda: ph.polynomials([f"x{i}" for i in range(20)], 5), "degree=5 in 20 variables would have 53130 terms; at most 500"),
     (lambda: ph.polynomials(["q"], True), "degree=True is not possible"),
     (lambda: ph.trigonometric(["t", "q"], n=10**9), "n=1000000000 for 2 variables would have 4000000000 terms"),
     (lambda: ph.trigonometric("t", n=10**5000), "n=a number beyond 10"),

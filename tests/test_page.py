@@ -1,7 +1,9 @@
 """The page in a real Chromium: a study from the table to the report, and what may go wrong."""
 
+import math
 import os
 import re
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -155,6 +157,66 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     page.goto(report.as_uri())
     expect(page.get_by_role("heading", level=1)).to_be_visible()
     assert CALLED in page.inner_text("body")
+
+
+def smooth_table() -> bytes:
+    """A mass with an input that is held nowhere."""
+    lines = [f"{t / 50},{math.sin(t / 9)},{math.cos(t / 7)}" for t in range(200)]
+    return "\n".join(["t (s),q (m),u (N)", *lines]).encode()
+
+
+def test_a_table_with_a_smooth_input_has_every_field(page: Page) -> None:
+    drop(page, "smooth.csv", smooth_table())
+    for label in (
+        "u (N) between samples",
+        "number of samples to average",
+        "held-out data",
+    ):
+        expect(page.get_by_label(label)).to_be_visible()
+    expect(page.get_by_label("u (N) between samples")).to_have_value("linear")
+    expect(
+        page.get_by_label("title of the report, such as the machine")
+    ).to_be_visible()
+    heading = page.get_by_role("heading", name="Data not used for fitting")
+    expect(heading).to_be_visible()
+    expect(page.get_by_role("alert")).to_have_count(0)
+
+
+def test_a_part_that_fails_is_told_and_stops_no_other(
+    browser: Browser, tmp_path: Path
+) -> None:
+    failing = "draft_views.DataView._column = lambda *_: 1 / 0"
+    with served(tmp_path, failing, "ZeroDivisionError: division by zero") as address:
+        page = browser.new_page()
+        page.goto(address)
+        drop(page, "smooth.csv", smooth_table())
+        told = page.get_by_role("alert")
+        expect(told).to_contain_text("This is a bug in phsi_opt: ZeroDivisionError")
+        expect(told).to_contain_text("(line 6 of server.py)")
+        expect(page.get_by_text("What was measured")).to_be_visible()
+        page.get_by_role("tab", name="2 Model").click()
+        page.get_by_role("button", name="Mass with forces A mass").click()
+        expect(page.get_by_text("Model and data are valid.")).to_be_visible()
+        expect(told).to_have_count(1)  # it stays, and is told once
+
+
+def test_a_file_whose_reading_never_ends_stops_nobody(
+    browser: Browser, tmp_path: Path
+) -> None:
+    slow = "session.look_at, session.READ_WITHIN = page_tools.endless, 40.0"
+    with served(tmp_path, slow) as address:
+        page = browser.new_page()
+        page.goto(address)
+        drop(page, "hostile.csv", smooth_table())
+        page.wait_for_timeout(3000)  # it is being read
+        with urllib.request.urlopen(address, timeout=60) as answer:
+            assert b"phsi_opt" in answer.read()
+        page.get_by_role("tab", name="2 Model").click()
+        expect(page.get_by_text("Choose a base model")).to_be_visible()
+        page.get_by_role("tab", name="1 Data").click()
+        told = page.get_by_role("alert")
+        assert told.count() == 0, "all of this waited until the reading was ended"
+        expect(told).to_contain_text("reading was ended after 40 s", timeout=180_000)
 
 
 def held_out_error(page: Page, step: int) -> float:

@@ -14,7 +14,7 @@ import pytest
 import phsi_opt as ph
 import phsi_opt.page
 from phsi_opt.page.guards import is_own_origin
-from phsi_opt.page.serve import MOST_SESSIONS, Sessions
+from phsi_opt.page.serve import Sessions
 from phsi_opt.page.session import Session
 from tests.page_tools import loaded_table, served
 from tests.waiting import HANGS_AFTER, wait_for
@@ -292,16 +292,19 @@ def test_answers_say_what_a_browser_may_do_with_them(visitor: Visitor) -> None:
 # ---- sessions ------------------------------------------------------------------------
 
 
-def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence() -> None:
+def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("phsi_opt.page.serve.MOST_SESSIONS", 4)
     sessions = Sessions()
-    for number in range(MOST_SESSIONS):
+    for number in range(4):
         made = sessions.of(str(number))
         if number == 0:
             made.draft.model.table["states"] = ["q", "p"]  # typed, no table yet
         else:
             assert made.upload("a.csv", TABLE)
             made.rest()
-    with pytest.raises(ph.DataError, match=f"allows {MOST_SESSIONS} studies"):
+    with pytest.raises(ph.DataError, match="allows 4 studies"):
         sessions.of("one too many")
     begun = sessions.begin_again("3")
     assert begun.is_empty

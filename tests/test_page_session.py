@@ -19,13 +19,10 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.page.draft_views import EXAMPLES, unknown_names
 from phsi_opt.page.drafts import (
-    INPUT,
     MOST_UPLOADED,
     NOT_USED,
     NOTHING,
     RUNS,
-    STATE,
-    TIME,
     ColumnDraft,
     DataDraft,
 )
@@ -38,6 +35,7 @@ from phsi_opt.page.shell import ON_PRIMARY, PRIMARY
 from phsi_opt.page.study_view import beside, rows_of
 from phsi_opt.page.worker import Shown, Turns, waits
 from phsi_opt.presentation.content import StudyContent
+from phsi_opt.study_file.columns import INPUT, STATE, TIME
 from phsi_opt.study_file.gallery import GALLERY
 from phsi_opt.study_file.toml_text import toml_tables
 from tests.page_tools import contrast, spring_table
@@ -139,6 +137,7 @@ def test_the_file_of_a_logger_is_a_table(
     content = tdms_file(tmp_path / "log.tdms").read_bytes()
     if not is_installed:
         monkeypatch.setitem(sys.modules, "nptdms", None)
+        monkeypatch.setattr(Session, "_call", lambda _, __, read, *given: read(*given))
     session = Session(tmp_path / "own")
     assert session.upload("log.TDMS", content) == is_installed
     if is_installed:
@@ -230,15 +229,18 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
     match_states(data, GALLERY["pendulum"])
     assert columns[1].role == "not used"
-    match_states(data, GALLERY["mass"])
+    base = match_states(data, GALLERY["mass"])
     assert data.column_named(STATE, "q") is columns[1], "it comes back"
-    assert columns[0].role == "not used", "a velocity is no momentum"
-    assert data.unmeasured == {"p": "kg m/s"}
+    assert data.column_named(STATE, "v") is columns[0], "a velocity is no momentum"
+    assert data.unmeasured == {}
     force = data.with_role("input")[0]
     force.table["name"] = "force"
-    draft = draft_of(GALLERY["mass"], data)
+    draft = draft_of(base, data)
     assert (force.name, draft.names("inputs")) == ("u", ["u"])
-    assert draft.table["F"] == {"p": "u"}
+    assert draft.table["F"] == {"q": "v", "v": "-(k*q + c*v)/m + u/m"}
+    columns[0].becomes(NOT_USED)
+    assert match_states(data, GALLERY["mass"]) is GALLERY["mass"]
+    assert data.unmeasured == {"p": "kg m/s"}
     assert not any(one.is_assumed for one in draft.parameters), "a force shows the mass"
 
 

@@ -4,6 +4,7 @@ Nothing is solved here, so that none of the solver's rooms is loaded.
 """
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from hashlib import sha256
@@ -60,7 +61,7 @@ def first_study(
             gallery has no such model.
     """
     base = None if model is None else base_model(model)
-    if study.exists() and not force:
+    if os.path.exists(study) and not force:
         raise DataError(
             f"{study} exists already; nothing was written. Give another name with "
             "--study, or overwrite it with --force."
@@ -109,7 +110,7 @@ def _draw(data: Measurements, path: Path) -> None:
     drawn = repr((data.digest, sorted(data.look.units.items()), data.look.hold))
     mark = PICTURE_MARK + sha256(drawn.encode()).hexdigest().encode() + b" -->\n"
     try:
-        there = file_bytes(path) if path.exists() else b""
+        there = file_bytes(path) if os.path.exists(path) else b""
     except OSError as error:
         raise DataError(f"{path} cannot be read ({why_not_read(error)}).") from None
     if there and PICTURE_MARK not in there:
@@ -268,7 +269,7 @@ def written_demonstration(folder: Path) -> Path:
     for name in DEMO_FILES:
         text = (shipped / name).read_bytes()
         place = folder / name
-        if place.exists() and file_bytes(place) != text:
+        if os.path.exists(place) and file_bytes(place) != text:
             raise DataError(
                 f"{place} exists already with changes, and was not overwritten. "
                 "Give another folder: phsi-opt demo FOLDER."

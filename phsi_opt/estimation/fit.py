@@ -17,7 +17,13 @@ import numpy as np
 from phsi_opt.arguments import typed
 from phsi_opt.data.checks import checked_hold
 from phsi_opt.errors import DataError, did_you_mean
-from phsi_opt.estimation.fit_file import Content, decoded, encoded, read_json
+from phsi_opt.estimation.fit_file import (
+    Content,
+    check_keys,
+    decoded,
+    encoded,
+    read_json,
+)
 from phsi_opt.estimation.fit_record import DIGITS, FitRecord
 from phsi_opt.later import Later
 from phsi_opt.model.laws import parameter_words
@@ -111,14 +117,15 @@ class Fit(FitRecord, Summarised):
             LookupError, TypeError, ValueError, AttributeError: The content is damaged.
         """
         hints = get_type_hints(cls) | {"hold": Any}
-        parts = {}
-        for name in hints.keys() & content.keys():
-            parts[name] = decoded(hints[name], content[name])
-        fit = cls(**parts)
+        check_keys(content, ("format", *hints))
+        fit = cls(**{name: decoded(hints[name], content[name]) for name in hints})
         model = fit.model
         unknown = Theta.of(model, tuple(fit.by_trajectory) or ("",))
-        _check_names(fit.names, unknown.names)
+        check_keys(dict.fromkeys(fit.names), unknown.names)
+        for values in fit.by_trajectory.values():
+            check_keys(values, model.free)
         _check_names(fit.noise, model.states)
+        _check_names(fit.units, (*model.states, *model.inputs, "t"))
         hold = checked_hold(fit.hold, model.inputs)
         n = len(fit.names)
         freedom = fit.uncertainty.value.freedom

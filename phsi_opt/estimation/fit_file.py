@@ -5,7 +5,7 @@ model checks its terms; nothing of a file is ever run as code.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -101,6 +101,7 @@ def decoded(kind: Any, value: Any) -> Any:
         return tuple(decoded(args[0], one) for one in value)
     if isinstance(kind, type) and is_dataclass(kind):
         hints = get_type_hints(kind)
+        check_keys(value, [one.name for one in fields(kind)])
         return kind(**{name: decoded(hints[name], v) for name, v in value.items()})
     if kind is str and isinstance(value, Mapping):
         return Unit(
@@ -113,6 +114,17 @@ def decoded(kind: Any, value: Any) -> Any:
     if type(value) is not kind:
         raise TypeError(f"{value!r} is not of type {kind.__name__}")
     return value
+
+
+def check_keys(content: Mapping[str, Any], known: Iterable[str]) -> None:
+    """Refuse a content that lacks a name, or has another one.
+
+    Raises:
+        LookupError: it is damaged.
+    """
+    for name in sorted(set(known) ^ content.keys()):
+        what = "unknown" if name in content else "missing"
+        raise LookupError(f"{name!r} is {what}")
 
 
 def model_content(model: Model) -> Content:

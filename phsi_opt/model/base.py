@@ -30,7 +30,7 @@ from phsi_opt.model.slots import (
     parameter_table,
     place_of,
 )
-from phsi_opt.model.terms import Dictionary
+from phsi_opt.model.terms import Dictionary, check_number_of_terms
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -70,6 +70,8 @@ class BaseModel:
         for name in self.memory:
             self.index(name, "memory")
         self._set("kind", checked_kinds(self.kind, self.states, self.memory))
+        of_dictionaries = [one for one in self.placed() if not one.term.is_formula]
+        check_number_of_terms(len(of_dictionaries), "a model")
         self.variables.check_parameters(self.entries)
         shared = self.names_in_formulas
         for placed in self.placed():

@@ -14,19 +14,15 @@ from phsi_opt.model.slots import Variables
 from phsi_opt.page.drafts import (
     ENERGY,
     FIRST_ORDER,
-    INPUT,
     KEYS_OF_WAYS,
     MOST_FILES,
     MOST_UPLOADED,
     NOT_USED,
     NOTHING,
     ROLES,
-    RUN,
     RUNS,
-    STATE,
     STUDY_KIND,
     TABLE_KINDS,
-    TIME,
     USUAL,
     USUAL_WAYS,
     ColumnDraft,
@@ -53,6 +49,7 @@ from phsi_opt.page.parts import (
 )
 from phsi_opt.page.session import Session
 from phsi_opt.presentation.numbers import capitalised, number_of
+from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME
 from phsi_opt.study_file.gallery import GALLERY, BaseModel
 from phsi_opt.study_file.keys import KEYS_OF, listed
 
@@ -309,7 +306,7 @@ class ModelView:
     def _tile(self, tile_id: str, base: BaseModel) -> None:
         async def choose() -> None:
             page = ui.context.client  # the tile itself is drawn anew by then
-            self.session.choose(base)
+            await run.io_bound(self.session.choose, base)
             await self.checked()
             page.run_javascript(FOCUS_SOON.replace("ID", tile_id))
 

@@ -8,27 +8,33 @@ the only records of the package that change.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.file_opening import NamedFile
 from phsi_opt.data.tables import numbers_in
-from phsi_opt.errors import DataError
+from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
+from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.numbers import shortened
-from phsi_opt.study_file.columns import UNUSED
-from phsi_opt.study_file.keys import listed
+from phsi_opt.study_file.columns import INPUT, RUN, STATE, TIME, UNUSED
+from phsi_opt.study_file.keys import (
+    Complaints,
+    TooManyComplaintsError,
+    listed,
+    usable,
+)
+from phsi_opt.study_file.sections import without
+from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.study_text import text_of
 from phsi_opt.study_file.survey import check_alike, survey
-from phsi_opt.study_file.toml_text import toml_tables, toml_value
+from phsi_opt.study_file.toml_text import tables_of, toml_tables, toml_value
 
 Content = dict[str, Any]
 
-TIME = "time"
-RUN = "run"
-STATE = "state"
-INPUT = "input"
 NOT_USED = "not used"
 ROLES = (TIME, RUN, STATE, INPUT, NOT_USED)
 CHANNELS = {STATE: "states", INPUT: "inputs"}  # sections of [data]
@@ -145,8 +151,8 @@ class ColumnDraft:
     def becomes(self, role: str, name: str = "") -> None:
         """Take a role; the name stays unless there is another one."""
         self.role = role
-        named = {"name": name or self.name, "unit": self.unit}
-        self.table = {**named, **self.seen.get(role, {})}
+        self.table = {"name": name or self.name, "unit": self.unit}
+        self.table |= without(self.seen.get(role, {}), "")  # the default stands for ""
 
     def content(self) -> Content:
         """What a study file says of it."""
@@ -217,7 +223,8 @@ class DataDraft:
         by_column = {column.column: column for column in draft.columns}
         for column in draft.columns:
             column.role = NOT_USED
-        draft.settings = _without(data, *KEYS_OF_COLUMNS)
+        draft.settings = _without(data, *KEYS_OF_COLUMNS, "hold")
+        hold = {"hold": data["hold"]} if "hold" in data else {}  # of every input
         draft.time = {}
         for role, name, table in _told_columns(data):
             if "column" in table:
@@ -226,7 +233,8 @@ class DataDraft:
                     by_column[column] = ColumnDraft(column)
                     draft.columns.append(by_column[column])
                 by_column[column].role = role
-                by_column[column].table = {"name": name, **_without(table, "column")}
+                told = {**(hold if role == INPUT else {}), **_without(table, "column")}
+                by_column[column].table = {"name": name, **told}
             elif role == TIME:
                 draft.time = dict(table)
             else:
@@ -272,14 +280,9 @@ class DataDraft:
             content["states"].setdefault(name, lacking)
         return content
 
-    def look_again(self, places: dict[str, Path]) -> None:
-        """Take other files with the same columns, which stay as they are.
-
-        Raises:
-            DataError: a file cannot be read.
-        """
-        found = look_at(places, sheet_of(self.settings))
-        self.places = places
+    def take_files(self, found: "DataDraft") -> None:
+        """Take the files of another draft; the columns are the same, and stay."""
+        self.places = found.places
         self.runs = found.runs
         self.n_samples = found.n_samples
         for part in self.parts.values():
@@ -491,6 +494,23 @@ class StudyDraft:
         model = ModelDraft.of(content["model"], content.get("parameters", {}))
         return cls(DataDraft.of(content, places), model, kept)
 
+    @classmethod
+    def read(cls, path: Path, places: dict[str, Path] | None = None) -> "StudyDraft":
+        """The drafts of a study file; its tables lie beside it unless told otherwise.
+
+        Raises:
+            StudyFileError: it is not valid.
+        """
+        if places is None:
+            folder = path.parent.absolute()
+            places = {file: folder / file for file in files_of(path)}
+        measured = StudyFile.read(path, places).measurements()
+        draft = cls.of(tables_of(path), places)
+        assert draft.data is not None
+        draft.data.n_samples = measured.n_samples
+        draft.data.runs = [run.name for run in measured.trajectories]
+        return draft
+
     @property
     def places(self) -> dict[str, Path]:
         """Where each file of the data lies, by its name."""
@@ -517,3 +537,67 @@ class StudyDraft:
         named = {one.name: _without(one.table, "name") for one in self.model.parameters}
         content["parameters"] = _without(named, "")
         return content
+
+
+# ---- what is read of a draft ---------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The measurements as they are seen before there is a model."""
+
+    drafted: Drafted  # of which they are
+    chart: Chart | None = None  # None where they cannot be read yet
+    rows: tuple[dict[str, Any], ...] = ()  # what was noticed of each channel
+
+
+def files_of(path: Path) -> list[str]:
+    """The data files that a study file names.
+
+    Raises:
+        StudyFileError: it cannot be read.
+    """
+    content = tables_of(path)
+    with suppress(TooManyComplaintsError):
+        file = usable(content, Complaints(content))
+        return list(file.get("data", {}).get("files", ()))
+    return []
+
+
+def checked(
+    path: Path, places: Mapping[str, Path], data: Drafted | None
+) -> tuple[tuple[Complaint, ...], Seen | None]:
+    """What is wrong with a draft that was written, and its measurements.
+
+    Args:
+        path: of the draft as a study file.
+        places: of its data files.
+        data: the files and columns of the draft alone; None: they were seen before.
+    """
+    measured = None
+    complaints: tuple[Complaint, ...] = ()
+    try:
+        file = StudyFile.read(path, places)
+        measured = file.measurements()
+        file.check_formulas()
+    except StudyFileError as error:
+        complaints = error.complaints
+        measured = error.measurements
+    except PhsiOptError as error:
+        complaints = (Complaint("model", "", str(error)),)
+    if data is None or measured is None:
+        return complaints, data and Seen(data)
+    return complaints, Seen(data, measured.chart(), tuple(measured.look.rows()))
+
+
+def fitted_file(
+    path: Path, places: Mapping[str, Path], added: Sequence[str], hold: Hold
+) -> StudyFile:
+    """A draft that was written, with the effects added and the inputs held so.
+
+    Raises:
+        StudyFileError: a data file has changed since.
+    """
+    file = StudyFile.read(path, places)
+    new = [one for one in added if one not in file.steps.added]
+    return file.with_added(*new).with_hold(hold)

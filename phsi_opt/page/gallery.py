@@ -1,13 +1,12 @@
 """The gallery in the page: columns become the states and inputs of a base model."""
 
 from phsi_opt.page.drafts import (
-    INPUT,
     NOT_USED,
-    STATE,
     DataDraft,
     ModelDraft,
     StudyDraft,
 )
+from phsi_opt.study_file.columns import INPUT, STATE
 from phsi_opt.study_file.gallery import GALLERY, BaseModel, matched, with_units
 
 
@@ -22,13 +21,18 @@ def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
     return draft
 
 
-def match_states(data: DataDraft, base: BaseModel) -> None:
-    """Let columns of states be those of the model, inputs that it lacks, or unused."""
+def match_states(data: DataDraft, base: BaseModel) -> BaseModel:
+    """Let columns be states of the model, inputs that it lacks, or unused.
+
+    Returns:
+        The model, in position and velocity if that was measured.
+    """
     for column in data.columns:
         if column.fits_no_state and column.role == NOT_USED:
             column.role = STATE
         column.fits_no_state = False
     columns = data.with_role(STATE)
+    base = base.seen_by(columns)
     data.unmeasured = base.units
     for role, units in base.places:
         own = data.with_role(role)
@@ -43,12 +47,14 @@ def match_states(data: DataDraft, base: BaseModel) -> None:
     for column in columns:
         column.role = NOT_USED
         column.fits_no_state = True
+    return base
 
 
 def left_over(draft: StudyDraft) -> str:
     """Which columns fit no state of the base model, in a sentence; "" where all do."""
     base = GALLERY.get(draft.model.title)
     columns = draft.data.columns if draft.data else []
+    base = base and base.seen_by(columns)
     left = {one.title: one.unit for one in columns if one.fits_no_state}
     if not left or base is None:
         return ""

@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 from nicegui.elements.mixins.text_element import TextElement
 
-from phsi_opt.errors import Complaint
+from phsi_opt.errors import Complaint, concise
 from phsi_opt.page.drafts import NAMES, PAIRS, REAL, TERMS, TEXT, WHOLE, Content
 from phsi_opt.presentation.charts import Chart, figure
 from phsi_opt.presentation.numbers import capitalised, unbroken
@@ -144,7 +144,7 @@ def choice(
 def alert(text: str) -> None:
     """What went wrong, told to screen readers at once."""
     with ui.element("div").classes("alert").props('role="alert"'):
-        ui.label(text)
+        ui.label(concise(text))
 
 
 def complaints(listed: Iterable[Complaint], fine: str) -> None:
@@ -224,7 +224,7 @@ def complaint_words(complaint: Complaint) -> str:
     value = complaint.value
     is_field = bool(value) and not value.startswith("{")  # a section's text is no field
     written = f" ({value})" if is_field else ""
-    return f"{_place_words(complaint.key)}{written}: {said}"
+    return concise(f"{_place_words(complaint.key)}{written}: {said}")
 
 
 def _place_words(key: str) -> str:

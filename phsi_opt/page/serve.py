@@ -6,6 +6,7 @@ import secrets
 import tempfile
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -43,7 +44,7 @@ def serve(
     if study_file is not None:
         StudyFile.read(study_file)
     try:
-        from nicegui import Client, app, ui
+        from nicegui import Client, app, run, ui
     except ImportError as error:
         raise DataError(
             "the page needs NiceGUI, which is not installed: "
@@ -71,20 +72,23 @@ def serve(
         app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(LOOPBACK_NAMES))
     app.add_middleware(SafeAnswers)
 
-    def page() -> PlainTextResponse | None:
+    async def page() -> PlainTextResponse | None:
         key = app.storage.browser["id"]
         try:
-            session = sessions.of(key)
+            session = await run.io_bound(sessions.of, key)
         except DataError as error:
             return PlainTextResponse(
                 str(error), status_code=HTTPStatus.SERVICE_UNAVAILABLE
             )
-        Shell(session, lambda: sessions.begin_again(key)).build()
+        if session is not None:  # None: the server ends
+            Shell(session, partial(run.io_bound, sessions.begin_again, key)).build()
         return None
 
-    ui.page("/", title="phsi_opt")(page)
+    # Threads that wait for a process; the usual six would let others wait for them.
+    run.thread_pool = ThreadPoolExecutor(5 * MOST_SESSIONS)
+    ui.page("/", title="phsi_opt", response_timeout=600.0)(page)
     app.on_startup(gc.freeze)  # what is imported needs no search: 0.1 s of every page
-    app.on_startup(lambda: app.timer(60.0, sessions.tidy))
+    app.on_startup(lambda: app.timer(60.0, partial(run.io_bound, sessions.tidy)))
     app.on_shutdown(sessions.close)
     ui.run(
         host=host,
@@ -125,6 +129,7 @@ class Sessions:
     def __init__(self, study_file: Path | None = None) -> None:
         self._study_file = study_file
         self._by_key: dict[str, Session] = {}
+        self._making = threading.Lock()  # two windows of a browser have one session
 
     def of(self, key: str) -> Session:
         """The session of a browser; a new one where it has none.
@@ -132,11 +137,12 @@ class Sessions:
         Raises:
             DataError: there are ``MOST_SESSIONS`` already, all with somebody's work.
         """
-        if key not in self._by_key:
-            self._make_room()
-            folder = Path(tempfile.mkdtemp(prefix="phsi_opt_page_"))
-            self._by_key[key] = Session(folder, self._study_file)
-        session = self._by_key[key]
+        with self._making:
+            if key not in self._by_key:
+                self._make_room()
+                folder = Path(tempfile.mkdtemp(prefix="phsi_opt_page_"))
+                self._by_key[key] = Session(folder, self._study_file)
+            session = self._by_key[key]
         session.seen = time.monotonic()
         return session
 
@@ -160,7 +166,7 @@ class Sessions:
 
     def close(self) -> None:
         """End everything."""
-        for session in self._by_key.values():
+        for session in list(self._by_key.values()):
             session.close()
         self._by_key.clear()
 

@@ -4,28 +4,34 @@ It outlives the page that shows it: a page that is loaded again shows the same s
 Everything that a view may do is a method here; the views only draw what it holds.
 
 Its files lie in two folders: what it writes itself, and what was uploaded. The names on
-the disk are its own; a user's name for a file is shown, and is no path.
+the disk are its own; a user's name for a file is shown, and is no path. A process of
+its own reads them, and is ended where that takes too long.
 """
 
+import os
 import re
 import shutil
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
 
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
+from phsi_opt.errors import Complaint, DataError, PhsiOptError, some_of
 from phsi_opt.page.drafts import (
     MOST_FILES,
     STUDY_KIND,
     DataDraft,
     Drafted,
+    Seen,
     StudyDraft,
+    checked,
+    files_of,
+    fitted_file,
     look_at,
     refusal_of,
     sheet_of,
@@ -41,14 +47,10 @@ from phsi_opt.page.worker import (
     WorkerHandle,
     example,
 )
-from phsi_opt.presentation.charts import Chart
 from phsi_opt.presentation.content import Follows, StudyContent
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.study_file.gallery import BaseModel
-from phsi_opt.study_file.keys import Complaints, listed, usable
-from phsi_opt.study_file.sections import DataSection
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.study_file.toml_text import tables_of, toml_tables
 from phsi_opt.writing import write_whole
 
 WORKING_FILE = "working_study.toml"
@@ -57,6 +59,11 @@ FITTED_FILE = "fitted_study.toml"
 OPENED_FILE = "opened_study.toml"
 REPORT_FILE = "report.html"
 MOST_MOMENTS = 100  # to which undo goes
+# s: one call of the process that reads, and more where files are large. A full check of
+# a table takes some 2 s for each MB; a busy machine five times as long.
+READ_WITHIN = 60.0
+SECONDS_PER_BYTE = 10e-6
+HAS_ENDED = "this study has ended; load the page again."
 NO_TABLE = Complaint("data.files", "", "there is no table yet; upload a file.")
 
 
@@ -76,27 +83,6 @@ class Look:
         glance = content.glance
         is_told = bool(content.present.forces)
         return cls(glance.run, glance.channel, glance.t) if is_told else None
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """The measurements as they are seen before there is a model."""
-
-    drafted: Drafted  # of which they are
-    chart: Chart | None = None  # None where they cannot be read yet
-    rows: tuple[dict[str, Any], ...] = ()  # what was noticed of each channel
-
-    @classmethod
-    def of(cls, drafted: Drafted, data: Measurements | None) -> "Seen":
-        """The files and columns of a draft, as far as they can be used."""
-        content = toml_tables(drafted.text)
-        told = usable(content, Complaints(content)).get("data", {})
-        if data is None and all(map(told.get, ("files", "time", "states"))):
-            with suppress(PhsiOptError):
-                data = DataSection.of(told, drafted.places).measurements(Path())
-        if data is None:
-            return cls(drafted)
-        return cls(drafted, data.chart(), tuple(data.look.rows()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +166,9 @@ class Session:
         self.seen = time.monotonic()  # when a page last asked
         self.is_shown = False  # whether a page has ever asked; a program does not
         self.is_closed = False  # it has ended; a page that shows it is loaded again
-        self._worker: WorkerHandle | None = None
+        self._worker: WorkerHandle | None = None  # that solves
+        self._reader: WorkerHandle | None = None  # that reads files
+        self._calling = threading.Lock()
         self._idle_since = time.monotonic()
         self._fitting: Drafted | None = None
         self._waiting = ""  # the name of a study file whose tables are not there yet
@@ -201,15 +189,7 @@ class Session:
 
     def _open(self, path: Path, places: dict[str, Path] | None = None) -> None:
         """Begin with a study file; its tables lie beside it unless told otherwise."""
-        content = tables_of(path)
-        if places is None:
-            folder = path.parent.absolute()
-            places = {file: folder / file for file in listed(content["data"]["files"])}
-        measured = StudyFile.read(path, places).measurements()
-        self.draft = StudyDraft.of(content, places)
-        assert self.draft.data is not None
-        self.draft.data.n_samples = measured.n_samples
-        self.draft.data.runs = [run.name for run in measured.trajectories]
+        self.draft = self._call(places, StudyDraft.read, path, places)
 
     def open_example(self, name: str) -> None:
         """Begin with a study that comes with the package, and fit it."""
@@ -246,16 +226,13 @@ class Session:
         known = self.draft.places
         self.message = ""
         try:
-            named = tables_of(path).get("data", {}).get("files", ())
-            places: dict[str, Any] = {}
-            for file in filter(lambda one: isinstance(one, str), listed(named)):
-                places[file] = known.get(PurePath(file).name)
-            lacking = [file for file, place in places.items() if place is None]
+            named = self._call({}, files_of, path)
+            lacking = [one for one in named if PurePath(one).name not in known]
             if lacking:
-                said = f"{self._waiting} reads {', '.join(lacking)}"
+                said = f"{self._waiting} reads {some_of(lacking)}"
                 self.message = f"{said}: upload this as well."
                 return
-            self._open(path, places)
+            self._open(path, {file: known[PurePath(file).name] for file in named})
         except PhsiOptError as error:
             wrong = getattr(error, "complaints", (error,))[:3]
             self.upload_error = f"{self._waiting}: {'; '.join(map(str, wrong))}"
@@ -265,7 +242,7 @@ class Session:
     def _refusal(self, name: str, content: bytes) -> str:
         """Why a file is not even looked at; "" where it is."""
         if self.is_closed:
-            return "this study has ended; load the page again."
+            return HAS_ENDED
         if (n_known := len(self.draft.places)) >= MOST_FILES:
             return f"there are {n_known} files already, at most {MOST_FILES}."
         return refusal_of(name, len(content))
@@ -295,13 +272,13 @@ class Session:
 
     def _take_file(self, name: str, place: Path) -> None:
         known = self.draft.data
-        data = look_at({name: place}, sheet_of(known.settings) if known else None)
+        data = self._look_at({name: place}, known)
         self.message = ""
         known_columns = [] if known is None else [one.column for one in known.columns]
         is_alike = known_columns == [one.column for one in data.columns]
         is_study = any(at.parent != self._uploads for at in self.draft.places.values())
         if known is not None and is_alike and not is_study:
-            known.look_again({**known.places, name: place})
+            known.take_files(self._look_at({**known.places, name: place}, known))
         else:
             self.draft.data = data
             why = "is a separate table" if is_alike else "has other columns"
@@ -309,12 +286,17 @@ class Session:
                 self.message = f"{name} {why}: it replaces {', '.join(known.files)}."
         self.check()
 
+    def _look_at(self, places: dict[str, Path], known: DataDraft | None) -> DataDraft:
+        """The columns of files, of the sheet or group that is chosen."""
+        sheet = sheet_of(known.settings) if known else None
+        return self._call(places, look_at, places, sheet)
+
     def remove_file(self, name: str) -> None:
         """Take a table away; with the last one its columns go."""
         with self._looking_again() as data:
             (left := self.draft.places).pop(name, None)
             if left:
-                data.look_again(left)
+                data.take_files(self._look_at(left, data))
             else:
                 self.draft.data = None
 
@@ -322,7 +304,8 @@ class Session:
         """Take the table of another sheet of a workbook, or group of channels."""
         with self._looking_again() as data:
             if data.places:
-                self.draft.data = replace(look_at(data.places, name), parts=data.parts)
+                found = self._call(data.places, look_at, data.places, name)
+                self.draft.data = replace(found, parts=data.parts)
 
     @contextmanager
     def _looking_again(self) -> Iterator[DataDraft]:
@@ -340,7 +323,7 @@ class Session:
         """Begin with an entry of the gallery; columns become its states."""
         self.message = ""
         if self.draft.data is not None:
-            match_states(self.draft.data, base)
+            base = match_states(self.draft.data, base)
         self.draft.model = draft_of(base, self.draft.data)
         self.draft.kept.get("study", {}).pop("added", None)
         self.check()
@@ -359,23 +342,18 @@ class Session:
         now = self.draft.as_it_is()
         if now == self._checked:
             return
-        measured = None
-        self.complaints = ()
-        path = write_whole(self._state / WORKING_FILE, now.text)
-        try:
-            if not now.places:
-                raise StudyFileError(path, (NO_TABLE,))
-            file = StudyFile.read(path, now.places)
-            measured = file.measurements()
-            file.check_formulas()
-        except StudyFileError as error:
-            self.complaints = error.complaints
-            measured = error.measurements
-        except PhsiOptError as error:
-            self.complaints = (Complaint("model", "", str(error)),)
-        seen = self.draft.data_as_it_is
-        if seen != self.seen_data.drafted:
-            self.seen_data = Seen.of(seen, measured)
+        data = self.draft.data_as_it_is
+        new = None if data == self.seen_data.drafted else data
+        found: Any = (NO_TABLE,), new and Seen(new)
+        if now.places:
+            path = write_whole(self._state / WORKING_FILE, now.text)
+            try:
+                found = self._call(now.places, checked, path, now.places, new)
+            except DataError as error:  # it took too long; the next check tries again
+                found = (Complaint("", "", str(error)),), None
+                now = Drafted("", {})
+        self.complaints, seen = found
+        self.seen_data = seen or self.seen_data
         self._checked = now
 
     @property
@@ -408,10 +386,11 @@ class Session:
         return self.draft.as_it_is() == self._begun
 
     def show_up(self) -> None:
-        """Note that a page shows it; the worker starts before it is needed."""
+        """Note that a page shows it; its processes start before they are needed."""
         self.seen = time.monotonic()
         if not self.is_shown:
             self.is_shown = True
+            self._ready_reader()
             self._ready_worker()
 
     # ---- work ------------------------------------------------------------------------
@@ -525,14 +504,39 @@ class Session:
         self.version += 1
 
     def _order(self, label: str, order: Order, done: str = "") -> None:
-        if self.job is not None or self.is_closed:
-            return
+        with self._checking:  # of two threads one begins
+            if self.job is not None or self.is_closed:
+                return
+            self.job = Job(order.verb, label, done=done)
         self.message = ""
         self.failure = ""
-        self.job = Job(order.verb, label, done=done)
         model = None if order.verb == Verb.FIT else self.model
         self._ready_worker().tell(order, model.study if model else None)
         self.version += 1
+
+    def _call(
+        self, places: Mapping[str, Path] | None, read: Callable[..., Any], *given: Any
+    ) -> Any:
+        """What a function returns in the process that reads; None: files of our own.
+
+        Raises:
+            DataError: the function refuses the files, or takes too long for their size.
+        """
+        with self._calling:
+            if self.is_closed:
+                raise DataError(HAS_ENDED)
+            within = None
+            if places is not None:
+                known = filter(os.path.exists, places.values())
+                size = sum(map(os.path.getsize, known))
+                within = READ_WITHIN + SECONDS_PER_BYTE * size
+            return self._ready_reader().call(within, partial(read, *given))
+
+    def _ready_reader(self) -> WorkerHandle:
+        if self._reader is None or not self._reader.is_alive:
+            self._reader = WorkerHandle(self._receive, solves=False)
+        self._idle_since = time.monotonic()
+        return self._reader
 
     def _ready_worker(self) -> WorkerHandle:
         if self._worker is None or not self._worker.is_alive:
@@ -551,14 +555,16 @@ class Session:
     @property
     def idle_seconds(self) -> float:
         """For how long a worker has had nothing to do; 0 where there is none."""
-        if self._worker is None or self.job is not None:
+        if (self._worker or self._reader) is None or self.job is not None:
             return 0.0
         return time.monotonic() - self._idle_since
 
     def rest(self) -> None:
-        """End a worker that has nothing to do; the next order starts another."""
+        """End processes that have nothing to do; the next order starts others."""
         if self.job is None:
             self._end_worker()
+        if self._reader is not None and not self._calling.locked():
+            self._reader.end()
 
     def _receive(self, worker: WorkerHandle, message: Any) -> None:
         """Take a message of the worker; called from its thread."""
@@ -632,13 +638,15 @@ class Session:
             raise DataError("nothing has been fitted yet; press Fit first.")
         drafted = self.model.drafted
         path = write_whole(self._state / FITTED_FILE, drafted.text)
-        file = StudyFile.read(path, drafted.places)
         content = self.model.content
-        added = [one for one in content.added if one not in file.steps.added]
-        return file.with_added(*added).with_hold(content.hold)
+        given = (path, drafted.places, content.added, content.hold)
+        made: StudyFile = self._call(drafted.places, fitted_file, *given)
+        return made
 
     def close(self) -> None:
-        """End the worker and remove the files."""
+        """End the processes and remove the files."""
         self.is_closed = True
         self._end_worker()
+        if self._reader is not None:
+            self._reader.end()
         shutil.rmtree(self.folder, ignore_errors=True)

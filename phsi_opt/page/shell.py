@@ -5,14 +5,16 @@ that anew. So it does not matter how often it is loaded, or in how many windows.
 """
 
 import time
+import traceback
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from nicegui import run, ui
+from nicegui import app, run, ui
 
+from phsi_opt.errors import concise
 from phsi_opt.page.draft_views import (
     DATA_PART,
     MODEL_PART,
@@ -20,7 +22,7 @@ from phsi_opt.page.draft_views import (
     DataView,
     ModelView,
 )
-from phsi_opt.page.parts import button, heading
+from phsi_opt.page.parts import alert, button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
 from phsi_opt.presentation.html_report import ours
@@ -50,6 +52,11 @@ document.addEventListener("keydown", (event) => {
 });
 """
 READY = "Ready."
+FAILED = (
+    "This is a bug in phsi_opt: {} ({}). A part of the page may be missing, and the "
+    "last change may not have been made. Load the page again; if this comes back, "
+    "use `phsi-opt` on the command line, and report the bug with this text."
+)
 PAGE_PARTS = (DATA_PART, MODEL_PART, STUDY_PART)
 UNDO_AND_REDO = {-1: "Undo", 1: "Redo"}
 KEYS_OF_STEPS = {-1: "Control+Z", 1: "Control+Y"}
@@ -62,6 +69,7 @@ class Shell:
     def __init__(self, session: Session, begin_again: Callable[[], object]) -> None:
         self._session = session
         self._begin_again = begin_again
+        self._failures: set[str] = set()  # that the page shows
         self._data = DataView(session, self._checked, self._go)
         self._model = ModelView(session, self._checked)
         self._study = StudyView(session)
@@ -100,10 +108,12 @@ class Shell:
         has_begun = session.content is not None or session.job is not None
         is_filled = session.draft.data is not None and not session.complaints
         first = STUDY_PART if has_begun or is_filled else DATA_PART
-        with (
-            ui.element("div").classes("page").props('id="content" tabindex="-1"'),
-            ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
-        ):
+        ui.on_exception(self._tell_failure)
+        content = ui.element("div").classes("page").props('id="content" tabindex="-1"')
+        with content:
+            self._failed = ui.column().classes("w-full")
+            panels = ui.tab_panels(self._tabs, value=first, animated=False)
+        with panels.classes("w-full"):
             self._panels = {}
             for name in PAGE_PARTS:
                 with ui.tab_panel(name), ui.column().classes("w-full gap-3") as panel:
@@ -119,14 +129,25 @@ class Shell:
         view = self._to_build.pop(name, None)
         if view is not None:
             with self._panels[name]:
-                view.build()
+                _draw(view.build)
 
-    def _step(self, by: int) -> None:
+    def _tell_failure(self, error: Exception) -> None:
+        """Show what failed, as long as the page is there."""
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"line {last.lineno} of {Path(last.filename).name}"
+        what = concise(f"{type(error).__name__}: {error}")
+        said = FAILED.format(what, place)
+        if said not in self._failures:
+            self._failures.add(said)
+            with self._failed:
+                alert(said)
+
+    async def _step(self, by: int) -> None:
         """Undo or redo a change; show the part that it is in."""
-        part = self._session.step(by)
+        part = await run.io_bound(self._session.step, by)
         if part:
             self._tabs.set_value(PAGE_PARTS[("data", "model", "study").index(part)])
-        self._keep_up()
+        await self._keep_up()
 
     def _ask_to_begin_again(self) -> None:
         """Ask first: there is no way back."""
@@ -153,12 +174,13 @@ class Shell:
     def _build_status(self) -> None:
         """What is done now, with the button that ends it; or how it ended."""
         # Its parts stay and are changed, so that the button keeps the focus.
+        session = self._session
         with ui.row().classes("w-full items-center gap-3 page no-wrap"):
             self._line = ui.label().style("flex: 1; min-width: 0")
             self._line.props('role="status" aria-live="polite"')
             self._times = ui.label().style("white-space: nowrap")
-            self._cancel = button("Cancel", self._session.cancel)
-            self._begin = button("Fit", self._session.fit)
+            self._cancel = button("Cancel", partial(run.io_bound, session.cancel))
+            self._begin = button("Fit", partial(run.io_bound, session.fit))
         self._show_status()
 
     def _show_status(self) -> None:
@@ -177,7 +199,7 @@ class Shell:
         self._line.set_text(said)
         self._footer.set_value(said != READY)  # it would only cover what is below
 
-    def _keep_up(self) -> None:
+    async def _keep_up(self) -> None:
         """Draw anew what has changed since the last look."""
         session = self._session
         session.show_up()
@@ -191,33 +213,30 @@ class Shell:
                 self._go(STUDY_PART)
         if session.shape != self._shape:
             self._shape = session.shape
-            self._data.error.refresh()
-            self._data.examples.refresh()
-            self._data.table.refresh()
-            self._model.gallery.refresh()
-            self._model.fields.refresh()
+            data = self._data
+            _draw(data.error.refresh, data.examples.refresh, data.table.refresh)
+            _draw(self._model.gallery.refresh, self._model.fields.refresh)
         if session.version != self._version:
             self._version = session.version
             self._show_changes()
         elif session.job is not None:
             self._show_status()
-        self._study.deliver()
+        await self._study.deliver()
 
     def _show_changes(self) -> None:
         self._show_status()
-        self._data.wrong.refresh()
         session = self._session
         if session.seen_data is not self._seen:
             self._seen = session.seen_data
-            self._data.seen.refresh()
-        self._model.wrong.refresh()
+            _draw(self._data.seen.refresh)
+        _draw(self._data.wrong.refresh, self._model.wrong.refresh)
         laws = session.model.laws if session.model else ()
         if laws is not self._laws:
             self._laws = laws
-            self._study.follows.refresh()
+            _draw(self._study.follows.refresh)
         if (now := self._to_draw()) != self._drawn:
             self._drawn = now
-            self._study.build.refresh()
+            _draw(self._study.build.refresh)
             self._client.run_javascript(FOCUS_VERDICT)
 
     def _to_draw(self) -> tuple[object, ...]:
@@ -227,6 +246,15 @@ class Shell:
             return session.job, session.complaints, session.failure
         is_asked = session.is_diagnosing
         return session.content, session.is_stale, session.failure, is_asked
+
+
+def _draw(*parts: Callable[[], object]) -> None:
+    """Draw each of some parts; one that fails is told, and stops no other."""
+    for part in parts:
+        try:
+            part()
+        except Exception as error:
+            app.handle_exception(error)
 
 
 def _can_begin(session: Session) -> bool:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nicegui import binding, events, ui
+from nicegui import binding, events, run, ui
 
 from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS
 from phsi_opt.errors import PhsiOptError
@@ -66,7 +66,8 @@ class StudyView:
 
     def _begins(self, label: str, then: Callable[[], Any], quiet: bool) -> ui.button:
         """A button that begins work; it rests meanwhile."""
-        return button(label, then, quiet).bind_enabled_from(self, "is_free")
+        begin = partial(run.io_bound, then)
+        return button(label, begin, quiet).bind_enabled_from(self, "is_free")
 
     @ui.refreshable_method
     def build(self) -> None:
@@ -363,17 +364,17 @@ class StudyView:
         self._wants_report = True
         self._session.report()
 
-    def deliver(self) -> None:
+    async def deliver(self) -> None:
         """Send the report to the browser that asked for it, when it is there."""
         path = self._session.report_path
         if self._wants_report and path is not None:
             self._wants_report = False
-            self._send(path.read_bytes, path.name)
+            await self._send(path.read_bytes, path.name)
 
-    def _send(self, made: Callable[[], str | bytes], name: str) -> None:
+    async def _send(self, made: Callable[[], str | bytes], name: str) -> None:
         """Hand a file to the browser, and say so where the work is told."""
         try:
-            ui.download.content(made(), Path(name).name)
+            ui.download.content(await run.io_bound(made) or "", Path(name).name)
         except PhsiOptError as error:
             self._session.message = str(error)
         else:

@@ -1,9 +1,10 @@
-"""The process that solves: it holds one study and does what it is told, one by one.
+"""The processes of a session: one solves, one reads; each does its orders one by one.
 
-It is spawned, so that nothing of the server is in it, and ends with the server: its
+They are spawned, so that nothing of the server is in them, and end with the server: the
 pipe breaks then. With every result the study goes to the server, which keeps it as it
 came and hands it to the next process, to go on where one was cancelled. It goes through
-the pipe alone: what lies on the disk is never unpickled.
+the pipe alone: what lies on the disk is never unpickled. Files are read by a process of
+their own, so that one that takes too long stops neither the server nor a solve.
 """
 
 import multiprocessing
@@ -19,10 +20,10 @@ from importlib.resources import files
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any
 
-from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
+from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.study import Study
@@ -55,6 +56,14 @@ class Order:
     places: Mapping[str, Path] = field(default_factory=dict)
     # For ``FIT``: the study file beside which commands have kept fits, if any.
     origin: Path | None = None
+
+
+@dataclass(frozen=True)
+class Returned:
+    """What a function returned that was to be called, or why it could not."""
+
+    value: Any = None
+    error: DataError | None = None
 
 
 @dataclass(frozen=True)
@@ -128,15 +137,18 @@ class WorkerHandle:
             progress, `Shown`, the laws of effects that were added, the `Path` of a
             report, `Refused`, `Done`), and with None
             when the process has ended.
+        solves: whether it gets ready to solve; else it is for `call`.
     """
 
-    def __init__(self, on_message: Receiver) -> None:
+    def __init__(self, on_message: Receiver, solves: bool = True) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
+        self._returned: SimpleQueue[Returned | None] = SimpleQueue()
         self._on_message = on_message
-        self._orders: SimpleQueue[tuple[Order, bytes] | None] = SimpleQueue()
+        self._orders: SimpleQueue[tuple[Any, bytes] | None] = SimpleQueue()
         self.study: Path | None = None  # where the one is kept that it has
-        self._process = context.Process(target=work, args=(theirs,), daemon=True)
+        arguments = (theirs, solves)
+        self._process = context.Process(target=work, args=arguments, daemon=True)
         self._process.start()
         theirs.close()  # else the pipe would not break when the worker ends
         threading.Thread(target=self._listen, daemon=True).start()
@@ -158,6 +170,34 @@ class WorkerHandle:
         sent = study.read_bytes() if study and study != known else b""
         self._orders.put((order, sent))
 
+    def call(self, within: float | None, function: "partial[Any]") -> Any:
+        """What a function returns in the process, which ends if that takes too long.
+
+        Args:
+            within: seconds; None: as many as it takes.
+            function: with its arguments.
+
+        Raises:
+            DataError: the function refuses; it took too long; the process ended.
+        """
+        self._orders.put((function, b""))
+        try:
+            returned = self._returned.get(timeout=within)
+        except Empty:
+            self.end()
+            raise DataError(
+                f"reading was ended after {within:.0f} s. Keep fewer samples, or "
+                "read the file in Python."
+            ) from None
+        if returned is None:
+            raise DataError(
+                "the process that reads files ended unexpectedly, perhaps as memory "
+                "is short. Try again with fewer samples."
+            )
+        if returned.error is not None:
+            raise returned.error
+        return returned.value
+
     def end(self) -> None:
         """End the process: politely, and after a second in any case."""
         for end in (self._process.terminate, self._process.kill):
@@ -174,6 +214,8 @@ class WorkerHandle:
                 self._orders.put(None)
             if message is None or isinstance(message, Done):
                 TURNS.give_back(self)
+            if message is None or isinstance(message, Returned):
+                self._returned.put(message)
             self._on_message(self, message)
 
     def _write(self) -> None:
@@ -181,7 +223,8 @@ class WorkerHandle:
         with suppress(OSError):  # the process has ended; the other thread tells
             while (told := self._orders.get()) is not None:
                 order, study = told
-                TURNS.take(self, partial(self._on_message, self))
+                if isinstance(order, Order):  # a call takes no long time
+                    TURNS.take(self, partial(self._on_message, self))
                 if study:
                     self._connection.send_bytes(study)
                 self._connection.send(order)
@@ -203,11 +246,11 @@ def tell(line: str) -> None:
         _Pipe.connection.send(line)
 
 
-def work(connection: Connection) -> None:
+def work(connection: Connection, solves: bool) -> None:
     """Carry out orders until the pipe breaks; messages go back through it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
     _Pipe.connection = connection
-    is_needed = connection.poll()
+    is_needed = connection.poll() or not solves
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
@@ -218,6 +261,9 @@ def work(connection: Connection) -> None:
         order = orders.get()
         if isinstance(order, Study):
             study = order
+            continue
+        if isinstance(order, partial):
+            connection.send(_returned(order))
             continue
         try:
             if order.verb == Verb.FIT:
@@ -234,6 +280,18 @@ def work(connection: Connection) -> None:
             answer = Refused(f"This is a bug in phsi_opt: {error!r}")
         connection.send(answer)
         connection.send(Done())
+
+
+def _returned(function: "partial[Any]") -> Returned:
+    try:
+        return Returned(function())
+    except StudyFileError as error:
+        return Returned(error=error)
+    except PhsiOptError as error:
+        said = str(error)
+    except Exception as error:  # the page says it; the process goes on
+        said = f"This is a bug in phsi_opt: {error!r}"
+    return Returned(error=DataError(said))
 
 
 def _fitted(order: Order) -> Study:

@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import files
 from typing import Any
@@ -37,6 +37,9 @@ class BaseModel:
     inputs: Mapping[str, Mapping[str, Any]]
     hidden: Mapping[str, str] = field(default_factory=dict)  # of states without sensor
     seldom: Sequence[str] = ()  # the states that are measured only beside the inputs
+    # States, model and terms of the inputs that replace these if one of the states has
+    # a column, such as a velocity.
+    velocity: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def picture(self) -> str:
@@ -65,6 +68,18 @@ class BaseModel:
         """Its states and inputs with their units, in words."""
         states, inputs = map(with_units, (self.units, self.input_units))
         return f"states {states}; inputs {inputs}"
+
+    def seen_by(self, columns: Sequence[Any]) -> "BaseModel":
+        """The model in position and velocity if one of the columns is a velocity."""
+        states = self.velocity.get("states", {})
+        further = {name: states[name] for name in states if name not in self.states}
+        if not matched(columns, further, lambda column: False):
+            return self
+        inputs = dict(self.inputs)
+        for name, terms in self.velocity["terms"].items():
+            inputs[name] = {**inputs[name], **terms}
+        model = self.velocity["model"]
+        return replace(self, states=states, hidden={}, model=model, inputs=inputs)
 
     def sections(self, inputs: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
         """The sections [model] and [parameters], with the inputs that were measured."""

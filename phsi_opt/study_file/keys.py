@@ -151,6 +151,11 @@ class Key(NamedTuple):
         return re.findall(r'"(\w+)"', self.form)
 
     @property
+    def most(self) -> int:
+        """The entries that its list or table may have."""
+        return MOST_OF_MANY if self.path in COMES_WITH_DATA else MOST_ENTRIES
+
+    @property
     def what(self) -> Form:
         """Its form."""
         options = self.options
@@ -238,6 +243,14 @@ FORMS = {
         ARE_TERMS, 'a formula in quotes, such as "c*dH_dp", or a list of them', "term"
     ),
 }
+# Entries of one list or table. A person writes fewer, and the check of a file takes a
+# time that grows with their square; a catalogue of effects takes 0.1 s for each name.
+MOST_ENTRIES = 100
+MOST_OF_MANY = 1000  # where what is counted comes with the data, or is a sum of terms
+COMES_WITH_DATA = (
+    *("data.files", "data.columns", "held_out.runs", "final.runs", "parameters"),
+    *("model.H", "model.R.*", "model.F.*", "model.sensor.*", "effects.term"),
+)
 LISTS = ("list of texts", "list of files", "list of effects")  # one text stands for one
 NAMED_ANYWAY = ("table", "parameter")  # other sections know these by their names
 
@@ -254,7 +267,7 @@ Place = tuple[str | int, ...]
 
 
 class TooManyComplaintsError(Exception):
-    """So much is wrong that the rest of a file is not looked at."""
+    """So much is wrong, or so large, that the rest of a file is not looked at."""
 
 
 def shown(value: Any) -> str:
@@ -364,6 +377,12 @@ def usable(
         if key is None:
             said = f"this key is unknown here; known are {', '.join(known)}."
             faults.add(said + did_you_mean(name, known), *place, name)
+        elif isinstance(value, list | dict) and len(value) > key.most:
+            said = (
+                f"it has {len(value)} entries; at most {key.most} are read. Give fewer."
+            )
+            faults.add(said, *place, name)
+            raise TooManyComplaintsError  # what depends on it would be wrong, too
         elif key.what.fits(value):
             value = listed(value) if key.form in LISTS else value
             kept[name] = _kept(value, key, faults, (*place, name))

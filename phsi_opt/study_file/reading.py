@@ -16,7 +16,7 @@ from phsi_opt.data.checks import checked_names
 from phsi_opt.data.file_opening import run_names
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.table_readers import TableError
-from phsi_opt.errors import Complaint, StudyFileError
+from phsi_opt.errors import MOST_OF_A_KEY, Complaint, StudyFileError
 from phsi_opt.model.catalogue import EffectChoice, effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -96,13 +96,13 @@ def _sections(
     model = reader.model()
     steps = StudySection(**file.get("study", {}))
     loss = _loss(file.get("loss", {}), faults)
+    measured = None if faults.about("data") else _measurements(data, folder, faults)
     if model is not None:
         check_channels(model, data, faults)
-    measured = None if faults.about("data") else _measurements(data, folder, faults)
     if model is not None and not faults.about("effects"):
         units = data.units if measured is None else measured.units
         _check_effects(steps, model, own, units, faults)
-    if measured is not None and model is not None:
+    if measured is not None and model is not None and not faults.about("data"):
         _check_units(model, measured, faults)
     if measured is not None and not any(map(faults.about, KEPT_APART)):
         _check_parts(measured, kept, faults)
@@ -248,11 +248,16 @@ def _check_effects(
     """Note every name of the section [study] that stands for no effect."""
     larger = model
     for name in steps.added:
+        if faults.about("study", "added"):
+            break  # the model to which the others are added is not known
         with faults.noting("study", "added", value=name):
             effect = own_effect(name, own) or effect_named(larger, name, units=units)
             larger = larger.add(effect)
     for key in ("effects", "without"):
-        for name in getattr(steps, key) or ():
-            if own_effect(name, own) is None:
-                with faults.noting("study", key, value=name):
-                    EffectChoice(**{key: (name,)}).checked(model, units)
+        names = [one for one in getattr(steps, key) or () if not own_effect(one, own)]
+        for name in dict.fromkeys(names):
+            wrong = [one for one in faults.listed if one.key == f"study.{key}"]
+            if len(wrong) == MOST_OF_A_KEY:  # a message shows no more
+                break
+            with faults.noting("study", key, value=name):
+                EffectChoice(**{key: (name,)}).checked(model, units)

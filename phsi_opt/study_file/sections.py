@@ -101,25 +101,9 @@ class DataSection:
     """The data files and the meaning of their columns.
 
     The type of the tables (text, .xlsx, .mat) follows from the name of the first file;
-    values that are None are detected, as by the readers of `Measurements`.
-
-    Attributes:
-        files: relative to the folder of the study file, or absolute.
-        time: the column of the times, or the step between them.
-        states: by name.
-        inputs: by name.
-        trajectory: the column with the name of the run; None: one run per file.
-        hold: what inputs do between samples, "linear", "zero" or "cubic".
-        sheet: of an Excel workbook.
-        group: of channels, in an MDF or TDMS file.
-        columns: the names of the columns of a table without a header.
-        separator: the separator of the cells of a text file.
-        decimal: the decimal separator.
-        skip: the number of lines above the table.
-        units_row: the line of the units; 0: there is none.
-        between: first and last time that are used, of every run; None: all.
-        thinned: number of neighbouring samples that are averaged; None: no averaging.
-        places: paths of files that are in another place than their names say.
+    values that are None are detected, as by the readers of `Measurements`. Attributes
+    are called like the keys of the section, which docs/command_line.md explains;
+    ``places`` has the paths of files that are in another place than their names say.
     """
 
     files: tuple[str, ...] = ()

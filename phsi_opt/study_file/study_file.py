@@ -4,6 +4,7 @@ A study file is TOML; docs/command_line.md lists its keys. Reading one never run
 formulas go through the parser of the package.
 """
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -191,7 +192,7 @@ class StudyFile(Sections):
     def moved(self, folder: str | Path) -> Self:
         """The same study as a file of another folder."""
         folder = Path(folder)
-        if folder.resolve() == self.folder.resolve():
+        if os.path.realpath(folder) == os.path.realpath(self.folder):
             return replace(self, folder=folder)
         data = self.data.moved(self.folder, folder)
         return replace(self, data=data, folder=folder)
@@ -358,7 +359,7 @@ def write_table(data: Measurements, path: Path) -> None:
     unmeasured = [name for name in data.states if name not in data.measured]
     frame = data.to_dataframe().drop(columns=unmeasured)
     text = frame.to_csv(index=False, lineterminator="\n")
-    if path.exists():
+    if os.path.exists(path):
         try:
             is_same = file_text(path) == text
         except (OSError, UnicodeDecodeError):  # no regular file, or none of text

@@ -424,6 +424,7 @@ def first_text(
     physics = ""
     lacking: dict[str, str] = {}
     if base is not None:
+        base = base.seen_by(table.of_part(STATE))
         give_parts(table.columns, base)
         inputs = [one.name for one in table.of_part(INPUT)]
         model, parameters = base.sections(inputs)
@@ -434,7 +435,7 @@ def first_text(
             del lacking[column.name]
     places = []
     for file in files:  # as the folder calls it; absolute where that was meant
-        place = Path(os.path.relpath(file.resolve(), folder.resolve()))
+        place = Path(os.path.relpath(*map(os.path.realpath, (file, folder))))
         is_outside = place.parts[0] == os.pardir
         places.append((file if is_outside and file.is_absolute() else place).as_posix())
     template = text_template("first_study.toml.jinja")

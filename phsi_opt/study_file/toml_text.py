@@ -9,6 +9,7 @@ before, and the effect.
 """
 
 import json
+import os
 import re
 import tomllib
 from collections import Counter
@@ -160,7 +161,9 @@ def add_effects(path: Path, names: Iterable[str]) -> Path:
     Raises:
         DataError: the file has a form that cannot be changed safely.
     """
-    path = path.resolve()  # where the name is a link, the file that it leads to
+    path = Path(
+        os.path.realpath(path)
+    )  # where the name is a link, the file that it leads to
     bytes_before = file_bytes(path)
     changed = _with_added(bytes_before.decode("utf-8-sig"), list(names), path)
     numbers = chain([""], count(2))  # study.toml.bak, study.toml.bak2, ...
