@@ -335,10 +335,25 @@ def test_a_larger_error_of_either_free_run_is_a_doubt(monkeypatch) -> None:
             lost(found)[str(DAMPER)] == "its free-run error is larger than without it"
         )
     assert "the held-out error rises from 10.0 to 10.1 m" in found.reason
+    larger = {str(DAMPER): fitted(run(10.0), run(10.001))}
+    found = Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch)
+    assert "the held-out error does not change (10.0 m), noise" in found.reason
     # Within the noise an error may be larger.
     base = fitted(run(10.0), run(1.0))
     larger = {str(DAMPER): fitted(run(1.05, p=0.5), run(1.09))}
     assert Case([candidate(DAMPER, 20.0)], base, larger).concluded(monkeypatch).findings
+
+
+def test_what_is_as_likely_as_what_is_not_named_is_not_only_decisive(
+    monkeypatch,
+) -> None:
+    larger = {str(DAMPER): fitted(run(10.1))}
+    ranking = [candidate(FRICTION, 21.0), candidate(DAMPER, 20.0)]
+    found = Case(ranking, larger=larger).concluded(monkeypatch)
+    assert (found.verdict, found.findings) == (UNEXPLAINED, ())
+    assert lost(found)[str(FRICTION)] == (
+        f"the data cannot distinguish it from {DAMPER}"
+    )
 
 
 def test_what_a_study_would_add_is_judged_and_not_the_brief_re_fit(monkeypatch) -> None:

@@ -14,7 +14,8 @@ from phsi_opt.diagnosis.diagnose import candidate_of
 from phsi_opt.diagnosis.record import next_step
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.linearized_record import LinearizedRecord
-from phsi_opt.screening.score_test import ScoreTest
+from phsi_opt.screening.score_test import ScoreTest, _Point
+from phsi_opt.screening.sensitivities import Regression, Sensitivities
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import aligned
 from problems.battery.draw import ROWS, draw
@@ -73,6 +74,20 @@ def test_an_effect_that_the_record_does_not_excite_gains_nothing(drag) -> None:
     found = ph.diagnose(fit, data, effects=["sensor gain on q"])
     assert all(one.grade == Grade.NONE for one in found.ranking)
     assert screen.screened(effect_named(fit.model, "sensor offset", "p")) is None
+
+
+@pytest.mark.parametrize("name", ["constant force", "sensor offset"])
+def test_no_size_is_told_that_is_a_million_times_the_motion(drag, name) -> None:
+    fit, _, screen = drag
+    on = "p" if name == "constant force" else "q"
+    trial = screen.trial(effect_named(fit.model, name, on))
+    change = Sensitivities(screen.linearized, trial)({})
+    point = _Point({}, change, Regression(np.array([1.0]), 1.0, np.eye(1)))
+    found = screen._expected(trial, point, 1)
+    assert (found.coefficient, found.std_error) == (1.0, 1.0)
+    regression = replace(point.regression, coefficients=np.array([2e8]))
+    found = screen._expected(trial, replace(point, regression=regression), 1)
+    assert np.isnan([found.coefficient, found.std_error]).all()
 
 
 def driven(mass: ph.Parameter) -> Model:

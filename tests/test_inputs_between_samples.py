@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.data.trajectory import SmoothInputs, is_stepped
+from phsi_opt.data.noticed import breaks_of
+from phsi_opt.data.trajectory import SmoothInputs, Trajectory, is_stepped
 from phsi_opt.page.drafts import look_at
 from phsi_opt.simulation.simulate import free_run
 from phsi_opt.study_file.survey import first_text, survey
 from phsi_opt.study_file.toml_text import toml_tables
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import AlignedData, grid_of
 from tests.machines import pushed_mass
 
@@ -143,8 +145,10 @@ def test_each_column_is_that_of_its_own_way() -> None:
         for name in ("u", "u0", "u1"):
             column = getattr(grid, name)[:, number]
             np.testing.assert_array_equal(column, getattr(alone, name)[:, number])
-        thinned = record(hold).thinned(3).trajectories[0].u[:, number]
-        np.testing.assert_array_equal(thin.trajectories[0].u[:, number], thinned)
+        run, other = thin.trajectories[0], record(hold).thinned(3).trajectories[0]
+        both = np.isfinite(run.x[:, 0]), np.isfinite(other.x[:, 0])
+        columns = run.u[both[0], number], other.u[both[1], number]
+        np.testing.assert_array_equal(*columns)
 
 
 def test_a_fit_needs_the_right_way_for_each_input_and_keeps_it(tmp_path: Path) -> None:
@@ -173,6 +177,7 @@ STEPPED = {
     "steps": STEPS,
     "one step": np.where(CLOCK > 3, 5.0, 0.0),
     "a relay": np.sign(np.sin(CLOCK)),
+    "steps below half the spread": 12.0 * (CLOCK > 6) + np.repeat(LEVELS, 40) / 3,
     "measured steps": STEPS + 0.1 * np.random.default_rng(2).normal(size=1200),
     "a shift register of 3 samples": np.repeat(LEVELS > 0, 3).astype(float),
 }
@@ -301,3 +306,109 @@ def test_a_delay_that_no_other_input_explains_is_named() -> None:
     assert str(finding.effects[0]) == "input delay on w"
     assert finding.coefficient == pytest.approx(0.02, abs=0.002)
     assert study.train.hold == "linear"
+
+
+# ---- gaps in which an input is unknown
+
+LOST = np.arange(300, 330)  # 0.3 s, at a step of the input
+LATER = np.where(CLOCK < 5, 1.0, 2.0)
+
+
+@pytest.mark.parametrize(("u", "lost", "breaks"), [
+    (STEPS, LOST, [299]),
+    (STEPS, LOST + 21, []),  # the same input before and after
+    (np.sin(CLOCK), LOST[:1], []),
+    (np.sin(CLOCK), LOST, []),  # a twentieth of a period
+    (np.sin(8 * CLOCK), LOST, [299]),  # 0.4 periods
+    (np.random.default_rng(0).normal(size=1200), LOST[:1], [299]),
+    (STEPS, np.r_[LOST, LOST + 33], [299]),  # three samples tell no state
+    (LATER, np.r_[5:9, 499:501], [494]),  # nor do five; no other change tells its time
+    (np.empty((1200, 0)), LOST, []),
+])  # fmt: skip
+def test_an_input_is_unknown_in_a_gap_that_interpolation_misses(
+    u, lost, breaks
+) -> None:
+    kept = np.delete(np.arange(1200), lost)
+    run = Trajectory("run", CLOCK[kept], CLOCK[kept, None], u[kept])
+    assert breaks_of(run).tolist() == breaks
+
+
+def motor(gain: Any, loss: Any, drag: float = 0.0) -> ph.FirstOrder:
+    rate = ph.formula("g*u - a*w - d*w*abs(w)", g=gain, a=loss, d=drag)
+    return ph.FirstOrder(["w"], {"w": rate}, inputs=["u"])
+
+
+def with_gaps(drag: float, noise: float, hold: str) -> ph.Measurements:
+    runs = []
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([0.0, 3, 6, 9, 12, -6], 8), 40)
+        u[120:160] = u[80:120] + 3
+        t = STEP * np.arange(320)
+        x = ph.simulate(motor(25.0, 2.0, drag), t, [0.0], u[:, None], hold="zero")
+        kept = np.delete(np.arange(320), np.arange(120, 140))
+        y = x + noise * rng.normal(size=x.shape)
+        runs.append((t[kept], y[kept], u[kept]))
+    units = {"t": "s", "w": "rad/s", "u": "V"}
+    columns = map(list, zip(*runs, strict=True))
+    return ph.Measurements.from_arrays(
+        *columns, states=["w"], inputs=["u"], units=units, hold=hold
+    )
+
+
+def test_states_begin_anew_after_such_a_gap() -> None:
+    data = with_gaps(0.0, 1e-3, "zero")
+    free = motor(ph.Parameter(2.0, lower=0), ph.Parameter(0.5, lower=0))
+    fit = ph.identify(free, data)
+    assert [fit.values["g"], fit.values["a"]] == pytest.approx([25.0, 2.0], rel=1e-3)
+    compared = ph.compare(fit, data)
+    assert compared.rmse == pytest.approx(1e-3, rel=0.1)
+    assert compared.data.n_trajectories == 2
+    words = " ".join(str(data).split())
+    assert "in run 1, an input changes in 2: the states begin anew there" in words
+
+
+def test_a_memory_begins_anew_after_such_a_gap_at_rest() -> None:
+    model = motor(25.0, 2.0)
+    (lag,) = (one for one in ph.catalogue(model) if str(one) == "input lag on w")
+    aligned = AlignedData.of(model.add(lag), with_gaps(0.0, 1e-3, "zero"))
+    grid = aligned.grid_with([np.full(299, 3)] * 2)
+    assert grid.n_intervals == 2 * 3 * 298
+    states = with_memory(model.add(lag), grid, grid.y[:, :1], np.array([0.05]))
+    np.testing.assert_allclose(states[grid.starts, 1], grid.u[grid.starts, 0])
+
+
+def test_a_gap_makes_no_delay() -> None:
+    model = motor(ph.Parameter(20.0, lower=0), ph.Parameter(1.0, lower=0))
+    effects = ["input delay", "quadratic drag"]
+    study = ph.Study(model, with_gaps(0.02, 0.4, "linear"), effects=effects)
+    found = study.diagnose()
+    assert [str(one) for one in found.proposed] == ["quadratic drag on w"]
+    assert study.fit.hold == "zero"
+
+
+# ---- fewer samples of a held input
+
+
+@pytest.mark.parametrize(
+    ("by", "noise"), [("mean", 0.01 / np.sqrt(5)), ("picking", 0.01)]
+)
+@pytest.mark.parametrize("length", [25, 7])  # of a step, in samples
+def test_thinning_keeps_parameters_and_what_is_left_of_noise(by, noise, length) -> None:
+    """A sensor that shows the input at once: none of both may be late."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.choice([-3.0, -1.5, 0.0, 2.0], 2000 // length), length)
+    t = np.arange(len(u)) * 1.0
+
+    def cell(tau: Any, r: Any) -> ph.FirstOrder:
+        shown = {"v": ph.formula("r*i", r=r)}
+        rate = {"v": ph.formula("(i - v)/tau", tau=tau)}
+        return ph.FirstOrder(["v"], rate, inputs=["i"], sensor=shown)
+
+    v = ph.simulate(cell(40.0, 1.5), t, [0.0], u[:, None], hold="zero")[:, 0]
+    y = v + 1.5 * u + 0.01 * rng.normal(size=len(t))
+    data = ph.Measurements.from_arrays(t, y, u, states=["v"], inputs=["i"], hold="zero")
+    thin = data.thinned(5, by)
+    fit = ph.identify(cell(ph.Parameter(20.0, lower=1), ph.Parameter(1.0)), thin)
+    assert fit.values == pytest.approx({"tau": 40.0, "r": 1.5}, rel=0.005)
+    assert ph.compare(fit, thin).rmse == pytest.approx(noise, rel=0.15)

@@ -287,17 +287,36 @@ def test_the_mean_of_groups_stands_at_their_mean_time() -> None:
     assert thin.noise["q"] == 0.4 / np.sqrt(2)
 
 
-def test_a_held_input_is_averaged_from_each_new_sample_to_the_next() -> None:
-    run = measurements().thinned(4).trajectories[0]
-    # new samples at 3/8, 11/8, 19/8; the input steps at 1 and 2 and ends at 11/4
-    np.testing.assert_array_equal(run.t, [0.375, 1.375, 2.375])
-    expected = [0.625 * 1 + 0.375 * 5, 0.625 * 5 + 0.375 * 2, 2.0]
-    np.testing.assert_allclose(run.u[:, 0], expected, rtol=1e-15)  # sums of floats
+def test_a_held_input_keeps_its_course_between_new_samples() -> None:
+    x = np.arange(12.0)
+    u = np.array([1.0, 1, 1, 1, 1, 1, 5, 5, 5, 2, 3, 4])
+    data = ph.Measurements.from_arrays(x, x, u, states=["q"], hold="zero")
+    picked = data.thinned(4, by="picking").trajectories[0]
+    # one change is kept where it is
+    np.testing.assert_array_equal(picked.t, [0, 4, 6, 8])
+    np.testing.assert_array_equal(picked.x[:, 0], [0, 4, np.nan, 8])
+    np.testing.assert_array_equal(picked.u[:, 0], [1, 1, 5, 5])
+    # moving means of 4: 1 1 1 2 3 4 4.25 3.75 3.5, at 1.5, 2.5, ...
+    means = data.thinned(4).trajectories[0]
+    np.testing.assert_array_equal(means.t, [1.5, 4.5, 5.5, 6.5, 9.5])
+    np.testing.assert_array_equal(means.x[:, 0], [1.5, np.nan, 5.5, np.nan, 9.5])
+    np.testing.assert_array_equal(means.u[:, 0], [1, 2, 3, 4, 3.5])
+
+
+def test_no_mean_is_over_a_gap_of_the_clock() -> None:
+    t = np.delete(np.arange(30.0), np.arange(13, 18))
+    u = np.where(t < 12, 1.0, 2.0)
+    data = ph.Measurements.from_arrays(t, t, u, states=["q"], hold="zero")
+    (run,) = data.thinned(4)
+    np.testing.assert_array_equal(run.t, [1.5, 5.5, 9.5, 19.5, 23.5, 27.5])
+    np.testing.assert_array_equal(run.x[:, 0], run.t)
+    np.testing.assert_array_equal(run.u[:, 0], [1, 1, 1, 2, 2, 2])
 
 
 def test_samples_that_fill_no_group_are_left_out_of_means_alone() -> None:
     data = measurements()
     assert data.thinned(1).digest == data.thinned(1, by="picking").digest == data.digest
+    data = measurements(hold="linear")
     assert [run.n_samples for run in data.thinned(5)] == [2, 2]
     assert [run.n_samples for run in data.thinned(5, by="picking")] == [3, 3]
 

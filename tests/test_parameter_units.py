@@ -1,5 +1,6 @@
 """Units of parameters: what the equations say of them, as people write it."""
 
+import numpy as np
 import pytest
 
 import phsi_opt as ph
@@ -12,8 +13,10 @@ from phsi_opt.model.catalogue import (
 from phsi_opt.model.parameter_units import parameter_units, state_units
 from phsi_opt.presentation.units import (
     coefficient_unit,
+    in_si,
     powers_as_written,
     powers_in_base_units,
+    scale_of,
 )
 from phsi_opt.screening.effect_size import size_unit
 
@@ -219,6 +222,48 @@ def test_millimetres_are_no_metres_and_keep_their_name() -> None:
     assert parameter_units(spring(), mixed)["m"] == "kg m/mm"
     friction = effect_named(spring(), "coulomb friction", "p")
     assert size_unit(spring(), friction, mixed) == "N"
+
+
+WRITTEN = {
+    "mm": ({"t": "s", "q": "mm", "u": "N"}, "mm/s", "mm"),
+    "deg": ({"t": "s", "q": "deg", "u": "N m"}, "deg/s", "deg"),
+}
+
+
+@pytest.mark.parametrize("unit", WRITTEN)
+def test_speeds_and_lengths_of_an_effect_are_told_in_the_unit_of_the_position(
+    unit: str,
+) -> None:
+    """They are parameters of the equation of a momentum that nobody measures."""
+    given, speed, length = WRITTEN[unit]
+    for name, beside, told in (
+        ("coulomb friction", "coulomb_friction_p.v0", speed),
+        ("stribeck friction", "stribeck_friction_p.v_s", speed),
+        ("gap", "gap_q.play", length),
+        ("hysteresis", "hysteresis_width_p", length),
+        ("sensor offset", "sensor_offset_q", length),
+    ):
+        on = "q" if name == "sensor offset" else "p"
+        larger = spring().add(effect_named(spring(), name, on))
+        found = scale_of(parameter_units(larger, in_si(given))[beside])
+        assert found.unit == told
+        assert found.size == pytest.approx(1e-3 if unit == "mm" else np.pi / 180)
+
+
+def test_rates_of_a_speed_are_told_in_its_unit() -> None:
+    units = in_si({"t": "s", "w": "deg/s", "u": "V"})
+    larger = motor().add(effect_named(motor(), "constant force", "w"))
+    assert (
+        scale_of(parameter_units(larger, units)["constant_force_w"]).unit == "deg/s^2"
+    )
+
+
+def test_an_offset_of_a_thermometer_has_no_zero_of_its_own() -> None:
+    units = in_si(HEATED | {"T": "degF"})
+    larger = house().add(effect_named(house(), "sensor offset", "T"))
+    scale = scale_of(parameter_units(larger, units)["sensor_offset_T"])
+    assert (scale.unit, scale.zero) == ("degF", 0.0)
+    assert scale.size == pytest.approx(5 / 9)
 
 
 def test_a_number_that_may_have_a_unit_of_its_own_leaves_the_unit_open() -> None:

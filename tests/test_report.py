@@ -378,6 +378,7 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert with_error(2e9, 3e6, "m^2") == "(2.0000 ± 0.0030)×10⁹ m²"
     assert str(Size(4000.0, 52000.0)) == "size not determined"
     assert str(Size(146.32, np.nan, "mm")) == "146.3 mm"
+    assert str(Size(np.nan, np.nan, "mm")) == "size not determined"
     assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
     assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
     assert number(0.04, 3) == "0.0400" and number(0.0, 3) == "0" and number(4.0) == "4"

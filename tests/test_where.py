@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lombscargle
 
 import phsi_opt as ph
 from phsi_opt.estimation.record import Record
@@ -28,7 +29,7 @@ from phsi_opt.force_analysis.cross_validation import (
 )
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pictures import plot_where
-from phsi_opt.force_analysis.waves import spectrum
+from phsi_opt.force_analysis.waves import _power, spectrum
 from phsi_opt.model.catalogue import effect_named
 
 M, K, D = 2.5, 40.0, 0.8
@@ -226,6 +227,20 @@ def test_a_sine_has_its_amplitude_in_the_spectrum(even: bool) -> None:
 
 
 # ---- in words ------------------------------------------------------------------------
+
+
+def test_the_power_of_a_wave_is_the_fall_of_the_squares_by_sine_and_cosine() -> None:
+    rng = np.random.default_rng(0)
+    z = np.sort(rng.uniform(0, 7, 300))
+    y = rng.normal(size=300)
+    frequencies = np.array([0.03, 0.2, 1.7, 20.0])
+    expected = 2 * lombscargle(z, y, 2 * np.pi * frequencies)
+    np.testing.assert_allclose(_power(z, y, frequencies), expected, rtol=1e-9)
+    for frequency, fall in zip(frequencies, expected, strict=True):
+        phase = 2 * np.pi * frequency * z
+        waves = np.column_stack([np.sin(phase), np.cos(phase)])
+        left = np.linalg.lstsq(waves, y)[1][0]
+        assert y @ y - left == pytest.approx(fall, rel=1e-9)
 
 
 def test_sentences_say_size_place_and_cause_with_units(cases) -> None:

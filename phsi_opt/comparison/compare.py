@@ -254,7 +254,7 @@ class Comparison(Summarised):
         noise reduces them. The variances of channels add up (Satterthwaite 1946).
         """
         n = self._n_values
-        n_used = self.data.n_trajectories * self.model.n_states
+        n_used = len(self.record.grid.starts) * self.model.n_states
         n_used += self.record.is_of_training * len(self.fit.names)
         freedom = n * max(1 - n_used / n.sum(), LEAST_COUNTED)
         if self.record.has_correlated_noise:

@@ -8,11 +8,11 @@ filtered. How tables are read is in `table_readers`, how integration steps join 
 """
 
 import hashlib
-import itertools
 import operator
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, wraps
+from itertools import compress, pairwise
 from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
@@ -183,7 +183,7 @@ class Measurements(TableReaders, Summarised):
     def measured(self) -> tuple[str, ...]:
         """The states with at least one finite value."""
         is_measured = np.isfinite(self.stacked("x")).any(axis=0)
-        return tuple(itertools.compress(self.states, is_measured))
+        return tuple(compress(self.states, is_measured))
 
     def stacked(self, what: str) -> np.ndarray:
         """One array of all trajectories, one after the other, (n_samples, ...).
@@ -378,18 +378,20 @@ class Measurements(TableReaders, Summarised):
     def thinned(self, n: int, by: str = "mean") -> Self:
         """Fewer samples: one for every n of each trajectory.
 
-        With ``by="mean"`` a sample is the mean of n neighbouring ones, at the mean of
-        their times, which prevents aliasing of motions that are faster than the new
-        sampling rate. A state is missing if one of its n samples is missing. Noise that
-        is given becomes smaller by sqrt(n), as if the errors of samples were
-        independent. An input that is held (``hold="zero"``) is averaged over the time
-        from each new sample to the next.
+        With ``by="mean"`` states and inputs are filtered alike: a sample is the mean of
+        n neighbouring ones, at the mean of their times, which prevents aliasing of
+        motions that are faster than the new sampling rate. A state is missing if one of
+        its n samples is missing. Noise that is given becomes smaller by sqrt(n), as if
+        the errors of samples were independent. Samples that do not fill a group of n,
+        at the end or before a gap, are dropped.
 
         With ``by="picking"`` every n-th sample is kept as it is, from the first. Use it
-        if the signals are smooth at the new rate, or if states have gaps; changes of
-        inputs between the selected samples are lost.
+        if the signals are smooth at the new rate, or if states have gaps.
 
-        With ``by="mean"`` samples at the end that do not fill a group of n are dropped.
+        What happens within n samples is lost: choose n well below the fastest time
+        constant. A held input (``hold="zero"``) keeps its course: where it changes
+        between two new samples there is one more, without a measured state, from which
+        on it has its mean until the next.
 
         Args:
             n: Number of samples that become one.
@@ -561,31 +563,36 @@ def _between(run: Trajectory, first: float, last: float) -> Trajectory:
 
 def _thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajectory:
     """A trajectory with one sample for every n, and its inputs' (n_inputs,) holds."""
-    is_picked = by == "picking"
-    n_left = 1 + (run.n_samples - 1) // n if is_picked else run.n_samples // n
-    if n_left < 2:
+    width = n if by == "mean" else 1  # of the moving mean
+    gaps = DataLook((run,), (), (), {}, ()).gaps
+    parts = pairwise([0, *(gaps + 1), run.n_samples])
+    picked = np.concatenate([np.arange(a, b - width + 1, n) for a, b in parts])
+    if len(picked) < 2:
         raise DataError(
             f"trajectory {run.name!r} has {run.n_samples} samples, too few for "
-            f"thinned({shown(n)}): {n_left} would remain; expected at least 2."
+            f"thinned({shown(n)}): {len(picked)} would remain; expected at least 2."
         )
-    if is_picked or n == 1:
-        return part_of(run, slice(None, None, n))
 
     def means(values: np.ndarray) -> np.ndarray:
-        groups = values[: n_left * n].reshape(n_left, n, *values.shape[1:])
-        mean: np.ndarray = groups.mean(axis=1)
+        if width == 1:
+            return values.copy()
+        windows = np.lib.stride_tricks.sliding_window_view(values, width, axis=0)
+        mean: np.ndarray = windows.mean(axis=-1)
         return mean
 
     t = means(run.t)
-    u = np.where(hold == "zero", _held_means(run, t), means(run.u))
-    return replace(run, t=t, x=means(run.x), u=u)
-
-
-def _held_means(run: Trajectory, t: np.ndarray) -> np.ndarray:
-    """Means (n_groups, n_inputs) of held inputs from each time to the next."""
-    ends = np.append(t, run.t[-1])
-    means = np.empty((len(t), run.u.shape[1]))
-    for i, u in enumerate(run.u.T):
-        integral = np.append(0.0, np.cumsum(u[:-1] * np.diff(run.t)))  # at every sample
-        means[:, i] = np.diff(np.interp(ends, run.t, integral)) / np.diff(ends)
-    return means
+    x = means(run.x)
+    u = means(run.u)
+    is_held = hold == "zero"
+    changes = np.append(
+        np.any(np.diff(u[:, is_held], axis=0), axis=1).nonzero(), len(t)
+    )
+    firsts = changes[np.searchsorted(changes, picked[:-1])] + 1
+    is_between = firsts < picked[1:]
+    is_between &= np.diff(np.searchsorted(gaps, picked)) == 0
+    for first, end in zip(firsts[is_between], picked[1:][is_between], strict=True):
+        x[first] = np.nan
+        lengths = np.diff(t[first : end + 1])
+        u[first, is_held] = lengths @ u[first:end, is_held] / lengths.sum()
+    rows = np.sort(np.append(picked, firsts[is_between]))
+    return replace(run, t=t[rows], x=x[rows], u=u[rows])

@@ -6,7 +6,7 @@ that its function states; a reader decides whether it matters.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 from operator import attrgetter
 
 import numpy as np
@@ -17,7 +17,12 @@ from phsi_opt.data.channel_noise import (
     robust_deviation,
     scatter_of,
 )
-from phsi_opt.data.trajectory import Trajectory, is_stepped, run_numbers
+from phsi_opt.data.trajectory import (
+    STEPPED_SHARE,
+    Trajectory,
+    is_stepped,
+    run_numbers,
+)
 from phsi_opt.errors import some_of
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.presentation.units import date_words, spaced, time_words
@@ -27,6 +32,8 @@ REGULAR_STEPS = 0.01  # largest deviation of a step, of a clock that is regular
 BEYOND = 5.0  # times by which an outlier is beyond what its surroundings do
 AROUND = 5  # samples on each side that are the surroundings of a sample
 MANY = 10  # equal samples that are no chance
+# of the variance of an input: as much as `is_stepped` leaves to noise on its steps
+UNKNOWN_SHARE = 1 - STEPPED_SHARE
 NOT_HELD = 'but interpolated: if it is held, give hold="zero"'
 NO_SAMPLES = np.array([], dtype=int)
 
@@ -140,6 +147,9 @@ class DataLook:
             of = "of" if len(self.gaps) == 1 else "up to"
             place = self.place_words(longest)
             words.append(f"{number_of(len(self.gaps), 'gap')} {of} {size}, {place}")
+        n_breaks = sum(len(breaks_of(run)) for run in self.trajectories)
+        if n_breaks:
+            words.append(f"an input changes in {n_breaks}: the states begin anew there")
         return ", ".join(words)
 
     def _odd_steps(self) -> str:
@@ -281,6 +291,41 @@ class DataLook:
             sizes = (*ends, one.resolution or np.nan, one.noise)
             row = dict(zip(told, (one.name, part, one.unit, *sizes), strict=True))
             yield row | {"noticed": "; ".join(self.remarks(one))}
+
+
+def breaks_of(run: Trajectory) -> np.ndarray:
+    """The numbers of the samples before gaps in which an input is unknown.
+
+    It is known if it is the same after the gap, or if interpolation over as many steps
+    elsewhere in the run misses less than 3 % of its variance, as of a smooth input. The
+    states of a model begin anew after the gap, and need some samples on both sides.
+    """
+    look = DataLook((run,), (), (), {}, ())
+    missed = cache(partial(_missed_share, look))
+    breaks = [-1]
+    for k in look.gaps:
+        if min(k - breaks[-1], run.n_samples - 1 - k) >= MANY:
+            places = np.flatnonzero(run.u[k] != run.u[k + 1])
+            n_steps = round(look.relative_steps[k])
+            if any(missed(int(i), n_steps) > UNKNOWN_SHARE for i in places):
+                breaks.append(int(k))
+    return np.array(breaks[1:], dtype=int)
+
+
+def _missed_share(look: DataLook, place: int, n_steps: int) -> float:
+    """Share of an input's variance that interpolation over so many steps misses.
+
+    In the middle, where the input changes and there is no gap; one if that is nowhere.
+    """
+    u = look.trajectories[0].u[:, place]
+    n_gaps = np.cumsum(look.relative_steps > LONG_STEP)
+    is_known = (u[:-n_steps] != u[n_steps:]) & (n_gaps[:-n_steps] == n_gaps[n_steps:])
+    first = np.flatnonzero(is_known)
+    if not len(first):
+        return 1.0
+    half = n_steps // 2
+    between = u[first] + half / n_steps * (u[first + n_steps] - u[first])
+    return float(np.mean((u[first + half] - between) ** 2) / np.var(u))
 
 
 def lone_peaks(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.channel_noise import resolution
 from phsi_opt.data.checks import (
     check_same_length,
     check_unique,
@@ -166,19 +167,28 @@ SAMPLES_AROUND_JUMP = 2
 # Share of the variance, at least, that constant stretches between jumps explain: of
 # steps measured with a noise of a tenth 0.99, of a wave of a third beside a step 0.9.
 STEPPED_SHARE = 0.97
+# A continuous signal whose neighbours are mostly equal passes through every step of its
+# resolution: a change has one step, and a jump has more.
+STEPS_OF_A_JUMP = 1.5
 
 
 def is_stepped(runs: Sequence[np.ndarray]) -> bool:
     """Whether a signal is constant between isolated jumps.
 
-    A jump is a change from one sample to the next by more than half of the standard
-    deviation, and by more than the two changes before it and the two after it together.
-    The constant stretches between jumps explain 97 % of the variance of the runs: not
-    so in waves, ramps and noise. The steps of a quantised sensor are no jumps.
+    A jump is a change from one sample to the next by more than the two changes before
+    it and the two after it together, and by more than half of the standard deviation;
+    of any size where most neighbours are equal and changes have, on average, more than
+    one step of the resolution. The constant stretches between jumps explain 97 % of the
+    variance of the runs: not so in waves, ramps, noise and what a coarse sensor shows.
     """
     long = [run for run in runs if len(run) > 2 * SAMPLES_AROUND_JUMP + 1]
     total = sum(len(run) * float(np.var(run)) for run in long)
     least = np.sqrt(total / max(sum(map(len, long)), 1)) / 2
+    changes = np.abs(np.concatenate([np.zeros(0), *map(np.diff, long)]))
+    moved = changes[changes > 0]
+    if 0 < len(moved) < len(changes) / 2:
+        is_several = np.mean(moved) > STEPS_OF_A_JUMP * resolution(long)
+        least = 0.0 if is_several else least
     within = 0.0
     for run in long:
         size = np.abs(np.diff(run))

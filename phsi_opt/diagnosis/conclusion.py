@@ -36,7 +36,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.laws import parameter_words
-from phsi_opt.presentation.numbers import decimal
+from phsi_opt.presentation.numbers import change_words, decimal
 from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
@@ -360,6 +360,8 @@ class _Judge:
             lost = f"{WEAK} {one.grade} ({one.log_evidence:.1f})"
             if one.grade == Grade.NONE:
                 lost = f"there is no evidence for it ({one.log_evidence:.1f})"
+            if one.grade == Grade.DECISIVE and first is not None:
+                lost = f"the data cannot distinguish it from {first.name}"
             if first is not None and one.log_evidence < first.log_evidence:
                 lost = f"{first.name} is more likely"
             self.note(place, lost=lost)
@@ -382,12 +384,9 @@ class _Judge:
         """The errors before and after."""
         after = larger.judged
         where = "held-out" if self.base.is_held_out else "training"
-        unit = spaced(after.error_unit)
-        before = self.base.judged.rmse
-        verb = "falls" if after.rmse < before else "rises"
-        errors = f"{decimal(before, 3, '#')} to {decimal(after.rmse, 3, '#')}{unit}"
-        floor = after.floor_words()
-        return f"the {where} error {verb} from {errors}, noise floor {floor}"
+        errors = (self.base.judged.rmse, after.rmse)
+        change = change_words(*errors, spaced(after.error_unit))
+        return f"the {where} error {change}, noise floor {after.floor_words()}"
 
 
 def _errors(base: DiagnosedModel) -> str:

@@ -1,16 +1,19 @@
 """The free run of a fit, and what it warns of.
 
 A free run begins at a state that was estimated from the whole record and never looks at
-the measurements again. Steps of the transcription that are too long for a fast motion
-hide that an optimum is none: an accurate run shows it.
+the measurements again; after a gap with an unknown input it begins anew. Steps of the
+transcription that are too long for a fast motion hide that an optimum is none: an
+accurate run shows it.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from operator import attrgetter
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noticed import breaks_of
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix, parameters_of
@@ -40,12 +43,18 @@ def free_runs(
     simulated = []
     for run, known in zip(data.trajectories, states, strict=True):
         own = model.with_values(parameters[run.name])
-        try:
-            x = free_run(own, run.t, known[0], run.u, data.hold)
-        except SolveError:
-            is_first = np.arange(run.n_samples)[:, None] == 0
-            x = np.where(is_first, known[0], DIVERGED_RUN * np.nanstd(run.x))
-        simulated.append(x)
+        ends = [0, *(breaks_of(run) + 1), run.n_samples]
+        pieces = []
+        for begin, end in pairwise(ends):
+            x0 = known[begin]
+            try:
+                t, u = run.t[begin:end], run.u[begin:end]
+                x = free_run(own, t, x0, u, data.hold)
+            except SolveError:
+                is_first = np.arange(end - begin)[:, None] == 0
+                x = np.where(is_first, x0, DIVERGED_RUN * np.nanstd(run.x))
+            pieces.append(x)
+        simulated.append(np.vstack(pieces))
     theta = parameter_matrix(model, parameters)
     shown = outputs_at_samples(model, aligned.grid, simulated, theta)
     residuals = [run.x - y for run, y in zip(data.trajectories, shown, strict=True)]

@@ -87,9 +87,7 @@ class NoiseIteration:
         grid, huber = self.grid, self.huber
         n_values = len(grid.channel)
         standardized = residual * np.sqrt(n_values / 2)
-        # Every piece of a trajectory has a starting state.
-        n_pieces = grid.n_nodes - grid.n_intervals
-        n_used = self.n_theta + n_pieces * grid.y.shape[1]
+        n_used = self.n_theta + len(grid.starts) * grid.y.shape[1]
         freedom = max(1 - n_used / n_values, LEAST_COUNTED)
         if huber is not None:  # E[min(|e|, limit)^2] for standard normal e
             outside = 2 * normal_tail(huber)

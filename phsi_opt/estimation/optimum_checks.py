@@ -144,8 +144,11 @@ def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
     factor = np.where(is_lost, 4, factor).astype(int)
     steps = steps_per_gap(estimate.grid)
     old = np.concatenate(steps)
-    # Of a gap's intervals the largest factor counts.
-    largest = np.maximum.reduceat(factor, np.cumsum(old) - old)
+    # Of the intervals between two samples the largest factor counts.
+    grid = estimate.grid
+    sample = np.cumsum(grid.sample)[grid.begin] - 1
+    largest = np.ones_like(old)
+    np.maximum.at(largest, sample - grid.runs, factor)
     new = np.minimum(old * largest, MOST_INTERVALS)
     if np.array_equal(old, new):
         return None

@@ -96,9 +96,15 @@ def harmonics(phase: np.ndarray) -> np.ndarray:
 
 def _power(z: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
     """Fall of the sum of squares of y (n,) by a wave of each frequency along z (n,)."""
-    from scipy.signal import lombscargle  # slow to load
-
-    return np.atleast_1d(2 * lombscargle(z, y, 2 * np.pi * frequencies))
+    # In the phase in which sine and cosine are orthogonal (Lomb, Astrophysics and Space
+    # Science 39, 1976). Squares are sums over the samples.
+    wave = np.exp(2j * np.pi * np.outer(frequencies, z))
+    of_twice = np.sum(wave**2, axis=1)
+    turned = wave @ y * np.exp(-0.5j * np.angle(of_twice))
+    cosine = (len(z) + np.abs(of_twice)) / 2
+    sine = np.maximum(len(z) - cosine, TINY)
+    fall: np.ndarray = turned.real**2 / cosine + turned.imag**2 / sine
+    return fall
 
 
 def _refined(

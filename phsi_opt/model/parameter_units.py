@@ -25,10 +25,12 @@ from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.presentation.units import (
     RADIAN,
     Powers,
+    Unit,
     coefficient_unit,
     powers_as_written,
     powers_in_base_units,
     product,
+    scale_of,
     unit_of_rate,
     unit_per,
 )
@@ -65,6 +67,9 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
         else:
             named = named_units(entry.equation, model, known)
             told[name] = coefficient_unit(found[name], named)
+            scale = scale_of(told[name])
+            if entry.slot == "sensor" and entry.prunable and scale.zero:
+                told[name] = Unit(told[name], replace(scale, zero=0.0))  # an offset
     return told
 
 
@@ -86,16 +91,17 @@ def drive_of(unit: str) -> str:
 def named_units(
     equation: str, model: BaseModel, units: Mapping[str, str]
 ) -> Sequence[str]:
-    """Of the state, the time, rates, and what drives it, also per unit of inputs."""
+    """Of states, the time, rates, and what drives it, also per unit of inputs."""
     state, time = units.get(equation, ""), units.get("t", "")
     drive = drive_of(state)
-    rates = [unit_of_rate(one, time) for one in (state, "1")]
+    others = [units.get(name, "") for name in model.states]
+    rates = [unit_of_rate(one, time) for one in (state, "1", *others)]
     per_input = [unit_per(drive, time, 1)] if drive and time else []
     for u in filter(None, map(units.get, model.inputs)):
         for above in filter(None, (drive, rates[0], state)):
             per_input += [unit_per(above, u, 1), unit_per(above, u, 2)]
     heats = HEATS if drive == "W" else ()
-    return (state, time, *rates, *heats, *per_input)
+    return (state, time, *rates, *heats, *per_input, *others)
 
 
 def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:

@@ -142,7 +142,7 @@ class Linearization:
             interval * n + row, interval * n + column, (first + order).ravel()
         )
         log_slopes = Banded(layout, slopes.data[at_end]).log_abs_det
-        return log_slopes + self.n_trajectories * float(np.sum(np.log(self.x_scale)))
+        return log_slopes + len(self.grid.starts) * np.sum(np.log(self.x_scale))
 
     # --- Disturbances
 

@@ -569,7 +569,7 @@ class OptimalitySystem:
         border, problem = self.border, self.problem
         inner = border.precision[border.n_theta :, border.n_theta :]
         log_det = np.linalg.slogdet(border.precision)[1] - np.linalg.slogdet(inner)[1]
-        n_free = problem.n_values - problem.n_trajectories * problem.n_states
+        n_free = problem.n_values - len(problem.grid.starts) * problem.n_states
         constant = n_free * np.log(2 * np.pi) / 2
         return float(border.log_evidence + log_det / 2 - constant)
 
@@ -741,15 +741,15 @@ class OptimalitySystem:
         (n_nodes, n_states, n_states).
         """
         grid, n = self.problem.grid, self.problem.n_states
-        starts = grid.first[:, None] * n + np.arange(n)
+        starts = grid.starts[:, None] * n + np.arange(n)
         unit = np.zeros((self.factors.n, n))
-        # One column serves all trajectories: none touches another one.
+        # One column serves all starts: what follows one touches no other.
         unit[starts.ravel(), np.tile(np.arange(n), len(starts))] = 1.0
         columns = self.factors.solve(unit)[: self.problem.nodes.size]
         at_start = columns[starts.ravel()].reshape(len(starts), n, n)
         per_node = columns.reshape(-1, n, n)
         inverses = np.linalg.pinv(at_start, hermitian=True)
-        return per_node @ inverses[grid.trajectory] @ per_node.transpose(0, 2, 1)
+        return per_node @ inverses[grid.piece] @ per_node.transpose(0, 2, 1)
 
 
 def white_system(linear: Linearization, sigma: np.ndarray) -> OptimalitySystem:

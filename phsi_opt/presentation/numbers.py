@@ -52,6 +52,14 @@ def decimal(value: float, digits: int, zeros: str = "") -> str:
     return text
 
 
+def change_words(before: float, after: float, unit: str = "") -> str:
+    """What an error does, such as "falls from 10.0 to 9.3 mm" for " mm"."""
+    first, last = (decimal(error, 3, "#") for error in (before, after))
+    if first == last:
+        return f"does not change ({first}{unit})"
+    return f"{'falls' if after < before else 'rises'} from {first} to {last}{unit}"
+
+
 def estimate_text(value: float, std_error: float, unit: str = "") -> str:
     """Value, standard error and unit as typed; both end with its second digit."""
     if not 0 < std_error < math.inf or not math.isfinite(value):

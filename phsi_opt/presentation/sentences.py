@@ -14,6 +14,7 @@ from phsi_opt.errors import some_of
 from phsi_opt.presentation.content import VERDICT_WORDS, Answer, unestablished_words
 from phsi_opt.presentation.numbers import (
     capitalised,
+    change_words,
     lowered,
     number,
     p_value_words,
@@ -38,7 +39,10 @@ if TYPE_CHECKING:
 BEHIND_LEAD = "||"
 # Blanks before a stop or a comma, and inside of brackets.
 UNWANTED = re.compile(r" (?=[.,;:](?:\s|$)|\))|(?<=\() ")
-GLOBALS = (frequency_words, p_value_words, scale_of, scale_of_errors, spaced)
+GLOBALS = (
+    *(change_words, frequency_words, p_value_words),
+    *(scale_of, scale_of_errors, spaced),
+)
 FILTERS = {
     "number": number,
     "percent": percent,

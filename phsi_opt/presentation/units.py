@@ -500,7 +500,8 @@ def unit_of_rate(unit: str, of_time: str) -> str:
     if time.size < 1.0:  # speeds in mm/s, where times are in ms
         time = Scale(str(of_time))
     size = state.size / time.size
-    is_told = state.size != 1.0 and state.unit.isalpha()
+    is_motion = set(powers_in_base_units(rate) or "") <= {"m", "s", "K", RADIAN}
+    is_told = state.size != 1.0 and is_motion
     if size == 1.0 or (rate in NAMED_RATES and not (is_told or unit == "1")):
         return rate
     return Unit(rate, Scale(rate_unit(state.unit, time.unit), size))

@@ -42,7 +42,8 @@ class Size:
     @property
     def is_determined(self) -> bool:
         """Whether it is larger than its standard error, or this is not known."""
-        return not abs(self.value) < self.std_error < np.inf
+        is_larger = not abs(self.value) < self.std_error < np.inf
+        return is_larger and bool(np.isfinite(self.value))
 
     def __str__(self) -> str:
         if not self.is_determined:

@@ -27,6 +27,7 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.sensitivities import Change, Regression, Sensitivities, Trial
 from phsi_opt.statistics import TINY, local_maxima
 
+BEYOND_ALL = 1e6  # times the range of a channel, of a size that nothing determines
 SCAN_REFINEMENTS = 2  # rounds of finer values around the best one of a scan
 # Even, and as many logarithmic, frequencies at which the size of a wave's trace is
 # worked out: with 24 even ones the resonance of a model without damping fell between.
@@ -161,6 +162,8 @@ class ScoreTest:
             parameter = trial.model.entries[name].parameter
             own[name] = float(np.clip(value, parameter.lower, parameter.upper))
         coefficient, std_error = _size(trial, point)
+        if self._is_beyond_all(point.change, c):
+            coefficient = std_error = np.nan
         return Screened(
             effect=trial.effect,
             model=trial.model,
@@ -170,6 +173,18 @@ class ScoreTest:
             n_tried=n_tried,
             values={**of_base, **own},
         )
+
+    def _is_beyond_all(self, change: Change, c: np.ndarray) -> bool:
+        """Whether an effect is a million times what a state or a sensor ever does."""
+        linearized = self.linearized
+        rates = linearized.grid.rates(linearized.states)
+        pairs = ((change.of_defects, rates), (change.of_outputs, linearized.shown))
+        beyond = False
+        for effect, known in pairs:
+            usual = BEYOND_ALL * np.ptp(known, axis=0)
+            size = np.abs((effect @ c).reshape(known.shape))
+            beyond |= bool(np.any((usual > 0) & (size > usual)))
+        return beyond
 
 
 def _size(trial: Trial, point: _Point) -> tuple[float, float]:

@@ -125,7 +125,7 @@ class _Found:
     def evidence(self) -> float:
         """Log likelihood, states and forces integrated out."""
         problem, border = self.system.problem, self.system.border
-        n_free = problem.n_values - problem.n_trajectories * problem.n_states
+        n_free = problem.n_values - len(problem.grid.starts) * problem.n_states
         found = _log_likelihood(border, np.zeros(border.n_theta))
         return found - n_free * np.log(2 * np.pi) / 2
 
@@ -233,7 +233,7 @@ class Weighing:
             # The memory of an effect begins near rest, as if that were measured.
             memory = start.states[:, n_old:]
             y = grid.y.copy()
-            y[grid.first, n_old:] = memory[grid.first]
+            y[grid.starts, n_old:] = memory[grid.starts]
             grid = replace(grid, y=y)
             spread = np.maximum(np.std(memory, axis=0), TINY)
             of_memory = np.tile(spread, (len(sizes.sigma), 1))

@@ -57,8 +57,8 @@ def memory_start_bounds(
     highest = memory.max(axis=0)
     reach = np.where(highest > lowest, highest - lowest, np.inf)
     bounds = np.broadcast_to(UNBOUNDED, (2, *x.shape)).copy()
-    bounds[0, grid.first, n_old:] = lowest - reach
-    bounds[1, grid.first, n_old:] = highest + reach
+    bounds[0, grid.starts, n_old:] = lowest - reach
+    bounds[1, grid.starts, n_old:] = highest + reach
     return bounds
 
 
@@ -88,12 +88,12 @@ class MemoryIntegration:
         self.x = x
         self._rest = _memory_at_rest(model, x.shape[1])
         over_interval = _memory_over_interval(model, x.shape[1])
-        # Of every trajectory its intervals, and the steps over them.
-        self._runs = []
-        for run in range(grid.n_trajectories):
-            intervals = np.flatnonzero(grid.runs == run)
+        # From every start the intervals that follow, and the steps over them.
+        self._pieces = []
+        for piece in range(len(grid.starts)):
+            intervals = np.flatnonzero(grid.piece[grid.begin] == piece)
             steps = over_interval.mapaccum("memory", len(intervals))
-            self._runs.append((intervals, steps))
+            self._pieces.append((intervals, steps))
 
     def __call__(self, theta: np.ndarray) -> MemoryRecord:
         """States with their memory, for theta (n_free,) or (n_free, n_trajectories)."""
@@ -101,9 +101,10 @@ class MemoryIntegration:
         n_old = self.x.shape[1]
         states = padded(self.model, self.x)
         means = np.zeros((grid.n_intervals, self.model.n_states - n_old))
-        by_run = np.broadcast_to(theta.T, (len(self._runs), len(theta)))
-        for first, values, run in zip(grid.first, by_run, self._runs, strict=True):
-            intervals, integrate = run
+        by_run = np.broadcast_to(theta.T, (grid.n_trajectories, len(theta)))
+        for first, piece in zip(grid.starts, self._pieces, strict=True):
+            intervals, integrate = piece
+            values = by_run[grid.trajectory[first]]
             u = grid.u0[intervals[0]]
             at_rest = self._rest(self.x[first], u, grid.t[first], values)
             start = np.array(at_rest).ravel()
@@ -111,10 +112,10 @@ class MemoryIntegration:
                 start = np.zeros(len(start))
             arguments = interval_arguments(grid.intervals(intervals), self.x.T)
             repeated = np.repeat(values[:, None], len(intervals), axis=1)
-            at_ends, run_means = integrate(start, *arguments, repeated)
+            at_ends, means_there = integrate(start, *arguments, repeated)
             states[first, n_old:] = start
             states[grid.begin[intervals] + 1, n_old:] = at_ends.full().T
-            means[intervals] = run_means.full().T
+            means[intervals] = means_there.full().T
         return MemoryRecord(states, means)
 
 

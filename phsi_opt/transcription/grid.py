@@ -1,9 +1,10 @@
 """Measurements in the model's order, laid out for a program: nodes and intervals.
 
 The states of a program live at the nodes; every sample is one. All trajectories stand
-one after the other; an interval joins two nodes of one trajectory. Between samples
-there may be further nodes, so that the integration error stays small where the sampling
-is coarse. Arrays are still rows (n_nodes, n_states); `defects` turns them into CasADi's
+one after the other; an interval joins two nodes of one trajectory. None leads over a
+gap in which an input is unknown: the states begin anew there. Between samples there may
+be further nodes, so that the integration error stays small where the sampling is
+coarse. Arrays are still rows (n_nodes, n_states); `defects` turns them into CasADi's
 columns.
 
 From here on a column is addressed by its number, which means the same in the model and
@@ -22,6 +23,7 @@ from phsi_opt.arguments import typed
 from phsi_opt.data.checks import Hold, hold_of_each
 from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noticed import breaks_of
 from phsi_opt.data.trajectory import SmoothInputs, is_stepped
 from phsi_opt.errors import DataError, some_of
 from phsi_opt.model.model import Model
@@ -98,6 +100,17 @@ class Grid:
         return list(pairwise([*self.first.tolist(), self.n_nodes]))
 
     @cached_property
+    def starts(self) -> np.ndarray:
+        """Nodes at which a trajectory begins, or states begin anew after a gap."""
+        return np.setdiff1d(np.arange(self.n_nodes), self.begin + 1)
+
+    @cached_property
+    def piece(self) -> np.ndarray:
+        """Number of the start from which each node follows, (n_nodes,)."""
+        nodes = np.arange(self.n_nodes)
+        return np.searchsorted(self.starts, nodes, side="right") - 1
+
+    @cached_property
     def runs(self) -> np.ndarray:
         """Number of the trajectory of each interval, (n_intervals,)."""
         return self.trajectory[self.begin]
@@ -162,6 +175,11 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     has_gap = np.ones(len(n_nodes), dtype=bool)
     has_gap[np.cumsum(lengths) - 1] = False
     n_nodes[has_gap] = steps if isinstance(steps, int) else np.concatenate(steps)
+    is_break = np.zeros(len(n_nodes), dtype=bool)
+    first = np.cumsum(lengths) - lengths
+    for begin, run in zip(first, data.trajectories, strict=True):
+        is_break[begin + breaks_of(run)] = True
+    n_nodes[is_break] = 1
     # The sample before each node, and the share of the gap that lies between them.
     left = np.repeat(np.arange(len(n_nodes)), n_nodes)
     right = np.minimum(left + 1, len(n_nodes) - 1)
@@ -173,7 +191,7 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     y = np.full((len(t), x.shape[1]), np.nan)
     y[place == 0] = x
     trajectory = np.repeat(np.arange(len(lengths)), lengths)[left]
-    begin = np.flatnonzero(np.diff(trajectory) == 0)
+    begin = np.flatnonzero((np.diff(trajectory) == 0) & ~is_break[left[:-1]])
     hold = hold_of_each(data.hold, data.inputs)
     is_held = hold == "zero"
     sampled = data.stacked("u")
