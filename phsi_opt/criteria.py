@@ -38,6 +38,8 @@ FAILING_ERROR = 1.1
 # The same where residuals are white: beside a strong missing force the floor itself is
 # estimated too low. What is hidden by noise is less.
 WHITE_ERROR = 1.25
+# And from which its size alone says that something is missing.
+SURE_ERROR = 1.5
 # Steps of a quantised channel by which it must move (standard deviation) for an effect
 # to be named: errors of quantisation are like noise from about one on (Widrow 1956);
 # below, a complete model of an oscillator seen in three values was given dry friction.

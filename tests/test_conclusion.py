@@ -14,6 +14,7 @@ from phsi_opt.comparison import compare
 from phsi_opt.criteria import THOROUGH_ITERATIONS
 from phsi_opt.diagnosis import conclusion, diagnose, refit
 from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.data_causes import DataCause
 from phsi_opt.diagnosis.ranking import NO_EVIDENCE
 from phsi_opt.diagnosis.refit import DiagnosedModel
 from phsi_opt.errors import SolveError
@@ -46,6 +47,7 @@ def run(rmse: float, p: float = 0.0, *others: float, lasts: bool = False) -> Any
         rmse=rmse,
         noise_floor=1.0,
         error_unit="m",
+        bands=None,
         floor_words=lambda: "1 m",
         table=pd.DataFrame({"whiteness": [p, *others]}),
         record=SimpleNamespace(
@@ -429,11 +431,12 @@ def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
         candidate(SPRING, 1.5),
         candidate(OFFSET, -1.5),
     ]
+    base = fitted(run(1.4))
     for alone, verdict in ((-4.5, NOTHING), (-4.7, UNEXPLAINED), (None, UNEXPLAINED)):
-        found = Case(ranking, alone=alone).concluded(monkeypatch)
+        found = Case(ranking, base, alone=alone).concluded(monkeypatch)
         assert found.verdict == verdict
     assert found.reason == (
-        "training error 10.0 m, noise floor 1 m: there is evidence that something is "
+        "training error 1.40 m, noise floor 1 m: there is evidence that something is "
         "missing, but no effect of the catalogue explains it; the nearest is viscous "
         "damping on p, but its evidence is only strong (3.5)"
     )
@@ -446,6 +449,9 @@ def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
     # What gains nothing is not the nearest; noise lacks nothing, whatever the force.
     found = Case(ranking[-1:], alone=None).concluded(monkeypatch)
     assert found.reason.endswith("no effect of the catalogue explains it")
+    # An error of several times the noise is something, also without such a force.
+    far = fitted(run(1.6))
+    assert Case(ranking, far, alone=0.0).concluded(monkeypatch).verdict == UNEXPLAINED
     white = fitted(run(1.05, p=0.5), run(1.0))
     found = Case(ranking, white, alone=None).concluded(monkeypatch)
     assert (found.verdict, found.reason) == (
@@ -453,6 +459,25 @@ def test_without_a_decisive_effect_a_force_decides(monkeypatch) -> None:
         "held-out error 1.00 m, noise floor 1 m; there is no evidence of anything "
         "missing, and no effect is decisive",
     )
+
+
+def test_nothing_is_named_where_the_data_are_the_cause(monkeypatch) -> None:
+    """The cause is asked for beside what would be named, and takes its place."""
+    asked = []
+
+    def cause(base: DiagnosedModel, larger: DiagnosedModel) -> DataCause:
+        asked.append((base.judged.rmse, larger.judged.rmse))
+        return DataCause("run 3 differs", "check it")
+
+    monkeypatch.setattr(conclusion, "data_cause", cause)
+    found = Case([candidate(FRICTION, 30.0)]).concluded(monkeypatch)
+    assert asked == [(10.0, 1.05)]
+    assert (found.verdict, found.reason) == (UNEXPLAINED, "run 3 differs: check it")
+    assert (found.findings, found.proposed, found.proposed_fit) == ((), (), None)
+    assert lost(found) == {
+        FRICTION.name + " on p": "the data explain more of the misfit"
+    }
+    assert str(found.next_step) == "Check it. Then diagnose again."
 
 
 def test_without_evidence_the_free_runs_alone_decide() -> None:

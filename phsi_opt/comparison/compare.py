@@ -17,6 +17,7 @@ from phsi_opt.arguments import typed
 from phsi_opt.criteria import (
     EXPLAINED_IF_NAMED,
     FAILING_ERROR,
+    SURE_ERROR,
     SURE_LEVEL,
     WHITE_ERROR,
 )
@@ -543,6 +544,15 @@ def is_small_as_noise(comparison: Comparison) -> bool:
 def is_failing(comparison: Comparison) -> bool:
     """Whether the free run is further off than the noise alone would leave it."""
     return comparison.rmse > FAILING_ERROR * comparison.noise_floor
+
+
+def is_surely_failing(comparison: Comparison) -> bool:
+    """Whether neither noise nor estimates that are little known explain its error."""
+    variance = comparison.noise_floor**2
+    if comparison.bands is not None:
+        by_estimates = np.concatenate(comparison.bands) * comparison.weights
+        variance += np.mean(by_estimates[np.isfinite(comparison._y)] ** 2)
+    return bool(comparison.rmse > SURE_ERROR * np.sqrt(variance))
 
 
 def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> bool:

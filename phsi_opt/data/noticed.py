@@ -216,6 +216,21 @@ class DataLook:
         unit = self.units[name]
         return ChannelLook(name, unit, hold, values, step, noise, outliers, at_limit)
 
+    @property
+    def state_looks(self) -> tuple[ChannelLook, ...]:
+        """Those of the states."""
+        return self.channels[: len(self.states)]
+
+    @cached_property
+    def spoilt_words(self) -> tuple[str, ...]:
+        """What is noticed of samples that may be spoilt, a phrase for each state."""
+        words = []
+        for one in self.state_looks:
+            phrases = list(self.errors(one))
+            if phrases and np.nanstd(one.values) > 0:
+                words.append(f"{one.name}: {'; '.join(phrases)}")
+        return tuple(words)
+
     def remarks(self, one: ChannelLook) -> Iterator[str]:
         """What is noticed of a channel, a phrase each."""
         values = one.values[one.known]
@@ -229,6 +244,20 @@ class DataLook:
         if len(values) > 1 and np.ptp(values) == 0:
             yield "does not change"
             return
+        yield from self.errors(one)
+        if not one.hold and np.ptp(values) < MANY * one.resolution:
+            yield "moves by few steps of its resolution"
+        if not one.hold and one.noise > np.std(values) / 2:
+            yield "changes mostly between neighbours: noise, or sampled too slowly"
+        if one.hold and is_stepped(np.split(one.values, self.ends)):
+            is_held = one.hold == "zero"
+            yield f"constant between jumps, {'held' if is_held else NOT_HELD}"
+        elif one.hold and not one.resolution:
+            yield from self._stays(one.values)
+
+    def errors(self, one: ChannelLook) -> Iterator[str]:
+        """What a sensor or a logger may have spoilt, a phrase each."""
+        values = one.values[one.known]
         if len(one.outliers):
             name = number_of(len(one.outliers), "peak" if one.hold else "outlier")
             first = "" if len(one.outliers) == 1 else "the first "
@@ -239,14 +268,7 @@ class DataLook:
             side = "highest" if limit == values.max() else "lowest"
             percent = 100 * np.mean(values == limit)
             yield f"at its {side} value in {percent:.2g} % of the samples"
-        if not one.hold and np.ptp(values) < MANY * one.resolution:
-            yield "moves by few steps of its resolution"
-        if not one.hold and one.noise > np.std(values) / 2:
-            yield "changes mostly between neighbours: noise, or sampled too slowly"
-        if one.hold and is_stepped(np.split(one.values, self.ends)):
-            is_held = one.hold == "zero"
-            yield f"constant between jumps, {'held' if is_held else NOT_HELD}"
-        elif not one.resolution:
+        if not one.hold and not one.resolution:
             yield from self._stays(one.values)
 
     def _fill_values(self, one: ChannelLook) -> Iterator[str]:
@@ -264,20 +286,36 @@ class DataLook:
                 place = self.place_words(places[0])
                 yield f"{value:g} in {n}, far from all others, first {place}: missing?"
 
+    def spoilt(self, one: ChannelLook) -> np.ndarray:
+        """Which samples a sensor or a logger may have spoilt, (n_samples,)."""
+        spoilt = np.zeros(len(one.values), bool)
+        if not one.resolution:
+            repeats = self._repeats(one.values)
+            spoilt |= repeats & (np.sum(repeats) >= MANY)
+        spoilt[one.outliers] = spoilt[one.at_limit] = True
+        return spoilt
+
+    def _repeats(self, values: np.ndarray) -> np.ndarray:
+        """Which samples only repeat the one before in their run, (n_samples,)."""
+        is_same = np.diff(values, prepend=np.nan) == 0
+        is_same[1:] &= np.isfinite(self.steps[:-1])
+        return is_same
+
     def _stays(self, values: np.ndarray) -> Iterator[str]:
         """Whether a channel keeps its values, or stops once, as a stuck sensor does."""
-        is_new = np.diff(values, prepend=np.nan) != 0
-        is_new[1:] |= np.isnan(self.steps[:-1])
-        begins = np.flatnonzero(is_new)
+        repeats = self._repeats(values)
+        begins = np.flatnonzero(~repeats)
         lengths = np.diff(begins, append=len(values))
         longest = int(np.argmax(lengths))
         begin = begins[longest]
         length = lengths[longest]
-        if np.mean(is_new) < 0.5:
+        if np.mean(repeats) > 0.5:
             yield f"a new value every {np.mean(lengths):.3g} samples"
         elif length >= MANY:
             place = self.place_words(begin)
             yield f"stays at {values[begin]:.4g} for {length} samples, {place}"
+        elif np.sum(repeats) >= MANY:
+            yield f"repeats the value before in {100 * np.mean(repeats):.2g} % of all"
 
     def rows(self) -> Iterator[dict[str, object]]:
         """A row for the clock, and one for each channel; NaN for what is not known."""

@@ -11,7 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.comparison.compare import is_explained, is_failing, is_small_as_noise
+from phsi_opt.comparison.compare import (
+    is_explained,
+    is_failing,
+    is_small_as_noise,
+    is_surely_failing,
+)
 from phsi_opt.criteria import (
     DECISIVE_EVIDENCE,
     LEAST_ERROR_EXPLAINED,
@@ -29,15 +34,13 @@ from phsi_opt.diagnosis.candidate import (
     Verdict,
     class_of,
 )
+from phsi_opt.diagnosis.data_causes import data_cause
 from phsi_opt.diagnosis.ranking import NO_EVIDENCE, ranked
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import DiagnosedModel, refit, thorough_refit
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.laws import parameter_words
-from phsi_opt.presentation.numbers import change_words, decimal
-from phsi_opt.presentation.units import spaced
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
@@ -57,8 +60,7 @@ def without_evidence(base: DiagnosedModel, error: SolveError) -> Diagnosis:
     verdict, said = Verdict.UNEXPLAINED, str(error)
     if base.is_noise:
         verdict, said = Verdict.NOTHING_MISSING, "the residuals are noise"
-    reason = f"{_errors(base)}; {said}"
-    return Diagnosis(base.record, base.judged, (), verdict, reason)
+    return _diagnosis(base, (), verdict, f"{base.error_words}; {said}")
 
 
 @dataclass(eq=False)
@@ -285,7 +287,7 @@ class _Judge:
         said = " and ".join(map(str, findings))
         one = self.ranking[0]
         graded = f"{one.grade} evidence (log evidence {one.log_evidence:.1f})"
-        reason = f"{said}; {self.change(larger)}; {graded}"
+        reason = f"{said}; {self.base.change_words(larger)}; {graded}"
         if not is_complete:
             verdict = Verdict.PARTLY_NAMED
             share = max(0.0, self.base.share_explained(larger))
@@ -294,7 +296,9 @@ class _Judge:
                 f"missing (mean square) and {100 * share:.0f} % of the squared error "
                 "above the noise floor; more is missing"
             )
-        return self.diagnosis(verdict, reason, findings, effects, larger.fit)
+        return _diagnosis(
+            self.base, self.ranking, verdict, reason, larger, findings, effects
+        )
 
     def finding(self, larger: DiagnosedModel) -> Finding:
         """The first with those that the data do not tell from it, and its size."""
@@ -325,7 +329,7 @@ class _Judge:
         self.reject_others((first.effect,))
         reason = (
             f"the nearest is {first.name} ({first.size}; log evidence "
-            f"{first.log_evidence:.1f}): {self.change(larger)}. "
+            f"{first.log_evidence:.1f}): {self.base.change_words(larger)}. "
             f"It is not named: {doubt}"
         )
         return self.diagnosis(Verdict.UNEXPLAINED, reason)
@@ -334,11 +338,14 @@ class _Judge:
         """Nothing is missing, or nothing known explains it."""
         base = self.base
         self.reject_others(())
-        errors = _errors(base)
+        errors = base.error_words
         log_evidence = self.record.base.log_evidence
-        if base.is_noise or not self.is_force_evident(log_evidence, base):
+        is_far = any(map(is_surely_failing, base.comparisons))
+        if base.is_noise or not (is_far or self.is_force_evident(log_evidence, base)):
             none = "there is no evidence of anything missing, and no effect is decisive"
-            return self.diagnosis(Verdict.NOTHING_MISSING, f"{errors}; {none}")
+            return _diagnosis(
+                self.base, self.ranking, Verdict.NOTHING_MISSING, f"{errors}; {none}"
+            )
         reason = (
             f"{errors}: there is evidence that something is missing, but no "
             "effect of the catalogue explains it"
@@ -366,34 +373,34 @@ class _Judge:
                 lost = f"{first.name} is more likely"
             self.note(place, lost=lost)
 
-    def diagnosis(
-        self,
-        verdict: Verdict,
-        reason: str,
-        findings: tuple[Finding, ...] = (),
-        proposed: tuple[Effect, ...] = (),
-        fit: Fit | None = None,
-    ) -> Diagnosis:
-        base = self.base
-        ranking = tuple(self.ranking)
-        return Diagnosis(
-            base.record, base.judged, ranking, verdict, reason, findings, proposed, fit
-        )
-
-    def change(self, larger: DiagnosedModel) -> str:
-        """The errors before and after."""
-        after = larger.judged
-        where = "held-out" if self.base.is_held_out else "training"
-        errors = (self.base.judged.rmse, after.rmse)
-        change = change_words(*errors, spaced(after.error_unit))
-        return f"the {where} error {change}, noise floor {after.floor_words()}"
+    def diagnosis(self, *parts: Any) -> Diagnosis:
+        """The diagnosis of the base by its ranking, with the parts of `_diagnosis`."""
+        return _diagnosis(self.base, self.ranking, *parts)
 
 
-def _errors(base: DiagnosedModel) -> str:
-    """How far the model is off."""
-    where = "held-out" if base.is_held_out else "training"
-    unit = spaced(base.judged.error_unit)
-    return (
-        f"{where} error {decimal(base.judged.rmse, 3, '#')}{unit}, "
-        f"noise floor {base.judged.floor_words()}"
+def _diagnosis(
+    base: DiagnosedModel,
+    ranking: Sequence[Candidate],
+    verdict: Verdict,
+    reason: str,
+    larger: DiagnosedModel | None = None,
+    findings: tuple[Finding, ...] = (),
+    proposed: tuple[Effect, ...] = (),
+) -> Diagnosis:
+    """A diagnosis; nothing is named where the data are the cause of the misfit."""
+    found = Diagnosis(
+        base.record, base.judged, tuple(ranking), verdict, reason, findings, proposed
+    )
+    cause = data_cause(base, larger or base)
+    if cause is None:
+        return found if larger is None else replace(found, proposed_fit=larger.fit)
+    lost = "the data explain more of the misfit"
+    return replace(
+        found,
+        ranking=tuple(replace(one, lost=one.lost or lost) for one in ranking),
+        verdict=Verdict.UNEXPLAINED,
+        reason=str(cause),
+        findings=(),
+        proposed=(),
+        data_cause=cause,
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
+from phsi_opt.diagnosis.data_causes import DataCause
 from phsi_opt.diagnosis.experiments import Separation, separating
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
@@ -16,6 +17,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis, step_without_name
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.content import Answer
+from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,
@@ -53,6 +55,8 @@ class Diagnosis(Summarised):
             none is established.
         proposed: the effects that a study adds next, the first of each finding; empty
             without findings. ``proposed_fit`` is the re-fit with them.
+        data_cause: spoilt samples, or a run that differs from the others, where they
+            explain most of the misfit; no effect is named then.
     """
 
     record: Record = field(repr=False)
@@ -63,6 +67,7 @@ class Diagnosis(Summarised):
     findings: tuple[Finding, ...] = ()
     proposed: tuple[Effect, ...] = ()
     proposed_fit: Fit | None = field(repr=False, default=None)
+    data_cause: DataCause | None = field(repr=False, default=None)
 
     @property
     def fit(self) -> Fit:
@@ -87,7 +92,7 @@ class Diagnosis(Summarised):
     @property
     def strong(self) -> tuple[Effect, ...]:
         """The most likely effect, if its evidence is strong and none is decisive."""
-        if self.findings or not self.ranking:
+        if self.findings or self.data_cause or not self.ranking:
             return ()
         first = self.ranking[0]
         return (first.effect,) if first.grade == Grade.STRONG else ()
@@ -186,6 +191,9 @@ class Diagnosis(Summarised):
         Add the named effect, distinguish the effects of a class, or do nothing; if no
         effect is named, what to measure, to try or to check.
         """
+        cause = self.data_cause
+        if cause is not None:
+            return Answer(f"{capitalised(cause.advice)}.", "Then diagnose again.")
         return next_step(self.verdict, self.findings, self.analysis, self.data.units)
 
     @cached_property

@@ -39,6 +39,9 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_delay, is_scanned
 from phsi_opt.optimization.ipopt import SolverSettings
+from phsi_opt.presentation.numbers import change_words, decimal
+from phsi_opt.presentation.units import spaced
+from phsi_opt.screening.effect_size import with_no_size
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.sweeps.sweep import Progress, silent
 from phsi_opt.transcription.augmented_states import with_memory
@@ -161,6 +164,24 @@ class DiagnosedModel:
             return np.nan
         return explained_share(self.judged, larger.judged)
 
+    @property
+    def error_words(self) -> str:
+        """How far the model is off, such as "training error 0.3 m, noise floor ..."."""
+        judged = self.judged
+        error = f"{decimal(judged.rmse, 3, '#')}{spaced(judged.error_unit)}"
+        return f"{self._where} error {error}, noise floor {judged.floor_words()}"
+
+    def change_words(self, other: "DiagnosedModel") -> str:
+        """The errors before and after another fit."""
+        after = other.judged
+        errors = (self.judged.rmse, after.rmse)
+        change = change_words(*errors, spaced(after.error_unit))
+        return f"the {self._where} error {change}, noise floor {after.floor_words()}"
+
+    @property
+    def _where(self) -> str:
+        return "held-out" if self.is_held_out else "training"
+
 
 def held_base(
     base: DiagnosedModel, record: EvidenceRecord, named: Sequence[Candidate]
@@ -233,6 +254,11 @@ def refit(base: DiagnosedModel, candidate: Candidate) -> DiagnosedModel | None:
         return None
 
 
+def is_worse(larger: Fit, smaller: Fit) -> bool:
+    """Whether a larger model fits worse than the smaller one that it contains."""
+    return deviance(larger) > deviance(smaller) + OTHER_OPTIMUM_DEVIANCE
+
+
 def thorough_fit(aligned: AlignedData, loss: MaximumLikelihood, brief: Fit) -> Fit:
     """A brief re-fit made thorough; itself where that fails or is worse."""
     settings = SolverSettings(max_iterations=THOROUGH_ITERATIONS)
@@ -300,7 +326,17 @@ class Refitting:
         )
         new = corner_widths(self.model).keys() - model.entries.keys()
         task = Task(self.model, self.aligned, l1_weights(None), None, BRIEF)
-        return fit_of_task(base.loss, replace(task, corners=tuple(sorted(new))), start)
+        task = replace(task, corners=tuple(sorted(new)))
+        fit = fit_of_task(base.loss, task, start)
+        if is_worse(fit, base.fit):
+            fit = thorough_fit(self.aligned, base.loss, fit)
+        if not is_worse(fit, base.fit):
+            return fit
+        small = with_no_size(model, self.candidate.effect)
+        fit = fit_of_task(base.loss, replace(task, model=small), base.fit)
+        if is_worse(fit, base.fit):
+            raise SolveError("no fit was found that is as good as the one without it.")
+        return fit
 
     def with_steps_as_fine_as_its_run(self, fit: Fit) -> Comparison:
         """The fit's free run; with finer steps where it leaves the fit's states."""

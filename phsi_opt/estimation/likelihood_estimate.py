@@ -42,6 +42,7 @@ from phsi_opt.model_error.standard_errors import (
     Source,
     Spread,
     StandardErrors,
+    are_independent,
     standard_errors,
     under_disturbances,
 )
@@ -302,7 +303,7 @@ class DisturbedEstimate(Estimate):
         counted = replace(self.search, problem=problem)
         found = under_disturbances(counted, system.response, counted.found())
         spreads = {Source.DISTURBANCES: found}
-        if self.unknown.is_shared:
+        if self.unknown.is_shared and are_independent(problem):
             borders = system.borders_by_trajectory()
             clusters = Clusters.of(borders, system.border.estimate)
             if clusters.is_enough:

@@ -43,6 +43,10 @@ VISIBLE_ERROR = 0.1
 ORDER = 4  # the error of an interval's integration, per length, falls with h^ORDER
 
 
+# What to do about outliers.
+HUBER = "spikes count less with a Huber loss, MaximumLikelihood(huber=1.345)"
+
+
 # ---- residuals -----------------------------------------------------------------------
 
 
@@ -90,11 +94,13 @@ def residual_warnings(
     if estimate.is_success and not noise.is_known.any():
         ratio, channel = _worst_ratio(estimate)
         if ratio >= 2:
+            spoilt = "; ".join(data.look.spoilt_words)
+            outliers = f"the data may be the cause ({spoilt})"
             warnings.append(
                 f"the residuals of {channel} are {ratio:.1f} times the scatter of "
-                "neighbouring samples: the model is incomplete (diagnose it), there "
-                "are outliers (a Huber loss gives them less weight), or this is not "
-                "the best optimum (choose other starting values)"
+                "neighbouring samples: the model is incomplete (diagnose it), "
+                f"{outliers if spoilt else 'there are outliers'} ({HUBER}), or this is "
+                "not the best optimum (choose other starting values)"
             )
     unresolved = unresolved_channels(data)
     for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.estimate import Task
@@ -20,6 +21,7 @@ from phsi_opt.estimation.fit_record import (
     parameter_matrix,
     parameters_of,
 )
+from phsi_opt.estimation.free_runs import free_runs
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.missing_force import (
@@ -32,7 +34,7 @@ from phsi_opt.estimation.optimum_checks import finer_steps
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import AlignedData, Grid, checked_data
+from phsi_opt.transcription.grid import AlignedData, Grid, checked_data, grid_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -40,6 +42,7 @@ from phsi_opt.transcription.parameter_vector import Theta
 BRIEF_SOLVE = SolverSettings(max_iterations=60, thorough=False)
 STEP_REFINEMENTS = 2  # how often the steps along a record are made finer, at most
 FINER = 4  # factor on the steps where their error shows beside the residuals
+MOST_SHOTS = 12  # free runs and their slopes, from each start
 MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
 
 
@@ -197,8 +200,7 @@ def smoothed_states(record: Record) -> SmoothedStates:
     The dynamics hold exactly (zero defects) and the shared parameters stay as they are.
     On the measurements of the fit they are those of the fit. Elsewhere they are found
     by maximum likelihood, and with them what every trajectory has of its own; where no
-    states obey the model along the whole record, those of the missing force are the
-    best to begin from.
+    such states are found, by free runs that begin near those of the missing force.
     """
     fit = record.fit
     if record.is_of_training:
@@ -213,7 +215,38 @@ def smoothed_states(record: Record) -> SmoothedStates:
         by_state = zip(record.model.states, sigma, strict=True)
         sigma = np.array([fit.noise.get(name, s) for name, s in by_state])
     found = _most_likely_states(record, sigma, guess)
-    return found or SmoothedStates(guess, record.parameters)
+    if found is None:
+        likeliest = partial(_likeliest_run, record, sigma, guess)
+        states = tuple(map(likeliest, range(len(guess))))
+        found = SmoothedStates(states, record.parameters)
+    return found
+
+
+def _likeliest_run(
+    record: Record, sigma: np.ndarray, guess: Sequence[np.ndarray], number: int
+) -> np.ndarray:
+    """A free run with the starting state of least misfit, (n_samples, n_states).
+
+    By least squares from several starts: that of the guess, and from where states that
+    were not measured are a standard deviation away.
+    """
+    model = record.model
+    data = record.data[number]
+    aligned = AlignedData(data, grid_of(data))
+    x = guess[number]
+    spread = np.std(x, axis=0)
+    away = np.where(record.grid.measured_states, 0.0, spread)
+
+    def misfit(start: np.ndarray) -> np.ndarray:
+        residuals = free_runs(model, aligned, [start[None]], record.parameters)[2][0]
+        return np.asarray((residuals / sigma)[np.isfinite(data.trajectories[0].x)])
+
+    best = x[0]
+    for start in np.unique([x[0], x[0] + away, x[0] - away], axis=0):
+        scale = np.where(spread > 0, spread, 1.0)
+        found = least_squares(misfit, start, x_scale=scale, max_nfev=MOST_SHOTS)
+        best = min(best, found.x, key=lambda one: float(np.sum(misfit(one) ** 2)))
+    return free_runs(model, aligned, [best[None]], record.parameters)[0][0]
 
 
 def _most_likely_states(

@@ -14,14 +14,14 @@ from enum import StrEnum
 
 import numpy as np
 
-from phsi_opt.criteria import CHANCE_LEVEL
+from phsi_opt.criteria import CHANCE_LEVEL, SURE_LEVEL
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border
 from phsi_opt.optimization.bounded_step import REGULAR, RIDGE
-from phsi_opt.statistics import chi_square_tail
+from phsi_opt.statistics import TINY, autocorrelation_time, chi_square_tail
 
 LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes
 FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
@@ -163,6 +163,28 @@ class Clusters:
         return chi_square_tail(statistic, freedom) if freedom > 0 else 1.0
 
 
+def are_independent(problem: Linearization) -> bool:
+    """Whether the residuals of trajectories are not alike at equal places.
+
+    The sum of n independent residuals has n times the mean square of one. Where all
+    share an error, as repetitions of an experiment share that of the model, it has
+    more, and their scatter does not show this error. Residuals that last count as few
+    (`autocorrelation_time`).
+    """
+    runs = problem.grid.trajectory[np.nonzero(problem.grid.measured)[0]]
+    sizes = problem.grid.rms_by_channel(problem.residual)[problem.channel]
+    split = np.split(
+        problem.residual / np.maximum(sizes, TINY), np.flatnonzero(np.diff(runs)) + 1
+    )
+    length = min(map(len, split))
+    together = np.array([one[:length] for one in split])
+    squares = np.sum(together.sum(axis=0) ** 2) / max(np.mean(together**2), TINY)
+    freedom = length / autocorrelation_time(list(together))
+    return (
+        chi_square_tail(squares / length / len(split) * freedom, freedom) > SURE_LEVEL
+    )
+
+
 # --- Of a plain estimate
 
 
@@ -245,7 +267,8 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
                 found = best.disturbances
                 source = Source.DISTURBANCES
     with suppress(*beyond_numbers):
-        if plain.is_shared and (clusters := plain.clusters).is_enough:
+        is_candidate = plain.is_shared and are_independent(search.problem)
+        if is_candidate and (clusters := plain.clusters).is_enough:
             n_theta = len(plain.covariance)
             spreads[Source.TRAJECTORIES] = clusters.spread(search.moving, n_theta)
             if source == Source.DISTURBANCES or clusters.agreement() < CHANCE_LEVEL:

@@ -63,6 +63,21 @@ def new_names(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
     return names
 
 
+def with_no_size(base: Model, effect: Effect) -> Model:
+    """The larger model with coefficients of zero: the base, as far as it contains it.
+
+    A coefficient that is always above or below zero begins at its bound.
+    """
+    larger = base.add(effect)
+    values = {}
+    for name in new_names(base, effect, larger.free):
+        entry = larger.entries[name]
+        if entry.prunable:
+            bounds = (entry.parameter.lower, entry.parameter.upper)
+            values[name] = float(np.clip(0.0, *bounds))
+    return larger.with_values(values)
+
+
 def names_beside_size(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
     """Names of the parameters that an effect adds beside its size, as `new_names`."""
     names = new_names(base, effect, known)

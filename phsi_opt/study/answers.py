@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison, is_failing
-from phsi_opt.criteria import CERTAIN_FORCE
+from phsi_opt.criteria import CERTAIN_FORCE, SURE_ERROR
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate, Finding, Grade, Verdict
 from phsi_opt.diagnosis.record import PROPOSED_EXPERIMENT, Diagnosis
@@ -102,10 +102,9 @@ def answer(name: str, diagnosis: Diagnosis, is_held_out: bool, **more: Any) -> A
         "units": diagnosis.record.data.units,
         **_judging(is_held_out),
         "ratio": diagnosis.base.rmse / diagnosis.base.noise_floor,
-        # Times the noise floor up to which an error is that of the noise, and from
-        # which it alone says that something is missing.
+        # Times the noise floor up to which an error is that of the noise.
         "at_noise": 1.05,
-        "sure_error": 1.5,
+        "sure_error": SURE_ERROR,
         "strength": f"{strength}{spaced(force.scale.unit)} (rms)",
         "classes": [" or ".join(map(str, one.effects)) for one in diagnosis.findings],
         "has_class": not all(finding.is_name for finding in diagnosis.findings),
@@ -212,7 +211,8 @@ def evidence_words(candidate: Candidate) -> str:
 
 def nearest_candidate(diagnosis: Diagnosis) -> Candidate | None:
     """The likeliest effect where something is missing and nothing is named, if any."""
-    if diagnosis.verdict != Verdict.UNEXPLAINED or not diagnosis.ranking:
+    is_open = diagnosis.verdict == Verdict.UNEXPLAINED and not diagnosis.data_cause
+    if not is_open or not diagnosis.ranking:
         return None
     first = diagnosis.ranking[0]
     return None if first.grade == Grade.NONE else first
@@ -227,7 +227,7 @@ def _fall_with(diagnosis: Diagnosis, candidate: Candidate) -> float:
 def disturbance_word(diagnosis: Diagnosis) -> str:
     """What stands beside a verdict whose force shakes; "" for others."""
     force = diagnosis.analysis.force_in()
-    is_open = not diagnosis.findings and not force.is_uncertain
+    is_open = not (diagnosis.findings or diagnosis.data_cause or force.is_uncertain)
     is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
     is_fast = is_missing and is_open and force.pace.is_vibration
     return FAST_DISTURBANCE if is_fast else ""

@@ -10,13 +10,13 @@ from functools import cached_property
 from itertools import permutations
 from typing import TYPE_CHECKING
 
-from phsi_opt.comparison.compare import Comparison, compare_record
+from phsi_opt.comparison.compare import Comparison, compare_record, deviance
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.refit import thorough_fit
+from phsi_opt.diagnosis.refit import is_worse, thorough_fit
 from phsi_opt.errors import ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
@@ -33,7 +33,7 @@ from phsi_opt.presentation.content import ErrorStep, Follows, unestablished_word
 from phsi_opt.presentation.numbers import capitalised, number, number_of, proper_names
 from phsi_opt.presentation.summary import Part, Summary, printed_table
 from phsi_opt.presentation.units import scale_of_errors, spaced
-from phsi_opt.screening.effect_size import Size, fitted_size
+from phsi_opt.screening.effect_size import Size, fitted_size, with_no_size
 from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.grid import AlignedData, checked_data
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
@@ -301,14 +301,29 @@ class StudyRecord:
             return replace(fit, doubts=Later.known(NOT_FOLLOWED))
 
     def larger(self, effect: Effect, found: Candidate | None) -> Fit:
-        """The present model with one effect, from what a diagnosis found of it."""
+        """The present model with one effect, from what a diagnosis found of it.
+
+        Raises:
+            SolveError: no fit was found that is as good as the present one.
+        """
+        present = self.last.fit
         if found is not None and found.fit is not None:
-            return thorough_fit(self.training, self.loss, found.fit)
-        fit = self.last.fit
-        model = fit.model.add(effect)
-        values = {} if found is None else found.values
-        known = {name: values[name] for name in model.free if name in values}
-        return self.fitted(model.with_values(known), fit)
+            fit = thorough_fit(self.training, self.loss, found.fit)
+        else:
+            model = present.model.add(effect)
+            values = {} if found is None else found.values
+            known = {name: values[name] for name in model.free if name in values}
+            fit = self.fitted(model.with_values(known), present)
+        if is_worse(fit, present):
+            fit = self.fitted(with_no_size(present.model, effect), present)
+        if is_worse(fit, present):
+            raise SolveError(
+                f"{effect} is not added: with it no fit was found that is as good as "
+                f"the present one (-2 log likelihood {deviance(fit):.6g} against "
+                f"{deviance(present):.6g}), so these data do not show it; try other "
+                "starting values, or another effect."
+            )
+        return fit
 
     def model_with(self, effects: Iterable[Effect]) -> Model:
         """The base model with effects, and the present values of its parameters."""

@@ -388,7 +388,7 @@ class Study(Summarised):
         """The steps so far.
 
         Columns: step, effect, train_rmse, held_out_rmse (NaN without data held out),
-        noise_floor, the unit of these errors, bic.
+        noise_floor, the unit of these errors, bic (NaN for a fit by `PHSILoss`).
         """
         return self.record.history
 

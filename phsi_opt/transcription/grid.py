@@ -9,7 +9,7 @@ columns.
 
 From here on a column is addressed by its number, which means the same in the model and
 in the data. Units and noise stay with their names; values are never changed. A run that
-is an exact copy of another is left out: in all that follows it counts once.
+is a copy of another is left out: in all that follows it counts once.
 """
 
 from collections.abc import Iterator, Sequence
@@ -307,7 +307,7 @@ def checked_data(model: Model, data: Measurements) -> AlignedData:
 
 
 def aligned_once(model: Model, data: Measurements) -> Measurements:
-    """`aligned`, without runs that are exact copies of others."""
+    """`aligned`, without runs that are copies of others."""
     ordered = aligned(model, data)
     return counted_once(ordered, copies_in(ordered))
 
