@@ -8,10 +8,10 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.transcription.defects import (
-    KnownDefects,
     between_samples,
     defect,
     defects,
+    parameter_slopes,
 )
 from phsi_opt.transcription.grid import AlignedData, Grid, aligned, grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS, Integrator
@@ -188,7 +188,7 @@ def test_defects_are_those_of_the_intervals_and_slopes_those_of_differences(
 ) -> None:
     made, (grid, x) = model(), complete()
     theta, step = made.theta, 1e-6
-    slopes = KnownDefects(made, grid, scheme, x).at(theta).slopes
+    slopes = parameter_slopes(made, grid, scheme, theta, x).slopes
 
     def all_defects(at: np.ndarray) -> np.ndarray:
         return np.array(defects(made, grid, scheme, x.T, at)).T

@@ -87,13 +87,13 @@ class Dense:
     def residual(self, z: np.ndarray) -> np.ndarray:
         x, theta = self._split(z)
         grid = self.at.grid
-        shown = np.array(outputs(self.at.model, grid, x.T, theta)).T
+        shown = outputs(self.at.model, grid, x, theta)
         return ((grid.y - shown) / self.sigma)[grid.measured]
 
     def _split(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values = self.at.point.unscaled(z)
         theta = values["theta"][self.at.unknown.table]
-        return values["x"].reshape(self.at.grid.y.shape), theta
+        return values["x"], theta
 
     def slopes(self, name: str, z: np.ndarray) -> np.ndarray:
         function, step = getattr(self, name), 1e-5

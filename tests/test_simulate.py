@@ -210,7 +210,12 @@ def test_what_explicit_steps_cannot_do_is_left_to_scipy() -> None:
     model = first_order("u", a="1e6*(u - a)")
     t = np.linspace(0.0, 2.0, 41)
     u = np.sin(t)[:, None]
-    assert Runs(rates(model)).run(t, np.zeros(1), u, np.array(["linear"])) is None
+    assert (
+        Runs(rates(model.rhs(), model.theta)).run(
+            t, np.zeros(1), u, np.array(["linear"])
+        )
+        is None
+    )
     expected = ph.simulate(model, t, [0.0], u)
     np.testing.assert_array_equal(free_run(model, t, [0.0], u), expected)
 

@@ -5,7 +5,7 @@ the measurements again. A prediction over one step would hide what a model lacks
 sample would correct it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ from phsi_opt.criteria import (
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import parameter_matrix
-from phsi_opt.estimation.free_runs import free_runs, leaving_words
+from phsi_opt.estimation.free_runs import Parameters, free_runs, leaving_words
 from phsi_opt.estimation.identify import fit_of
 from phsi_opt.estimation.noise_estimation import LEAST_COUNTED
 from phsi_opt.estimation.record import Record, smoothed_states
@@ -34,6 +34,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import Expressions, function_of
 from phsi_opt.model_error.linearization import Linearizer
 from phsi_opt.model_error.marginal_likelihood import white_system
+from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.numbers import with_interval
 from phsi_opt.presentation.summary import Part, Summarised, Summary, printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS, Scale, scale_of, spaced
@@ -88,7 +89,7 @@ class Comparison(Summarised):
 
     _between = "\n"
     record: Record
-    values: Mapping[str, Mapping[str, float]]
+    values: Parameters
     simulated: tuple[np.ndarray, ...]
     shown: tuple[np.ndarray, ...]
     residuals: tuple[np.ndarray, ...]
@@ -293,9 +294,8 @@ class Comparison(Summarised):
         for x, run in zip(self.simulated, self.data.trajectories, strict=True):
             model = self.model.with_values(self.values[run.name])
             powers = function_of(model, "powers", _energy_and_powers)
-            mapped = powers.map("mapped", "serial", run.n_samples, [3], [])
-            values = mapped(x.T, run.u.T, run.t[None, :], model.theta)
-            energy, supplied, dissipated = np.array(values)
+            (values,) = in_numbers(powers, x.T, run.u.T, run.t[None, :], model.theta)
+            energy, supplied, dissipated = values
             powers_over_time = np.trapezoid([supplied, dissipated], run.t)
             rows.append((run.name, energy[-1] - energy[0], *powers_over_time.tolist()))
         columns = ["trajectory", "change", "supplied", "dissipated"]
@@ -412,7 +412,7 @@ def _energy_and_powers(parts: Expressions) -> ca.SX:
 def prediction_bands(
     record: Record,
     simulated: Sequence[np.ndarray],
-    values: Mapping[str, Mapping[str, float]],
+    values: Parameters,
 ) -> tuple[np.ndarray, ...] | None:
     """Standard deviation of what a free run shows, to first order along the run.
 
@@ -429,9 +429,8 @@ def prediction_bands(
         return None
     if not np.all(np.isfinite(nodes)) or not grid.measured.any():
         return None
-    unknown = Theta.of(model, record.trajectories)
-    theta = np.zeros(len(unknown))
-    theta[unknown.table] = parameter_matrix(model, values)
+    unknown = Theta.of(model, record.runs)
+    theta = unknown.stacked(parameter_matrix(model, values))
     point = point_at(model, grid, unknown, theta, nodes)
     scheme = MaximumLikelihood().integrator
     likelihood = LikelihoodValues(model, grid, scheme, point, unknown)

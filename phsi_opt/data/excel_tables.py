@@ -9,7 +9,6 @@ from typing import Any
 
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.reading_apart import read_apart
-from phsi_opt.data.table_extent import Rows
 from phsi_opt.data.tables import Table, chosen_part
 from phsi_opt.data.text_tables import TextFormat, table_of_rows
 
@@ -34,24 +33,16 @@ def table_of_excel(
     Raises:
         DataError: this is no workbook, there is no such sheet, or it is empty.
     """
-    sheets = _sheets(file)
+    read, _ = read_apart(file, "excel_reader", REPAIR_WORKBOOK)
+    sheets: dict[str, Any] = dict(read)
     filled = [name for name, rows in sheets.items() if rows]
     sheet = chosen_part(
         sheet, list(sheets), filled, "sheet", file.title, may_be_several
     )
     title = f"{file.title}, sheet {sheet!r}"
-    rows = sheets[sheet]
+    rows = dict(sheets[sheet])
+    width = max(map(len, rows.values()))
+    for cells in rows.values():
+        cells += [""] * (width - len(cells))
     table = table_of_rows(file, title, "row", rows, wanted, form, "")
     return replace(table, sheets=tuple(sorted(filled, key=lambda one: one != sheet)))
-
-
-def _sheets(file: OpenedFile) -> dict[str, Rows]:
-    """The filled rows of all sheets, by the sheets' names, padded to equal widths."""
-    sheets, _ = read_apart(file, "excel_reader", REPAIR_WORKBOOK)
-    rows_of: dict[str, Rows] = {}
-    for name, numbered in sheets:
-        rows = rows_of[name] = dict(numbered)
-        width = max(map(len, rows.values()), default=0)
-        for cells in rows.values():
-            cells += [""] * (width - len(cells))
-    return rows_of

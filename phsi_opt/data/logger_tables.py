@@ -12,30 +12,28 @@ from typing import Any
 
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.reading_apart import read_apart
-from phsi_opt.data.tables import Table, Variable
+from phsi_opt.data.tables import Table, Variable, table_of_columns
 from phsi_opt.errors import DataError
 
 
 def table_of_groups(
     file: OpenedFile,
-    library: str,
     wanted: Iterable[Any] | None,
+    library: str,
     group: str | None,
 ) -> Table:
     """Channels of a group; its times are in s.
 
     Args:
         file: an MDF or a TDMS file.
-        library: that reads it, asammdf or nptdms.
         wanted: the columns that are looked for; None: all, of the largest of several
             groups.
+        library: that reads it, asammdf or nptdms.
         group: the group; None: the only one.
 
     Raises:
         DataError: the file cannot be read, or the group is not clear.
     """
-    import pandas as pd
-
     if find_spec(library) is None:
         raise DataError(
             f'{file.title} needs {library}. Install it: pip install "phsi_opt[loggers]"'
@@ -55,14 +53,10 @@ def table_of_groups(
             f"{file.title} is damaged: the channels of a group have {sorted(lengths)} "
             "samples. Export them as CSV."
         )
-    frame = pd.DataFrame(dict(enumerate(arrays)))
-    frame.columns = pd.Index(found["names"], dtype=object)
-    frame.index = pd.RangeIndex(1, len(frame) + 1)
-    return Table(
-        file.title,
-        "row",
-        frame,
-        file.run,
+    return table_of_columns(
+        file,
+        found["names"],
+        arrays,
         sheets=tuple(found["parts"]),
         units=dict(zip(found["names"], found["units"], strict=True)),
         further=tuple(starmap(Variable, found["further"])),

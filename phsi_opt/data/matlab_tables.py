@@ -14,7 +14,7 @@ import numpy as np
 
 from phsi_opt.data.file_opening import OpenedFile
 from phsi_opt.data.reading_apart import read_apart
-from phsi_opt.data.tables import Table, Variable
+from phsi_opt.data.tables import Table, Variable, table_of_columns
 from phsi_opt.errors import DataError, did_you_mean
 
 Vectors = dict[Variable, dict[str, np.ndarray]]  # those of each variable, by name
@@ -39,7 +39,7 @@ def table_of_mat(file: OpenedFile, wanted: Iterable[Any]) -> Table:
             f"{file.title}: the columns differ in length: {lengths}; "
             f"expected one value per sample in each. {_listing(variables)}"
         )
-    return _table(file, columns)
+    return table_of_columns(file, list(columns), list(columns.values()))
 
 
 def table_of_vectors(file: OpenedFile) -> Table:
@@ -66,17 +66,8 @@ def table_of_vectors(file: OpenedFile) -> Table:
         columns |= fitting
         if not fitting:
             further.append(variable)
-    return _table(file, columns, tuple(further))
-
-
-def _table(
-    file: OpenedFile, columns: dict[Any, np.ndarray], further: tuple[Variable, ...] = ()
-) -> Table:
-    import pandas as pd
-
-    frame = pd.DataFrame(columns)
-    frame.index = pd.RangeIndex(1, len(frame) + 1)  # as MATLAB counts
-    return Table(file.title, "row", frame, file.run, further=further)
+    found = (list(columns), list(columns.values()))
+    return table_of_columns(file, *found, further=tuple(further))
 
 
 def _column(name: Any, variables: Vectors, title: str) -> np.ndarray:

@@ -7,7 +7,7 @@ file is its header, or an integer, its position counted from 0.
 
 import datetime as dt
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Required, Self, TypedDict, Unpack
 
@@ -141,11 +141,8 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and line number (the
                 header is line 1 when it is the file's first).
         """
-        wanted = _layout(words).columns
         form = TextFormat(columns, separator, decimal, skip, units_row)
-        files = opened_files(source, as_text=True)
-        tables = [table_of_csv(file, wanted, form) for file in files]
-        return cls.from_tables(tables, **words)
+        return cls._from_files(source, words, table_of_csv, form, as_text=True)
 
     @classmethod
     @interruptible
@@ -175,11 +172,8 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, sheet, column and row.
         """
-        wanted = _layout(words).columns
         form = TextFormat(columns, None, decimal, skip, units_row)
-        files = opened_files(source, as_text=False)
-        tables = [table_of_excel(file, wanted, sheet, form) for file in files]
-        return cls.from_tables(tables, **words)
+        return cls._from_files(source, words, table_of_excel, sheet, form)
 
     @classmethod
     @interruptible
@@ -203,10 +197,7 @@ class TableReaders:
             DataError: Something cannot be used; with file, column and row, and with
                 what the file holds where a column is not found.
         """
-        wanted = _layout(words).columns
-        files = opened_files(source, as_text=False)
-        tables = [table_of_mat(file, wanted) for file in files]
-        return cls.from_tables(tables, **words)
+        return cls._from_files(source, words, table_of_mat)
 
     @classmethod
     @interruptible
@@ -230,10 +221,7 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, channel and row.
         """
-        wanted = _layout(words).columns
-        files = opened_files(source, as_text=False)
-        tables = [table_of_groups(file, "asammdf", wanted, group) for file in files]
-        return cls.from_tables(tables, **words)
+        return cls._from_files(source, words, table_of_groups, "asammdf", group)
 
     @classmethod
     @interruptible
@@ -257,10 +245,7 @@ class TableReaders:
         Raises:
             DataError: Something cannot be used; with file, channel and row.
         """
-        wanted = _layout(words).columns
-        files = opened_files(source, as_text=False)
-        tables = [table_of_groups(file, "nptdms", wanted, group) for file in files]
-        return cls.from_tables(tables, **words)
+        return cls._from_files(source, words, table_of_groups, "nptdms", group)
 
     @classmethod
     @interruptible
@@ -275,6 +260,20 @@ class TableReaders:
             DataError: Something cannot be used; with the row's label in the index.
         """
         return cls.from_tables([table_of_frame(frame)], **words)
+
+    @classmethod
+    def _from_files(
+        cls,
+        source: Any,
+        words: TableWords,
+        table_of: Callable[..., Table],
+        *options: Any,
+        as_text: bool = False,
+    ) -> Self:
+        wanted = _layout(words).columns
+        files = opened_files(source, as_text)
+        tables = [table_of(file, wanted, *options) for file in files]
+        return cls.from_tables(tables, **words)
 
     @classmethod
     def from_tables(

@@ -135,6 +135,18 @@ def table_of_frame(frame: Any) -> Table:
     return Table("data frame", "row", frame, "run 1")
 
 
+def table_of_columns(
+    file: Any, names: Sequence[Any], columns: Sequence[np.ndarray], **more: Any
+) -> Table:
+    """Columns of an opened file, whose rows are counted from 1."""
+    import pandas as pd
+
+    frame = pd.DataFrame(dict(enumerate(columns)))
+    frame.columns = pd.Index(names, dtype=object)
+    frame.index = pd.RangeIndex(1, len(frame) + 1)
+    return Table(file.title, "row", frame, file.run, **more)
+
+
 def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
     """The values of a column, (n_rows,), NaN for missing cells.
 

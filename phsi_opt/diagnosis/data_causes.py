@@ -134,7 +134,7 @@ def _fitted_again(base: DiagnosedModel, change: Change) -> DiagnosedModel:
 
     training = changed(base.record)
     kept = [run.name for run in training.data.trajectories]
-    numbers = list(map(base.record.trajectories.index, kept))
+    numbers = list(map(base.record.runs.index, kept))
     start = replace(
         base.fit,
         states=tuple(base.fit.states[k] for k in numbers if base.fit.states),

@@ -24,6 +24,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_rows
+from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.summary import printed_table
 from phsi_opt.presentation.units import scale_of, spaced
 from phsi_opt.simulation.simulate import Runs, rates
@@ -350,7 +351,7 @@ class _FittedModel:
 
     @cached_property
     def _runs(self) -> Runs:
-        return Runs(rates(self.model))
+        return Runs(rates(self.model.rhs(), self.model.theta))
 
     def shown(self, experiment: Experiment, names: Sequence[str]) -> np.ndarray | None:
         """What sensors show, (n_samples, n_names); None: it cannot be simulated."""
@@ -361,9 +362,8 @@ class _FittedModel:
         x = self._runs.run(experiment.t, experiment.x0, u, hold, SHOWN_TOLERANCE)
         if x is None:
             return None
-        theta = np.tile(model.theta[:, None], len(x))
-        y = model.output().map(len(x))(x.T, u.T, experiment.t[None], theta)
-        return np.asarray(y.full().T[:, list(map(model.index, names))])
+        (y,) = in_numbers(model.output(), x.T, u.T, experiment.t[None], model.theta)
+        return y[list(map(model.index, names))].T
 
     def measurements(self, experiments: Sequence[Experiment]) -> Measurements | None:
         """The model's course without noise; None: it cannot be simulated."""

@@ -140,7 +140,7 @@ class Diagnosis(Summarised):
         """
         estimate = self.estimate
         grid = estimate.grid
-        names = self.record.trajectories
+        names = self.record.runs
         columns: dict[str, Any] = {
             "trajectory": [names[number] for number in grid.runs],
             "t": grid.t[grid.begin] + grid.h / 2,
@@ -225,7 +225,7 @@ class Diagnosis(Summarised):
         """
         from phsi_opt.presentation.pictures import plot_missing_force
 
-        name = self.record.trajectories[self.data.trajectory_number(trajectory)]
+        name = self.record.runs[self.data.trajectory_number(trajectory)]
         force = self.missing_force
         along = force[force["trajectory"] == name]
         lacking = {one.equation: one.quantity for one in self.analysis.forces}

@@ -24,8 +24,7 @@ from phsi_opt.criteria import (
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
-from phsi_opt.initialization.relative_guesses import corner_widths
-from phsi_opt.model.model import Model
+from phsi_opt.initialization.relative_guesses import corner_widths, values_at
 from phsi_opt.model.parameters import Share
 from phsi_opt.transcription.grid import steps_per_gap
 
@@ -88,6 +87,8 @@ class _Sharpening:
     ) -> LikelihoodEstimate | None:
         """The estimate with the corners of a stage; None: failed, or too large."""
         model = estimate.model.with_values(estimate.values)
+        task = self.problem.task
+        x = np.concatenate(estimate.states)
         steps = steps_per_gap(estimate.grid)
         n_steps = STEPS_AT_CORNER * max(math.ceil(stage), 2) // 2
         widths = {}
@@ -96,13 +97,12 @@ class _Sharpening:
             factor = np.interp(stage, np.arange(len(factors)), factors)
             widths[name] = self.blunt[name] * float(factor)
             near = CORNER_WIDTHS * model.values[name]
-            speeds = self.values_of(guess.of, model, estimate)
+            speeds = values_at(model, task.grid, x, guess.of)
             finer = partial(_finer_at_corner, near=near, n_steps=n_steps)
-            steps = list(map(finer, steps, speeds))
+            steps = list(map(finer, steps, task.grid.split(speeds)))
         n_states = sum(int(n.sum()) for n in steps) * model.n_states
         if model.memory and n_states > MOST_SHARP_STATES:
             return None
-        task = self.problem.task
         settings = replace(task.settings, thorough=False)
         problem = replace(self.problem, task=replace(task, settings=settings))
         there = StartingPoint.at(estimate, steps)
@@ -111,18 +111,6 @@ class _Sharpening:
             found = problem.solve_from(there)
             return found if found.is_success else None
         return None
-
-    def values_of(
-        self, formula: str, model: Model, estimate: LikelihoodEstimate
-    ) -> list[np.ndarray]:
-        """Of a formula, such as a velocity, at the samples of each trajectory."""
-        function = model.function(formula)
-        found = []
-        for run, x in zip(self.problem.task.data, estimate.states, strict=True):
-            at_samples = function.map("v", "serial", len(x), [3], [])
-            values = at_samples(x.T, run.u.T, run.t[None, :], model.theta)
-            found.append(np.array(values).ravel())
-        return found
 
 
 def _finer_at_corner(

@@ -16,7 +16,6 @@ from typing import TypeVar
 import numpy as np
 
 from phsi_opt.data.checks import checked_hold
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import (
@@ -36,7 +35,7 @@ from phsi_opt.optimization.ipopt import Solution, SolverSettings
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.sweep import Progress, silent
-from phsi_opt.transcription.grid import AlignedData, Grid
+from phsi_opt.transcription.grid import AlignedData, Grid, WithMeasurements
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.transcription.parameter_vector import Point, Theta
 
@@ -44,7 +43,7 @@ Loss = PHSILoss | MaximumLikelihood
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class Task(WithMeasurements):
     """Model, measurements and settings of one call of `identify`."""
 
     model: Model  # with its free parameters at values to start from
@@ -56,21 +55,6 @@ class Task:
     say: Progress = silent  # called with a line of text as the work goes on
     executor: Executor | None = None  # where further starts are solved; None: here
     corners: tuple[str, ...] = ()  # widths of dry friction's that may become sharper
-
-    @property
-    def data(self) -> Measurements:
-        """The measurements, states and inputs in the model's order."""
-        return self.aligned.data
-
-    @property
-    def grid(self) -> Grid:
-        """The measurements laid out, one interval between neighbouring samples."""
-        return self.aligned.grid
-
-    @property
-    def runs(self) -> tuple[str, ...]:
-        """Names of the trajectories."""
-        return tuple(run.name for run in self.data.trajectories)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -168,7 +168,7 @@ class Identified:
 
         x is (n_states,), u (n_inputs,), t a number; the fitted numbers stand in it.
         """
-        return rates(self.model)
+        return rates(self.model.rhs(), self.model.theta)
 
     def equations(self) -> list[str]:
         """The right-hand sides, one text per state: ``dp/dt = -c*p/m - k*q``.

@@ -25,6 +25,7 @@ from phsi_opt.transcription.grid import AlignedData
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 Runs = tuple[np.ndarray, ...]  # (n_samples, n_states) each
+Parameters = Mapping[str, Mapping[str, float]]  # free ones, by trajectory and name
 # Standard deviations of the measurements: stands for a free run that broke off.
 DIVERGED_RUN = 1e3
 # Error of a free run, in standard deviations of the measurements, from which a constant
@@ -36,7 +37,7 @@ def free_runs(
     model: Model,
     aligned: AlignedData,
     states: Sequence[np.ndarray],
-    parameters: Mapping[str, Mapping[str, float]],
+    parameters: Parameters,
 ) -> tuple[Runs, Runs, Runs]:
     """Simulated states, what the sensors show of them, and measured minus shown."""
     data = aligned.data

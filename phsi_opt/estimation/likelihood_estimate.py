@@ -47,7 +47,7 @@ from phsi_opt.model_error.standard_errors import (
     under_disturbances,
 )
 from phsi_opt.optimization.bounded_step import regularized_inverse
-from phsi_opt.transcription.defects import KnownDefects
+from phsi_opt.transcription.defects import parameter_slopes
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -132,8 +132,9 @@ class LikelihoodEstimate(Estimate):
         theta = self.unknown.by_trajectory(self.theta)
         found = []
         for one in (model, self.model):
-            known = KnownDefects(one, self.grid, self.loss.integrator, self.nodes, [])
-            found.append(known.at(theta).d)
+            scheme = self.loss.integrator
+            known = parameter_slopes(one, self.grid, scheme, theta, self.nodes, only=[])
+            found.append(known.d)
         moved = (found[0] - found[1]) * self.grid.h[:, None] / self.point.x_scale
         return 2 * float(self.reduced.multipliers @ moved.ravel())
 

@@ -141,8 +141,7 @@ class LikelihoodProblem:
         if z is None:
             return None
         unscaled = values.point.unscaled(z)
-        x = unscaled["x"].reshape(-1, start.model.n_states)[values.grid.sample]
-        states = self.task.grid.split(x)
+        states = self.task.grid.split(unscaled["x"][values.grid.sample])
         return replace(start, theta=unscaled["theta"], states=states, is_optimum=True)
 
     def _steps(self, start: StartingPoint) -> tuple[np.ndarray, ...]:
@@ -216,7 +215,7 @@ class LikelihoodProblem:
         model = start.model
         grid = self.task.aligned.grid_with(start.steps)
         unknown = Theta.of(model, self.task.runs)
-        parameters = np.asarray(unknown.by_trajectory(start.theta))
+        parameters = unknown.by_trajectory(start.theta)
         states = np.concatenate(start.states)
         nodes = between_samples(model, grid, states, parameters)
         point = point_at(model, grid, unknown, start.theta, nodes, start.held)

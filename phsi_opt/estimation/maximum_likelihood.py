@@ -155,7 +155,7 @@ def crude_start(problem: LikelihoodProblem) -> StartingPoint:
     theta = unknown.spread(model.theta)
     n_memory = len(model.memory)
     if n_memory and model.states[-n_memory:] == model.memory:
-        parameters = np.asarray(unknown.by_trajectory(theta))
+        parameters = unknown.by_trajectory(theta)
         x = with_memory(model, grid, x[:, :-n_memory], parameters)
     sigma = problem.noise.sigma
     return StartingPoint(model, theta, grid.split(x), sigma, notes, held=held)
@@ -182,7 +182,7 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     theta = unknown.from_values(start.estimates, unknown.spread(model.theta))
     if has_states:
         # The memory of an effect that the fit did not have follows from its states.
-        parameters = np.asarray(unknown.by_trajectory(theta))
+        parameters = unknown.by_trajectory(theta)
         states = grid.split(with_memory(model, grid, x, parameters))
     else:
         states = states_at(problem, model, theta, sigma)

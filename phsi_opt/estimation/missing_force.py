@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise, quantisation_noise
+from phsi_opt.data.noise import initial_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_record import (
@@ -23,6 +23,7 @@ from phsi_opt.estimation.fit_record import (
     parameter_matrix,
     parameters_of,
 )
+from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
@@ -56,10 +57,6 @@ BRIEF_NOISE = 5.0
 # Factor on the size of the rates along the estimated states: from a force so large the
 # second search comes down.
 SIZE_OF_SECOND_SEARCH = 10.0
-# Least noise over what neighbouring samples scatter: a force in the equation of a
-# measured position can go through every sample, and the noise would come out as 1e-14.
-# Not more, as steps that are coarse for the motion scatter by its curvature.
-LEAST_NOISE_BESIDE_SCATTER = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +108,6 @@ class ForceEstimate:
         """Standard deviation of the force's prior in each of them, (n_forced,)."""
         return np.array([force.size for force in self.disturbances.forces])
 
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the marginal likelihood of the sizes, up to a constant."""
-        return self.posterior.log_evidence
-
 
 def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     """The force that a fitted model lacks along measurements, with states and noise.
@@ -129,14 +121,13 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     Raises:
         SolveError: no states were found with which a force explains the data.
     """
-    given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
-    is_given = np.isfinite(given)
+    noise = NoiseLevels.beside_force(data)
+    is_given = noise.is_known
+    scatter = noise.sigma
     model = fit.model
     theta = None
     if fit.by_trajectory:
         theta = parameter_matrix(model, parameters_of(fit, data))
-    guess = initial_noise(data, given)
-    scatter = np.where(is_given, given, initial_noise(data))
     lasting = lasting_noise(fit.model_error_rows, model.states, longest_noise(grid))
     search = partial(
         smoothed,
@@ -145,11 +136,9 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
         theta=theta,
         known_noise=is_given,
         sensors=tuple(error for error in lasting if not is_given[error.place]),
-        least_noise=np.maximum(
-            quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
-        ),
+        least_noise=noise.least,
     )
-    estimate = search(guess)
+    estimate = search(initial_noise(data, np.where(is_given, scatter, np.nan)))
     measured = grid.measured_states
 
     def is_doubtful(found: ForceEstimate) -> bool:
@@ -164,7 +153,9 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
             larger.append(replace(force, size=SIZE_OF_SECOND_SEARCH * size))
         with suppress(SolveError):
             second = search(scatter, forces=tuple(larger))
-            estimate = max(estimate, second, key=lambda found: found.log_evidence)
+            estimate = max(
+                estimate, second, key=lambda found: found.posterior.log_evidence
+            )
     contradiction_is_possible = measured.sum() > 1
     if contradiction_is_possible and is_doubtful(estimate):
         with suppress(SolveError):
@@ -268,7 +259,7 @@ def estimate_force(
     *,
     rounds: int = 3,
     known_noise: Known = False,
-    forces: Forces | None = None,
+    forces: Forces,
     sensors: tuple[Process, ...] = (),
     integrator: str = "srk4",
     least_noise: np.ndarray | float = 0.0,
@@ -282,7 +273,6 @@ def estimate_force(
     Raises:
         SolveError: no states and force were found that obey the dynamics.
     """
-    forces = generous_force(model, grid, point) if forces is None else forces
     noise = np.tile(sigma, (grid.n_trajectories, 1))
     disturbances = Disturbances(noise, forces, sensors)
     is_open = grid.measured_states & ~np.broadcast_to(known_noise, len(sigma))
@@ -291,8 +281,7 @@ def estimate_force(
     unknown = Theta.of(model, list(map(str, range(grid.n_trajectories))))
     theta = point.theta
     if theta.ndim == 2:
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = point.theta
+        theta = unknown.stacked(theta)
     point = replace(point, theta=theta, theta_scale=np.ones(len(unknown)))
     values = LikelihoodValues(model, grid, integrator, point, unknown)
     linearizer = Linearizer(values)
@@ -336,7 +325,7 @@ def estimate_force(
             break
     n_forces = len(forces) * grid.n_intervals
     return ForceEstimate(
-        x=point.unscaled(found.point.z)["x"].reshape(point.x.shape),
+        x=point.unscaled(found.point.z)["x"],
         w=found.point.processes[:n_forces].reshape(len(forces), -1).T,
         grid=grid,
         posterior=ForcePosterior(found.likelihood, disturbances),

@@ -6,7 +6,6 @@ from the data alone, is that of `phsi_opt.data.noise`.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +19,10 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 # Change of the logarithm of the noise at which its estimate stays: a tenth of its
 # standard error with 200 values.
 NOISE_TOLERANCE = 0.005
+# Least noise over what neighbouring samples scatter: a force in the equation of a
+# measured position can go through every sample, and the noise would come out as 1e-14.
+# Not more, as steps that are coarse for the motion scatter by its curvature.
+LEAST_NOISE_BESIDE_SCATTER = 0.01
 # Share of the measured values, at least, that counts: with fewer a variance would be
 # divided by what is nearly zero.
 LEAST_COUNTED = 0.1
@@ -38,6 +41,18 @@ class NoiseLevels:
     def known(cls, sigma: np.ndarray) -> "NoiseLevels":
         """Noise that is known of every state."""
         return cls(sigma, np.ones(len(sigma), dtype=bool), np.zeros(len(sigma)))
+
+    @classmethod
+    def beside_force(cls, data: Measurements) -> "NoiseLevels":
+        """As the measurements declare it, else the scatter of neighbouring samples."""
+        declared = data.noise or {}
+        known = np.array([declared.get(name, np.nan) for name in data.states])
+        is_known = np.isfinite(known)
+        scatter = np.where(is_known, known, initial_noise(data))
+        least = np.maximum(
+            quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
+        )
+        return cls(scatter, is_known, least)
 
     @classmethod
     def of(cls, data: Measurements, loss: MaximumLikelihood) -> "NoiseLevels":
@@ -94,13 +109,8 @@ class NoiseIteration:
             within = (1 - outside) - 2 * huber * normal_density(huber)
             freedom *= within + huber**2 * outside
         estimate = sigma * grid.rms_by_channel(standardized) / np.sqrt(freedom)
-        estimate = np.maximum(estimate, np.maximum(self.least, self._least_of_data))
+        estimate = np.maximum(estimate, np.maximum(self.least, least_noise(grid.y)))
         return np.where(self.is_estimated & grid.measured_states, estimate, sigma)
-
-    @cached_property
-    def _least_of_data(self) -> np.ndarray:
-        """Noise that is assumed of data without any."""
-        return least_noise(self.grid.y)
 
     def change(self, sigma: np.ndarray, updated: np.ndarray) -> float:
         """Of the logarithm of the noise, the largest that moves the estimates."""

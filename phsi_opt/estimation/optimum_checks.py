@@ -133,7 +133,7 @@ def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
     By more than `VISIBLE_ERROR`; None where those of the estimate are enough, or as
     many as there may be. Their number grows with the fourth root of the error.
     """
-    parameters = np.asarray(estimate.unknown.by_trajectory(estimate.theta))
+    parameters = estimate.unknown.by_trajectory(estimate.theta)
     error = local_errors(estimate.model, estimate.grid, estimate.nodes, parameters)
     error = error / estimate.point.x_scale
     is_lost = ~np.isfinite(error).all(axis=1)

@@ -19,7 +19,7 @@ from phsi_opt.initialization.starting_values import (
     starting_values,
 )
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import solve
+from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
@@ -93,7 +93,7 @@ class PHSISolver:
             sizes = known.point.theta_scale[kept]
             point = replace(known.point, theta=theta, theta_scale=sizes)
         program = self.loss.program(model, self.grid, point, l1)
-        solution = solve(program, self.task.settings, raise_on_failure=False)
+        solution = Solver(program, self.task.settings).solve()
         n_free = len(model.free)
         self.task.say(f"PHSI loss, {n_free} parameters: {solution.outcome}")
         return PHSIEstimate(

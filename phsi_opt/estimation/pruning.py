@@ -87,29 +87,19 @@ class Pruning:
         """
         if self.significance is None:
             return set()
-        z = self._z_values(model, values, covariance)
+        z = {}  # |estimate| / standard error
+        for name in self.candidates(model):
+            place = model.free.index(name)
+            z[name] = abs(values[name]) / np.sqrt(covariance[place, place])
         limit = normal_limit(self.significance / max(n_tests, 1) / 2)
         weak = [name for name in z if z[name] < limit]
-        weak.sort(key=lambda name: z[name])
+        weak.sort(key=z.__getitem__)
         while len(weak) > 1:
             together = _wald(weak, model, values, covariance)
             if together < chi_square_limit(self.significance, len(weak)):
                 break
             weak.pop()
         return set(weak)
-
-    def _z_values(
-        self, model: Model, values: dict[str, float], covariance: np.ndarray
-    ) -> dict[str, float]:
-        """|estimate| / standard error of the candidates that have one."""
-        free = model.free
-        z = {}
-        for name in self.candidates(model):
-            place = free.index(name)
-            variance = covariance[place, place]
-            if np.isfinite(variance):
-                z[name] = abs(values[name]) / np.sqrt(variance)
-        return z
 
 
 def _wald(

@@ -21,7 +21,7 @@ from phsi_opt.estimation.fit_record import (
     parameter_matrix,
     parameters_of,
 )
-from phsi_opt.estimation.free_runs import free_runs
+from phsi_opt.estimation.free_runs import Parameters, free_runs
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, StartingPoint
 from phsi_opt.estimation.missing_force import (
@@ -34,7 +34,12 @@ from phsi_opt.estimation.optimum_checks import finer_steps
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import SolverSettings
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import AlignedData, Grid, checked_data, grid_of
+from phsi_opt.transcription.grid import (
+    AlignedData,
+    WithMeasurements,
+    checked_data,
+    grid_of,
+)
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -47,7 +52,7 @@ MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(WithMeasurements):
     """A fit and one set of measurements."""
 
     fit: Fit  # the fit
@@ -82,27 +87,12 @@ class Record:
         return Record(fit, self.aligned.for_model(fit.model), self.estimate)
 
     @property
-    def data(self) -> Measurements:
-        """The measurements, states and inputs in the model's order."""
-        return self.aligned.data
-
-    @property
-    def grid(self) -> Grid:
-        """The measurements laid out, one interval between neighbouring samples."""
-        return self.aligned.grid
-
-    @property
     def model(self) -> Model:
         """The fitted model."""
         return self.fit.model
 
-    @property
-    def trajectories(self) -> tuple[str, ...]:
-        """Names of the trajectories."""
-        return tuple(run.name for run in self.data.trajectories)
-
     @cached_property
-    def parameters(self) -> Mapping[str, Mapping[str, float]]:
+    def parameters(self) -> Parameters:
         """Values of the free parameters by trajectory and name.
 
         For a trajectory that the fit has not seen, the means of the fit. Where they are
@@ -191,7 +181,7 @@ class SmoothedStates:
 
     states: Sequence[np.ndarray]  # one (n_samples, n_states) per trajectory
     # Values of the free parameters by trajectory and name.
-    parameters: Mapping[str, Mapping[str, float]]
+    parameters: Parameters
 
 
 def smoothed_states(record: Record) -> SmoothedStates:

@@ -266,16 +266,16 @@ def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answ
 
 def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
     """What seems to be wrong: the begin of a sentence; "" if nothing stands out."""
-    return _advice("likely", units, force).lead
+    return advice_of_cause(units, force, "likely").lead
 
 
-def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
-    """What follows from the strongest cause of a force, or from there being none."""
-    return _advice("advice", units, force)
+def advice_of_cause(
+    units: Mapping[str, str], force: EquationForce, name: str = "advice"
+) -> Answer:
+    """What follows from the strongest cause of a force, or from there being none.
 
-
-def _advice(name: str, units: Mapping[str, str], force: EquationForce) -> Answer:
-    """By the cause that explains most, unless that is less than is left."""
+    A cause counts unless it explains less than is left.
+    """
     shares = force.causes.shares
     case = max(shares, key=lambda cause: (shares[cause], cause != "unexplained"))
     model = force.record.model

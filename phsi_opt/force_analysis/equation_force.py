@@ -124,7 +124,7 @@ class EquationForce(Force):
     @property
     def mean_power(self) -> float:
         """Force times effort, averaged over the time."""
-        h = self.record.h
+        h = self.record.estimate.grid.h
         return float((self.w * self.effort) @ h / h.sum())
 
     @property

@@ -77,7 +77,7 @@ class ForceRecord:
     @property
     def trajectories(self) -> tuple[str, ...]:
         """Their names."""
-        return self.along.trajectories
+        return self.along.runs
 
     def origin_of(self, trajectory: str) -> dt.datetime | None:
         """The moment at which the time of a trajectory is 0, where it is a date."""
@@ -99,11 +99,6 @@ class ForceRecord:
     def t(self) -> np.ndarray:
         """Time, (n_intervals,)."""
         return self.points.t
-
-    @property
-    def h(self) -> np.ndarray:
-        """Length of each interval, (n_intervals,)."""
-        return self.estimate.grid.h
 
     @cached_property
     def run(self) -> np.ndarray:

@@ -57,8 +57,9 @@ def strongest_window(force: Force) -> Window:
     run = strongest // N_WINDOWS
     is_whole = bool(size[strongest] <= OUTSTANDING_FORCE * rms(force.w))
     inside = np.flatnonzero(record.run == run if is_whole else part == strongest)
-    begin = record.t[inside[0]] - record.h[inside[0]] / 2
-    end = record.t[inside[-1]] + record.h[inside[-1]] / 2
+    half = record.estimate.grid.h / 2
+    begin = record.t[inside[0]] - half[inside[0]]
+    end = record.t[inside[-1]] + half[inside[-1]]
     return Window(record.trajectories[run], float(begin), float(end), is_whole)
 
 
@@ -133,7 +134,7 @@ class Pace:
             0.0 if is_mostly_constant(force.w) else _frequency(record, force.w),
             _frequency(record, x),
             float(np.min(times, initial=np.inf)),
-            float(np.median(record.h)),
+            float(np.median(record.estimate.grid.h)),
             rms(force.w),
             rms(record.rates[:, force.row]),
         )

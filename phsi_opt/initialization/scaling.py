@@ -12,16 +12,13 @@ state follows from it. These are rough states: their noise is that of difference
 
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.data.noise import LEAST_SIZE
 from phsi_opt.model.model import Model
-from phsi_opt.model.symbolic import with_slopes
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.defects import KnownDefects, at_nodes, mapped
+from phsi_opt.transcription.defects import at_nodes, parameter_slopes
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.parameter_vector import Point, Theta
@@ -86,7 +83,7 @@ def invert_sensors(model: Model, grid: Grid) -> Grid:
     with np.errstate(all="ignore"):
         for _ in range(10):
             finite = np.nan_to_num(x)
-            shown = np.array(outputs(model, grid, finite.T, theta)).T
+            shown = outputs(model, grid, finite, theta)
             slopes = output_slopes(model, grid, finite, theta).in_states
             own_slope = np.einsum("aii->ai", slopes)
             is_steep = np.abs(own_slope) > 1e-6
@@ -114,16 +111,15 @@ def theta_scale(
     # The largest effect of each parameter on an equation, in units of its rate.
     rate = _rate_size(grid, x)
     rate = np.where(rate > 0, rate, x_scale)
-    known = KnownDefects(model, grid, STARTING_SCHEME, x).at(theta)
+    known = parameter_slopes(model, grid, STARTING_SCHEME, theta, x)
     slopes = known.slopes.reshape(grid.n_intervals, -1, len(theta))
     n_finite = np.maximum(np.isfinite(slopes).sum(axis=0), 1)
     mean_square = np.nansum(slopes**2, axis=0) / n_finite
     per_equation = np.sqrt(mean_square) / rate[:, None]
     strength = np.nan_to_num(per_equation.max(axis=0))
     if model.sensor:
-        make = partial(with_slopes, model.output(), "theta")
-        made = model.built(("output", "slopes"), make)
-        squares = np.square(_slopes_at(made, grid, x, theta))
+        slopes = output_slopes(model, *_some_nodes(grid, x), theta).in_parameters
+        squares = np.square(slopes)
         in_sensors = np.sqrt(np.mean(squares, axis=0)).T @ (1 / x_scale)
         strength = np.maximum(strength, in_sensors)
     own_size = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
@@ -176,7 +172,7 @@ def _with_unmeasured_scale(
     rate = _rate_size(grid, x)
     # Away from the origin, where a higher-order term has no slope.
     shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
-    found = _slopes_at(model.rhs_slopes("x"), grid, shifted, theta)
+    found = _rates_and_slopes(model, *_some_nodes(grid, shifted), theta)[1]
     with np.errstate(over="ignore"):
         squares = np.square(found)
     # Where a slope has no number (a corner as sharp as a step) it says nothing.
@@ -205,14 +201,10 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(np.square(rates), axis=0))
 
 
-def _slopes_at(
-    function: ca.Function, grid: Grid, x: np.ndarray, theta: np.ndarray
-) -> np.ndarray:
-    """Slopes that a function has beside its values, (N_SLOPES, n_out, n_in)."""
+def _some_nodes(grid: Grid, x: np.ndarray) -> tuple[Grid, np.ndarray]:
+    """`N_SLOPES` nodes of a grid, evenly spread, and the states there."""
     nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
-    arguments = (x[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
-    values, slopes = mapped(function, N_SLOPES, True)(*arguments)
-    return slopes.full().T.reshape(N_SLOPES, values.shape[0], -1)
+    return grid.at_nodes(nodes), x[nodes]
 
 
 # ---- states by kinematics ----------------------------------------------------------
@@ -235,7 +227,7 @@ def kinematic_states(model: Model, grid: Grid) -> tuple[np.ndarray, bool]:
     no_memory = [k for k, name in enumerate(model.states) if name not in model.memory]
     unknown = np.setdiff1d(no_memory, known)
     while len(unknown) and len(known):
-        _, slopes = _rates_and_slopes(model, grid, x)
+        _, slopes = _rates_and_slopes(model, grid, x, model.theta)
         mean_square = np.mean(slopes[:, known][:, :, unknown] ** 2, axis=(0, 1))
         # Those that make a rate of a known one.
         found = unknown[np.isfinite(mean_square) & (mean_square > TINY)]
@@ -258,7 +250,7 @@ def _follow(
     weights = 1 / np.maximum(np.std(rates, axis=0), TINY)
     found = x.copy()
     for _ in range(3):  # Newton's steps; one is exact where the rates are linear
-        values, slopes = _rates_and_slopes(model, grid, found)
+        values, slopes = _rates_and_slopes(model, grid, found, model.theta)
         missing = (rates - values[:, known]) * weights
         of_unknown = slopes[:, known][:, :, unknown] * weights[:, None]
         step = _least_squares_steps(of_unknown, missing)
@@ -272,10 +264,10 @@ def _follow(
 
 
 def _rates_and_slopes(
-    model: Model, grid: Grid, x: np.ndarray
+    model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rates (n_nodes, n_states), and slopes (n_nodes, n_states, n_states) in states."""
-    values, entries = at_nodes(model.rhs_slopes("x"), grid, x.T, model.theta)
+    values, entries = at_nodes(model.rhs_slopes("x"), grid, x.T, theta)
     n = model.n_states
     return values.T, entries.T.reshape(grid.n_nodes, n, n)
 

@@ -11,6 +11,7 @@ states must be known; what to do where they are not is the business of `identify
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 
 import casadi as ca
@@ -25,7 +26,7 @@ from phsi_opt.model.slots import place_of
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.statistics import local_maxima
-from phsi_opt.transcription.defects import KnownDefects, defects
+from phsi_opt.transcription.defects import parameter_slopes
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
@@ -44,18 +45,17 @@ def starting_values(
     """
     grid = complete_intervals(model, grid)
     groups = _linear_groups(model)
-    known_defects = KnownDefects(model, grid, STARTING_SCHEME)
 
     def improved(theta: np.ndarray, rounds: int) -> np.ndarray:
         """Theta with every group at its optimum, found so many times in turn."""
         for group in groups * rounds:
-            theta = _with_optimum(known_defects, model, grid, l1, theta, group)
+            theta = _with_optimum(model, grid, l1, theta, group)
         return theta
 
     def squared_defects(theta: np.ndarray) -> float:
         """Sum of the squared finite defects."""
-        d = defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), theta)
-        return float(np.nansum(np.square(np.array(d))))
+        d = parameter_slopes(model, grid, STARTING_SCHEME, theta, only=[]).d
+        return float(np.nansum(np.square(d)))
 
     starts = [improved(model.theta, rounds=1)]
     linear = list(chain.from_iterable(groups))
@@ -113,7 +113,6 @@ def _with_linear(
 
 
 def _with_optimum(
-    known_defects: KnownDefects,
     model: Model,
     grid: Grid,
     l1: Mapping[str, float],
@@ -124,7 +123,7 @@ def _with_optimum(
     # The squared defects are linearised, which is exact where they are linear in the
     # group.
     unknown = Theta.of(model, ("",))
-    known = known_defects.at(theta)
+    known = parameter_slopes(model, grid, STARTING_SCHEME, theta)
     jacobian = known.slopes[:, group]
     d = known.d.ravel()
     is_usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
@@ -253,21 +252,22 @@ def _candidate_frequencies(
     # wave.
     of_variable = _terms_of(scan.variable, model)
     amplitudes = list(map(model.free.index, scan.amplitudes))
+    slopes_at = partial(parameter_slopes, model, grid, STARTING_SCHEME)
     remainders = []
     for free in ([i for i in linear if model.free[i] not in of_variable], linear):
         others = [i for i in free if i not in amplitudes]
         start = _without_others(model, theta, others)
-        known = KnownDefects(model, grid, STARTING_SCHEME, only=others).at(start)
+        known = slopes_at(start, only=others)
         basis = np.linalg.qr(known.slopes)[0]
         d = known.d.ravel()
         remainders.append((d - basis @ (basis.T @ d), basis))
-    waves = KnownDefects(model, grid, STARTING_SCHEME, only=amplitudes)
     start = _without_others(model, theta, [])
     tried = frequency_grid(grid, values_at(model, grid, grid.y, scan.variable, start))
     explained = np.zeros((len(remainders), len(tried)))
     frequency = model.free.index(scan.name)
     for k, omega in enumerate(tried):
-        columns = waves.at(_with_entry(start, frequency, omega)).slopes
+        moved = _with_entry(start, frequency, omega)
+        columns = slopes_at(moved, only=amplitudes).slopes
         for place, (remainder, basis) in enumerate(remainders):
             beyond = columns - basis @ (basis.T @ columns)
             solution = np.linalg.lstsq(beyond, remainder, rcond=RANK)[0]

@@ -50,7 +50,7 @@ from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate_forced
 from phsi_opt.statistics import rms
 from phsi_opt.transcription import integrators
-from phsi_opt.transcription.defects import KnownDefects, ParameterSlopes
+from phsi_opt.transcription.defects import ParameterSlopes, parameter_slopes
 from phsi_opt.transcription.grid import AlignedData, Grid, aligned_once, grid_of
 from phsi_opt.transcription.integrators import Integrator
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals
@@ -300,7 +300,7 @@ class _Problem:
     def defects(self, model: Model, force: np.ndarray) -> ParameterSlopes:
         """Of a dictionary beside a force, with their slopes in its coefficients."""
         forced, grid = self.forced(model, force)
-        return KnownDefects(forced, grid, self.rule.name).at(forced.theta)
+        return parameter_slopes(forced, grid, self.rule.name, forced.theta)
 
     def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
         """The stages of the integrator, and the mean force that is missing there."""

@@ -355,7 +355,7 @@ class Linearizer:
         known = known or self.values.at(z)
         return Linearization(
             grid=self.values.grid,
-            nodes=point.unscaled(z)["x"].reshape(-1, self.values.n_states),
+            nodes=point.unscaled(z)["x"],
             dynamics_in_states=self._dynamics.sparse(known.jacobian),
             dynamics_in_theta=self._dynamics_in_theta.dense(known.jacobian),
             force_effects=self._effects,

@@ -10,7 +10,7 @@ symbols in place of numbers.
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -52,14 +52,9 @@ for _pair in NAMES_OF_TESTS.split(","):
     OPERATIONS[getattr(ca, f"OP_{_operation}")] = _test
 
 
-class Instruction(NamedTuple):
-    """One instruction: what it does, with which registers; what a constant is."""
-
-    kind: int
-    operation: Any
-    read: list[int]
-    written: list[int]
-    value: Any
+# CasADi's number of an operation and what carries it out, the registers that it reads
+# and writes, and the value of a constant.
+Instruction = tuple[int, Any, list[int], list[int], Any]
 
 
 def _instructions(
@@ -78,7 +73,7 @@ def _instructions(
         value = number(function.instruction_constant(k)) if is_number else None
         operation = operation_of(kind, len(read))
         written = function.instruction_output(k)
-        listed.append(Instruction(kind, operation, read, written, value))
+        listed.append((kind, operation, read, written, value))
     return listed
 
 
@@ -109,11 +104,9 @@ def _with_numpy(function: ca.Function) -> list[Instruction]:
         arguments.append(ca.SX.sym(function.name_in(i), function.sparsity_in(i)))
     results = ca.cse(function.call(arguments))
     once = ca.Function("columns", arguments, results)
-    return _instructions(once, lambda kind, _: OPERATIONS.get(kind), _one_number)
-
-
-def _one_number(value: float) -> np.ndarray:
-    return np.full(1, value)
+    return _instructions(
+        once, lambda kind, _: OPERATIONS.get(kind), partial(np.full, 1)
+    )
 
 
 def in_numbers(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:

@@ -17,7 +17,6 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.arguments import require, require_choice, require_count, typed
-from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
 from phsi_opt.optimization.program import Program
 from phsi_opt.presentation.numbers import number_of
@@ -201,22 +200,6 @@ class Solution:
     z: np.ndarray
     residual: np.ndarray
     outcome: Outcome
-
-
-def solve(
-    program: Program,
-    settings: SolverSettings | None = None,
-    raise_on_failure: bool = True,
-) -> Solution:
-    """Solve a program with IPOPT from its own start.
-
-    Raises:
-        SolveError: it ended without an optimum, and ``raise_on_failure``.
-    """
-    solution = Solver(program, settings).solve()
-    if raise_on_failure and not solution.outcome.success:
-        raise SolveError(f"The solver failed: {solution.outcome}")
-    return solution
 
 
 class Solver:

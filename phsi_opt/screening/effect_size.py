@@ -39,14 +39,9 @@ class Size:
         """Standard errors from zero; NaN where the standard error is not known."""
         return abs(self.value) / max(self.std_error, TINY)
 
-    @property
-    def is_determined(self) -> bool:
-        """Whether it is larger than its standard error, or this is not known."""
-        is_larger = not abs(self.value) < self.std_error < np.inf
-        return is_larger and bool(np.isfinite(self.value))
-
     def __str__(self) -> str:
-        if not self.is_determined:
+        is_smaller = abs(self.value) < self.std_error < np.inf  # or it is not known
+        if is_smaller or not np.isfinite(self.value):
             return NOT_DETERMINED
         if not np.isfinite(self.std_error):
             return f"{number(self.value)} {self.unit}".rstrip()

@@ -82,11 +82,6 @@ class LinearizedRecord:
         """Values of the free parameters, (n_free, n_trajectories)."""
         return np.asarray(self.theta[self.unknown.table])
 
-    @property
-    def n_values(self) -> int:
-        """Number of measured values."""
-        return self.likelihood.problem.n_values
-
     @cached_property
     def defects(self) -> np.ndarray:
         """At the states, in units of rates, (n_intervals * n_states,)."""
@@ -97,8 +92,8 @@ class LinearizedRecord:
         """What the sensors show of the states, (n_nodes, n_states)."""
         if not self.model.sensor:
             return self.states
-        by_run = np.asarray(self.unknown.by_trajectory(self.theta))
-        return np.array(outputs(self.model, self.grid, self.states.T, by_run)).T
+        by_run = self.unknown.by_trajectory(self.theta)
+        return outputs(self.model, self.grid, self.states, by_run)
 
     @cached_property
     def _per_rate(self) -> np.ndarray:

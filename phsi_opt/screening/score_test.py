@@ -155,7 +155,8 @@ class ScoreTest:
             point.change.of_defects, point.change.of_outputs, c
         )
         new = [name for name in trial.model.free if name not in linearized.model.free]
-        price = len(new) * float(np.log(linearized.n_values)) / 2
+        n_values = linearized.likelihood.problem.n_values
+        price = len(new) * float(np.log(n_values)) / 2
         own = {}
         coefficients = dict(zip(trial.linear, c.tolist(), strict=False))
         for name, value in (point.values | coefficients).items():

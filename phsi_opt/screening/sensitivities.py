@@ -8,7 +8,6 @@ rest has no friction law: there the force is whatever the rest of the model asks
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.initialization.relative_guesses import corner_widths, intervals_at_rest
@@ -20,7 +19,7 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.weighing import SCHEME
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import MemoryIntegration
-from phsi_opt.transcription.defects import KnownDefects
+from phsi_opt.transcription.defects import parameter_slopes
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 # Share of the diagonal that is added to the correlations of traces: two that are equal
@@ -134,7 +133,7 @@ class Sensitivities:
         n_intervals, n_states = self._shape
         places = self._places
         model, grid = self.trial.model, self._grid
-        known = KnownDefects(model, grid, SCHEME, x, places, n_states).at(theta)
+        known = parameter_slopes(model, grid, SCHEME, theta, x, places, n_states)
         if places:
             slopes = known.slopes.reshape(n_intervals, -1, len(places))
             return slopes[:, :n_states]
@@ -148,7 +147,7 @@ class Sensitivities:
         if self._places:
             by_theta = output_slopes(model, grid, x, theta).in_parameters
             return by_theta[:, :n_states, self._places]
-        with_effect = np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T
+        with_effect = outputs(model, grid, x, theta)
         return (with_effect[:, :n_states] - self.linearized.shown)[..., None]
 
     def _states_with_memory(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -157,12 +156,11 @@ class Sensitivities:
         # interval is not what lies half way between its values at the ends.
         if self._memory is None:
             return self.states, self.states
-        memory = self._memory(theta)
+        states, means = self._memory(theta)
         begin = self.linearized.grid.begin
-        means = memory.interval_means
-        at_ends = memory.states[np.column_stack([begin, begin + 1]).ravel()]
+        at_ends = states[np.column_stack([begin, begin + 1]).ravel()]
         at_ends[:, -means.shape[1] :] = np.repeat(means, 2, axis=0)
-        return memory.states, at_ends
+        return states, at_ends
 
     def _defects_at_rest(self) -> np.ndarray:
         """Defects of a body at rest, (n_intervals * n_states, 1 or 0 columns)."""

@@ -24,10 +24,9 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import STRONG_EVIDENCE
 from phsi_opt.data.checks import Hold
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise, quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import LEAST_NOISE_BESIDE_SCATTER
+from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
@@ -43,7 +42,7 @@ from phsi_opt.model_error.marginal_likelihood import (
 )
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import AlignedData
+from phsi_opt.transcription.grid import AlignedData, WithMeasurements
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -143,7 +142,7 @@ class _Found:
 
 
 @dataclass(frozen=True, eq=False)
-class Weighing:
+class Weighing(WithMeasurements):
     """How models are weighed by one record."""
 
     aligned: AlignedData  # the measurements, those of the fit first
@@ -154,18 +153,6 @@ class Weighing:
     longest: float  # correlation time of a force, at most
     # (n_states,) typical rate of every state, before anything is weighed.
     rates: np.ndarray
-
-    @property
-    def runs(self) -> tuple[str, ...]:
-        """Names of the trajectories."""
-        return tuple(run.name for run in self.aligned.data.trajectories)
-
-    def stacked(self, model: Model, parameters: np.ndarray) -> np.ndarray:
-        """Parameters (n_free, n_trajectories) as the unknowns of the record."""
-        unknown = Theta.of(model, self.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = parameters
-        return theta
 
     @np.errstate(all="ignore")
     def weighed(self, start: Start, worth: float = -np.inf) -> Weighed:
@@ -268,7 +255,8 @@ class Weighing:
     def _result(self, problem: JointProblem, found: _Found) -> Weighed:
         point, unknown = problem.values.point, problem.values.unknown
         values = point.unscaled(found.joint.point.z)
-        theta, states = values["theta"], values["x"].reshape(point.x.shape)
+        theta = values["theta"]
+        states = values["x"]
         system = found.system
         likelihood = system.likelihood
         grid = self.aligned.grid
@@ -377,12 +365,7 @@ class EvidenceRecord:
         n_more = trained.model.n_states - len(estimate.white)
         white = np.r_[estimate.white, np.ones(n_more)]
         sigma = np.tile(white, (data.n_trajectories, 1))
-        given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
-        is_given = np.isfinite(given)
-        scatter = np.where(is_given, given, initial_noise(data))
-        least = np.maximum(
-            quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
-        )
+        noise = NoiseLevels.beside_force(data)
         aligned = AlignedData.of(trained.model, data)
         measured = aligned.grid.measured_states
         # Of the missing force, with the memory of the model.
@@ -398,16 +381,17 @@ class EvidenceRecord:
             aligned=aligned,
             n_fitted=trained.data.n_trajectories,
             n_states=states.shape[1],
-            channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
-            least_noise=least,
+            channels=tuple(np.flatnonzero(measured & ~noise.is_known).tolist()),
+            least_noise=noise.least,
             longest=max(times, default=np.inf),
             rates=np.sqrt(np.mean(rates**2, axis=0)) + TINY,
         )
         model = trained.model.with_values(estimate.rounded)
         parameters = np.hstack([record.theta for record in records])
+        parameters = _at_their_bounds(trained.fit, parameters)
         start = Start(
             model=model,
-            theta=weighing.stacked(model, _at_their_bounds(trained.fit, parameters)),
+            theta=Theta.of(model, weighing.runs).stacked(parameters),
             states=states,
             processes=None,
             disturbances=disturbances,
@@ -489,7 +473,7 @@ class EvidenceRecord:
         parameters = np.hstack([one.record.theta for one in comparisons])
         start = Start(
             model=model,
-            theta=self.weighing.stacked(model, parameters),
+            theta=Theta.of(model, self.weighing.runs).stacked(parameters),
             states=np.concatenate([x for one in comparisons for x in one.simulated]),
             processes=None,
             disturbances=replace(self.base.disturbances, forces=()),

@@ -377,12 +377,8 @@ def free_run(
     return simulate(model, t, x0, u, hold=hold) if found is None else found
 
 
-def rates(model: Model) -> ca.Function:
-    """CasADi function (x, u, t) -> dx, which is dx/dt at the present parameters."""
-    return _rates(model.rhs(), model.theta)
-
-
-def _rates(rhs: ca.Function, theta: Any) -> ca.Function:
+def rates(rhs: ca.Function, theta: np.ndarray) -> ca.Function:
+    """CasADi function (x, u, t) -> dx, which is dx/dt at given parameters."""
     given = argument_symbols(rhs)[:3]
     return ca.Function("rates", given, [rhs(*given, theta)], ["x", "u", "t"], ["dx"])
 
@@ -391,7 +387,7 @@ def _rates(rhs: ca.Function, theta: Any) -> ca.Function:
 def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
     """Built once for all records with these parameters, and for every thread."""
     # A thread's runs are written over by its next.
-    return Runs(_rates(rhs, np.array(theta)))
+    return Runs(rates(rhs, np.array(theta)))
 
 
 # Dormand and Prince's coefficients, those of `scipy.integrate.RK45`, whose import takes

@@ -347,7 +347,7 @@ def _beginning(force: EquationForce, inside: np.ndarray) -> str:
         after = rms(force.w[first : inside[-1] + 1])
         is_strong = size > STRONG_STRETCH * max(sizes)
         if is_strong and after > 3 * max(before, TINY):
-            t = float(record.t[first] - record.h[first] / 2)
+            t = float(record.t[first] - record.estimate.grid.h[first] / 2)
             date = date_words(t, record.origin_of(force.window.trajectory))
             longest = float(record.t.max())
             told = time_words(t, record.units.get("t", ""), longest=longest)

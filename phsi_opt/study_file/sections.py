@@ -246,7 +246,7 @@ def table_at(
         return table_of_mat(file, given.wanted) if section else table_of_vectors(file)
     if reader in LOGGERS:
         wanted = None if is_unknown else given.wanted
-        return table_of_groups(file, LOGGERS[reader], wanted, given.group)
+        return table_of_groups(file, wanted, LOGGERS[reader], given.group)
     form = TextFormat(**{name: getattr(given, name) for name in OF_TEXTS})
     if reader == TEXT_READER:
         return table_of_csv(file, given.wanted, form)

@@ -6,7 +6,7 @@ them along a record without an optimisation. Here a memory does not act back on 
 other states; that is the business of the program that is solved afterwards.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -35,7 +35,7 @@ def with_memory(
     """
     if x.shape[1] == model.n_states:
         return x
-    return MemoryIntegration(model, grid, x)(theta).states
+    return MemoryIntegration(model, grid, x)(theta)[0]
 
 
 def memory_start_bounds(
@@ -52,7 +52,7 @@ def memory_start_bounds(
     if n_old == model.n_states or model.states[n_old:] != model.memory:
         return UNBOUNDED
     integration = MemoryIntegration(model, grid, x[:, :n_old])
-    memory = integration(theta).states[:, n_old:]
+    memory = integration(theta)[0][:, n_old:]
     lowest = memory.min(axis=0)
     highest = memory.max(axis=0)
     reach = np.where(highest > lowest, highest - lowest, np.inf)
@@ -66,14 +66,6 @@ def padded(model: Model, x: np.ndarray) -> np.ndarray:
     """States (n_nodes, n_states) with zeros for those at the end that x lacks."""
     n_lacking = model.n_states - x.shape[1]
     return np.pad(x, ((0, 0), (0, n_lacking)))
-
-
-class MemoryRecord(NamedTuple):
-    """The memory of a model's effects along a record."""
-
-    states: np.ndarray  # (n_nodes, n_states) states with the memory as the last of them
-    # (n_intervals, n_memory) means of the memory over the intervals.
-    interval_means: np.ndarray
 
 
 class MemoryIntegration:
@@ -95,8 +87,12 @@ class MemoryIntegration:
             steps = over_interval.mapaccum("memory", len(intervals))
             self._pieces.append((intervals, steps))
 
-    def __call__(self, theta: np.ndarray) -> MemoryRecord:
-        """States with their memory, for theta (n_free,) or (n_free, n_trajectories)."""
+    def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States (n_nodes, n_states) with their memory, and means of this.
+
+        For theta (n_free,) or (n_free, n_trajectories); the means of the memory over
+        the intervals are (n_intervals, n_memory).
+        """
         grid = self.grid
         n_old = self.x.shape[1]
         states = padded(self.model, self.x)
@@ -116,7 +112,7 @@ class MemoryIntegration:
             states[first, n_old:] = start
             states[grid.begin[intervals] + 1, n_old:] = at_ends.full().T
             means[intervals] = means_there.full().T
-        return MemoryRecord(states, means)
+        return states, means
 
 
 def _memory_over_interval(model: Model, n_old: int) -> ca.Function:

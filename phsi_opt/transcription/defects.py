@@ -250,40 +250,32 @@ class ParameterSlopes(NamedTuple):
     slopes: np.ndarray
 
 
-class KnownDefects:
+def parameter_slopes(
+    model: Model,
+    grid: Grid,
+    scheme: str,
+    theta: np.ndarray,
+    x: np.ndarray | None = None,
+    only: list[int] | None = None,
+    n_moving: int | None = None,
+) -> ParameterSlopes:
     """Defects of all intervals between known states, and their slopes in parameters.
 
     Args:
         model: the model.
         grid: nodes and intervals.
         scheme: name of the integrator.
+        theta: parameters, (n_free,) or (n_free, n_trajectories).
         x: (n_nodes, n_states) states at the nodes; None: ``grid.y``.
         only: places of the parameters in ``model.free`` that get a column, in this
             order; None: all.
         n_moving: as that of `defect`.
     """
-
-    def __init__(
-        self,
-        model: Model,
-        grid: Grid,
-        scheme: str,
-        x: np.ndarray | None = None,
-        only: list[int] | None = None,
-        n_moving: int | None = None,
-    ) -> None:
-        chosen = list(range(len(model.free))) if only is None else only
-        self._function = _with_slopes(model, scheme, chosen, n_moving)
-        self._n_chosen = len(chosen)
-        self._grid = grid
-        states = grid.y if x is None else x
-        self._arguments = interval_arguments(grid, states.T)
-
-    def at(self, theta: np.ndarray) -> ParameterSlopes:
-        """Defects and slopes for parameters theta (n_free,), or (n_free, n_runs)."""
-        theta = np.asarray(theta)
-        d, slopes = in_intervals(self._function, self._grid, self._arguments, theta)
-        return ParameterSlopes(d.T, slopes.T.reshape(d.size, self._n_chosen))
+    chosen = list(range(len(model.free))) if only is None else only
+    function = _with_slopes(model, scheme, chosen, n_moving)
+    arguments = interval_arguments(grid, (grid.y if x is None else x).T)
+    d, slopes = in_intervals(function, grid, arguments, theta)
+    return ParameterSlopes(d.T, slopes.T.reshape(d.size, len(chosen)))
 
 
 def known_defects(

@@ -276,6 +276,27 @@ class AlignedData:
         return grid_of(self.data, steps)
 
 
+class WithMeasurements:
+    """What has aligned measurements, and is asked for their parts."""
+
+    aligned: AlignedData
+
+    @property
+    def data(self) -> Measurements:
+        """The measurements, states and inputs in the model's order."""
+        return self.aligned.data
+
+    @property
+    def grid(self) -> Grid:
+        """The measurements laid out, one interval between neighbouring samples."""
+        return self.aligned.grid
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the trajectories."""
+        return tuple(run.name for run in self.data.trajectories)
+
+
 def _notes_on_inputs(model: Model, data: Measurements) -> Iterator[str]:
     """A sentence on every input that is not used, or that jumps and is not held."""
     for k, hold in enumerate(hold_of_each(data.hold, data.inputs)):

@@ -160,8 +160,7 @@ class LikelihoodValues:
     def _unscaled(self, z: np.ndarray) -> tuple[np.ndarray, Any]:
         """States (n_nodes, n_states), and the parameters of every trajectory."""
         values = self.point.unscaled(z)
-        theta = self.unknown.by_trajectory(values["theta"])
-        return values["x"].reshape(-1, self.n_states), theta
+        return values["x"], self.unknown.by_trajectory(values["theta"])
 
     def at(self, z: np.ndarray) -> PointValues:
         """Defects and output of the sensors, with their slopes, at z (n_variables,)."""

@@ -22,7 +22,7 @@ from phsi_opt.arguments import is_count, require, require_positive, require_size
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import SLACK_ABOVE, Program
-from phsi_opt.transcription.defects import defects, known_defects
+from phsi_opt.transcription.defects import defects, known_defects, map_nodes
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import (
     LikelihoodValues,
@@ -30,7 +30,6 @@ from phsi_opt.transcription.likelihood_values import (
     constraint_jacobian,
 )
 from phsi_opt.transcription.parameter_vector import Point, Theta
-from phsi_opt.transcription.sensors import outputs
 
 MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
@@ -170,7 +169,7 @@ class MaximumLikelihood:
         program.curvature = partial(constraint_curvature, values, x, of_runs)
         # Row by row (n_nodes, n_states) is CasADi's order column by column.
         measured = np.flatnonzero(grid.measured.ravel()).tolist()
-        shown = outputs(model, grid, x, of_runs) if model.sensor else x
+        shown = map_nodes(model.output(), grid, x, of_runs) if model.sensor else x
         misfit = ca.DM(grid.y.ravel()[measured]) - ca.vec(shown)[measured]
         noise = program.setting("sigma", sigma)
         residual = misfit / ca.vec(noise[grid.channel.tolist()])

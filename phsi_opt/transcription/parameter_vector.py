@@ -101,6 +101,12 @@ class Theta:
         column_by_column = self.table.T.ravel().tolist()
         return ca.reshape(theta[column_by_column], *self.table.shape)
 
+    def stacked(self, parameters: np.ndarray) -> np.ndarray:
+        """Theta from (n_free, n_trajectories): what `by_trajectory` takes apart."""
+        theta = np.zeros(len(self))
+        theta[self.table] = parameters
+        return theta
+
     def means(self, theta: np.ndarray) -> np.ndarray:
         """One value per model parameter, (n_free,): its mean over the trajectories."""
         if not len(theta):
@@ -154,9 +160,10 @@ class Point:
         return np.concatenate([self.theta, self.x.ravel()]) / self.scale
 
     def unscaled(self, z: np.ndarray) -> dict[str, np.ndarray]:
-        """Values of parameters and states, by block, from z (n,)."""
+        """Parameters, and states (n_nodes, n_states), by block, from z (n,)."""
         values = z * self.scale
-        return {"theta": values[self.of_theta], "x": values[self.of_x]}
+        x = values[self.of_x].reshape(self.x.shape)
+        return {"theta": values[self.of_theta], "x": x}
 
     @property
     def of_theta(self) -> slice:

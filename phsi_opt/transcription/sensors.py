@@ -5,14 +5,13 @@ clipping) the data are compared with their output. Noise is not part of a sensor
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import with_slopes
-from phsi_opt.transcription.defects import map_nodes
+from phsi_opt.transcription.defects import at_nodes
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -24,13 +23,12 @@ class OutputSlopes(NamedTuple):
     in_parameters: np.ndarray  # (n_nodes, n_states, n_free)
 
 
-def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
-    """The output of the sensors at the nodes, (n_states, n_nodes).
+def outputs(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """The output of the sensors at the nodes, (n_nodes, n_states) as the states x.
 
-    States x (n_states, n_nodes) are symbols or numbers; parameters theta are (n_free,),
-    or (n_free, n_trajectories).
+    Parameters theta are (n_free,), or (n_free, n_trajectories).
     """
-    return map_nodes(model.output(), grid, x, theta)
+    return at_nodes(model.output(), grid, x.T, theta)[0].T
 
 
 def outputs_at_samples(
@@ -42,18 +40,19 @@ def outputs_at_samples(
     """
     if not model.sensor:
         return tuple(states)
-    visible = np.array(outputs(model, grid, np.concatenate(states).T, theta))
-    return grid.split(visible.T)
+    return grid.split(outputs(model, grid, np.concatenate(states), theta))
 
 
-def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> OutputSlopes:
+def output_slopes(
+    model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
+) -> OutputSlopes:
     """Slopes of `outputs` at every node, for states (n_nodes, n_states)."""
     slopes = model.built(
         "output slopes", lambda: with_slopes(model.output(), "x", "theta")
     )
-    _, *parts = map_nodes(slopes, grid, ca.DM(x.T), theta)
-    shape = (grid.n_nodes, model.n_states, -1)
-    return OutputSlopes(*(part.full().T.reshape(shape) for part in parts))
+    _, *parts = at_nodes(slopes, grid, x.T, theta)
+    shape = (grid.n_nodes, model.n_states)
+    return OutputSlopes(*(one.T.reshape(*shape, len(one) // shape[1]) for one in parts))
 
 
 def output_slopes_in_theta(

@@ -201,7 +201,7 @@ def error(model: ph.Model, record: Shaken, n_first: int) -> float:
     Its starting state is estimated from these alone; what they do not tell stays small
     against the state after a second from rest.
     """
-    function = rates(model)
+    function = rates(model.rhs(), model.theta)
     x, u = ca.SX.sym("x", model.n_states), ca.SX.sym("u")
     dx = function(x, u, 0)
     of_positions = ca.Function("a", [x, u], [ca.jtimes(dx[:N], x, dx)])
