@@ -168,7 +168,7 @@ def test_a_users_name_is_shown_and_stands_in_no_path(name: str, tmp_path: Path) 
     session = Session(tmp_path / "own")
     assert session.upload(name, TABLE), session.upload_error
     assert session.draft.data is not None
-    assert session.draft.data.files == [name]
+    assert session.draft.content()["data"]["files"] == [name]
     assert session.draft.data.runs == [Path(name).stem]
     stored = [path.name for path in session.folder.rglob("*")]
     assert sorted(stored) == [

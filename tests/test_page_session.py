@@ -182,7 +182,7 @@ def test_another_sheet_or_group_of_a_file_is_chosen(make: Any, tmp_path: Path) -
     assert session.draft.content()["data"][key] == "slow"
     assert data.parts["held_out"].way == NOTHING, "what was said stays"
     assert session.upload(f"b{suffix}", content), session.upload_error
-    assert data.files == [f"a{suffix}", f"b{suffix}"]
+    assert list(data.places) == [f"a{suffix}", f"b{suffix}"]
     assert data.sheets[0] == "slow"
     (tmp_path / "again.toml").write_text(session.draft.as_it_is().text)
     told = toml_tables((tmp_path / "again.toml").read_text())
@@ -206,7 +206,7 @@ def test_tables_with_the_same_columns_are_runs_and_others_take_their_place(
     session.upload("b.csv", b"t;q\n0;2,5\n1;1\n2;4\n")
     assert data.runs == ["a", "b"]
     session.remove_file("a.csv")
-    assert data.files == ["b.csv"]
+    assert list(data.places) == ["b.csv"]
     assert data.columns[1].unit == "mm", "what was said of it stays"
     assert session.upload("c.csv", b"Zeit,Weg\n0,2\n1,1\n2,4\n"), session.upload_error
     assert session.draft.places.keys() == {"c.csv"}
@@ -229,12 +229,12 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     data = DataDraft({"a.csv": Path("a.csv")}, columns)
     match_states(data, GALLERY["pendulum"])
     assert columns[1].role == "not used"
+    force = data.with_role("input")[0]
+    force.table["name"] = "force"
     base = match_states(data, GALLERY["mass"])
     assert data.column_named(STATE, "q") is columns[1], "it comes back"
     assert data.column_named(STATE, "v") is columns[0], "a velocity is no momentum"
     assert data.unmeasured == {}
-    force = data.with_role("input")[0]
-    force.table["name"] = "force"
     draft = draft_of(base, data)
     assert (force.name, draft.names("inputs")) == ("u", ["u"])
     assert draft.table["F"] == {"q": "v", "v": "-(k*q + c*v)/m + u/m"}

@@ -148,13 +148,13 @@ def test_runs_are_named_by_a_column_that_has_few_names(table: Path) -> None:
     rows = [f"{'ab'[k // 3]},{k % 3},{k * k % 5}\n" for k in range(6)]
     seen = seen_in(table, "run,t,q\n" + "".join(rows))
     assert remarks(seen)["run"] == ("run", "2 runs")
-    assert (seen.n_runs, seen.n_lines) == (2, 6)
+    assert (len(seen.runs), seen.n_lines) == (2, 6)
     assert seen.span == (0.0, 2.0)
     # Not where there are as many as lines, or one alone.
     for names in ("abcdef", "aaaaaa"):
         rows = [f"{name},{k},{k * k % 5}\n" for k, name in enumerate(names)]
         seen = seen_in(table, "run,t,q\n" + "".join(rows))
-        assert seen.run is None and seen.n_runs == 1
+        assert seen.run is None and len(seen.runs) == 1
 
 
 # ---- what a column is

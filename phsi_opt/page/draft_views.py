@@ -176,11 +176,11 @@ class DataView:
             return
         with card():
             heading("Columns")
-            files = ", ".join(data.files)
+            files = ", ".join(data.places)
             runs = number_of(len(data.runs), "run")
             ui.label(f"{files}: {data.n_samples} samples, {runs}")
             with ui.row().classes("gap-2"):
-                for file in data.files:
+                for file in data.places:
                     drop = partial(run.io_bound, self.session.remove_file, file)
                     remove = ui.button(f"Remove {file}", on_click=drop)
                     remove.props("flat dense")

@@ -243,11 +243,6 @@ class DataDraft:
             draft.parts[section] = PartDraft.of(section, content.get(section, {}))
         return draft
 
-    @property
-    def files(self) -> list[str]:
-        """The names of the files, as their owner gave them."""
-        return list(self.places)
-
     def with_role(self, role: str) -> list[ColumnDraft]:
         """The columns of a role."""
         return [column for column in self.columns if column.role == role]
@@ -266,7 +261,11 @@ class DataDraft:
 
     def content(self, states: list[str]) -> Content:
         """The section [data] for a model of these states."""
-        content: Content = {"files": self.files, **self.settings, "time": self.time}
+        content: Content = {
+            "files": list(self.places),
+            **self.settings,
+            "time": self.time,
+        }
         for column in self.with_role(RUN):
             content["trajectory"] = column.column
         for column in self.with_role(TIME):

@@ -11,11 +11,9 @@ from phsi_opt.study_file.gallery import GALLERY, BaseModel, matched, with_units
 
 
 def draft_of(base: BaseModel, data: DataDraft | None) -> ModelDraft:
-    """A fresh draft; columns that are inputs get the names that the model has."""
-    columns = data.with_role(INPUT) if data else []
-    for column, name in matched(columns, base.input_units):
-        column.table["name"] = name
-    draft = ModelDraft.of(*base.sections([one.name for one in columns]), base.name)
+    """A fresh draft; its inputs are those of the data, after `match_states`."""
+    inputs = [one.name for one in data.with_role(INPUT)] if data else []
+    draft = ModelDraft.of(*base.sections(inputs), base.name)
     for one in draft.parameters:
         one.is_assumed = one.is_known
     return draft

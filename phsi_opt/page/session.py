@@ -21,7 +21,14 @@ from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
 
-from phsi_opt.errors import Complaint, DataError, PhsiOptError, some_of
+from phsi_opt.errors import (
+    Complaint,
+    DataError,
+    PhsiOptError,
+    StudyFileError,
+    some_of,
+)
+from phsi_opt.page import worker
 from phsi_opt.page.drafts import (
     MOST_FILES,
     STUDY_KIND,
@@ -38,15 +45,7 @@ from phsi_opt.page.drafts import (
     suffix_of,
 )
 from phsi_opt.page.gallery import draft_of, match_states
-from phsi_opt.page.worker import (
-    Done,
-    Order,
-    Refused,
-    Shown,
-    Verb,
-    WorkerHandle,
-    example,
-)
+from phsi_opt.page.worker import Order, Returned, Shown, WorkerHandle, example
 from phsi_opt.presentation.content import Follows, StudyContent
 from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.study_file.gallery import BaseModel
@@ -113,7 +112,7 @@ class Moment:
 class Job:
     """Work that goes on."""
 
-    verb: Verb
+    order: Order
     label: str  # such as "Fitting the base model"
     line: str = ""  # what the worker said last of the present model; "" for nothing yet
     # What it has done once its model is there, in words; "" where it goes on.
@@ -283,7 +282,7 @@ class Session:
             self.draft.data = data
             why = "is a separate table" if is_alike else "has other columns"
             if known is not None:
-                self.message = f"{name} {why}: it replaces {', '.join(known.files)}."
+                self.message = f"{name} {why}: it replaces {', '.join(known.places)}."
         self.check()
 
     def _look_at(self, places: dict[str, Path], known: DataDraft | None) -> DataDraft:
@@ -370,7 +369,7 @@ class Session:
     def is_diagnosing(self) -> bool:
         """Whether what the model that is shown lacks is being worked out."""
         is_open = self.content is not None and self.content.present is None
-        return is_open and self.job is not None and self.job.verb != Verb.REPORT
+        return is_open and self.job is not None and self.job.order.func != worker.report
 
     @property
     def is_stale(self) -> bool:
@@ -404,7 +403,7 @@ class Session:
             return
         self._fitting = self.draft.as_it_is()
         path = write_whole(self._state / FITTING_FILE, self._fitting.text)
-        order = Order(Verb.FIT, str(path), self._fitting.places, self._origin)
+        order = partial(worker.fit, path, self._fitting.places, self._origin)
         self._order("Fitting the base model", order, "Fitted")
 
     def average(self, n: int) -> None:
@@ -419,13 +418,13 @@ class Session:
 
     def diagnose(self) -> None:
         """Ask what the present model lacks."""
-        self._order("Diagnosing", Order(Verb.DIAGNOSE))
+        self._order("Diagnosing", partial(worker.diagnose))
 
     def add(self, *effects: str) -> None:
         """Add an effect of the ranking, or all that are proposed; ask again."""
         said = " and ".join(effects)
         what = effects[0] if len(effects) == 1 else ""
-        self._order(f"Adding {said}", Order(Verb.ADD, what), f"Added {said}")
+        self._order(f"Adding {said}", partial(worker.add, what), f"Added {said}")
 
     def go_to(self, number: int) -> None:
         """Show a model that was fitted, and go on from it; nothing is lost."""
@@ -483,12 +482,12 @@ class Session:
 
     def auto(self) -> None:
         """Add while an effect is decisive."""
-        self._order("Adding effects until none is missing", Order(Verb.AUTO))
+        self._order("Adding effects until none is missing", partial(worker.auto))
 
     def report(self) -> None:
         """Write the report; ``report_path`` is set when it is there."""
         self.report_path = None
-        order = Order(Verb.REPORT, str(self._state / REPORT_FILE))
+        order = partial(worker.report, self._state / REPORT_FILE)
         self._order("Writing the report", order)
 
     def cancel(self) -> None:
@@ -507,10 +506,10 @@ class Session:
         with self._checking:  # of two threads one begins
             if self.job is not None or self.is_closed:
                 return
-            self.job = Job(order.verb, label, done=done)
+            self.job = Job(order, label, done=done)
         self.message = ""
         self.failure = ""
-        model = None if order.verb == Verb.FIT else self.model
+        model = self.model if self._fitting is None else None
         self._ready_worker().tell(order, model.study if model else None)
         self.version += 1
 
@@ -533,24 +532,24 @@ class Session:
             return self._ready_reader().call(within, partial(read, *given))
 
     def _ready_reader(self) -> WorkerHandle:
-        if self._reader is None or not self._reader.is_alive:
+        if self._reader is None or not self._reader.process.is_alive():
             self._reader = WorkerHandle(self._receive, solves=False)
         self._idle_since = time.monotonic()
         return self._reader
 
     def _ready_worker(self) -> WorkerHandle:
-        if self._worker is None or not self._worker.is_alive:
+        if self._worker is None or not self._worker.process.is_alive():
             self._worker = WorkerHandle(self._receive)
         self._idle_since = time.monotonic()
         return self._worker
 
     def _end_worker(self) -> None:
-        worker = self._worker
+        ended = self._worker
         self._worker = None  # what it still says is not listened to
         self.job = None
         self._fitting = None
-        if worker is not None:
-            worker.end()
+        if ended is not None:
+            ended.end()
 
     @property
     def idle_seconds(self) -> float:
@@ -566,9 +565,9 @@ class Session:
         if self._reader is not None and not self._calling.locked():
             self._reader.end()
 
-    def _receive(self, worker: WorkerHandle, message: Any) -> None:
+    def _receive(self, sender: WorkerHandle, message: Any) -> None:
         """Take a message of the worker; called from its thread."""
-        if worker is not self._worker:
+        if sender is not self._worker:
             return
         if isinstance(message, str) and self.job is not None:
             self.job.line = message
@@ -579,19 +578,9 @@ class Session:
                 self.job.then = "drawing the law" if is_known else "diagnosing"
                 self.job.line = ""  # what was said before is of its making
             self._show(message)
-            worker.study = self.model.study if self.model else None
-        elif isinstance(message, tuple) and self.model and self.now is not None:
-            self.models[self.now] = replace(self.model, laws=message)
-        elif isinstance(message, Path):
-            self.report_path = message
-        elif isinstance(message, Refused):
-            self.message = self.failure = message.message
-            self.complaints = message.complaints or self.complaints
-            self._checked = Drafted("", {})
-        elif isinstance(message, Done):
-            self.job = None
-            self._fitting = None
-            self._idle_since = time.monotonic()
+            sender.study = self.model.study if self.model else None
+        elif isinstance(message, Returned):
+            self._end_job(message)
         elif message is None:  # it ended by itself, for want of memory perhaps
             if self.job is not None:
                 self.message = (
@@ -601,6 +590,22 @@ class Session:
                 )
             self._end_worker()
         self.version += 1
+
+    def _end_job(self, result: Returned) -> None:
+        error = result.error
+        if error is not None:
+            self.message = self.failure = str(error)
+            if isinstance(error, StudyFileError):
+                self.message = self.failure = "The draft cannot be used yet."
+                self.complaints = error.complaints
+            self._checked = Drafted("", {})
+        elif isinstance(result.value, Path):
+            self.report_path = result.value
+        elif self.model is not None and self.now is not None:
+            self.models[self.now] = replace(self.model, laws=result.value)
+        self.job = None
+        self._fitting = None
+        self._idle_since = time.monotonic()
 
     def _show(self, shown: Shown) -> None:
         """Take a new model, or what is known now of the one that is shown."""
@@ -618,7 +623,7 @@ class Session:
             self.now = len(self.models) - 1
             self._keep_moment()
             self._compare_with_base()
-            if self.job is None or self.job.verb == Verb.FIT:
+            if is_fitted:
                 self.look = Look(content.shown, content.shown_channel)
         else:
             assert self.now is not None

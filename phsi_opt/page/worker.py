@@ -13,8 +13,7 @@ import signal
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.resources import files
 from multiprocessing.connection import Connection
@@ -23,44 +22,21 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
+from phsi_opt.errors import DataError, PhsiOptError, StudyFileError
 from phsi_opt.presentation.content import StudyContent
 from phsi_opt.presentation.numbers import number_of
 from phsi_opt.study import Study
 from phsi_opt.study_file.kept_fits import KeptFits
 from phsi_opt.study_file.study_file import StudyFile
 
+Order = partial[Any]  # a function of a module, with its arguments
 WARMS_UP = "house"  # an example whose units take most to read
 Receiver = Callable[["WorkerHandle", Any], None]
 
 
-class Verb(StrEnum):
-    """What a worker can do."""
-
-    FIT = "fit"
-    DIAGNOSE = "diagnose"
-    ADD = "add"
-    AUTO = "auto"
-    REPORT = "report"
-
-
-@dataclass(frozen=True)
-class Order:
-    """What the worker is told: a verb, and what it needs."""
-
-    verb: Verb
-    # A path for ``FIT`` and ``REPORT``; for ``ADD`` the name of an effect, or "" for
-    # what the diagnosis proposes.
-    what: str = ""
-    # For ``FIT``: where the data files lie, by their names.
-    places: Mapping[str, Path] = field(default_factory=dict)
-    # For ``FIT``: the study file beside which commands have kept fits, if any.
-    origin: Path | None = None
-
-
 @dataclass(frozen=True)
 class Returned:
-    """What a function returned that was to be called, or why it could not."""
+    """What an order returned, or why it could not be carried out."""
 
     value: Any = None
     error: DataError | None = None
@@ -72,19 +48,6 @@ class Shown:
 
     content: StudyContent
     study: bytes
-
-
-@dataclass(frozen=True)
-class Refused:
-    """Why an order could not be carried out; with the complaints about a study file."""
-
-    message: str
-    complaints: tuple[Complaint, ...] = ()
-
-
-@dataclass(frozen=True)
-class Done:
-    """The order is carried out, or refused; the worker waits for the next."""
 
 
 def example(name: str) -> Path:
@@ -134,9 +97,7 @@ class WorkerHandle:
 
     Args:
         on_message: called from the listening thread with every message (a line of
-            progress, `Shown`, the laws of effects that were added, the `Path` of a
-            report, `Refused`, `Done`), and with None
-            when the process has ended.
+            progress, `Shown`, `Returned`), and with None when the process has ended.
         solves: whether it gets ready to solve; else it is for `call`.
     """
 
@@ -145,11 +106,12 @@ class WorkerHandle:
         self._connection, theirs = context.Pipe()
         self._returned: SimpleQueue[Returned | None] = SimpleQueue()
         self._on_message = on_message
-        self._orders: SimpleQueue[tuple[Any, bytes] | None] = SimpleQueue()
+        self._solves = solves
+        self._orders: SimpleQueue[tuple[Order, bytes] | None] = SimpleQueue()
         self.study: Path | None = None  # where the one is kept that it has
         arguments = (theirs, solves)
-        self._process = context.Process(target=work, args=arguments, daemon=True)
-        self._process.start()
+        self.process = context.Process(target=work, args=arguments, daemon=True)
+        self.process.start()
         theirs.close()  # else the pipe would not break when the worker ends
         threading.Thread(target=self._listen, daemon=True).start()
         threading.Thread(target=self._write, daemon=True).start()
@@ -157,12 +119,7 @@ class WorkerHandle:
     @property
     def pid(self) -> int:
         """The number of the process."""
-        return self._process.pid or 0
-
-    @property
-    def is_alive(self) -> bool:
-        """Whether the process is there."""
-        return self._process.is_alive()
+        return self.process.pid or 0
 
     def tell(self, order: Order, study: Path | None = None) -> None:
         """Send an order; the worker takes it when the one before is done."""
@@ -170,17 +127,17 @@ class WorkerHandle:
         sent = study.read_bytes() if study and study != known else b""
         self._orders.put((order, sent))
 
-    def call(self, within: float | None, function: "partial[Any]") -> Any:
-        """What a function returns in the process, which ends if that takes too long.
+    def call(self, within: float | None, order: Order) -> Any:
+        """What an order returns in the process, which ends if that takes too long.
 
         Args:
             within: seconds; None: as many as it takes.
-            function: with its arguments.
+            order: a function with its arguments.
 
         Raises:
-            DataError: the function refuses; it took too long; the process ended.
+            DataError: the order is refused; it took too long; the process ended.
         """
-        self._orders.put((function, b""))
+        self.tell(order)
         try:
             returned = self._returned.get(timeout=within)
         except Empty:
@@ -200,9 +157,9 @@ class WorkerHandle:
 
     def end(self) -> None:
         """End the process: politely, and after a second in any case."""
-        for end in (self._process.terminate, self._process.kill):
+        for end in (self.process.terminate, self.process.kill):
             end()
-            self._process.join(1.0)
+            self.process.join(1.0)
 
     def _listen(self) -> None:
         message: Any = ""
@@ -212,10 +169,10 @@ class WorkerHandle:
             except (EOFError, OSError):
                 message = None
                 self._orders.put(None)
-            if message is None or isinstance(message, Done):
-                TURNS.give_back(self)
             if message is None or isinstance(message, Returned):
-                self._returned.put(message)
+                TURNS.give_back(self)
+                if not self._solves:  # `call` waits for it
+                    self._returned.put(message)
             self._on_message(self, message)
 
     def _write(self) -> None:
@@ -223,7 +180,7 @@ class WorkerHandle:
         with suppress(OSError):  # the process has ended; the other thread tells
             while (told := self._orders.get()) is not None:
                 order, study = told
-                if isinstance(order, Order):  # a call takes no long time
+                if self._solves:  # to read takes no long time
                     TURNS.take(self, partial(self._on_message, self))
                 if study:
                     self._connection.send_bytes(study)
@@ -234,57 +191,40 @@ class WorkerHandle:
 # ---- the process ---------------------------------------------------------------------
 
 
-class _Pipe:
-    """The end of the pipe of this process; progress lines go through it."""
+class _Process:
+    """What this process has: its end of the pipe, and the study once it is fitted."""
 
     connection: Connection | None = None
+    study: Study | None = None
 
 
-def tell(line: str) -> None:
+def tell(message: Any) -> None:
     """Send a line of progress; a study keeps this function, so it has a name."""
-    if _Pipe.connection is not None:
-        _Pipe.connection.send(line)
+    if _Process.connection is not None:
+        _Process.connection.send(message)
 
 
 def work(connection: Connection, solves: bool) -> None:
     """Carry out orders until the pipe breaks; messages go back through it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
-    _Pipe.connection = connection
+    _Process.connection = connection
     is_needed = connection.poll() or not solves
     orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
-    study: Study | None = None
     if not is_needed:  # everything is imported and compiled before it is needed
         StudyFile.read(example(WARMS_UP)).study().content(forces=True)
     while True:
         order = orders.get()
         if isinstance(order, Study):
-            study = order
-            continue
-        if isinstance(order, partial):
+            _Process.study = order
+        else:
             connection.send(_returned(order))
-            continue
-        try:
-            if order.verb == Verb.FIT:
-                study = _fitted(order)
-            if study is None:
-                answer: Any = Refused("Nothing has been fitted yet; press Fit first.")
-            else:
-                answer = _carried_out(study, order, connection.send)
-        except StudyFileError as error:
-            answer = Refused("The draft cannot be used yet.", error.complaints)
-        except PhsiOptError as error:
-            answer = Refused(str(error))
-        except Exception as error:  # the page says it; the process goes on
-            answer = Refused(f"This is a bug in phsi_opt: {error!r}")
-        connection.send(answer)
-        connection.send(Done())
 
 
-def _returned(function: "partial[Any]") -> Returned:
+def _returned(order: Order) -> Returned:
     try:
-        return Returned(function())
+        return Returned(order())
     except StudyFileError as error:
         return Returned(error=error)
     except PhsiOptError as error:
@@ -292,15 +232,6 @@ def _returned(function: "partial[Any]") -> Returned:
     except Exception as error:  # the page says it; the process goes on
         said = f"This is a bug in phsi_opt: {error!r}"
     return Returned(error=DataError(said))
-
-
-def _fitted(order: Order) -> Study:
-    """The study of a file, with the fits that commands have kept; none is added."""
-    file = StudyFile.read(order.what, order.places)
-    if order.origin is None:
-        return file.study(tell)
-    kept = KeptFits.of(order.origin, file, file.split()[0])
-    return file.study(tell, kept=kept)
 
 
 def _listen(connection: Connection, orders: "SimpleQueue[Any]") -> None:
@@ -312,28 +243,64 @@ def _listen(connection: Connection, orders: "SimpleQueue[Any]") -> None:
             os._exit(0)
 
 
-def _carried_out(study: Study, order: Order, send: Callable[[Shown], None]) -> Any:
-    """Do it, sending what there is on the way; return the last message."""
-    if order.verb == Verb.REPORT:
-        return study.report(order.what)
-    if order.verb == Verb.ADD:
-        study.add(order.what or None)
-    n_steps = 0
-    while len(study.steps) > n_steps:
-        n_steps = len(study.steps)
-        if study.record.present is None:
-            study.record = replace(study.record, stopped="")  # it goes on
-            send(_shown(study))
-            study.diagnose()
-            send(_shown(study))
-        if order.verb == Verb.AUTO:
-            study.auto(max_steps=1)
-    if order.verb == Verb.AUTO:
-        send(_shown(study))  # with why it stopped
+# ---- orders to the process that solves; all but a report return the laws -------------
+
+
+def fit(path: Path, places: Mapping[str, Path], origin: Path | None) -> Any:
+    """Fit a study file, with the fits that commands kept beside ``origin``; diagnose.
+
+    Args:
+        path: of the study file.
+        places: where the data files lie, by their names.
+        origin: the study file beside which commands have kept fits, if any.
+    """
+    file = StudyFile.read(path, places)
+    kept = KeptFits.of(origin, file, file.split()[0]) if origin else None
+    _Process.study = file.study(tell, kept=kept)
+    return diagnose()
+
+
+def diagnose() -> Any:
+    """Diagnose the last step, and show it before and after."""
+    study = _study()
+    if study.record.present is None:
+        study.record = replace(study.record, stopped="")  # it goes on
+        _show(study)
+        study.diagnose()
+        _show(study)
     return study.record.laws()  # the verdict does not wait for these
 
 
-def _shown(study: Study) -> Shown:
-    """What is shown of a study, with the study itself."""
+def add(effect: str) -> Any:
+    """Add an effect by its name, or with "" what the diagnosis proposes; diagnose."""
+    _study().add(effect or None)
+    return diagnose()
+
+
+def auto() -> Any:
+    """Add while an effect is decisive."""
+    study = _study()
+    n_steps = 0
+    while len(study.steps) > n_steps:
+        n_steps = len(study.steps)
+        diagnose()
+        study.auto(max_steps=1)
+    _show(study)  # with why it stopped
+    return study.record.laws()
+
+
+def report(path: Path) -> Path:
+    """Write the report."""
+    return _study().report(path)
+
+
+def _study() -> Study:
+    if _Process.study is None:
+        raise DataError("Nothing has been fitted yet; press Fit first.")
+    return _Process.study
+
+
+def _show(study: Study) -> None:
+    """Send what is shown of a study, with the study itself."""
     content = study.content(forces=True)
-    return Shown(content, bytes(ForkingPickler.dumps(study)))
+    tell(Shown(content, bytes(ForkingPickler.dumps(study))))

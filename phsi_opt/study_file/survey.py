@@ -68,13 +68,9 @@ class ReadKey(NamedTuple):
     said: str
     is_set: bool = False  # whether the study file has to say it
 
-    @property
-    def value(self) -> str:
-        """What stands behind the key."""
-        return toml_value(self.content)
-
     def __str__(self) -> str:
-        return f"{self.key + ' = ' + self.value:<17} {self.said}"
+        entry = f"{self.key} = {toml_value(self.content)}"
+        return f"{entry:<17} {self.said}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,25 +128,21 @@ class TableSurvey:
         """The lines below the header."""
         return len(self.table.frame)
 
-    @property
-    def n_runs(self) -> int:
-        """The runs that a column tells, or a clock that begins anew."""
-        return len(self.runs)
-
     @cached_property
     def runs(self) -> list[str]:
-        """The names of the runs, as those of the measurements."""
-        time = self.time
+        """The names of the runs that a column tells, or a clock that begins anew."""
         if self.run is not None:
             return self.run.cells.unique().tolist()
-        has_values = time is not None and time.values is not None
-        n = len(time.clock_runs(None)) if time is not None and has_values else 1
+        time = self.time
+        n = 1
+        if time is not None and time.values is not None:
+            n = len(time.clock_runs(None))
         return names_of_parts(self.table.run, n)
 
     @property
     def is_long(self) -> bool:
         """Whether its runs have so many lines that a study takes long."""
-        return self.n_lines / self.n_runs > 5000
+        return self.n_lines / len(self.runs) > 5000
 
     @property
     def span(self) -> tuple[float, float] | None:
@@ -174,7 +166,7 @@ class TableSurvey:
 
         At least 2000 of a run are left.
         """
-        n = self.n_lines // self.n_runs // 2000 if self.is_long else 1
+        n = self.n_lines // len(self.runs) // 2000 if self.is_long else 1
         surely = [one for one in self.of_part(STATE) if not one.may_be_input]
         while n > 1 and not all(_is_kept(one.values, n) for one in surely):
             n //= 2
