@@ -24,7 +24,7 @@ from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.slots import Entry, place_of
+from phsi_opt.model.slots import Entry
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.column_function import in_rows
 from phsi_opt.simulation.simulate import BufferedFunction
@@ -254,7 +254,7 @@ def _released(model: Model, values: Mapping[str, float]) -> Model:
             return parameter
         return replace(parameter, lower=-np.inf, upper=np.inf)
 
-    return model.with_parameters(released)
+    return model.with_parameters(released, model.entries)
 
 
 # ---- where it starts (thesis appendix B, Section 5.1) -------------------------------
@@ -294,11 +294,12 @@ def _thesis_starts(model: Model) -> dict[str, float]:
     """Start of every coefficient by the kind of its term."""
     factors = {*model.states, *model.inputs, "t", "1"}
     starts = {}
-    for slot, equation, term in model.placed():
-        without_powers = re.sub(r"\s|\*\*[1-9]\d*", "", term.body)
+    for placed in model.placed():
+        without_powers = re.sub(r"\s|\*\*[1-9]\d*", "", placed.term.body)
         is_monomial = set(without_powers.split("*")) <= factors
-        kind = "damping" if slot == "R" else "polynomial" if is_monomial else "function"
-        if not term.is_formula:
-            name = term.coefficient_name(place_of(slot, equation))
-            starts[name] = THESIS_STARTS[kind]
+        kind = "polynomial" if is_monomial else "function"
+        if placed.slot == "R":
+            kind = "damping"
+        if not placed.term.is_formula:
+            starts[placed.parameter_name()] = THESIS_STARTS[kind]
     return starts

@@ -17,7 +17,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share, Tried
-from phsi_opt.model.slots import PlacedTerm, place_of
+from phsi_opt.model.slots import PlacedTerm
 from phsi_opt.model.symbolic import terms_function
 from phsi_opt.optimization.column_function import in_numbers
 from phsi_opt.presentation.units import frequency_words, scale_of, spaced
@@ -60,10 +60,10 @@ def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
     (n_nodes, n_states) too, also where it has a value already; those of a memory may
     lack.
     """
-    for slot, equation, term in model.placed():
-        for inner, parameter in term.inner.items():
+    for placed in model.placed():
+        for inner, parameter in placed.term.inner.items():
             guess = parameter.guess
-            name = term.inner_name(inner, place_of(slot, equation))
+            name = placed.parameter_name(inner)
             value = parameter.value
             if isinstance(guess, Share) and value is None:
                 values = values_at(model, grid, x, guess.of)

@@ -22,7 +22,6 @@ from phsi_opt.initialization.relative_guesses import values_at
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan
-from phsi_opt.model.slots import place_of
 from phsi_opt.model.symbolic import argument_symbols
 from phsi_opt.optimization.bounded_step import bounded_least_squares
 from phsi_opt.statistics import local_maxima
@@ -186,15 +185,14 @@ class FrequencyScan:
 def frequency_scans(model: Model) -> list[FrequencyScan]:
     """The frequencies of a model that are to be scanned, without a value yet."""
     found: dict[str, FrequencyScan] = {}
-    for slot, equation, term in model.placed():
-        place = place_of(slot, equation)
-        for inner, parameter in term.inner.items():
+    for placed in model.placed():
+        for inner, parameter in placed.term.inner.items():
             guess = parameter.guess
-            is_open = parameter.value is None and not term.is_formula
+            is_open = parameter.value is None and not placed.term.is_formula
             if isinstance(guess, Scan) and is_open:
-                name = term.inner_name(inner, place)
+                name = placed.parameter_name(inner)
                 scan = found.get(name, FrequencyScan(name, guess.variable, ()))
-                amplitudes = (*scan.amplitudes, term.coefficient_name(place))
+                amplitudes = (*scan.amplitudes, placed.parameter_name())
                 found[name] = replace(scan, amplitudes=amplitudes)
     return list(found.values())
 
@@ -215,9 +213,9 @@ def imitators(model: Model) -> set[str]:
 def _terms_of(variable: str, model: Model) -> set[str]:
     """Coefficients of the terms in F that contain the variable."""
     found = set()
-    for slot, equation, term in model.placed():
-        if slot == "F" and variable in names_of(term.body):
-            found.add(term.coefficient_name(place_of(slot, equation)))
+    for placed in model.placed():
+        if placed.slot == "F" and variable in names_of(placed.term.body):
+            found.add(placed.parameter_name())
     return found
 
 

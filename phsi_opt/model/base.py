@@ -7,11 +7,11 @@ makes a new record.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -45,14 +45,15 @@ class BaseModel:
     """
 
     states: Sequence[str]  # a tuple once checked
-    inputs: Sequence[str] = ()
-    R: Mapping[str, Dictionary] = field(default_factory=dict)
-    F: Mapping[str, Dictionary] = field(default_factory=dict)
-    sensor: Mapping[str, Dictionary] = field(default_factory=dict)
-    S: Any = None  # a tuple of rows once checked
-    H: Dictionary = field(default_factory=Dictionary)
-    memory: Sequence[str] = ()
-    kind: Any = field(default_factory=dict)  # a mapping from states once checked
+    inputs: Sequence[str]
+    R: Mapping[str, Dictionary]
+    F: Mapping[str, Dictionary]
+    sensor: Mapping[str, Dictionary]
+    S: Any  # a tuple of rows once checked
+    H: Dictionary
+    memory: Sequence[str]
+    kind: Any  # a mapping from states once checked
+    has_energy: ClassVar[bool] = True  # whether efforts are dH/dx; else the states
 
     # ---- what is allowed -------------------------------------------------------------
 
@@ -96,8 +97,8 @@ class BaseModel:
             given[slot] = dict(getattr(self, slot))
         known: dict[str, Parameter] = {}
         for terms in chain.from_iterable(map(dict.values, given.values())):
-            if isinstance(terms, Dictionary):
-                known |= terms.of_formulas
+            for term in terms if isinstance(terms, Dictionary) else ():
+                known |= term.inner if term.is_formula else {}
         for slot, equations in given.items():
             for equation, terms in equations.items():
                 if isinstance(terms, str):
@@ -108,11 +109,6 @@ class BaseModel:
             self._set(slot, MappingProxyType(equations))
 
     # ---- what it consists of ---------------------------------------------------------
-
-    @property
-    def has_energy(self) -> bool:
-        """Whether the model flows by an energy H, so that its efforts are dH/dx."""
-        return True
 
     @property
     def n_states(self) -> int:
@@ -136,14 +132,6 @@ class BaseModel:
         The effort of a momentum is a velocity, that of a storage a level.
         """
         return self.variables.efforts
-
-    @property
-    def slopes(self) -> tuple[str, ...]:
-        """Names of the slopes dF/du_i in formulas of F.
-
-        They are those of the equation's other force terms, in each input.
-        """
-        return self.variables.slopes
 
     def index(self, state: str, what: str = "state") -> int:
         """Position of a state among the states.
@@ -170,12 +158,12 @@ class BaseModel:
                 rows += [PlacedTerm(slot, equation, term) for term in terms]
         return rows
 
-    @property
+    @cached_property
     def names_in_formulas(self) -> tuple[str, ...]:
         """Names of the parameters in formulas, which a user gave."""
         names: dict[str, Parameter] = {}
-        for placed in self.placed():
-            names |= Dictionary((placed.term,)).of_formulas
+        for _, _, term in self.placed():
+            names |= term.inner if term.is_formula else {}
         return tuple(names)
 
     # ---- its parameters --------------------------------------------------------------
@@ -213,31 +201,27 @@ class BaseModel:
             ModelError: the effect's equation is unknown, or its slot is not in the
                 model.
         """
-        larger = self._with_memory(effect.memory) if effect.memory else self
-        if effect.slot == "H" and not self.has_energy:
+        slot = effect.slot
+        equation = effect.equation
+        if slot == "H" and not self.has_energy:
             raise ModelError(
                 f"effect {effect.name!r} changes an energy, "
                 f"but a {type(self).__name__} model has none."
             )
-        terms = larger.terms_at(effect.slot, effect.equation) + effect.term
-        changed: dict[str, Any] = {"H": terms}
-        if effect.slot != "H":
-            larger.index(effect.equation, f"equation of effect {effect.name!r}:")
-            by_equation = getattr(larger, effect.slot)
-            changed = {effect.slot: {**by_equation, effect.equation: terms}}
-        return replace(larger, **changed)
-
-    def _with_memory(self, memory: Mapping[str, Dictionary]) -> Self:
-        n_states = self.n_states + len(memory)
-        S = np.zeros((n_states, n_states))
+        states = (*self.states, *effect.memory)
+        S = np.zeros((len(states), len(states)))
         S[: self.n_states, : self.n_states] = self.S
-        return replace(
-            self,
-            states=(*self.states, *memory),
-            S=S,
-            F={**self.F, **memory},
-            memory=(*self.memory, *memory),
-        )
+        changed: dict[str, Any] = {"F": {**self.F, **effect.memory}}
+        if slot == "H":
+            changed["H"] = self.H + effect.term
+        else:
+            said = f"equation of effect {effect.name!r}: {equation!r} is not a state"
+            require_known(equation, states, f"{said} of the model")
+            terms = dict(changed.get(slot, getattr(self, slot)))
+            terms[equation] = terms.get(equation, Dictionary()) + effect.term
+            changed[slot] = terms
+        memory = (*self.memory, *effect.memory)
+        return replace(self, states=states, S=S, memory=memory, **changed)
 
     @typed
     def without(self, names: set[str]) -> Self:
@@ -272,11 +256,9 @@ class BaseModel:
 
         if all(self.entries[name].parameter.value == v for name, v in values.items()):
             return self
-
-        def valued(name: str, parameter: Parameter) -> Parameter:
-            return with_value(parameter, values[name]) if name in values else parameter
-
-        return self.with_parameters(valued)
+        return self.with_parameters(
+            lambda name, parameter: with_value(parameter, values[name]), values
+        )
 
     def with_fixed(self, values: Mapping[str, float]) -> Self:
         """A new model with the named parameters known: fixed at these values.
@@ -300,14 +282,12 @@ class BaseModel:
         """
 
         def bounded(name: str, parameter: Parameter) -> Parameter:
-            if name not in bounds or bounds[name] >= parameter.upper:
-                return parameter
-            upper = bounds[name]
+            upper = min(bounds[name], parameter.upper)
             value = parameter.value
             within = None if value is None else min(value, upper)
             return replace(parameter, upper=upper, value=within)
 
-        return self.with_parameters(bounded)
+        return self.with_parameters(bounded, bounds)
 
     def frozen(self) -> Self:
         """A new model with every parameter fixed at its present value."""
@@ -326,18 +306,19 @@ class BaseModel:
 
     def _with_settings(self, names: Collection[str], **settings: Any) -> Self:
         """A new model with the same settings for the named parameters."""
+        return self.with_parameters(lambda _, one: replace(one, **settings), names)
 
-        def changed(name: str, parameter: Parameter) -> Parameter:
-            return replace(parameter, **settings) if name in names else parameter
+    def with_parameters(
+        self, change: Callable[[str, Parameter], Parameter], names: Collection[str]
+    ) -> Self:
+        """A new model with each of the named parameters (by its name) changed."""
 
-        return self.with_parameters(changed)
-
-    def with_parameters(self, change: Callable[[str, Parameter], Parameter]) -> Self:
-        """A new model with each parameter (by its name) changed."""
+        def chosen(name: str, parameter: Parameter) -> Parameter:
+            return change(name, parameter) if name in names else parameter
 
         def changed(place: str, terms: Dictionary) -> Dictionary:
             return Dictionary(
-                tuple(term.with_parameters(place, change) for term in terms)
+                tuple(term.with_parameters(place, chosen) for term in terms)
             )
 
         return replace(self, **self._changed_slots(changed))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import chain, combinations, permutations, product
 
+import casadi as ca
 import numpy as np
 
 from phsi_opt.arguments import typed
@@ -44,7 +45,7 @@ from phsi_opt.model.structure import (
     storage_states,
     with_kinds_of_units,
 )
-from phsi_opt.model.symbolic import output_function, rhs_function, with_slopes
+from phsi_opt.model.symbolic import Expressions, function_of, with_slopes
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.units import are_alike, rate_unit
 
@@ -246,7 +247,7 @@ def inertia_words(model: BaseModel, effect: Effect, units: Mapping[str, str]) ->
     """Such as " (per inertia)", where the size is no force but a rate."""
     term = effect.term.terms[-1]
     is_rate = effect.slot in "RF" and term.coefficient is not None
-    if not is_rate or names_of(term.body) & set(model.slopes):
+    if not is_rate or names_of(term.body) & set(model.variables.slopes):
         return ""
     known = with_kinds_of_units(model, units)
     x = effect.equation
@@ -392,12 +393,13 @@ def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
     x = random.normal(size=(larger.n_states, n))
     u = random.normal(size=(larger.n_inputs, n))
     t = random.uniform(0, 3, (1, n))
-    parts = []
-    for function in (rhs_function(larger), output_function(larger)):
-        slopes = with_slopes(function, "theta").map("slopes", "serial", n, [3], [])
-        columns = np.array(slopes(x, u, t, theta)[1]).T
-        parts.append(columns.reshape(-1, len(theta)))
-    return np.nan_to_num(np.vstack(parts))
+
+    def values_of(parts: Expressions) -> ca.SX:
+        return ca.vertcat(*map(ca.SX, parts.rates), parts.shown)
+
+    function = with_slopes(function_of(larger, "values", values_of), "theta")
+    slopes = function.map("slopes", "serial", n, [3], [])(x, u, t, theta)[1]
+    return np.nan_to_num(np.array(slopes).T.reshape(-1, len(theta)))
 
 
 Given = Sequence[Effect | str]
@@ -491,10 +493,7 @@ def _all_meant(given: Given, offered: list[Effect]) -> list[Effect]:
     """The effects themselves, and those of the catalogue that names stand for."""
     found = []
     for one in given:
-        if isinstance(one, Effect):
-            found.append(one)
-        else:
-            found += _meant(one, offered)
+        found += [one] if isinstance(one, Effect) else _meant(one, offered)
     return found
 
 

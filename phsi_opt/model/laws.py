@@ -323,31 +323,29 @@ class Law:
 
     def effect(self, model: BaseModel, names: Mapping[str, str]) -> Effect | None:
         """The effect in the equation of ``{x}``; None where it is not offered."""
-        try:
-            return self._filled(model, names)
-        except KeyError:  # the equation has no position, or no such input
-            return None
-
-    def _filled(self, model: BaseModel, names: Mapping[str, str]) -> Effect | None:
-        name = self.name.format_map(names)
-        names = {**names, "name": name.replace(" ", "_")}
-        slot, terms = self.slot, self.terms
+        slot = self.slot
+        terms = self.terms
         if slot == "H" and not model.has_energy:
             slot = "F"
             terms = dict.fromkeys([self.force] if self.force else [], *terms.values())
-        if slot == "sensor":
-            names["inertia"] = ""
         known = {one.body for one in model.terms_at(slot, names["x"])}
-        added = [_term(*one, names) for one in terms.items()]
-        added = [one for one in added if one.body not in known]
-        if not added:
-            return None
         memory = {}
-        for first, rates in MEMORIES.items():
-            for state, rate in rates.items() if first in "".join(terms) else ():
-                rate_term = _term(rate, "formula", names)
-                memory[state.format_map(names)] = Dictionary((rate_term,))
-        family = self.family.format_map(names)
+        try:
+            name = self.name.format_map(names)
+            names = {**names, "name": name.replace(" ", "_")}
+            if slot == "sensor":
+                names["inertia"] = ""
+            added = [_term(*one, names) for one in terms.items()]
+            added = [one for one in added if one.body not in known]
+            if not added:
+                return None
+            for first, rates in MEMORIES.items():
+                for state, rate in rates.items() if first in "".join(terms) else ():
+                    rate_term = _term(rate, "formula", names)
+                    memory[state.format_map(names)] = Dictionary((rate_term,))
+            family = self.family.format_map(names)
+        except KeyError:  # the equation has no position, or no such input
+            return None
         sum_of_terms = Dictionary(tuple(added))
         return Effect(name, slot, names["x"], sum_of_terms, memory, family)
 

@@ -131,10 +131,9 @@ def mechanical(
 
     R = by_momentum("R", losses)
     H = Dictionary()
-    for momentum, one in zip(momenta, masses, strict=True):
-        H += variables.formula(f"{momentum}**2/(2*{one})", "H", known)
-    for potential in filter(None, potentials):
-        H += variables.formula(_text(potential), "H", known)
+    energies = map("{}**2/(2*{})".format, momenta, masses)
+    for energy in (*energies, *map(_text, filter(None, potentials))):
+        H += variables.formula(energy, "H", known)
     F = by_momentum("F", forces_left)
     S = canonical(len(positions))
     model = PseudoHamiltonian(

@@ -9,7 +9,7 @@ here knows of data, losses or solvers.
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Self, TypeVar, cast
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 import casadi as ca
 import numpy as np
@@ -19,11 +19,11 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel, checked_structure
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.expressions import evaluate
 from phsi_opt.model.symbolic import (
-    formulas_function,
+    Expressions,
+    function_of,
     model_summary,
-    output_function,
-    rhs_function,
     with_slopes,
 )
 from phsi_opt.model.terms import Dictionary
@@ -114,7 +114,7 @@ class Model(BaseModel, Summarised):
 
     def rhs(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, theta in the order of `free`."""
-        return self.built("rhs", lambda: rhs_function(self))
+        return self._made("rhs", lambda one: ca.vertcat(*map(ca.SX, one.rates)))
 
     def rhs_slopes(self, argument: str) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, and its slopes row by row.
@@ -126,15 +126,24 @@ class Model(BaseModel, Summarised):
 
     def output(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
-        return self.built("output", lambda: output_function(self))
+        return self._made("output", lambda one: one.shown)
 
     def function(self, *formulas: str) -> ca.Function:
         """CasADi function (x, u, t, theta) -> values of the formulas, as one column.
 
         The formulas know the states, the inputs, t, the efforts and the parameters.
         """
-        key = ("formulas", *formulas)
-        return self.built(key, lambda: formulas_function(self, formulas))
+
+        def values(parts: Expressions) -> ca.SX:
+            known = {**parts.known, **parts.values}
+            return ca.vertcat(*(ca.SX(evaluate(text, known)) for text in formulas))
+
+        return self._made("formulas", values, *formulas)
+
+    def _made(
+        self, name: str, value: Callable[[Expressions], ca.SX], *key: str
+    ) -> ca.Function:
+        return self.built((name, *key), lambda: function_of(self, name, value))
 
     def with_values(self, values: Mapping[str, float]) -> Self:
         """A new model with the named parameters set.
@@ -171,21 +180,15 @@ class Model(BaseModel, Summarised):
         # Values of unknown parameters are arguments, and bounds, units and guesses are
         # for others.
         terms = []
-        for slot, equation, term in self.placed():
-            inner = tuple(term.inner)
-            terms.append((slot, equation, term.body, term.name, term.is_formula, inner))
+        for *at, term in self.placed():
+            terms.append((*at, term.body, term.name, term.is_formula, *term.inner))
         numbers = [
             (name, value.hex())
             for name, value in self.values.items()
             if self.entries[name].parameter.fixed
         ]
-        return (
-            type(self),
-            (self.states, self.inputs, self.memory, self.S),
-            tuple(terms),
-            self.free,
-            tuple(numbers),
-        )
+        structure = (type(self), self.states, self.inputs, self.memory, self.S)
+        return (*structure, tuple(terms), self.free, tuple(numbers))
 
 
 @dataclass(frozen=True, kw_only=True, init=False, repr=False)
@@ -286,6 +289,8 @@ class FirstOrder(Model):
         ('a',)
     """
 
+    has_energy: ClassVar[bool] = False
+
     @typed
     def __init__(
         self,
@@ -314,8 +319,3 @@ class FirstOrder(Model):
             memory=memory,
             kind=kind,
         )
-
-    @property
-    def has_energy(self) -> bool:
-        """False, because the efforts are the states."""
-        return False

@@ -13,6 +13,7 @@ equation is asked by itself.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import CONSTANTS, FUNCTIONS, Backend, evaluate
 from phsi_opt.model.parameters import Parameter, Scan, Tried
-from phsi_opt.model.slots import PlacedTerm, place_of
+from phsi_opt.model.slots import PlacedTerm
 from phsi_opt.presentation.units import (
     RADIAN,
     Powers,
@@ -35,6 +36,7 @@ from phsi_opt.presentation.units import (
     unit_per,
 )
 
+WHOLE_ENERGY = "energy H"  # as the equations call it; no parameter has a blank
 MOMENTUM = "kg m/s"  # as people write it, not N s
 # A number beyond this one, or one that is no multiple of a quarter, may be a constant
 # of physics with a unit of its own, such as 9.81.
@@ -81,11 +83,15 @@ HEATS = ("W", "W/K", "J/K", "W/K^2", "W/K^4")
 
 def drive_of(unit: str) -> str:
     """The unit of what drives a state of a unit, such as N of m/s; "": not known."""
-    powers = {**(powers_in_base_units(unit) or {}), RADIAN: 0.0}
+    powers = _without_angles(unit)
     for of, drive in DRIVES.items():
-        if {**(powers_in_base_units(of) or {}), RADIAN: 0.0} == powers:
+        if _without_angles(of) == powers:
             return drive
     return ""
+
+
+def _without_angles(unit: str) -> Powers:
+    return {**(powers_in_base_units(unit) or {}), RADIAN: 0.0}
 
 
 def named_units(
@@ -121,6 +127,15 @@ def _known(units: Mapping[str, str]) -> dict[str, str]:
     return {name: unit for name, unit in units.items() if unit}
 
 
+def stated_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
+    """The units given, and those of the parameters of which a person gave the unit."""
+    stated = dict(units)
+    for name, entry in model.entries.items():
+        if is_stated(entry.parameter):
+            stated[name] = entry.parameter.unit
+    return stated
+
+
 def is_stated(parameter: Parameter) -> bool:
     """Whether a person gave the unit; the catalogue's times are in seconds."""
     return bool(parameter.unit) and parameter.guess is None
@@ -128,18 +143,30 @@ def is_stated(parameter: Parameter) -> bool:
 
 def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
     """The powers of the units by parameter and state, as far as they are determined."""
-    whole = Equations.of(model)
+    stated = stated_units(model, units)
+    whole = Equations(model)
     for numbers_are_pure in (True, False):
         for split in (powers_as_written, powers_in_base_units, _unambiguous):
-            powers = whole.solution(units, split, numbers_are_pure)
+            powers = whole.solved(_readable(stated, split), numbers_are_pure)
             if powers is not None:
                 return powers
+    known = _readable(stated, powers_as_written)
     found: dict[str, Powers] = {}
     for placed in model.placed():
         if placed.slot != "H":
-            alone = Equations(model)
-            alone.say_term(placed)
-            found = (alone.solution(units, powers_as_written) or {}) | found
+            found = (Equations(model, only=placed).solved(known) or {}) | found
+    return found
+
+
+def _readable(
+    units: Mapping[str, str], split: Callable[[str], Powers | None]
+) -> dict[str, Powers]:
+    """The powers of the units that can be read."""
+    found = {}
+    for name, unit in units.items():
+        powers = split(unit)
+        if powers is not None:
+            found[name] = powers
     return found
 
 
@@ -163,147 +190,161 @@ class Likeness:
 
 
 class Equations:
-    """What a model's structure and terms say of dimensions."""
+    """What a model's structure and terms say of dimensions.
 
-    def __init__(self, model: BaseModel, *, may_hide: bool = False) -> None:
+    Args:
+        model: the model.
+        only: a term that is asked by itself; None: all terms, and the structure.
+        may_hide: whether a term without a parameter may hide constants of physics.
+
+    Attributes:
+        said: forms without a dimension.
+        numbers: those that may have a unit, by their names, and where they stand.
+    """
+
+    def __init__(
+        self, model: BaseModel, only: PlacedTerm | None = None, may_hide: bool = False
+    ) -> None:
         self._model = model
-        self._n_numbers = 0
-        self.may_hide = may_hide  # constants of physics in terms without a parameter
+        self._n_unknown = 0
+        self._may_hide = may_hide
         self.said: list[Likeness] = []
-        # The numbers that may have a unit, by their names, and where they stand.
         self.numbers: dict[str, tuple[float, PlacedTerm]] = {}
-        self._placed: PlacedTerm | None = None
+        if only is None:
+            self._say_structure()
+        for placed in [only] if only else model.placed():
+            self._say_term(placed)
 
-    @classmethod
-    def of(cls, model: BaseModel, *, may_hide: bool = False) -> "Equations":
-        """All that a model says."""
-        whole = cls(model, may_hide=may_hide)
-        whole.say_structure()
-        for placed in model.placed():
-            whole.say_term(placed)
-        return whole
+    def alike(
+        self,
+        first: Form,
+        second: Form,
+        *parts: Form,
+        is_angle: bool = False,
+        is_number: bool = False,
+    ) -> None:
+        """Says that two forms have one dimension, but for what the parts may hide."""
+        form = product(first, second, -1.0)
+        if any(map(self.hides, parts)):
+            form = product(form, self.unknown())
+        self.said.append(Likeness(form, is_angle, is_number))
 
-    def alike(self, first: Form, second: Form) -> None:
-        """Says that two forms have one dimension."""
-        self.said.append(Likeness(self.free(product(first, second, -1.0), first)))
-
-    def free(self, form: Form, *parts: Form) -> Form:
-        """The form; with an unknown factor where a part may hide a constant."""
-        if self.may_hide and not all(map(_has_parameter, parts)):
-            return product(form, self.unknown())
-        return form
+    def hides(self, form: Form) -> bool:
+        """Whether a part may hide a constant: it has no parameter."""
+        return self._may_hide and form.keys().isdisjoint(self._model.entries)
 
     def unknown(self) -> Form:
         """A dimension of which nothing is known."""
-        self._n_numbers += 1
-        return {f"number {self._n_numbers}": 1.0}
+        self._n_unknown += 1
+        return {f"number {self._n_unknown}": 1.0}
 
-    def say_structure(self) -> None:
+    def _say_structure(self) -> None:
         """dx_i/dt = dH/dx_j; without an energy efforts are the states."""
         if not self._model.has_energy:
             return
         states = self._model.states
         for state, couplings in zip(states, self._model.S, strict=True):
-            self._are_alike(self._effort(state), _quotient("H", state))
+            self.alike(self._effort(state), _quotient(WHOLE_ENERGY, state))
             for other, coupling in zip(states, couplings, strict=True):
                 if abs(coupling) == 1.0:
-                    self._are_alike(self._effort(other), _quotient(state, "t"))
+                    self.alike(self._effort(other), _quotient(state, "t"))
 
-    def _are_alike(self, first: Form, second: Form) -> None:
-        """By the structure of the model, whatever numbers its terms hide."""
-        self.said.append(Likeness(product(first, second, -1.0)))
-
-    def say_term(self, placed: PlacedTerm) -> None:
+    def _say_term(self, placed: PlacedTerm) -> None:
         """A term has the unit of its slot."""
-        self._placed = placed
         slot, equation, term = placed
-        place = place_of(slot, equation)
         rate = _quotient(equation, "t")
         names = self._variables(rate)
-        for shared in self._model.names_in_formulas:
-            names[shared] = {place_of_parameter(shared): 1.0}
         for inner in term.inner:
-            names[inner] = {place_of_parameter(term.inner_name(inner, place)): 1.0}
+            names[inner] = {placed.parameter_name(inner): 1.0}
         quantities = {name: _Quantity(self, form) for name, form in names.items()}
-        functions = {name: self._function(name) for name in FUNCTIONS}
+        functions = {name: partial(self._called, name) for name in FUNCTIONS}
         constants = dict.fromkeys(CONSTANTS, _Quantity(self, {}))
-        backend = Backend(functions, self._number, constants)
-        form = evaluate(term.body, quantities, backend).form
+        backend = Backend(functions, partial(self._number, placed), constants)
+        own = evaluate(term.body, quantities, backend).form
         if not term.is_formula:
-            name = place_of_parameter(term.coefficient_name(place))
-            form = product(form, {name: 1.0})
+            own = product(own, {placed.parameter_name(): 1.0})
         if slot == "R":
             rate = product(rate, self._effort(equation), -1.0)
-        self.alike(form, {"H": {"H": 1.0}, "sensor": {equation: 1.0}}.get(slot, rate))
+        of_slot = {"H": {WHOLE_ENERGY: 1.0}, "sensor": {equation: 1.0}}.get(slot, rate)
+        self.alike(own, of_slot, own)
 
     def _variables(self, rate: Form) -> dict[str, Form]:
-        """The forms of all names but the parameters in an equation of that rate."""
+        """The forms of all names in an equation of that rate but a term's own."""
         model = self._model
-        names: dict[str, Form] = {"t": {"t": 1.0}}
-        for name in (*model.states, *model.inputs):
+        names: dict[str, Form] = {}
+        for name in ("t", *model.states, *model.inputs, *model.names_in_formulas):
             names[name] = {name: 1.0}
         for effort, state in zip(model.efforts, model.states, strict=True):
             names[effort] = self._effort(state)
-        for slope, of in zip(model.slopes, model.inputs, strict=True):
+        for slope, of in zip(model.variables.slopes, model.inputs, strict=True):
             names[slope] = product(rate, {of: 1.0}, -1.0)
         return names
 
     def _effort(self, state: str) -> Form:
         return {f"effort {state}" if self._model.has_energy else state: 1.0}
 
-    def _number(self, number: float) -> "_Quantity":
+    def _number(self, placed: PlacedTerm, number: float) -> "_Quantity":
         is_simple = float(4 * number).is_integer() and 0 < number <= LARGEST_PURE_NUMBER
         form: Form = {} if is_simple else self.unknown()
-        if form and self._placed is not None and not self.may_hide:
+        if form and not self._may_hide:
             # What stands twice in an equation, such as a mass, is the same twice.
-            form = {f"number {number} of {self._placed.equation}": 1.0}
-        if self._placed is not None:
-            self.numbers |= dict.fromkeys(form, (number, self._placed))
+            form = {f"number {number} of {placed.equation}": 1.0}
+        self.numbers |= dict.fromkeys(form, (number, placed))
         return _Quantity(self, form, number)
 
-    def _function(self, name: str) -> Callable[..., "_Quantity"]:
-        def called(first: "_Quantity", *others: "_Quantity") -> "_Quantity":
-            if name in ("abs", "min", "max"):
-                for other in others:
-                    self.alike(first.form, other.form)
-                return replace(first, value=None)
-            if name == "sqrt":
-                return _Quantity(self, product({}, first.form, 0.5))
-            if name != "sign":
-                is_angle = name in ("sin", "cos", "tan")
-                form = first.form if is_angle else self.free(first.form, first.form)
-                self.said.append(Likeness(form, is_angle))
-            return _Quantity(self, {})
+    def _called(
+        self, name: str, first: "_Quantity", *others: "_Quantity"
+    ) -> "_Quantity":
+        if name in ("abs", "min", "max"):
+            for other in others:
+                self.alike(first.form, other.form, first.form)
+            return replace(first, value=None)
+        if name == "sqrt":
+            return _Quantity(self, product({}, first.form, 0.5))
+        if name in ("sin", "cos", "tan"):
+            self.alike(first.form, {}, is_angle=True)
+        elif name != "sign":
+            self.alike(first.form, {}, first.form)
+        return _Quantity(self, {})
 
-        return called
-
-    def solution(
-        self,
-        units: Mapping[str, str],
-        split: Callable[[str], Powers | None],
-        numbers_are_pure: bool = True,
+    def solved(
+        self, known: Mapping[str, Powers], numbers_are_pure: bool = True
     ) -> dict[str, Powers] | None:
-        """Powers of the units by parameter and state; None for a contradiction."""
-        entries = self._model.entries
-        told = dict(units)
-        for name, entry in entries.items():
-            if is_stated(entry.parameter):
-                told[place_of_parameter(name)] = entry.parameter.unit
-        known = {}
-        for name, unit in told.items():
-            powers = split(unit)
-            if powers is not None:
-                known[name] = powers
+        """The powers of the units in each quantity that the likenesses determine.
+
+        Radians come and go in physics (a torque is N m, an arc is a length): likenesses
+        of known quantities may lose them, and where others contradict each other or
+        leave them open, there are none. None where the likenesses contradict each
+        other.
+        """
         said = [one for one in self.said if numbers_are_pure or not one.is_number]
-        found = solved_dimensions(said, known)
-        if found is None:
-            return None
-        solved = {}
-        for name in (*self._model.states, *entries):
-            place = place_of_parameter(name) if name in entries else name
-            if place in found:
-                solved[name] = found[place]
-        return solved
+        names = dict.fromkeys(name for likeness in said for name in likeness.form)
+        unknown = [name for name in names if name not in known]
+        rows = _rows(said, unknown)
+        known_rows = _rows(said, list(known))
+        without_angles = np.array([not one.is_angle for one in said], dtype=bool)
+        _, determined = _least_squares(rows, np.zeros(len(said)))
+        found: dict[str, Any] = {}
+        for name in compress(unknown, determined):
+            found[name] = {}
+        for unit in sorted({unit for powers in known.values() for unit in powers}):
+            given = np.array([powers.get(unit, 0.0) for powers in known.values()])
+            right = -(known_rows @ given)
+            kept = np.full(len(said), fill_value=True)
+            if unit == RADIAN:
+                loses_it = ~np.any(rows, axis=1) & (np.abs(right) > POWER_ROUNDING)
+                kept = without_angles & ~loses_it
+            right = right[kept]
+            powers, determined = _least_squares(rows[kept], right)
+            if np.any(np.abs(rows[kept] @ powers - right) > POWER_ROUNDING):
+                if unit == RADIAN:
+                    continue
+                return None
+            for name, power, is_told in zip(unknown, powers, determined, strict=True):
+                power = round(float(power), 6)
+                if name in found and is_told and power:
+                    found[name][unit] = power
+        return found
 
 
 @dataclass(frozen=True)
@@ -316,11 +357,9 @@ class _Quantity:
 
     def __add__(self, other: "_Quantity") -> "_Quantity":
         is_number = self.value is not None or other.value is not None
-        difference = product(self.form, other.form, -1.0)
-        difference = self.equations.free(difference, self.form, other.form)
-        self.equations.said.append(Likeness(difference, is_number=is_number))
-        hides = self.equations.may_hide and not _has_parameter(self.form)
-        is_other = self.value is not None or hides
+        parts = (self.form, other.form)
+        self.equations.alike(*parts, *parts, is_number=is_number)
+        is_other = self.value is not None or self.equations.hides(self.form)
         return replace(other if is_other else self, value=None)
 
     __sub__ = __add__
@@ -340,46 +379,8 @@ class _Quantity:
     def __pow__(self, other: "_Quantity") -> "_Quantity":
         if other.value is not None:
             return _Quantity(self.equations, product({}, self.form, other.value))
-        self.equations.alike(other.form, {})
+        self.equations.alike(other.form, {}, other.form)
         return _Quantity(self.equations, self.equations.unknown() if self.form else {})
-
-
-def solved_dimensions(
-    said: Sequence[Likeness], known: Mapping[str, Powers]
-) -> dict[str, Powers] | None:
-    """The powers of the units in each quantity that the likenesses determine.
-
-    Radians come and go in physics (a torque is N m, an arc is a length): likenesses of
-    known quantities may lose them, and where others contradict each other or leave them
-    open, there are none. None where the likenesses contradict each other.
-    """
-    names = dict.fromkeys(name for likeness in said for name in likeness.form)
-    unknown = [name for name in names if name not in known]
-    rows = _rows(said, unknown)
-    known_rows = _rows(said, list(known))
-    without_angles = np.array([not likeness.is_angle for likeness in said], dtype=bool)
-    _, determined = _least_squares(rows, np.zeros(len(said)))
-    found: dict[str, Any] = {}
-    for name in compress(unknown, determined):
-        found[name] = {}
-    for unit in sorted({unit for powers in known.values() for unit in powers}):
-        given = np.array([powers.get(unit, 0.0) for powers in known.values()])
-        right = -(known_rows @ given)
-        kept = np.full(len(said), fill_value=True)
-        if unit == RADIAN:
-            loses_it = ~np.any(rows, axis=1) & (np.abs(right) > POWER_ROUNDING)
-            kept = without_angles & ~loses_it
-        right = right[kept]
-        powers, determined = _least_squares(rows[kept], right)
-        if np.any(np.abs(rows[kept] @ powers - right) > POWER_ROUNDING):
-            if unit == RADIAN:
-                continue
-            return None
-        for name, power, is_told in zip(unknown, powers, determined, strict=True):
-            power = round(float(power), 6)
-            if name in found and is_told and power:
-                found[name][unit] = power
-    return found
 
 
 def _rows(said: Sequence[Likeness], names: Sequence[str]) -> np.ndarray:
@@ -401,17 +402,3 @@ def _least_squares(
 
 def _quotient(above: str, below: str) -> Form:
     return product({above: 1.0}, {below: 1.0}, -1.0)
-
-
-def place_of_parameter(name: str) -> str:
-    """What the equations call a parameter."""
-    return f"parameter {name}"
-
-
-def is_parameter(place: str) -> bool:
-    """Whether the equations call a parameter so."""
-    return place.startswith("parameter ")
-
-
-def _has_parameter(form: Form) -> bool:
-    return any(map(is_parameter, form))

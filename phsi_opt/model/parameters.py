@@ -105,7 +105,7 @@ class Parameter:
     def __post_init__(self) -> None:
         for name in ("lower", "upper", "value"):
             given = getattr(self, name)
-            if name != "value" or given is not None:
+            if given is not None:
                 number = float(given)
                 if np.isnan(number) or (name == "value" and np.isinf(number)):
                     raise ModelError(f"parameter {name}={number} is not finite.")

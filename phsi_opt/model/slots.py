@@ -47,18 +47,25 @@ class PlacedTerm(NamedTuple):
     equation: str
     term: Term
 
+    @property
+    def place(self) -> str:
+        """Name of its slot of its equation."""
+        return place_of(self.slot, self.equation)
+
+    def parameter_name(self, inner: str = "") -> str:
+        """Name in the model of its coefficient, or of an inner parameter."""
+        if inner:
+            return self.term.inner_name(inner, self.place)
+        return self.term.coefficient_name(self.place)
+
     def entries(self) -> list[Entry]:
         """The term's parameters, by their names in the model; its coefficient first."""
-        at = (self.slot, self.equation)
-        place = place_of(*at)
         found = []
-        coefficient = self.term.coefficient
-        if coefficient is not None:
-            name = self.term.coefficient_name(place)
-            found.append(Entry(name, coefficient, *at, prunable=True))
-        for inner, parameter in self.term.inner.items():
-            name = self.term.inner_name(inner, place)
-            found.append(Entry(name, parameter, *at, prunable=False))
+        for inner, one in {"": self.term.coefficient, **self.term.inner}.items():
+            if one is not None:
+                at = (self.slot, self.equation)
+                name = self.parameter_name(inner)
+                found.append(Entry(name, one, *at, prunable=not inner))
         return found
 
 
@@ -102,7 +109,10 @@ class Variables:
 
     @property
     def slopes(self) -> tuple[str, ...]:
-        """Names of the slopes dF/du_i of an equation's force in the inputs."""
+        """Names of the slopes dF/du_i in formulas of F.
+
+        They are those of the equation's other force terms, in each input.
+        """
         return tuple(f"dF_d{name}" for name in self.inputs)
 
     def of_slot(self, slot: str) -> set[str]:

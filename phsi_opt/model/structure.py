@@ -115,14 +115,13 @@ def _velocity(model: BaseModel, position: str) -> str:
     if len(names) != 1 or not names <= set(model.states) - {position}:
         return ""
     (velocity,) = names
-    factors = dict(term.inner)
-    if term.coefficient is not None:
-        factors[""] = term.coefficient
+    are_told = {position, velocity} <= set(model.kind)
     known = {"": 1.0}
-    for name, one in factors.items():
+    for name, one in {"": term.coefficient, **term.inner}.items():
+        if one is None:
+            continue
         known[name] = one.start if one.fixed else 1.0  # only its sign is asked for
-        is_told = one.lower >= 0 and {position, velocity} <= set(model.kind)
-        if not one.fixed and not is_told:
+        if not one.fixed and not (are_told and one.lower >= 0):
             return ""
     at = np.array(PROBED)
     with np.errstate(all="ignore"):  # not every law has a value at all of them
@@ -161,20 +160,15 @@ def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     unpaired = unpaired_states(model)
     is_circuit = ELECTRICAL in map(kind_of_unit, units.values())
     found = {}
-    for name in unpaired:
+    for name in model.states:
         unit = units.get(name, "")
         kind = kind_of_unit(unit)
-        if are_alike(unit, "m"):
+        if name in unpaired and are_alike(unit, "m"):
             kind = _kind_of_length(unpaired, units)
-        elif are_alike(unit, "V") and is_circuit:
+        elif name in unpaired and are_alike(unit, "V") and is_circuit:
             kind = ELECTRICAL
         if kind:
             found[name] = kind
-    for pair in position_of_momentum(model).items():
-        for name in pair:
-            kind = kind_of_unit(units.get(name, ""))
-            if kind:
-                found[name] = kind
     if found.keys() <= model.kind.keys():
         return model
     return replace(model, kind={**found, **model.kind})

@@ -64,14 +64,16 @@ class Expressions:
     def force(self) -> list[Any]:
         """F; terms that name a slope in an input see that of the equation's others."""
         forces = []
+        slope_names = self.model.variables.slopes
+        names = set(slope_names)
         for equation in self.model.states:
             placed = self._at("F", equation)
-            direct = [one for one in placed if not self._slopes_in(one)]
+            on_slopes = [one for one in placed if names_of(one.term.body) & names]
+            direct = [one for one in placed if one not in on_slopes]
             force = self._total(direct, self.known)
-            on_slopes = [one for one in placed if self._slopes_in(one)]
             if on_slopes:
                 slopes = [self._slope(force, u) for u in self.u]
-                named = dict(zip(self.model.slopes, slopes, strict=True))
+                named = dict(zip(slope_names, slopes, strict=True))
                 force = force + self._total(on_slopes, {**self.known, **named})
             forces.append(force)
         return forces
@@ -108,30 +110,23 @@ class Expressions:
 
     def term(self, placed: PlacedTerm, known: Mapping[str, Any]) -> Any:
         """The value of a term in variables that are known by name."""
-        slot, equation, term = placed
-        place = place_of(slot, equation)
-        inner = {name: self.values[term.inner_name(name, place)] for name in term.inner}
-        body = evaluate(term.body, {**self.values, **known, **inner}, self.backend)
-        if term.is_formula:
-            return body
-        return self.values[term.coefficient_name(place)] * body
+        term = placed.term
+        names = {**self.values, **known}
+        for inner in term.inner:
+            names[inner] = self.values[placed.parameter_name(inner)]
+        body = evaluate(term.body, names, self.backend)
+        return body if term.is_formula else self.values[placed.parameter_name()] * body
 
     def _at(self, slot: str, equation: str) -> list[PlacedTerm]:
         terms = self.model.terms_at(slot, equation)
         return [PlacedTerm(slot, equation, term) for term in terms]
 
     def _total(self, terms: Iterable[PlacedTerm], known: Mapping[str, Any]) -> Any:
-        total = 0
-        for placed in terms:
-            total = total + self.term(placed, known)
-        return total
+        return sum(self.term(placed, known) for placed in terms)
 
     def _by_state(self, slot: str) -> list[Any]:
         states = self.model.states
         return [self._total(self._at(slot, name), self.known) for name in states]
-
-    def _slopes_in(self, placed: PlacedTerm) -> frozenset[str]:
-        return names_of(placed.term.body) & set(self.model.slopes)
 
     def _slope(self, expression: Any, variable: Any) -> Any:
         if self.backend is CASADI:
@@ -179,16 +174,6 @@ def with_slopes(function: ca.Function, *names: str) -> ca.Function:
     return ca.Function("slopes", arguments, results)
 
 
-def rhs_function(model: BaseModel) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> dx/dt."""
-    return function_of(model, "rhs", lambda parts: ca.vertcat(*map(ca.SX, parts.rates)))
-
-
-def output_function(model: BaseModel) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
-    return function_of(model, "output", lambda parts: parts.shown)
-
-
 def terms_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> one number per term, as `placed` has them.
 
@@ -197,7 +182,7 @@ def terms_function(model: BaseModel) -> ca.Function:
     """
 
     def values(parts: Expressions) -> ca.SX:
-        known = {**parts.known, **dict.fromkeys(model.slopes, ca.SX(0))}
+        known = {**parts.known, **dict.fromkeys(model.variables.slopes, ca.SX(0))}
         found = [ca.SX(parts.term(placed, known)) for placed in model.placed()]
         energies = ca.vertcat(*found[: len(model.H)])
         others = ca.vertcat(*found[len(model.H) :])
@@ -205,16 +190,6 @@ def terms_function(model: BaseModel) -> ca.Function:
         return ca.vertcat(energies + ca.sum2(slopes), others)
 
     return function_of(model, "terms", values)
-
-
-def formulas_function(model: BaseModel, formulas: Sequence[str]) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> values of the formulas, as one column."""
-
-    def values(parts: Expressions) -> ca.SX:
-        known = {**parts.known, **parts.values}
-        return ca.vertcat(*(ca.SX(evaluate(text, known)) for text in formulas))
-
-    return function_of(model, "formulas", values)
 
 
 SHOWN_OF_MODEL = ("name", "value", "known", "lower", "upper", "unit")

@@ -7,7 +7,8 @@ the model's business.
 """
 
 import copyreg
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
 from math import comb
@@ -137,14 +138,6 @@ class Dictionary:
     def __add__(self, other: "Dictionary") -> "Dictionary":
         return Dictionary(self.terms + other.terms)
 
-    @property
-    def of_formulas(self) -> dict[str, Parameter]:
-        """The parameters of its formulas, which the whole model knows by name."""
-        known: dict[str, Parameter] = {}
-        for term in self.terms:
-            known |= term.inner if term.is_formula else {}
-        return known
-
     def __len__(self) -> int:
         return len(self.terms)
 
@@ -215,17 +208,12 @@ def polynomials(
     )
     bodies = ["1"] if constant else []
     for total in range(1, degree + 1):
-        bodies.extend(map(_monomial, combinations_with_replacement(names, total)))
+        for factors in combinations_with_replacement(names, total):
+            powers = []
+            for name, n in Counter(factors).items():
+                powers.append(f"{name}**{n}" if n > 1 else name)
+            bodies.append("*".join(powers))
     return Dictionary(tuple(Term(body, Parameter()) for body in bodies))
-
-
-def _monomial(factors: Sequence[str]) -> str:
-    """The product of the factors as text: ('q', 'q', 'p') is ``q**2*p``."""
-    powers = []
-    for name in dict.fromkeys(factors):
-        exponent = factors.count(name)
-        powers.append(name if exponent == 1 else f"{name}**{exponent}")
-    return "*".join(powers)
 
 
 @typed

@@ -19,13 +19,7 @@ import numpy as np
 from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.expressions import NUMPY, divisors, evaluate, names_of
-from phsi_opt.model.parameter_units import (
-    Equations,
-    is_parameter,
-    is_stated,
-    place_of_parameter,
-    solved_dimensions,
-)
+from phsi_opt.model.parameter_units import Equations, stated_units
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import place_of
 from phsi_opt.presentation.numbers import shortened
@@ -72,48 +66,43 @@ class UnitCheck:
 
     @cached_property
     def _stated(self) -> dict[str, str]:
-        """The units that can be read, by the quantities' names in the equations."""
-        stated = dict(self.units)
-        for name, entry in self.model.entries.items():
-            if is_stated(entry.parameter):
-                stated[place_of_parameter(name)] = entry.parameter.unit
+        """The units that can be read, by what has them."""
         found = {}
-        for place, unit in stated.items():
+        for name, unit in stated_units(self.model, self.units).items():
             written = scale_of(unit).unit if self.as_written else str(unit)
             measure = measure_of(written) if written else None
             if measure and "C" not in measure.powers:  # a coulomb, or a degree
-                found[place] = written
+                found[name] = written
         return found
 
-    def _measure(self, place: str) -> Measure:
-        return measure_of(self._stated[place]) or Measure({}, 1.0)
+    def _measure(self, name: str) -> Measure:
+        return measure_of(self._stated[name]) or Measure({}, 1.0)
 
     @property
     def _of_parameters(self) -> list[str]:
-        return list(filter(is_parameter, self._stated))
+        return list(filter(self.model.entries.__contains__, self._stated))
 
-    def _others(self, places: Iterable[str]) -> list[str]:
+    def _others(self, names: Iterable[str]) -> list[str]:
         """All quantities with a unit but these."""
-        return list(itertools.filterfalse(set(places).__contains__, self._stated))
+        return list(itertools.filterfalse(set(names).__contains__, self._stated))
 
-    def _in_other_units(self, places: Iterable[str]) -> list[str]:
-        return [place for place in places if self._measure(place).size != 1.0]
+    def _in_other_units(self, names: Iterable[str]) -> list[str]:
+        return [name for name in names if self._measure(name).size != 1.0]
 
     @cached_property
     def _equations(self) -> tuple[Equations, Equations]:
         """With pure numbers alone in terms without a parameter, and with constants."""
-        return Equations.of(self.model), Equations.of(self.model, may_hide=True)
+        return Equations(self.model), Equations(self.model, may_hide=True)
 
     def _solved(
         self, powers: Callable[[Measure], Powers], without: Iterable[str] = ()
     ) -> dict[str, Powers] | None:
         """Powers of what has no unit, by its name; None for a contradiction."""
         known = {}
-        for place in self._others(without):
-            known[place] = powers(self._measure(place))
+        for name in self._others(without):
+            known[name] = powers(self._measure(name))
         for equations in self._equations:
-            said = itertools.filterfalse(lambda one: one.is_number, equations.said)
-            found = solved_dimensions(list(said), known)
+            found = equations.solved(known, numbers_are_pure=False)
             if found is not None:
                 return found
         return None
@@ -126,17 +115,18 @@ class UnitCheck:
         if self._solved(_dimension) is not None:
             return None
         expected = {}
-        for place in sorted(self._stated, key=is_parameter, reverse=True):
-            found = self._solved(_dimension, without=(place,))
+        names = self._of_parameters
+        for name in (*names, *self._others(names)):
+            found = self._solved(_dimension, without=(name,))
             if found is not None:
-                expected[place] = _expected(found.get(place))
+                expected[name] = _expected(found.get(name))
         first, *others = expected or self._stated
         said = (
             f"the formulas ask for {expected.get(first, 'another unit')}, with "
             f"{self._listed(others or self._others([first]))}; correct the "
             "unit of one of them, or the formula."
         )
-        return UnitFault(_name(first), said, self._stated[first])
+        return UnitFault(first, said, self._stated[first])
 
     @property
     def negative(self) -> UnitFault | None:
@@ -177,42 +167,41 @@ class UnitCheck:
             return []
         faults = []
         known = set().union(*map(words_of, self.units.values()))
-        for place in self._of_parameters:
-            unit = self._stated[place]
+        for name in self._of_parameters:
+            unit = self._stated[name]
             if words_of(unit) - known:
-                of_others = self._solved(_dimension, without=(place,)) or {}
+                of_others = self._solved(_dimension, without=(name,)) or {}
                 said = (
                     "this unit is not known, so that the number cannot be converted; "
-                    f"expected {_expected(of_others.get(place))} or a multiple of it."
+                    f"expected {_expected(of_others.get(name))} or a multiple of it."
                 )
-                faults.append(UnitFault(_name(place), said, unit))
+                faults.append(UnitFault(name, said, unit))
         # None: units of SI stand beside the data's; what has to do with these may be
         # in either.
         sizes = self._solved(_size) or self._solved(_size, without=self._of_parameters)
-        bases = set().union(*(self._measure(place).powers for place in foreign))
+        bases = set().union(*(self._measure(name).powers for name in foreign))
         data = self._listed(foreign)
-        for place, number in self._numbers.items():
-            powers = _without_angle(found.get(place, {}))
+        for name, number in self._numbers.items():
+            powers = _without_angle(found.get(name, {}))
             differs = not bases.isdisjoint(powers)
-            if sizes and place in sizes:
-                differs = sizes[place] != {}
-            if place in found and differs:
-                faults.append(self._ambiguous(place, number, powers, data))
+            if sizes and name in sizes:
+                differs = sizes[name] != {}
+            if name in found and differs:
+                faults.append(self._ambiguous(name, number, powers, data))
         return faults
 
     def _ambiguous(
-        self, place: str, number: float, powers: Powers, data: str
+        self, name: str, number: float, powers: Powers, data: str
     ) -> UnitFault:
         unit = si_name(powers)
-        name = _name(place)
         key = "start" if name in self.model.free else "value"
         said = (
             f"it has no unit, and the data have {data}. If it is in {unit}: "
             f'{{}} = {{{{ {key} = {number:g}, unit = "{unit}" }}}}'
         )
-        if is_parameter(place):
+        if name in self.model.entries:
             return UnitFault(name, f"{said.format(name)}.", number)
-        _, at = self._equations[0].numbers[place]
+        _, at = self._equations[0].numbers[name]
         said = f"{said.format('g')} in [parameters], and g in the formula"
         if not powers:
             said = f"values are converted from {data}; leave out what converts them"
@@ -227,14 +216,14 @@ class UnitCheck:
             one = entry.parameter
             for number in (one.upper, one.lower, one.value):
                 if number and np.isfinite(number) and not one.unit:
-                    numbers[place_of_parameter(name)] = number
-        for place, (number, _) in self._equations[0].numbers.items():
-            numbers[place] = number
+                    numbers[name] = number
+        for name, (number, _) in self._equations[0].numbers.items():
+            numbers[name] = number
         return numbers
 
-    def _listed(self, places: Iterable[str]) -> str:
+    def _listed(self, names: Iterable[str]) -> str:
         """Such as "q in mm, t in ms"."""
-        told = [f"{_name(one)} in {self._stated[one]}" for one in places]
+        told = [f"{name} in {self._stated[name]}" for name in names]
         return ", ".join(told[:LARGEST_LIST])
 
     # ---- measurements as they are given ----------------------------------------------
@@ -262,11 +251,11 @@ class UnitCheck:
         said = "units of different size meet in the formulas" if sizes is None else ""
         of_data = self._solved(_size, without=self._of_parameters) or {}
         powers = self._solved(_dimension) or {}
-        for place, number in self._numbers.items():
-            is_known = _name(place) not in self.model.free and powers.get(place)
-            if sizes and is_known and sizes.get(place) and place not in of_data:
-                name = _name(place) if is_parameter(place) else "a number"
-                said = f"{name} = {number:g} has no unit, and would not be in SI units"
+        for name, number in self._numbers.items():
+            is_known = name not in self.model.free and powers.get(name)
+            if sizes and is_known and sizes.get(name) and name not in of_data:
+                told = name if name in self.model.entries else "a number"
+                said = f"{told} = {number:g} has no unit, and would not be in SI units"
         if said:
             beside = self._listed(self._others(foreign))
             told = f"{self._listed(foreign)}; {beside}".rstrip("; ")
@@ -279,10 +268,11 @@ class UnitCheck:
                 "units that were written."
             )
         values = []
-        for place in self._in_other_units(self._of_parameters):
-            number = self.model.values[_name(place)] * self._measure(place).size
-            unit = si_name(self._measure(place).powers, self._stated[place])
-            values.append(f'{_name(place)}=ph.Parameter({number:g}, unit="{unit}")')
+        for name in self._in_other_units(self._of_parameters):
+            measure = self._measure(name)
+            number = self.model.values[name] * measure.size
+            unit = si_name(measure.powers, self._stated[name])
+            values.append(f'{name}=ph.Parameter({number:g}, unit="{unit}")')
         return f"Give parameters in SI units: {', '.join(values[:2])}."
 
 
@@ -308,7 +298,3 @@ def _without_angle(powers: Powers) -> Powers:
     if powers.keys() <= {RADIAN, "s"}:
         return powers
     return product(powers, {RADIAN: -powers.get(RADIAN, 0.0)})
-
-
-def _name(place: str) -> str:
-    return place.removeprefix("parameter ")

@@ -206,14 +206,14 @@ def _within_what_is_tried(model: Model, tried: dict[str, np.ndarray]) -> Model:
     # mass.
 
     def bounded(name: str, parameter: Parameter) -> Parameter:
-        values = np.sort(tried.get(name, ()))
+        values = np.sort(tried[name])
         if len(values) < 2 or not values[0] > 0:  # steps are ratios
             return parameter
         lower = max(float(values[0] ** 2 / values[1]), parameter.lower)
         upper = min(float(values[-1] ** 2 / values[-2]), parameter.upper)
         return replace(parameter, lower=lower, upper=upper)
 
-    return model.with_parameters(bounded)
+    return model.with_parameters(bounded, tried)
 
 
 # --- Values of inner parameters

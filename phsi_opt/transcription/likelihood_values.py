@@ -140,13 +140,8 @@ class LikelihoodValues:
         self.factor = self.per_size[:, equation] * self.scale[columns]
 
     def _set_shown(self) -> None:
-        n_values = len(self._measured)
-        shape = (n_values, len(self.scale))
-        if not self.model.sensor:
-            columns = len(self.unknown) + self._measured
-            self.shown = Pattern(np.arange(n_values), columns, shape)
-            return
         model = self.model
+        shape = (len(self._measured), len(self.scale))
         self._sensor, places = model.built(
             "linear output", lambda: linear_function(model.output(), 1)
         )
@@ -168,18 +163,12 @@ class LikelihoodValues:
         function = self.linear_defect.function
         arguments = interval_arguments(self.grid, x.T)
         d, entries = in_intervals(function, self.grid, arguments, theta)
-        if self.model.sensor:
-            shown, of_shown = at_nodes(self._sensor, self.grid, x.T, theta)
-            misfit = self._y - shown.T.ravel()[self._measured]
-            slopes = of_shown.T[self._is_shown]
-        else:
-            misfit = self._y - x.ravel()[self._measured]
-            slopes = np.ones(len(self._y))
+        shown, of_shown = at_nodes(self._sensor, self.grid, x.T, theta)
         return PointValues(
             g=(d.T * self.per_size).ravel(),
             jacobian=(entries[self.order].T * self.factor).ravel(),
-            misfit=misfit,
-            slopes=slopes * self.scale[self.shown.columns],
+            misfit=self._y - shown.T.ravel()[self._measured],
+            slopes=of_shown.T[self._is_shown] * self.scale[self.shown.columns],
         )
 
     @cached_property
