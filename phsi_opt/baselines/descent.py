@@ -4,7 +4,7 @@ It knows a loss of the tables of a batch, and nothing of models. The settings ar
 without torch, which is imported for the first step.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import cos, pi
 from typing import TYPE_CHECKING, Any
@@ -30,9 +30,11 @@ if TYPE_CHECKING:
     from torch import Generator, Tensor
     from torch.optim import Optimizer
 
-STARTS = ("thesis", "normal", "model")
-DECAYS = ("none", "cosine")
-DTYPES = ("float32", "float64")
+CHOICES = {
+    "decay": ("none", "cosine"),
+    "start": ("thesis", "normal", "model"),
+    "dtype": ("float32", "float64"),
+}
 
 
 @dataclass(frozen=True)
@@ -86,14 +88,15 @@ class Descent:
     keep_damping_positive: bool = False
 
     def __post_init__(self) -> None:
-        check_descent(self)
-        integrator(self.integrator)
-        for name in ("prune_every", "prune_from"):
-            if getattr(self, name) is not None:
+        require_positive("learning_rate", self.learning_rate)
+        for name in ("epochs", "batch", "prune_every", "prune_from"):
+            if not (name.startswith("prune") and getattr(self, name) is None):
                 require_count(name, getattr(self, name))
-        require_choice("decay", self.decay, DECAYS)
-        require_choice("start", self.start, STARTS)
-        require_size("threshold", self.threshold)
+        for name in ("weight_decay", "threshold"):
+            require_size(name, getattr(self, name))
+        for name, choices in CHOICES.items():
+            require_choice(name, getattr(self, name), choices)
+        integrator(self.integrator)
         known = set(self.prune_slots) <= {"H", "R", "F"}
         expected = "slots among 'H', 'R' and 'F'"
         require(known, "prune_slots", self.prune_slots, expected)
@@ -108,34 +111,10 @@ class Descent:
         """Learning rate in an epoch, counted from 1."""
         if self.decay == "none":
             return self.learning_rate
-        share = (epoch - 1) / self.epochs
-        return self.learning_rate * ((1 + cos(pi * share)) / 2)
-
-
-def check_descent(settings: Any) -> None:
-    """Check learning_rate, epochs, batch, weight_decay and dtype of any descent.
-
-    Raises:
-        ModelError: if one of them is not possible.
-    """
-    require_positive("learning_rate", settings.learning_rate)
-    require_count("epochs", settings.epochs)
-    require_count("batch", settings.batch)
-    require_size("weight_decay", settings.weight_decay)
-    require_choice("dtype", settings.dtype, DTYPES)
+        return self.learning_rate * (1 + cos(pi * ((epoch - 1) / self.epochs))) / 2
 
 
 # ---- the descent -------------------------------------------------------------------
-
-
-def batches(
-    tables: Sequence["Tensor"], size: int, generator: "Generator"
-) -> Iterator[tuple["Tensor", ...]]:
-    """The rows of the tables in a new order, ``size`` at a time."""
-    import torch
-
-    order = torch.randperm(len(tables[0]), generator=generator)
-    return zip(*(table[order].split(size) for table in tables), strict=True)
 
 
 def descend(
@@ -168,6 +147,8 @@ def descend(
     Raises:
         SolveError: when the loss is no longer finite.
     """
+    import torch
+
     groups = optimizer.param_groups
     n_terms = sum(one.numel() for group in groups for one in group["params"])
     history = []
@@ -176,7 +157,9 @@ def descend(
         for group in groups:
             group["lr"] = rate * group.get("rate", 1.0)
         values = []
-        for batch in batches(tables, settings.batch, generator):
+        order = torch.randperm(len(tables[0]), generator=generator)
+        batches = (table[order].split(settings.batch) for table in tables)
+        for batch in zip(*batches, strict=True):
             optimizer.zero_grad()
             value = loss(batch)
             value.backward()

@@ -108,10 +108,14 @@ class DescentRun:
         self.removed: list[str] = []
         start = starting_values(model, settings, seed)
         self.theta = torch.tensor(start, dtype=self.dtype, requires_grad=True)
-        self._set_bounds()
+        bounds = []
+        for entry in self.entries:
+            bounded = entry.slot != "R" or settings.keep_damping_positive
+            of_model = (entry.parameter.lower, entry.parameter.upper)
+            bounds.append(of_model if bounded else (-np.inf, np.inf))
+        self.lower, self.upper = torch.tensor(bounds, dtype=self.dtype).T.contiguous()
         self.l1 = self._l1(epoch=1)
-        decay = settings.weight_decay
-        self.adam = torch.optim.Adam([self.theta], weight_decay=decay)
+        self.adam = torch.optim.Adam([self.theta], weight_decay=settings.weight_decay)
         self.adam.register_step_pre_hook(lambda *_: self._add_slope_of_l1())
         self.adam.register_step_post_hook(lambda *_: self._keep_bounds())
 
@@ -149,15 +153,6 @@ class DescentRun:
     def entries(self) -> list[Entry]:
         """What theta is made of."""
         return [self.model.entries[name] for name in self.model.free]
-
-    def _set_bounds(self) -> None:
-        bounds = []
-        for entry in self.entries:
-            bounded = entry.slot != "R" or self.settings.keep_damping_positive
-            of_model = (entry.parameter.lower, entry.parameter.upper)
-            bounds.append(of_model if bounded else (-np.inf, np.inf))
-        table = torch.tensor(bounds, dtype=self.dtype)
-        self.lower, self.upper = table.T.contiguous()
 
     def _l1(self, epoch: int) -> Tensor | None:
         """Weights of ``|parameter|`` in an epoch; None if all are zero."""

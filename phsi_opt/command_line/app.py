@@ -6,7 +6,6 @@ and completion come at once.
 
 import signal
 import sys
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -44,9 +43,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 
-StudyPath = Annotated[
-    Path, typer.Argument(help="The study file.", show_default=True, metavar="STUDY")
-]
+StudyPath = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY")]
 OwnStudy = Annotated[
     Path | None,
     typer.Argument(
@@ -236,9 +233,8 @@ def study_(
     as_json: AsJson = False,
 ) -> None:
     """Run the steps of a study: the base model, then each added effect."""
-    job = Job(GO_THROUGH, study, None, auto, max_steps, save, report)
-    job = replace(job, exit_code=exit_code, write=write, reach=reach)
-    do(job, as_json)
+    how = (auto, max_steps, save, report, exit_code, write, reach)
+    do(Job(GO_THROUGH, study, None, *how), as_json)
 
 
 @app.command()
@@ -268,8 +264,8 @@ def demo(
 
         study = written_demonstration(folder)
     typer.echo(f"the study file: {study}", err=True)
-    report = folder / REPORT_NAME
-    do(Job(GO_THROUGH, study, is_auto=True, report=report), as_json)
+    job = Job(GO_THROUGH, study, is_auto=True, report=folder / REPORT_NAME)
+    do(job, as_json)
 
 
 def with_names(arguments: list[str]) -> list[str]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from hashlib import sha256
 from importlib.resources import files
-from itertools import chain, filterfalse, repeat
+from itertools import filterfalse
 from pathlib import Path
 from textwrap import fill, wrap
 from typing import Any
@@ -22,7 +22,7 @@ from phsi_opt.model.catalogue import catalogue, effects_told
 from phsi_opt.model.laws import laws_told, said_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
-from phsi_opt.presentation.numbers import LINE_WIDTH, number_of
+from phsi_opt.presentation.numbers import LINE_WIDTH
 from phsi_opt.presentation.sentences import lines
 from phsi_opt.presentation.units import in_si
 from phsi_opt.reading import file_bytes, why_not_read
@@ -140,8 +140,7 @@ def checked(path: Path, draws: bool = True) -> Answer:
         wrong = StudyFileError(path, [Complaint("model", "", str(error))])
         answer = answer_to(wrong)
     text = lines(__package__, "checked", text=answer.text, empty=empty)
-    content = {**answer.content, "empty": list(empty)}
-    return Answer(text, content, answer.code)
+    return Answer(text, {**answer.content, "empty": list(empty)}, answer.code)
 
 
 def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
@@ -150,38 +149,33 @@ def _summary(path: Path, file: StudyFile, shown: dict[str, object]) -> Answer:
     model = file.model()
     aligned = AlignedData.of(model, train)
     caution = fast_motion(model, aligned.grid, train.units)
-    text = lines(
-        __package__,
-        "summary",
-        path=path,
-        data=file.measurements(),
-        picture=shown.get("picture"),
-        train=train,
-        held_out=held_out,
-        final=final,
-        runs=_runs,
-        model=model,
-        kind=type(model).__name__,
-        added=file.steps.added,
-        n_effects=len(catalogue(model, train.units)),
-        notes=aligned.notes,
-    )
+    data = file.measurements()
     content = {
         "states": list(model.states),
         "inputs": list(model.inputs),
         "measured": list(train.measured),
         "free": list(model.free),
         "added": list(file.steps.added),
-        "n_runs": file.measurements().n_trajectories,
-        "n_samples": file.measurements().n_samples,
+        "n_runs": data.n_trajectories,
+        "n_samples": data.n_samples,
         "n_held_out": 0 if held_out is None else held_out.n_samples,
         "warnings": [*filter(None, (caution,)), *aligned.notes],
     }
+    text = lines(
+        __package__,
+        "summary",
+        path=path,
+        data=data,
+        picture=shown.get("picture"),
+        train=train,
+        held_out=held_out,
+        final=final,
+        content=content,
+        kind=type(model).__name__,
+        n_effects=len(catalogue(model, train.units)),
+        notes=aligned.notes,
+    )
     return Answer(f"{caution}\n{text}".lstrip(), content | shown)
-
-
-def _runs(data: Measurements) -> str:
-    return f"{number_of(data.n_trajectories, 'run')}, {data.n_samples} samples"
 
 
 def add_effect(path: Path, name: str, equation: str | None) -> Answer:
@@ -199,17 +193,15 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
         place = f" on {equation}"
         name = name.removesuffix(place) + place
     effect = file.meant(model, name)
-    larger = model.add(effect)
+    free = model.add(effect).free
     backup = add_effects(path, [str(effect)])
-    free = [one for one in larger.free if one not in model.entries]
-    facts = {"effect": effect, "path": path, "free": free, "backup": backup}
     content = {
         "added": str(effect),
-        "unknowns": free,
+        "unknowns": [one for one in free if one not in model.entries],
         "study_file": str(path),
         "backup": str(backup),
     }
-    return Answer(lines(__package__, "added", **facts), content)
+    return Answer(lines(__package__, "added", **content), content)
 
 
 def effects_of(path: Path | None) -> Answer:
@@ -250,11 +242,11 @@ def _listing(rows: Sequence[Mapping[str, Any]]) -> str:
     listed = []
     for row in rows:
         units = [f"{name} in {unit}" for name, unit in row["units"].items() if unit]
-        texts = (row["adds"], ", ".join(units), ", ".join(row["also_called"]))
-        told = chain.from_iterable(wrap(one, LINE_WIDTH - width) for one in texts)
-        heads = chain([row["effect"]], repeat(""))
-        pairs = zip(heads, told, strict=False)
-        listed += [f"{head:{width}}{one}" for head, one in pairs]
+        head = row["effect"]
+        for text in (row["adds"], ", ".join(units), ", ".join(row["also_called"])):
+            for line in wrap(text, LINE_WIDTH - width):
+                listed.append(f"{head:{width}}{line}")
+                head = ""
     return "\n".join(listed)
 
 

@@ -66,7 +66,7 @@ class Job:
     @property
     def places(self) -> list[Path]:
         """The files that it writes."""
-        return [path for path in (self.save, self.report) if path is not None]
+        return [*filter(None, (self.save, self.report))]
 
 
 @dataclass(frozen=True)

@@ -130,10 +130,10 @@ class _Keeper:
 
 
 def _fit_answer(fit: Fit) -> Answer:
-    text = "\n".join([str(fit), "", *fit.equations()])
+    equations = fit.equations()
     scales = {name: scale_of(fit.units.get(name, "")) for name in fit.noise}
     content = {
-        "equations": fit.equations(),
+        "equations": equations,
         "parameters": fit.parameters,
         "noise": {name: sd / scales[name].size for name, sd in fit.noise.items()},
         "units": {name: scale.unit for name, scale in scales.items()},
@@ -143,7 +143,7 @@ def _fit_answer(fit: Fit) -> Answer:
         "warnings": fit.warnings,
         "provenance": fit.provenance,
     }
-    return Answer(text, plain(content))
+    return Answer("\n".join([str(fit), "", *equations]), plain(content))
 
 
 def _compare_answer(comparison: Comparison) -> Answer:
@@ -184,7 +184,6 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         code = ExitCode(_code(study.diagnose(), job))
         advice = str(study.diagnose().next_step)
     content = study.content()
-    told = {one.question: str(one) for one in content.headline.answers}
     listed = {
         "next": advice,
         "stopped": study.stopped,
@@ -194,7 +193,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         "unestablished": content.unestablished,
         "verdict": content.headline.status if job.is_auto else None,
         "sentence": content.headline.sentence,
-        "answers": told,
+        "answers": {one.question: str(one) for one in content.headline.answers},
         "equations": study.fit.equations(),
         "unit": study.unit,
     }

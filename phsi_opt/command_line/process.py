@@ -80,25 +80,22 @@ def do(job: Job, as_json: bool) -> NoReturn:
     with told_errors(as_json, job.study):
         for path in job.places:  # before the work, not after it
             written_path(path)
-    answer, kept, seconds = supervise(job)
-    done = kept or Finished()
+    answer, done, seconds = supervise(job)
     files = list(map(str, done.files))
     notes = [f"written: {file}" for file in files] + _found_effects(job, done.found)
     end = {"written": files, "seconds": round(seconds, 2), "found": done.found}
     is_kept = f"The completed steps are kept:\n{done.text}"
     if answer is None:
-        said = [f"stopped after {seconds:.0f} s."]
-        if kept is None:
-            said.append("No step was completed; nothing was written.")
-        else:
-            said += [is_kept, *notes]
+        said = ["No step was completed; nothing was written."]
+        if done.text:
+            said = [is_kept, *notes]
+        text = "\n".join([f"stopped after {seconds:.0f} s.", *said])
         content = {"interrupted": True, **done.content}
-        answer = Answer("\n".join(said), content, ExitCode.INTERRUPTED)
-        finish(answer, as_json, **end)
+        finish(Answer(text, content, ExitCode.INTERRUPTED), as_json, **end)
     if not as_json:
         typer.echo("\n".join(notes), err=True, nl=bool(notes))
-    if answer.code == ExitCode.FAILED and kept is not None:
-        end = {**kept.content, **end}
+    if answer.code == ExitCode.FAILED and done.text:
+        end = {**done.content, **end}
         if not as_json:
             typer.echo(is_kept)
     finish(answer, as_json, **end)
@@ -121,15 +118,15 @@ def _found_effects(job: Job, found: tuple[str, ...]) -> list[str]:
 # ---- the waiting process -------------------------------------------------------------
 
 
-def supervise(job: Job) -> tuple[Answer | None, Finished | None, float]:
+def supervise(job: Job) -> tuple[Answer | None, Finished, float]:
     """Have a job done by a process of its own; Ctrl-C ends it at once.
 
     Returns:
         What it answered (None: it was interrupted), the last step that was finished
-        (None: none was), and how many seconds it took.
+        (without a text: none was), and how many seconds it took.
     """
     answer: Answer | None = None
-    kept: list[Finished] = []
+    kept = [Finished()]
     began = time.monotonic()
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()  # both ways: each end sees that the other is gone
@@ -145,7 +142,7 @@ def supervise(job: Job) -> tuple[Answer | None, Finished | None, float]:
         here.close()
         for path in job.places:
             remove_unfinished(path)
-    return answer, kept[-1] if kept else None, time.monotonic() - began
+    return answer, kept[-1], time.monotonic() - began
 
 
 @contextlib.contextmanager

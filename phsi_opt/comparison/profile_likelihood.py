@@ -159,18 +159,11 @@ def profile(
     half = fit.std_errors[name] * np.sqrt(quantile)
     threshold = quantile * line.factor / fit.independent_share([name])
     parameter = fit.model.entries[name].parameter
-    lower = line.end(min(parameter.lower, value), half, threshold)
-    upper = line.end(max(parameter.upper, value), half, threshold)
-    return Profile(
-        name=name,
-        value=value,
-        level=level,
-        points=np.array([(at, line.rise(at)) for at in sorted(line.solutions)]),
-        threshold=threshold,
-        ci_lower=lower,
-        ci_upper=upper,
-        curvature=(value - half, value + half),
-    )
+    bounds = (min(parameter.lower, value), max(parameter.upper, value))
+    lower, upper = (line.end(bound, half, threshold) for bound in bounds)
+    points = np.array([(at, line.rise(at)) for at in sorted(line.solutions)])
+    curvature = (value - half, value + half)
+    return Profile(name, value, level, points, threshold, lower, upper, curvature)
 
 
 def check_likelihood(fit: Fit, what: str) -> None:
@@ -273,8 +266,7 @@ class _Line:
                 return bound
             if far > 8 * half:
                 return side * np.inf
-        crossing = brentq(above, near, far, xtol=0.02 * half)
-        return self.value + side * crossing
+        return self.value + side * brentq(above, near, far, xtol=0.02 * half)
 
 
 # ---- the parametric bootstrap
@@ -302,9 +294,8 @@ class Bootstrap:
         Columns: value (of the fit), std_error (of the fit), bootstrap_error (standard
         deviation of the draws), bias (mean of the draws less the value).
         """
-        names = list(self.fit.estimates)
-        table = printed_table({"value": self.fit.estimates}, index=names)
-        table["std_error"] = [self.fit.std_errors[name] for name in names]
+        table = self._values()
+        table["std_error"] = [self.fit.std_errors[name] for name in table.index]
         table["bootstrap_error"] = self.estimates.std(ddof=1)
         table["bias"] = self.estimates.mean() - table["value"]
         return table
@@ -324,11 +315,15 @@ class Bootstrap:
             DataError: ``level`` does not lie between 0 and 1.
         """
         require_share("level", level, DataError)
-        names = list(self.fit.estimates)
-        table = printed_table({"value": self.fit.estimates}, index=names)
+        table = self._values()
         table["ci_lower"] = self.estimates.quantile((1 - level) / 2)
         table["ci_upper"] = self.estimates.quantile((1 + level) / 2)
         return table
+
+    def _values(self) -> "pd.DataFrame":
+        """The estimates of the fit, a row each."""
+        names = list(self.fit.estimates)
+        return printed_table({"value": self.fit.estimates}, index=names)
 
     def __str__(self) -> str:
         text = f"bootstrap of {len(self.estimates)} draws\n{self.table}"
@@ -391,35 +386,36 @@ def bootstrap(
     aligned = AlignedData.of(fit.model, data)
     data = aligned.data
     lengths = [run.n_samples for run in data.trajectories]
-    if list(map(len, fit.states)) != lengths:
+    fitted = list(map(len, fit.states))
+    if fitted != lengths:
         raise DataError(
             f"the measurements have trajectories of {lengths} samples, the fit "
-            f"{list(map(len, fit.states))}; give the measurements of the fit."
+            f"{fitted}; give the measurements of the fit."
         )
     theta = parameter_matrix(fit.model, parameters_of(fit, data))
     shown = outputs_at_samples(fit.model, aligned.grid, fit.states, theta)
-    drawn = partial(_drawn_estimates, fit.model, data, shown, dict(fit.noise))
+    noise = dict(fit.noise)
+    drawn = partial(_drawn_estimates, fit.model, data, shown, noise, likelihood_of(fit))
     # What the draws follow from.
     content = {
         "model": model_content(fit.model),
         "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
-        "noise": dict(fit.noise),
+        "noise": noise,
         "huber": fit.huber,
         "data": data.digest,
         "seed": int(seed),
     }
     text = json.dumps(content, sort_keys=True)
     seeds = np.random.SeedSequence(seed).spawn(n_draws)
-    results: dict[int, dict[str, Any]] = {}
-    for done in sweep(
-        partial(drawn, likelihood_of(fit)),
+    swept = sweep(
+        drawn,
         {f"draw {number}": one for number, one in enumerate(seeds)},
         executor=executor,
         folder=folder,
         of=f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}",
         progress=progress,
-    ):
-        results[int(done.key.removeprefix("draw "))] = done.result
+    )
+    results = {int(done.key.removeprefix("draw ")): done.result for done in swept}
     failed: dict[int, str] = {}
     rows: dict[int, Mapping[str, float]] = {}
     for number, result in sorted(results.items()):
@@ -452,9 +448,8 @@ def _drawn_estimates(
     for run, exact in zip(data.trajectories, shown, strict=True):
         noisy = exact + sigma * rng.normal(size=exact.shape)
         runs.append(replace(run, x=np.where(np.isnan(run.x), np.nan, noisy)))
-    drawn = replace(data, trajectories=tuple(runs))
     try:
-        fit = identify(model, drawn, loss)
+        fit = identify(model, replace(data, trajectories=tuple(runs)), loss)
     except PhsiOptError as error:
         return {"failed": f"{type(error).__name__}: {error}"}
     return {"estimates": dict(fit.estimates)}

@@ -79,8 +79,7 @@ class Fit(FitRecord, Summarised):
         Raises:
             DataError: The file cannot be written.
         """
-        text = json.dumps(self.content(), indent=1, allow_nan=True)
-        write_whole(path, text + "\n")
+        write_whole(path, json.dumps(self.content(), indent=1) + "\n")
 
     @classmethod
     @partial(typed, error=DataError)
@@ -104,8 +103,7 @@ class Fit(FitRecord, Summarised):
 
     def content(self) -> Content:
         """The fit as numbers, text, lists and mappings: what `save` writes."""
-        content: Content = encoded(replace(self, states=()))
-        return {"format": FORMAT, **content}
+        return {"format": FORMAT, **encoded(replace(self, states=()))}
 
     @classmethod
     def from_content(cls, content: Content) -> "Fit":
@@ -128,21 +126,22 @@ class Fit(FitRecord, Summarised):
         _check_names(fit.units, (*model.states, *model.inputs, "t"))
         hold = checked_hold(fit.hold, model.inputs)
         n = len(fit.names)
-        freedom = fit.uncertainty.value.freedom
+        covariance = fit.covariance.reshape(n, n)
+        freedom = fit.degrees_of_freedom
+        if freedom.shape != (n,):
+            raise DataError(f"{freedom.size} degrees of freedom for {n} estimates")
         for what, numbers in (
-            ("the variances of the estimates", np.diag(fit.covariance.reshape(n, n))),
+            ("the variances of the estimates", np.diag(covariance)),
             ("noise", np.array(list(fit.noise.values()))),
-            ("degrees of freedom", np.zeros(0) if freedom is None else freedom),
+            ("degrees of freedom", freedom),
             ("n_values", np.array([fit.n_values])),
         ):
             if np.any(numbers < 0):
                 raise DataError(f"{what}: {numbers.tolist()}; none can be negative")
-        if freedom is not None and freedom.shape != (n,):
-            raise DataError(f"{freedom.size} degrees of freedom for {n} estimates")
         by_source = fit.covariances.items()
         uncertainty = replace(
             fit.uncertainty.value,
-            covariance=fit.covariance.reshape(n, n),
+            covariance=covariance,
             covariances={source: one.reshape(n, n) for source, one in by_source},
         )
         return replace(fit, hold=hold, uncertainty=Later.known(uncertainty))
@@ -193,9 +192,6 @@ class Fit(FitRecord, Summarised):
     __repr__ = __str__
 
 
-# ---- files ---------------------------------------------------------------------------
-
-
 def _check_names(names: Iterable[str], known: Sequence[str]) -> None:
     for name in names:
         if name not in known:
@@ -225,11 +221,8 @@ def equation_lines(fit: FitRecord) -> list[str]:
             rows.append(f"{told} = {_estimate(fit, name)} (fixed)")
         elif name in own:
             rows.append(f"{name} = {_estimate(fit, name)}")
-    return [LONG_NUMBER.sub(_few_digits, row) for row in rows]
-
-
-def _few_digits(found: re.Match[str]) -> str:
-    return f"{float(found[0]):.{DIGITS}g}"
+    rounded = partial(LONG_NUMBER.sub, lambda found: f"{float(found[0]):.{DIGITS}g}")
+    return list(map(rounded, rows))
 
 
 def _remarks(fit: FitRecord) -> list[str]:
@@ -255,9 +248,8 @@ def _term(fit: FitRecord, term: Term, place: str, number: int) -> str:
         return f"({_estimate(fit, term.inner_name(name, place))})"
 
     # In one pass: a unit that was put in may have the name of another parameter.
-    body = IDENTIFIER.sub(estimate_of, term.body)
     coefficient = f"({_estimate(fit, term.coefficient_name(place))})"
-    return term.product(coefficient, body)
+    return term.product(coefficient, IDENTIFIER.sub(estimate_of, term.body))
 
 
 def _estimate(fit: FitRecord, name: str) -> str:

@@ -6,7 +6,7 @@ printed, stored and drawn stands in `fit`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -34,17 +34,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import sympy as sp
 
-PARAMETER_COLUMNS = [
-    "name",
-    "slot",
-    "equation",
-    "value",
-    "std_error",
-    "lower",
-    "upper",
-    "unit",
-    "fixed",
-]
+COLUMNS = "name slot equation value std_error lower upper unit fixed"  # of parameters
 DIGITS = 6  # of printed numbers: more than most data tell
 MOST_TERMS = 2_000  # that a right-hand side is multiplied out to: some seconds
 
@@ -100,7 +90,7 @@ class Identified:
             for name, value in self._values_of(entry).items():
                 known = (scale.shown(value), self.std_errors[name] / scale.size)
                 rows.append((name, entry.slot, entry.equation, *known, *after))
-        return printed_table(rows, columns=PARAMETER_COLUMNS)
+        return printed_table(rows, columns=COLUMNS.split())
 
     def _values_of(self, entry: Entry) -> dict[str, float]:
         """Values of one parameter of the model by name."""
@@ -199,9 +189,8 @@ class Identified:
         found = {}
         for state in self.model.states:
             rounded = without_steps(exact[f"d{state}/dt"]).n(DIGITS)
-            for number in rounded.atoms(sp.Float):
-                if float(number).is_integer():
-                    rounded = rounded.xreplace({number: sp.Integer(number)})
+            whole = [one for one in rounded.atoms(sp.Float) if float(one).is_integer()]
+            rounded = rounded.xreplace({one: sp.Integer(one) for one in whole})
             found[text_of(sp.Symbol(state))] = text_of(rounded)
         return found
 
@@ -210,7 +199,6 @@ class Identified:
 
 SENSOR_ERROR = "sensor error"  # kind of a row
 OF_SENSOR = "sensor of "  # where it is, before the name of a state
-MODEL_ERROR_COLUMNS = ("where", "kind", "size", "time", "unit", "share")
 
 
 @dataclass(frozen=True)
@@ -378,8 +366,7 @@ class FitRecord(Identified):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences to read before the numbers are used."""
-        first = (self.caution,) if self.caution else ()
-        return (*first, *self.uncertainty.value.warnings)
+        return (*filter(None, (self.caution,)), *self.uncertainty.value.warnings)
 
     @cached_property
     def estimates(self) -> dict[str, float]:
@@ -480,7 +467,8 @@ class FitRecord(Identified):
             scale = scale_of(row.unit)
             told = {"size": row.size / scale.size, "time": row.time / time.size}
             rows.append(vars(row) | told | {"unit": scale.unit})
-        return printed_table(rows, columns=list(MODEL_ERROR_COLUMNS))
+        columns = [column.name for column in fields(ModelErrorRow)]
+        return printed_table(rows, columns=columns)
 
     def intervals(self, level: float = 0.95) -> "pd.DataFrame":
         """Confidence intervals of the estimates, from their standard errors.

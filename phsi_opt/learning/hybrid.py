@@ -105,15 +105,17 @@ def hybrid(
     grid = complete_intervals(model, grid_of(record))
     rule = integrators.integrator(integrator)
     problem = _Problem(grid, trained.equations, trained.rows, rule)
-    shape = (grid.n_intervals, len(rule.shares), len(trained.rows))
-    at_stages = np.zeros(shape)
+    at_stages = np.zeros((grid.n_intervals, len(rule.shares), len(trained.rows)))
     fit: Fit | None = None
     turns = []
     converged = False
     for turn in range(max_turns):
         before = (model, at_stages)
         prune = pruning if turn >= FIRST_PRUNED_TURN else None
-        fit = problem.identified(*before, record, l1, prune, fit)
+        forced, inputs = problem.forced(*before)
+        loss = PHSILoss(integrator)
+        aligned = AlignedData(record, inputs)
+        fit = identify_forced(forced, aligned, loss, l1, prune, fit)
         model = without_signals(fit.model)
         stages = problem.training_set(model, at_stages)
         in_turn = replace(
@@ -248,14 +250,13 @@ def _from_content(content: dict[str, Any]) -> Hybrid:
     stored = decoded(TrainedForce, content["force"])
     stored.network.check_sizes(len(stored.variables), len(stored.equations))
     known = (stored.equations, stored.variables, stored.network)
-    force = TrainedForce.of(model, *known)
     return Hybrid(
         model=model,
         hold=fit.hold,
         seconds=float(content["seconds"]),
         removed=fit.removed,
         fit=fit,
-        force=force,
+        force=TrainedForce.of(model, *known),
         convergence=pd.DataFrame(content["convergence"]),
         converged=bool(content["converged"]),
     )
@@ -282,21 +283,6 @@ class _Problem:
         forced = with_signals(model, self.equations, self.rule)
         return forced, with_force(self.grid, force, self.rule)
 
-    def identified(
-        self,
-        model: Model,
-        force: np.ndarray,
-        data: Measurements,
-        l1: dict[str, float] | float | None,
-        pruning: Pruning | None,
-        start: Fit | None,
-    ) -> Fit:
-        """The dictionary, with a force as an input."""
-        forced, grid = self.forced(model, force)
-        loss = PHSILoss(self.rule.name)
-        aligned = AlignedData(data, grid)
-        return identify_forced(forced, aligned, loss, l1, pruning, start)
-
     def defects(self, model: Model, force: np.ndarray) -> ParameterSlopes:
         """Of a dictionary beside a force, with their slopes in its coefficients."""
         forced, grid = self.forced(model, force)
@@ -311,27 +297,23 @@ class _Problem:
             points = Points(x.T, *_inputs_and_times(grid, share), theta)
             return points.values(forced.rhs()).T
 
-        x0 = grid.y[grid.begin].T
-        x1 = grid.y[grid.begin + 1].T
-        states = self.rule.states(rates, x0, x1, grid.h[None, :])
+        ends = (grid.y[grid.begin].T, grid.y[grid.begin + 1].T)
+        states = self.rule.states(rates, *ends, grid.h[None, :])
         stages = []
         for x, share in zip(states, self.rule.shares, strict=True):
             u, t = _inputs_and_times(self.grid, share)
             stages.append(np.column_stack([x.T, u, t]))
+        trajectory = self.grid.runs
+        folds = trajectory % N_FOLDS
+        if trajectory[-1] + 1 < N_FOLDS:  # blocks of few trajectories
+            folds = np.arange(len(trajectory)) * N_FOLDS // len(trajectory)
         data = TrainingSet(
             np.stack(stages, axis=1),
             np.array(self.rule.weights) / sum(self.rule.weights),
             self.defects(model, force).d[:, self.rows],
-            self.folds(),
+            folds,
         )
         return replace(data, target=data.target + data.mean(force))
-
-    def folds(self) -> np.ndarray:
-        """Fold of every interval, (n_intervals,): trajectories, or blocks of few."""
-        trajectory = self.grid.runs
-        if trajectory[-1] + 1 >= N_FOLDS:
-            return trajectory % N_FOLDS
-        return np.arange(len(trajectory)) * N_FOLDS // len(trajectory)
 
     def with_best_output(
         self, trained: TrainedForce, model: Model, data: TrainingSet
@@ -386,7 +368,7 @@ def _coefficient_change(before: Model, after: Model) -> float:
     slots = [entry.slot for entry in before.entries.values()]
     sizes = new.abs().groupby(slots).transform("max").clip(lower=LEAST_SIZE)
     changes = (new - old).abs() / sizes
-    return float(np.max(changes.to_numpy(), initial=0.0))
+    return float(changes.to_numpy().max(initial=0.0))
 
 
 # ---- the force as inputs -------------------------------------------------------------

@@ -143,12 +143,10 @@ class TrainedForce:
         """Inputs or times in the shape of rows; zeros where nothing depends on them."""
         shape = (n_samples, len(names))
         if values is None:
-            for name in self.variables:
-                if name in names:
-                    raise DataError(
-                        f"the force depends on {name!r}; give {argument} together "
-                        "with x."
-                    )
+            for name in filter(names.__contains__, self.variables):
+                raise DataError(
+                    f"the force depends on {name!r}; give {argument} together with x."
+                )
             return np.zeros(shape)
         if np.size(values) != shape[0] * shape[1]:
             raise DataError(
@@ -197,8 +195,7 @@ def train(
     network = replace(network, seen=range_of(visited))
     scale = np.maximum(np.sqrt(np.mean(data.target**2, axis=0)), LEAST_SIZE)
     with torch_with(seed) as torch:
-        sizes = [v.shape[-1], *settings.hidden, len(scale)]
-        net = trainable(sizes)
+        net = trainable([v.shape[-1], *settings.hidden, len(scale)])
         if network.layers:
             *hidden, (weights, bias) = network.layers
             begin_at(net, (*hidden, (weights / scale[:, None], bias / scale)))

@@ -68,14 +68,13 @@ class Network:
         Raises:
             DataError: a size does not fit.
         """
-        sizes = [n_variables]
-        fits = len(self.seen) == 2
-        for scale in (self.shift, self.spread, *self.seen):
-            fits = fits and scale.shape == (n_variables,)
+        size = n_variables
+        scales = (self.shift, self.spread, *self.seen)
+        fits = [scale.shape for scale in scales] == 4 * [(n_variables,)]
         for weights, bias in self.layers:
-            fits = fits and weights.shape == (len(bias), sizes[-1])
-            sizes.append(len(bias))
-        if not fits or sizes[-1] != n_outputs:
+            fits = fits and weights.shape == (len(bias), size)
+            size = len(bias)
+        if not fits or size != n_outputs:
             raise DataError(
                 "the layers of the network do not fit together "
                 "or to its equations and variables."
@@ -152,8 +151,7 @@ def trainable(sizes: Sequence[int]) -> Any:
 
     parts: list[Any] = []
     for n_in, n_out in pairwise(sizes):
-        parts.append(nn.Linear(n_in, n_out, dtype=float64))
-        parts.append(nn.ReLU())
+        parts += (nn.Linear(n_in, n_out, dtype=float64), nn.ReLU())
     return nn.Sequential(*parts[:-1])
 
 

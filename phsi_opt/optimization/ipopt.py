@@ -356,6 +356,12 @@ def _ipopt_options(settings: SolverSettings) -> dict[str, Any]:
         # Approximate minimum degree that sees dense rows (each parameter's): time in
         # proportion to the samples.
         "mumps_pivot_order": 6,
+        # Pivoting for size alone fills the factors of a badly scaled record until they
+        # do not fit (EMPS, 1 kHz).
+        "mumps_pivtol": 1e-9,
+        # Its permutation to a large diagonal, which it chooses by itself, fills them
+        # too: 12 s for 0.5 s (EMPS).
+        "mumps_permuting_scaling": 0,
         # Beyond this a step is given up for a restoration: larger ones diverge, while
         # the factors fill the memory.
         "max_hessian_perturbation": 1e4,

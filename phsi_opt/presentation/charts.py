@@ -8,8 +8,8 @@ Names are never read as formulas or markup. Nothing here calls ``plt.show``.
 import datetime as dt
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, is_dataclass, replace
 from itertools import chain
 from textwrap import wrap
 from typing import Any
@@ -64,8 +64,6 @@ MATPLOTLIB_LOOKS: dict[str, Any] = {
     FILLED: {"lw": 0.8},
     RINGS: {"ls": "none", "marker": "o", "ms": 9, "mfc": "none"},
 }
-TWO_DEVIATIONS = "two standard deviations"
-DEVIATION = "std. deviation"
 STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "report",  # the same names of parts in every run
@@ -95,7 +93,7 @@ class Curve:
     # ``POINTS``, ``RINGS``, ``STEPS`` (line and markers), or a kind of line
     look: str = "solid"
     std: np.ndarray | None = None  # half the width of a band around it; None: no band
-    band: str = TWO_DEVIATIONS  # what the band is called
+    band: str = "two standard deviations"  # what the band is called
     texts: tuple[str, ...] = ()  # beside the points
     is_below: tuple[bool, ...] = ()  # whether a text stands below its point
     is_shown: bool = True  # before somebody asks for it
@@ -137,27 +135,24 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     x = np.arange(n, dtype=float)
     errors = np.array([(one.train, one.held_out, one.floor) for one in steps], float)
     train, held_out, floor = errors.T
+    of = ""
     curves = [_steps("training", x, train, MODEL)]
     if np.isfinite(held_out).any():  # of two near errors both numbers are seen
+        of = " of held-out data"
         is_below = train <= held_out
-        trained = replace(curves[0], color=MEASURED, is_below=tuple(is_below.tolist()))
-        below = tuple((~is_below).tolist())
-        curves = [
-            trained,
-            replace(_steps("held out", x, held_out, MODEL), is_below=below),
-        ]
+        trained = _steps("training", x, train, MEASURED, is_below)
+        curves = [trained, _steps("held out", x, held_out, MODEL, ~is_below)]
     final = np.array([one.final for one in steps], float)
     if np.isfinite(final).any():
         curves.append(Curve("final test", x, final, ATTENTION, "dot"))
     ends = np.array([one.floor_ends for one in steps])
     ends = np.where(np.isfinite(ends), ends, floor[:, None])
-    of = " of held-out data" if np.isfinite(held_out).any() else ""
-    band = (
-        f"noise floor{of} {with_interval(floor[-1], ends[-1], typeset(spaced(unit)))}"
-    )
+    interval = with_interval(floor[-1], ends[-1], typeset(spaced(unit)))
+    band = f"noise floor{of} {interval}"
     low, high = np.pad(ends, ((1, 1), (0, 0)), mode="edge").T
     wide = np.r_[-0.5, x, n - 0.5]  # a band where there is one step too
-    middle, half = (low + high) / 2, (high - low) / 2
+    middle = (low + high) / 2
+    half = (high - low) / 2
     curves.append(Curve("", wide, middle, FLOOR, FILLED, half, band, group=band))
     known = errors[errors > 0]
     is_log = n > 1 and known.size > 0 and known.max() >= 10 * known.min()
@@ -168,9 +163,16 @@ def errors_chart(steps: Sequence[ErrorStep], unit: str) -> Chart:
     return Chart("", (panel,), ticks=tuple(wrap(one, n_letters) for one in changes))
 
 
-def _steps(name: str, x: np.ndarray, y: np.ndarray, color: str) -> Curve:
+def _steps(
+    name: str,
+    x: np.ndarray,
+    y: np.ndarray,
+    color: str,
+    is_below: np.ndarray | None = None,
+) -> Curve:
     texts = tuple(number(one, 3) if np.isfinite(one) else "" for one in y)
-    return Curve(name, x, y, color, STEPS, texts=texts)
+    below = () if is_below is None else tuple(is_below.tolist())
+    return Curve(name, x, y, color, STEPS, texts=texts, is_below=below)
 
 
 def run_chart(
@@ -188,13 +190,12 @@ def run_chart(
     largest = np.nanmax(np.abs(np.concatenate([[0.0], *residuals])))
     sigma = one.noise or 0.0
     noise = 2 * sigma if sigma > THINNEST * largest else None
-    is_close = one.change < CLOSE
-    height = 1.4 if is_close else 0.5
+    height = 1.4 if one.change < CLOSE else 0.5  # more where the curves are close
     below = Panel(label("residual", one.unit), curves, noise=noise, height=height)
     x_label = time_label(content.time.unit, run.origin)
     measured = Curve("measured", one.t, one.measured, MEASURED, POINTS)
     shown = [measured, *_of_models(content.names, one.t, one.models)]
-    above = Panel(label(one.name, one.unit), shown)
+    above = Panel(one.title, shown)
     return Chart(x_label, (above, below), run.title, mark=mark)
 
 
@@ -232,15 +233,14 @@ def follows_chart(found: Follows) -> Chart:
     Before a law is found, with its mean in bins: these would smear the step of a law.
     """
     dots = Curve("estimated", found.x, found.force, MEASURED, POINTS)
-    binned = (found.centre, found.mean, MODEL, STEPS, found.std, DEVIATION)
+    binned = (found.centre, found.mean, MODEL, STEPS, found.std, "std. deviation")
     through = Curve("mean in bins", *binned)
     if found.law is not None:
         through = Curve("the law that was found", found.x, found.law, ATTENTION, POINTS)
-    curves = (dots, through)
-    return Chart(found.x_label, (Panel(found.y_label, curves),))
+    return Chart(found.x_label, (Panel(found.y_label, (dots, through)),))
 
 
-def time_label(unit: str, origin: dt.datetime | None = None) -> str:
+def time_label(unit: str, origin: dt.datetime | None) -> str:
     """The label of an axis of time, with the date at which the time is 0."""
     date = date_words(0.0, origin)
     return label("t", unit) + (f" since {date}" if date else "")
@@ -260,10 +260,12 @@ def figure(value: Any) -> Any:
         return rounded(value) if value.ndim == 1 else list(map(rounded, value))
     if isinstance(value, list | tuple):
         return list(map(figure, value))
+    if isinstance(value, Mapping):
+        return {name: figure(one) for name, one in value.items()}
     if not is_dataclass(value):
         return value
-    found = {one.name: figure(getattr(value, one.name)) for one in fields(value)}
-    return found | ({"largest": value.largest} if isinstance(value, ForceMap) else {})
+    largest = {"largest": value.largest} if isinstance(value, ForceMap) else {}
+    return figure(vars(value) | largest)
 
 
 def rounded(curve: np.ndarray) -> list[float | None]:
@@ -272,11 +274,8 @@ def rounded(curve: np.ndarray) -> list[float | None]:
     extent = float(np.ptp(known)) if len(known) else 0.0
     size = extent or (abs(float(known[0])) if len(known) else 1.0) or 1.0
     n_decimals = 4 - math.floor(math.log10(size))
-    values: list[float | None] = []
-    for value in curve.tolist():
-        is_known = math.isfinite(value)
-        values.append(round(value, n_decimals) if is_known else None)
-    return values
+    decimals = [round(value, n_decimals) for value in curve.tolist()]
+    return [value if math.isfinite(value) else None for value in decimals]
 
 
 # ---- by matplotlib -------------------------------------------------------------------
@@ -385,7 +384,8 @@ def draw(ax: Axes, chart: Chart, place: int = 0) -> None:
 
 def _draw_curve(ax: Axes, curve: Curve) -> None:
     if curve.std is not None:
-        lower, upper = curve.y - curve.std, curve.y + curve.std
+        lower = curve.y - curve.std
+        upper = curve.y + curve.std
         look: Any = {"color": curve.color, "alpha": 0.2, "lw": 0}
         ax.fill_between(curve.x, lower, upper, label=curve.band, **look)
     look = {"lw": 1.3, "color": curve.color, **MATPLOTLIB_LOOKS[curve.look]}

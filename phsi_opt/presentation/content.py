@@ -12,13 +12,9 @@ from itertools import chain
 
 import numpy as np
 
-from phsi_opt.presentation.numbers import (
-    as_exact_as,
-    number,
-    said,
-    typeset,
-)
+from phsi_opt.presentation.numbers import as_exact_as, label, number, said, typeset
 from phsi_opt.presentation.units import Scale
+from phsi_opt.statistics import rms
 
 Number = float | None
 
@@ -168,13 +164,17 @@ class Channel:
     movement: float = 0.0  # standard deviation of all that was measured
 
     @property
+    def title(self) -> str:
+        """Such as "q (m)"."""
+        return label(self.name, self.unit)
+
+    @property
     def change(self) -> float:
         """How far the first and the last model, or model and data, are apart (rms)."""
         last = self.models[-1] if len(self.models) > 1 else self.measured
         apart = self.models[0] - last
         known = apart[np.isfinite(apart)]
-        size = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
-        return size / self.movement if self.movement else 0.0
+        return rms(known) / self.movement if len(known) and self.movement else 0.0
 
     def share_off(self, model: int) -> float:
         """The error of a model over the movement."""
@@ -319,9 +319,9 @@ class Diagnosed:
     sentences: tuple[str, ...]  # where the model fails, in words
     forces: tuple[Force, ...]  # the missing force of each equation that has a sure one
     ranking: tuple[Ranked, ...]  # the candidates, best first
-    proposed: tuple[str, ...] = ()  # the effects to add next; empty for none
-    nearest: str = ""  # the effect that comes nearest where none is named; "" for none
-    averaged: int = 0  # how many samples to average, where a force shakes; 0: none
+    proposed: tuple[str, ...]  # the effects to add next; empty for none
+    nearest: str  # the effect that comes nearest where none is named; "" for none
+    averaged: int  # how many samples to average, where a force shakes; 0: none
 
     @property
     def listed(self) -> tuple[Ranked, ...]:
@@ -375,7 +375,7 @@ class StudyContent:
     # Which of the effects added no diagnosis established.
     unestablished: tuple[str, ...]
     warning: str  # what to do where the free run is flat; "" where it is not
-    hold: str | Mapping[str, str] = "linear"  # what inputs do between samples
+    hold: str | Mapping[str, str]  # what inputs do between samples
 
     @property
     def present(self) -> Diagnosed | None:

@@ -31,23 +31,21 @@ TEMPLATES = "templates"
 
 
 class _Place(NamedTuple):
-    """What a place of the report shows: one chart, or one of a run and a channel."""
+    """The charts of a place, by run and channel, and which of them is shown first."""
 
     charts: list[list[Chart]]
-    shown: tuple[int, int] | None = None
-
-    def drawn(self) -> Any:
-        """The figures, or the figure, for the browser."""
-        figures = [list(map(figure, of_run)) for of_run in self.charts]
-        return figures[0][0] if self.shown is None else figures
+    run: int
+    channel: int = 0
 
 
-def _places(content: StudyContent, data: Chart | None) -> dict[str, _Place]:
-    """The charts of a report, by the names that their places have."""
+def _places(
+    content: StudyContent, data: Chart | None
+) -> tuple[dict[str, Chart], dict[str, _Place]]:
+    """The charts of a report by the names of their places: one each, or several."""
     runs = []
     for run in content.runs:
         runs.append([run_chart(content, run, k) for k in range(len(run.channels))])
-    places = {"measured": _Place(runs, (content.shown, content.shown_channel))}
+    several = {"measured": _Place(runs, content.shown, content.shown_channel)}
     charts = {"staircase": errors_chart(content.steps, content.unit)}
     if data is not None:
         charts["data-chart"] = data
@@ -57,23 +55,23 @@ def _places(content: StudyContent, data: Chart | None) -> dict[str, _Place]:
         for k, force in enumerate(diagnosed.forces):
             name = f"force-{f}-{k}"
             along = [[force_chart([run], content.time.unit)] for run in force.runs]
-            places[f"{name}-time"] = _Place(along, (force.shown, 0))
+            several[f"{name}-time"] = _Place(along, force.shown)
             charts[f"{name}-follows"] = follows_chart(force.follows)
             if force.map is not None:
                 charts[f"{name}-map"] = Chart(force.map.x_label, map=force.map)
-    return places | {name: _Place([[chart]]) for name, chart in charts.items()}
+    return charts, several
 
 
 def html_report(content: StudyContent, data: Chart | None = None) -> str:
     """The whole report as the text of an HTML file, with a chart of all its data."""
-    places = _places(content, data)
-    drawn = {name: place.drawn() for name, place in places.items()}
+    charts, several = _places(content, data)
+    drawn = figure(charts | {name: place.charts for name, place in several.items()})
+    for name, place in several.items():
+        charts[name] = place.charts[place.run][place.channel]
 
     def picture(name: str) -> str:
         """An address that holds the picture for paper."""
-        place = places[name]
-        run, channel = place.shown or (0, 0)
-        text = svg(place.charts[run][channel]).encode()
+        text = svg(charts[name]).encode()
         return f"data:image/svg+xml;base64,{base64.b64encode(text).decode()}"
 
     templates = environment(PRESENTATION, TEMPLATES, autoescape=True, finalize=unbroken)

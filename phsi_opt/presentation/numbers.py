@@ -28,7 +28,10 @@ QUANTITY = re.compile(rf"\d[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]*\)?(?: ±|(?: {UNIT_
 NO_BREAK = "\N{NO-BREAK SPACE}"
 ZERO = re.compile(r"(?<![\d.])0\.0+(?!\d)")
 BESIDE = re.compile(r"(?<=±) (?=\d)")
-LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
+# With six digits or more behind leading zeros.
+LONG_CONSTANT = re.compile(
+    r"(?<![\w.])(?=[0.]*[1-9](?:\.?\d){5})\d+\.\d+(?![\w.]| \+-)"
+)
 
 
 def number(value: float | None, digits: int = 0) -> str:
@@ -136,12 +139,7 @@ def with_interval(value: float, ends: Sequence[float], unit: str = "") -> str:
 
 def short_constants(line: str) -> str:
     """An equation whose constants of six digits have three; estimates stay."""
-    return LONG_CONSTANT.sub(_three_digits, line)
-
-
-def _three_digits(found: re.Match[str]) -> str:
-    digits = found[0].replace(".", "").lstrip("0")
-    return f"{float(found[0]):.3g}" if len(digits) > 5 else found[0]
+    return LONG_CONSTANT.sub(lambda found: f"{float(found[0]):.3g}", line)
 
 
 def p_value_words(p_value: float) -> str:

@@ -9,7 +9,7 @@ Pictures of where a missing force acts stand in `force_analysis`.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import fill
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -73,13 +73,12 @@ def plot_free_run(
     names = ", ".join(channel.name for channel in channels)
     units = {channel.unit for channel in channels}
     unit = units.pop() if len(units) == 1 else ""
-    above = Panel(label(names, unit), curves)
-    noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
-    told = label("residual", unit if is_alone else "noise std.")
-    below = Panel(told, residuals, noise=noise, height=0.5)
-    has_noise = all(channel.noise for channel in channels)
-    chart = Chart(label("t", t_unit), (above, below) if has_noise else (above,))
-    return drawn(chart, title, ax, (8.0, 4.8))
+    panels = [Panel(label(names, unit), curves)]
+    if all(channel.noise for channel in channels):
+        noise = 2 * (channels[0].noise or 1.0) if is_alone else 2.0
+        told = label("residual", unit if is_alone else "noise std.")
+        panels.append(Panel(told, residuals, noise=noise, height=0.5))
+    return drawn(Chart(label("t", t_unit), tuple(panels)), title, ax, (8.0, 4.8))
 
 
 def plot_missing_force(
@@ -114,8 +113,7 @@ def plot_profile(
     held, rise = points.T
     # The signed root of the rise is nearly straight, so a smooth curve goes through few
     # points.
-    signed_root = np.sign(held - value) * np.sqrt(rise)
-    root = PchipInterpolator(held, signed_root)
+    root = PchipInterpolator(held, np.sign(held - value) * np.sqrt(rise))
     inside = np.linspace(held[0], held[-1], 200)  # no corner is seen
     lower, upper = curvature
     wide = np.linspace(min(held[0], lower), max(held[-1], upper), 200)
@@ -126,8 +124,7 @@ def plot_profile(
         Curve("curvature", wide, parabola, MEASURED, "dash"),
         Curve(f"{100 * level:.3g} %", wide, 0 * wide + threshold, FLOOR, "dot"),
     )
-    told = "rise of -2 log likelihood"
-    draw(ax, Chart("", (Panel(told, curves),)))
+    draw(ax, Chart("", (Panel("rise of -2 log likelihood", curves),)))
     ax.set_ylim(0, 2 * threshold)
     return ax
 
@@ -135,22 +132,16 @@ def plot_profile(
 # ---- how well every parameter is known -----------------------------------------------
 
 
-class Look(NamedTuple):
-    """How estimates of a kind are drawn, and what is said of them; "": nothing."""
-
-    said: str
-    marker: str
-    color: str
-    face: str
-
-
+# How estimates of a kind are drawn (marker, colour, face), by what is said of them.
+IS_SURE = ""
+SIGN_UNKNOWN = "not significantly different from zero (orange)"
+NO_STD_ERROR = "without standard error (circle)"
+ENDED_AT_BOUND = "at a bound (square)"
 LOOKS = {
-    "open": Look(
-        "not significantly different from zero (orange)", "o", ATTENTION, ATTENTION
-    ),
-    "unknown": Look("without standard error (circle)", "o", BASELINE, "white"),
-    "held": Look("at a bound (square)", "s", BASELINE, BASELINE),
-    "sure": Look("", "o", MODEL, MODEL),
+    SIGN_UNKNOWN: ("o", ATTENTION, ATTENTION),
+    NO_STD_ERROR: ("o", BASELINE, "white"),
+    ENDED_AT_BOUND: ("s", BASELINE, BASELINE),
+    IS_SURE: ("o", MODEL, MODEL),
 }
 
 
@@ -167,26 +158,24 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     percent = 100 * half_width / table["value"].abs().to_numpy(dtype=float)
     is_known = np.isfinite(half_width)
     cases = [is_known & (percent < 100), is_known, table["at_bound"].to_numpy(bool)]
-    kind = np.select(cases, ["sure", "open", "held"], "unknown")
-    is_sure = kind == "sure"
+    kind = np.select(cases, [IS_SURE, SIGN_UNKNOWN, ENDED_AT_BOUND], NO_STD_ERROR)
+    is_sure = kind == IS_SURE
     reach = 1.15 * float(percent[is_sure].max()) if is_sure.any() else 100.0
     ax.axvline(0, color=BASELINE, lw=0.8)
-    for name, look in LOOKS.items():
-        rows = np.flatnonzero(kind == name)
-        drawn: Any = {"mfc": look.face, "ms": 6, "capsize": 4, "color": look.color}
+    doubts = []
+    for told, (marker, color, face) in LOOKS.items():
+        rows = np.flatnonzero(kind == told)
+        drawn: Any = {"mfc": face, "ms": 6, "capsize": 4, "color": color}
         # What is open goes beyond the edges.
         width = np.nan_to_num(np.minimum(percent[rows], 2 * reach))
-        ax.errorbar(0 * rows, rows, xerr=width, fmt=look.marker, **drawn)
+        ax.errorbar(0 * rows, rows, xerr=width, fmt=marker, **drawn)
+        if told and len(rows):
+            doubts.append(f"{len(rows)} {told}")
     ax.set_yticks(np.arange(n), _row_labels(table, half_width))
     ax.tick_params(axis="y", length=0)
     ax.set_ylim(max(n, 1) - 0.5, -0.5)
     ax.set_xlim(-reach, reach)
     ax.set_xlabel(f"{100 * level:.3g} % interval around the estimate (% of its size)")
-    doubts = []
-    for name, look in LOOKS.items():
-        n_found = np.count_nonzero(kind == name)
-        if look.said and n_found:
-            doubts.append(f"{n_found} {look.said}")
     title = f"Of {n} estimates: {', '.join(doubts)}"
     if not n:
         title = "No parameter was estimated"

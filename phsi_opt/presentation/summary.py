@@ -88,8 +88,7 @@ def filled(text: str, indent: str = "") -> str:
     """Sentences in lines of a terminal; what goes on is indented further."""
     look: Any = {"break_long_words": False, "break_on_hyphens": False}
     look |= {"initial_indent": indent, "subsequent_indent": f"{indent}  "}
-    rows = (fill(row, LINE_WIDTH, **look) for row in text.splitlines())
-    return "\n".join(rows)
+    return "\n".join(fill(row, LINE_WIDTH, **look) for row in text.splitlines())
 
 
 def printed_table(*args: Any, **kwargs: Any) -> "PrintedTable":

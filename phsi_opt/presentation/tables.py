@@ -58,18 +58,13 @@ class Column:
     is_number: bool
 
     @property
-    def broken_header(self) -> str:
-        """Its name in lines, a word each."""
-        return self.header.replace("_", "\n")
-
-    @property
     def least_width(self) -> int:
         """Characters that it takes where all is broken that may be, with the gap."""
         longest = max(map(len, self.cells), default=1)
         if not self.is_number:  # texts are broken at blanks, after a word or two
             words = map(len, " ".join(self.cells).split(" "))
             longest = max(min(longest, 12), min(max(words, default=1), LONGEST_WORD))
-        return COLUMN_GAP + max(longest, 1, *map(len, self.broken_header.split()))
+        return COLUMN_GAP + max(longest, 1, *map(len, re.split(r"[\s_]+", self.header)))
 
 
 def columns_of(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> list[Column]:
@@ -145,7 +140,7 @@ def _laid_out(columns: list[Column], width: int) -> "Table":
         more = min(max(most - least, 0), spare)
         spare -= more
         shown.add_column(
-            Text(one.broken_header if is_wide else one.header),
+            Text(one.header.replace("_", "\n") if is_wide else one.header),
             justify="right" if one.is_number else "left",
             width=least + more,  # rich itself would break words
             overflow="fold",
@@ -186,6 +181,5 @@ def html_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> str:
 def html_shown(name: str, *facts: Any) -> str:
     """What a macro of ``shown.html.jinja`` makes of facts, as safe markup."""
     found = environment("phsi_opt.presentation", "templates", autoescape=True)
-    module = found.get_template("shown.html.jinja").module
-    made: str = getattr(module, name)(*facts)
+    made: str = getattr(found.get_template("shown.html.jinja").module, name)(*facts)
     return made.strip()

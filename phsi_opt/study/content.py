@@ -10,12 +10,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import HORIZON_RESIDUAL, Comparison
-from phsi_opt.criteria import (
-    FAILING_ERROR,
-    SURE_DEVIATIONS,
-    SURE_LEVEL,
-    WHITE_ERROR,
-)
+from phsi_opt.criteria import FAILING_ERROR, SURE_DEVIATIONS, SURE_LEVEL, WHITE_ERROR
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
@@ -23,7 +18,6 @@ from phsi_opt.estimation.fit import Fit, equation_lines
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.pictures import force_of, force_runs, samples_of_each
 from phsi_opt.model.laws import parameter_words
-from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.typeset import typeset_equations
 from phsi_opt.presentation.content import (
     BAD,
@@ -78,14 +72,19 @@ from phsi_opt.study.answers import (
 )
 from phsi_opt.study.record import Step, StudyRecord
 
-Ends = tuple[float | None, float | None]
-NOT_HELD_OUT = "no data were held out; errors are those of the training data"
 LEVEL = 0.95  # of the intervals: the convention of most tables
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
     "linear": "linear between samples",
     "cubic": "smooth, by a cubic spline through the samples",
 }
+SUBJECTS = {
+    "size": "size of residuals",
+    "whiteness": "correlation of the residuals",
+    "horizon": "length of a good free run",
+}
+HELPS = "not fitted; they help to choose effects"  # of held-out data
+SEEDS = "fixed in the package: the same data and settings give the same numbers"
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 
 
@@ -118,12 +117,7 @@ def study_content(
     units = (scale_of(study.train.units.get(name, "")).unit for name in measured)
     shown, shown_channel = _most_changed(runs)
     described = said_of(study, "subtitle", origin=runs[0].origin, written=written)
-    place = telling_step(study)
     headline = headline_of(study)
-    glance = None  # where what the verdict tells of is seen best
-    if place is not None:
-        model = -1 if place == last else 0
-        glance = glance_of(study.diagnoses[place], runs, time, model)
     return StudyContent(
         title=study.title or f"Study of {', '.join(map(label, measured, units))}",
         subtitle=described.lead,
@@ -131,7 +125,7 @@ def study_content(
         steps=study.errors(size),
         unit=unit,
         errors=_errors(study),
-        glance=glance,
+        glance=_glance(study, runs, time),
         models=tuple(models),
         time=time,
         names=tuple(names),
@@ -193,15 +187,15 @@ def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRo
     entry = fit.entry(name)
     parameter = entry.parameter
     scale = scale_of(fit.parameter_units[entry.name])
-    ends: Ends = (None, None)
-    cut = ""
+    ends: tuple[float | None, float | None] = (None, None)
+    remark = "no standard error"
     if name in intervals.index:
         lower, upper = map(float, intervals.loc[name, ["ci_lower", "ci_upper"]])
-        ends = ends_within(parameter, lower, upper)
-        cut = "" if ends == (lower, upper) else "cut at its bound"
-        if ends[0] is not None and ends[1] is not None:
-            ends = (scale.shown(ends[0]), scale.shown(ends[1]))
-    remark = cut if None not in ends else "no standard error"
+        low = max(lower, parameter.lower)
+        high = min(upper, parameter.upper)
+        if np.isfinite([lower, upper, low, high]).all():
+            ends = (scale.shown(low), scale.shown(high))
+            remark = "" if (low, high) == (lower, upper) else "cut at its bound"
     if name in fit.outcome.at_bounds:
         remark = "at its bound"
         value = scale.shown(parameter.nearest_bound(scale.read(value)))
@@ -210,12 +204,6 @@ def _parameter(fit: Fit, row: pd.Series, intervals: pd.DataFrame) -> ParameterRo
         remark = "fixed"
     told = proper_names(parameter_words(fit.model, name))
     return ParameterRow(told, value, std_error, *ends, remark, str(row["unit"]))
-
-
-def ends_within(parameter: Parameter, lower: float, upper: float) -> Ends:
-    """The ends of an interval, as far as the parameter's bounds let it go."""
-    ends = (max(lower, parameter.lower), min(upper, parameter.upper))
-    return ends if np.isfinite([lower, upper, *ends]).all() else (None, None)
 
 
 # ---- measurements beside free runs ---------------------------------------------------
@@ -235,11 +223,10 @@ def _runs(study: StudyRecord, steps: Sequence[Step], time: Scale) -> tuple[Run, 
 
 def _most_changed(runs: tuple[Run, ...]) -> tuple[int, int]:
     """The run that judges, and its channel, in which the models differ most."""
-    changes = {}
+    changes: dict[tuple[int, int], float] = {}
     for k, run in enumerate(runs):
-        for c, channel in enumerate(run.channels):
-            if run.part == runs[0].part:
-                changes[k, c] = channel.change
+        if run.part == runs[0].part:
+            changes |= {(k, c): one.change for c, one in enumerate(run.channels)}
     return max(changes, key=changes.__getitem__)
 
 
@@ -317,11 +304,12 @@ def _ranking(study: StudyRecord, place: int) -> tuple[Ranked, ...]:
         steps |= dict.fromkeys(map(str, study.steps[step].added), step)
     size, _ = study.error_scale
     classes: dict[str, list[str]] = {}
+    named = {}
     for finding in diagnosis.findings:
         names = list(map(str, finding.effects))
         classes |= dict.fromkeys(names, names)
+        named[names[0]] = finding
     ranked = []
-    named = {str(finding.effects[0]): finding for finding in diagnosis.findings}
     for one in diagnosis.ranking:
         alike = dict.fromkeys([*classes.get(one.name, []), *one.confusable_with])
         alike.pop(one.name, None)
@@ -366,21 +354,28 @@ def _known(value: float) -> float | None:
 # ---- where it shows best -------------------------------------------------------------
 
 
-def glance_of(
-    diagnosis: Diagnosis, runs: tuple[Run, ...], time: Scale, model: int
-) -> Glance | None:
-    """Where what is missing is seen best; None where no force is sure."""
-    force = diagnosis.analysis.force_in()
-    if force.is_uncertain:
+def _glance(study: StudyRecord, runs: tuple[Run, ...], time: Scale) -> Glance | None:
+    """Where what the verdict tells of is seen best; None where no force is sure."""
+    place = telling_step(study)
+    if place is None:
         return None
-    name = force.window.trajectory
-    training = [run for run in runs if run.part == TRAINING and run.name == name]
+    model = -1 if place == len(study.steps) - 1 else 0
+    force = study.diagnoses[place].analysis.force_in()
+    training = []
+    if not force.is_uncertain:
+        name = (TRAINING, force.window.trajectory)
+        training = [run for run in runs if (run.part, run.name) == name]
     if not training:
         return None
-    run = _worst_run(training, model)
-    judged = _worst_run([one for one in runs if one.part != TRAINING] or [run], model)
-    shares = [one.worst(model).share_off(model) for one in (run, judged)]
-    only_follows = shares[1] > 2 * shares[0]  # what it was fitted to
+
+    def off_share(run: Run) -> float:
+        """The error in its worst channel beside the movement."""
+        return run.worst(model).share_off(model)
+
+    run = max(training, key=off_share)
+    judging = [one for one in runs if one.part != TRAINING]
+    judged = max(judging or [run], key=off_share)
+    only_follows = off_share(judged) > 2 * off_share(run)  # what it was fitted to
     run = judged if only_follows else run
     channel = run.worst(model)
     off = np.abs(np.nan_to_num(channel.measured - channel.models[model]))
@@ -391,13 +386,8 @@ def glance_of(
         inside = (t >= force.window.begin) & (t <= force.window.end)
         is_sure = inside & (sureness > SURE_DEVIATIONS)
         off = np.where(is_sure, off, 0.0) if is_sure.any() else sureness
-    place = (runs.index(run), run.channels.index(channel))
-    return Glance(*place, float(channel.t[np.argmax(off)]))
-
-
-def _worst_run(runs: list[Run], model: int) -> Run:
-    """The run in whose worst channel a model is off most, beside the movement."""
-    return max(runs, key=lambda run: run.worst(model).share_off(model))
+    where = (runs.index(run), run.channels.index(channel))
+    return Glance(*where, float(channel.t[np.argmax(off)]))
 
 
 # ---- checks of what remains --------------------------------------------------------
@@ -421,9 +411,9 @@ def _checks(study: StudyRecord) -> tuple[Check, ...]:
         bounds = ", ".join(map(words, fit.outcome.at_bounds))
         checks.append(Check("bounds", LOOK, f"at a bound: {bounds}"))
     checks += (Check("fit", LOOK, remark) for remark in fit.warnings)
-    notes: Sequence[str] = [NOT_HELD_OUT]
-    if study.judging is not None:
-        notes = study.judging_notes
+    notes = study.judging_notes
+    if study.judging is None:
+        notes = ("no data were held out; errors are those of the training data",)
     checks += (Check("data held out", LOOK, note) for note in notes)
     return tuple(checks)
 
@@ -439,19 +429,14 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
     is_far = ratio > WHITE_ERROR
     is_white = whiteness >= SURE_LEVEL
     holds = horizon > 0.999 * shortest  # but for rounding
-    asked = (
-        ("size", "size of residuals", ratio, is_small, is_far),
-        (
-            "whiteness",
-            "correlation of the residuals",
-            whiteness,
-            is_white,
-            not is_small,
-        ),
-        ("horizon", "length of a good free run", horizon, holds, is_far),
-    )
+    # The value, whether it is good, and whether it is bad.
+    asked = {
+        "size": (ratio, is_small, is_far),
+        "whiteness": (whiteness, is_white, not is_small),
+        "horizon": (horizon, holds, is_far),
+    }
     checks = []
-    for name, subject, value, is_good, is_bad in asked:
+    for name, (value, is_good, is_bad) in asked.items():
         known = bool(np.isfinite(value))
         severity = GOOD if is_good else BAD if known and is_bad else LOOK
         told = say(
@@ -468,7 +453,8 @@ def _of_channel(row: pd.Series, judged: Comparison, unit_of_time: str) -> list[C
             severity=severity,
             known=known,
         )
-        checks.append(Check(f"{row['state']}: {subject}", severity, said(told.lead)))
+        subject = f"{row['state']}: {SUBJECTS[name]}"
+        checks.append(Check(subject, severity, said(told.lead)))
     return checks
 
 
@@ -487,15 +473,13 @@ def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
         told_holds = (f"{name}: {HOLD_WORDS[word]}" for name, word in hold.items())
         hold = "; ".join(told_holds)
     hold = HOLD_WORDS.get(hold, hold)
-    starts = "estimated from each whole run, also of held-out data"
-    seeds = "fixed in the package: the same data and settings "
     told = {
-        "Training data": f"{_data(study.train)}; all parameters are fitted to them",
-        "Held-out data": _data_of_part(
+        "Training data": _data(study.train, "all parameters are fitted to them"),
+        "Held-out data": _data(
             study.held_out, "not fitted; they help to choose effects"
         ),
-        "Final test": _data_of_part(study.final, "looked at once, at the end"),
-        "Starting states": starts,
+        "Final test": _data(study.final, "looked at once, at the end"),
+        "Starting states": "estimated from each whole run, also of held-out data",
         "Units": ", ".join(units) or "not given",
         "Inputs between samples": hold if study.train.inputs else "",
         "Loss": short_repr(study.loss),
@@ -503,24 +487,23 @@ def _settings(study: StudyRecord, headline: Headline) -> tuple[Answer, ...]:
         "How to do what is proposed": headline.answers[-1].how,
         "Standard errors": str(study.last.fit.std_error_source),
         "Intervals": f"{100 * LEVEL:.0f} %, Student's distribution",
-        "Seeds": f"{seeds}give the same numbers",
+        "Seeds": SEEDS,
         "Versions": ", ".join([*versions, f"Python {platform.python_version()}"]),
     }
     return tuple(Answer(one, question=name) for name, one in told.items() if one)
 
 
-def _data_of_part(data: Measurements | None, use: str) -> str:
-    return "none" if data is None else f"{_data(data)}; {use}"
-
-
-def _data(data: Measurements) -> str:
+def _data(data: Measurements | None, use: str) -> str:
+    if data is None:
+        return "none"
     lengths = [float(run.t[-1] - run.t[0]) for run in data.trajectories]
     scale = scale_of_time(max(lengths), data.units.get("t", ""))
     extent = f"{min(lengths) / scale.size:.4g}"
     if max(lengths) > min(lengths):
         extent += f" to {max(lengths) / scale.size:.4g}"
     size = f"{number_of(len(lengths), 'run')}, {data.n_samples} samples"
-    return f"{size}, {extent} {scale.unit}".rstrip() + f" each; SHA-256 {data.digest}"
+    told = f"{size}, {extent} {scale.unit}".rstrip()
+    return f"{told} each; SHA-256 {data.digest}; {use}"
 
 
 def _code(study: StudyRecord) -> str:

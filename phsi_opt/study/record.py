@@ -151,17 +151,16 @@ class StudyRecord:
             return ""
         base, last = self.final_comparisons
         size, unit = self.error_scale
-        told = number(size * last.rmse, 3)
-        if len(self.steps) == 1:
-            told = f"is {told}"
-        else:
-            verb = "fell" if last.rmse < base.rmse else "went"
-            told = f"{verb} from {number(size * base.rmse, 3)} to {told}"
+        before, now, noise = (
+            number(size * error, 3)
+            for error in (base.rmse, last.rmse, last.noise_floor)
+        )
+        verb = "fell" if last.rmse < base.rmse else "went"
+        change = f"{verb} from {before} to" if len(self.steps) > 1 else "is"
         which = number_of(len(self.final), "run")
         if len(self.final) == 1:
             which = self.final.trajectories[0].title
-        noise = number(size * last.noise_floor, 3)
-        told = f"{told}{spaced(unit)} (noise {noise})"
+        told = f"{change} {now}{spaced(unit)} (noise {noise})"
         return f"In the final test ({which}), the error {told}."
 
     @property
@@ -204,8 +203,9 @@ class StudyRecord:
             considered |= {one.name: one for one in diagnosis.ranking}
             for finding in diagnosis.findings:
                 established |= set(map(str, finding.effects))
-        names = [str(one) for one in self.last.added if str(one) not in established]
-        return tuple(considered[name] for name in names if name in considered)
+        names = considered.keys() - established
+        added = map(str, self.last.added)
+        return tuple(considered[name] for name in added if name in names)
 
     def held_as(self, hold: Hold, notes: tuple[str, ...]) -> "StudyRecord":
         """With inputs that do otherwise between their samples."""
@@ -255,13 +255,10 @@ class StudyRecord:
         added = ", ".join(map(str, self.last.added))
         title = f"Study of {type(self.last.fit.model).__name__}"
         title += f", added: {added}" if added else ", nothing added yet"
-        parts = [Part("errors of free runs", table=self.history)]
-        names = tuple(one.name for one in self.unestablished)
+        names = [one.name for one in self.unestablished]
         words = (self.final_words, self.stopped, unestablished_words(names))
-        said = "\n".join(filter(None, words))
-        if said:
-            parts.append(Part(text=said))
-        return Summary(title, tuple(parts))
+        errors = Part("errors of free runs", table=self.history)
+        return Summary(title, (errors, Part(text="\n".join(filter(None, words)))))
 
     # ---- fits of further models ------------------------------------------------------
 
@@ -375,18 +372,13 @@ class StudyRecord:
             variable = _natural_variable(effect, larger)
             record = replace(force.record, model=larger, points=points)
             force = replace(force, record=record)
-        what = capitalised(force.quantity)
+        heading = f"{capitalised(force.quantity)} that is missing without {effect}"
         said = (
             f"The added law: the {force.quantity} missing in d{effect.equation}/dt if "
             f"{effect} is removed from the present model and all other values are kept"
         )
-        return follows_of(
-            force,
-            variable,
-            proper_names(f"{what} that is missing without {effect}"),
-            proper_names(said),
-            law,
-        )
+        heading, said = map(proper_names, (heading, said))
+        return follows_of(force, variable, heading, said, law)
 
     def laws(self) -> tuple[Follows, ...]:
         """The laws of the three effects added first, as far as they can be shown."""

@@ -174,7 +174,7 @@ def sweep(
     """
     _check(function, cases, in_flight)
     kept = None if folder is None else KeptResults(Path(folder), of)
-    return _swept(function, cases, executor, kept, in_flight, progress)
+    return _swept(function, cases, executor, kept, in_flight, progress or silent)
 
 
 def _swept(
@@ -183,10 +183,9 @@ def _swept(
     executor: Executor | None,
     kept: KeptResults | None,
     in_flight: int,
-    progress: Progress | None,
+    say: Progress,
 ) -> Iterator[Done]:
     """Kept results first, then the others as they are computed."""
-    say = progress or silent
     n_done = count(1)
     missing = dict(cases)
     for key, result in kept.found(cases) if kept else ():

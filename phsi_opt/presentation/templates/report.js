@@ -2,15 +2,7 @@
   const root = document.documentElement;
 
   // Colours: as the system has them, or one of two; kept while the page is open.
-  const themes = ["", "light", "dark"];
-  const names = ["Colours: as the system", "Colours: light", "Colours: dark"];
-  let theme = 0;
-  document.getElementById("theme").addEventListener("click", function () {
-    theme = (theme + 1) % themes.length;
-    if (themes[theme]) root.dataset.theme = themes[theme];
-    else delete root.dataset.theme;
-    this.textContent = names[theme];
-  });
+  document.getElementById("theme").addEventListener("change", (event) => { root.style.colorScheme = event.target.value; });
 
   // On a phone the answers come first; what stands behind them is opened.
   if (matchMedia("(max-width: 40rem)").matches) {
