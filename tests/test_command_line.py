@@ -258,7 +258,7 @@ def test_a_column_that_changes_where_the_times_begin_anew_names_the_runs(
     seen = survey(path)
     parts = {one.label: one.part for one in seen.columns}
     assert parts == {"time": "time", "speed": "state", "pass": "run", "gear": "state"}
-    assert seen.n_runs == 3
+    assert len(seen.runs) == 3
     path.write_text("\n".join(["time (min),speed (km/h),pass,gear", *rows[:4]]))
     assert survey(path).run is None
 
