@@ -34,6 +34,12 @@ def test_units_in_headers_are_those_of_the_channels(tmp_path) -> None:
     assert from_frame.units == data.units
 
 
+def test_c_behind_a_temperature_is_its_unit_and_else_an_index() -> None:
+    headers = ("T_C", "T_amb_C", "temp1_C", "phase_C", "C_C")
+    units = ["degC", "degC", "degC", "", ""]
+    assert [Header.of(header).unit for header in headers] == units
+
+
 def test_a_given_unit_is_compared_with_that_of_the_file() -> None:
     def units(**given: str) -> dict[str, str]:
         columns = {name: STATES[name] for name in given if name != "t"}

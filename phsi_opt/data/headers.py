@@ -35,6 +35,7 @@ TIME_WORDS = words_in(
     "t time times timestamp datetime date tempo zeit temps datum uhrzeit zeitstempel"
 )
 STEP_WORDS = words_in("ts dt step")
+TEMPERATURE_WORDS = words_in("t temp temperature temperatur")
 RUN_WORDS = words_in("run trajectory trial experiment versuch record")
 SET_POINT_WORDS = words_in(
     "setpoint reference referencia referenz sollwert target desired"
@@ -136,6 +137,9 @@ def _label_and_unit(text: str) -> tuple[str, str]:
     is_rate = may_be_rate and any(are_alike(rate, one) for one in WRITTEN_RATES)
     if is_rate and TIME_WORDS.isdisjoint(_words(text)[:1]):
         return name, f"{numerator}/{last}"
+    first = label.lower().partition("_")[0].rstrip("0123456789")
+    if last == "C" and first in TEMPERATURE_WORDS:
+        return label, "degC"
     is_word = last in TIMES or UNIT_WORD.fullmatch(last)
     return label, last if label and is_word and last not in INDICES else ""
 
